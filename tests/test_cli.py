@@ -89,7 +89,8 @@ def test_an_option_that_a_pose_agrees_with_is_no_warning(site, run):
 
 def test_no_trustworthy_answer(site, run):
     pose(easting=EAST + 9000).write(site / "R1.json")
-    refused(run(*measure_words(site)), 4, "no tile lies in the view of R1")
+    words = "no tile lies in the view of R1", " m from the nearest tile"
+    refused(run(*measure_words(site)), 4, *words)
     assert not (site / "occ").exists()
 
 

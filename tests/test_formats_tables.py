@@ -49,6 +49,20 @@ def test_iso_times_and_degrees(tmp_path):
     assert table["SNR"].tolist() == [3, 3]
 
 
+def test_times_of_pandas_are_finer_than_ours(tmp_path):
+    """It writes nanoseconds, of which float64 resolves none."""
+    time = pa.array(
+        [1_700_000_000_005_890_608, 1_700_000_000_055_890_608], pa.timestamp("ns", "UTC")
+    )
+    numbers = {name: [1.0, 2.0] for name in ("x", "y", "z", "range_rate", "rcs")}
+    pq.write_table(pa.table({"time": time, **numbers}), tmp_path / "r.parquet")
+    for path in (tmp_path / "r.parquet", tmp_path / "r.csv"):
+        if path.suffix == ".csv":
+            pq.read_table(tmp_path / "r.parquet").to_pandas().to_csv(path, index=False)
+        table = convert(path)[1]
+        np.testing.assert_allclose(table["time"], [START + 0.00589, START + 0.05589], atol=1e-6)
+
+
 def test_what_the_user_says_wins_over_names(tmp_path):
     path = write(tmp_path / "r.csv", f"time,range,azimuth,az2,v\n{START},10,1.0,90,1\n")
     table = convert(path, columns={"azimuth_deg": "az2"})[1]

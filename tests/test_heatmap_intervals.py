@@ -8,6 +8,7 @@ import pytest
 from maps import Listener
 from test_heatmap import T0, assert_like_oracle, lane_tiles, make_site, two_sensors
 
+from gis_radar.base import STEPS_PER_SECOND
 from gis_radar.products import make_heatmap
 from gis_radar.products.heatmap.heatmap import NO_OCCUPANCY
 
@@ -77,6 +78,17 @@ def test_500_intervals_are_columns():
     view = ("R1", "a")
     site = make_site(lane_tiles(1), {view: set(range(T0, T0 + 500))}, {view: {0}}, set())
     assert len(make_heatmap(site.dataset, interval="50ms").columns) == 500
+
+
+@pytest.mark.parametrize(("apart", "kept"), [(19, [*range(20)]), (20, [0, 20]), (168, [0, 168])])
+def test_an_outage_is_kept_and_a_week_between_two_hours_is_not(apart, kept):
+    view, hour = ("R1", "a"), 3600 * STEPS_PER_SECOND
+    first = T0 // hour * hour
+    steps = {first + 7, first + apart * hour}
+    site = make_site(lane_tiles(1), {view: steps}, {view: {0}}, {(first + 7, 0)})
+    heatmap = make_heatmap(site.dataset, interval="1h", reporter=Listener())
+    assert ((heatmap.timeline.begin - first) // hour).tolist() == kept
+    assert len(heatmap.columns) == len(kept)
 
 
 def test_many_intervals_without_frames_are_left_out():

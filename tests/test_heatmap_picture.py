@@ -122,18 +122,16 @@ def test_the_name_of_a_sensor_at_the_edge_is_whole(at):
 
 
 @pytest.mark.parametrize("width_in", [OVERLAY_IN, NARROW_IN])
-def test_the_name_of_a_sensor_beside_the_scale_bar_is_not_under_its_ground(width_in):
+def test_a_sensor_beside_the_scale_bar_and_its_name_are_not_under_its_ground(width_in):
     corners = np.array([[(0.0, 0.0), (100.0, 0.0), (100.0, 60.0), (0.0, 60.0)]])
     picture = map_picture(corners, (np.zeros(2), np.array([100.0, 60.0])), 40_000)
     for up in range(5, 55, 5):
         figure, ax = picture.blank(width_in)
-        taken = add_corner_scale(figure, ax)
         pose = Pose(
             sensor="R3", crs="EPSG:25832", easting=90.0, northing=float(up), height=0.0,
             yaw=0.0, pitch=0.0, roll=0.0,
         )  # fmt: skip
-        dot = ax.transData.transform((90.0, up))
-        if taken.y0 <= dot[1] <= taken.y1:
-            continue  # the sensor itself is under it
+        taken = add_corner_scale(figure, ax, [pose])
+        assert not taken.contains(*ax.transData.transform((90.0, up)))
         add_sensor(ax, pose, taken)
         assert not ax.texts[0].get_window_extent().overlaps(taken)

@@ -290,6 +290,18 @@ def test_a_sensor_that_sees_nothing_is_warned_of(tmp_path):
     assert not (tmp_path / "blind").exists()
 
 
+def test_files_of_poses_and_one_alone_are_taken(tmp_path):
+    path = recording(tmp_path / "r.parquet", [START], [[12.25, 0.0, -5.0]])
+    pose().write(tmp_path / "R1.json")
+    ways = (path, tmp_path / "R1.json"), ([path], [str(tmp_path / "R1.json")]), ([path], [pose()])
+    made = [
+        gr.measure(*way, crossing(), None, tmp_path / str(k), hits_only=True, check=False)
+        for k, way in enumerate(ways)
+    ]
+    assert len({each.hits()["tile_id"].sum() for each in made}) == 1
+    assert repr(gr.open_recording(path)) == f"Recording({str(path)!r}, 1 rows)"
+
+
 def test_views_that_are_near_are_shared_and_filters_stand_in_the_manifest(tmp_path, monkeypatch):
     time = START + 0.05 * np.arange(3)
     track = PoseTrack(poses=tuple(pose(easting=EAST + 0.3 * k) for k in range(3)), since=time)

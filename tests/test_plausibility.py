@@ -59,6 +59,11 @@ def signless(table):
     return table.assign(range_rate=table["range_rate"].abs())
 
 
+def some_infinite(table):
+    odd = np.random.default_rng(1).random(len(table)) < 0.02
+    return table.assign(range_rate=table["range_rate"].mask(odd, np.inf))
+
+
 def frozen(table):
     """Repeat one frame for five seconds."""
     frames = np.unique(table["time"])
@@ -79,7 +84,7 @@ MISTAKES = {
     "mirrored": (POSES["R1"], times("y", -1.0), "left and right are swapped", "the sign of y"),
     "km/h": (POSES["R1"], times("range_rate", 3.6), "range rates look like km/h", "by 3.6"),
     "cm/s": (POSES["R1"], times("range_rate", 100.0), "cm/s or mm/s", "m/s"),
-    "infinite": (POSES["R1"], times("range_rate", np.inf), "cm/s or mm/s", "m/s"),
+    "infinite": (POSES["R1"], some_infinite, "damaged, or was converted wrongly", "has NaN"),
     "sign": (POSES["R1"], times("range_rate", -1.0), "positive where targets", "change the sign"),
     "absolute": (POSES["R1"], signless, "absolute values", "positive"),
     "frozen": (POSES["R1"], frozen, "the recording is frozen", "leave"),

@@ -215,6 +215,13 @@ def test_all_words_can_be_read_on_a_phone(page):
     WebDriverWait(page, WAIT_S).until(lambda each: all(each.execute_script(shown)))
 
 
+def test_long_tables_are_no_way_on_a_phone(page):
+    """What follows a table is a screen away, however many lanes there are."""
+    wide(page, 390)
+    tall = "return [...document.querySelectorAll('.scroll')].map(each => each.clientHeight)"
+    assert max(page.execute_script(tall)) < 900  # the window's height
+
+
 def test_pictures_have_their_room_before_they_are_seen(chromium, report):
     """Else what is below jumps, and a link leads beside its chapter."""
     wide(chromium, 1280)
@@ -274,6 +281,8 @@ def test_no_table_is_cut_on_paper(page):
         )
         assert len(edges) > 8
         assert max(edges) <= PAPER_PX + 0.5
+        cells = "return [...document.querySelectorAll('td')].map(e => getComputedStyle(e).display)"
+        assert set(page.execute_script(cells)) == {"table-cell"}  # no cards, as on a phone
         assert not by_id(page, "controls").is_displayed()
     finally:
         page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})

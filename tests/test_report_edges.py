@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import shutil
 
@@ -29,6 +30,7 @@ from gis_radar.base.spreadsheets import safe
 from gis_radar.cli import group
 from gis_radar.products import REPORT_FILES, make_heatmap
 from gis_radar.products.heatmap.heatmap import OWNED
+from gis_radar.products.report import report
 
 
 @pytest.fixture(scope="module")
@@ -222,6 +224,18 @@ def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path, blank_pap
     (tmp_path / "map" / "quality.csv").write_text("mine")
     gr.write_report(tmp_path / "map")
     assert (tmp_path / "map" / "quality.csv").read_text() == "mine"
+
+
+def test_a_full_disk_leaves_no_new_folder(results, tmp_path, monkeypatch):
+    def full(_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(report, "page_of", full)
+    (tmp_path / "mine").mkdir()
+    for place in (tmp_path / "new" / "report", tmp_path / "mine"):
+        with pytest.raises(gr.OutputError, match="the disk is full"):
+            gr.write_report(results, output=place)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
 def test_a_chosen_output_that_is_a_file(results, tmp_path):

@@ -27,6 +27,13 @@ def test_the_band_of_a_lonely_interval_is_drawn():
     assert strip.unseen == [(0.25, 0.25)]
 
 
+def test_a_gap_between_intervals_is_not_seen():
+    """Else the interval before it is as long as the gap."""
+    hour = [datetime(2025, 6, 11, tzinfo=UTC) + timedelta(hours=each) for each in range(5)]
+    edges, interval = chart.edges_of([(hour[0], hour[1]), (hour[3], hour[4])])
+    assert (edges, interval) == ([hour[0], hour[1], hour[3], hour[4]], [0, -1, 1])
+
+
 @pytest.mark.parametrize(
     ("minutes", "count", "begin", "labels"),
     [

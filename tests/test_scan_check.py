@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from sites import recording
 
 import gis_radar as gr
-from gis_radar.base import CELL_M
+from gis_radar.base import CELL_M, speaking
 from gis_radar.calibration import (
     AmbiguousError,
     Localization,
@@ -32,6 +32,7 @@ from gis_radar.calibration.scan.surroundings import LevelFrame, read_slow, read_
 from gis_radar.calibration.several import joint
 from gis_radar.calibration.single import localization as localizing
 from gis_radar.cli import group
+from gis_radar.cli.result_tables import as_lines
 from gis_radar.scans import scan as scan_files
 from simulation.movement import Traffic
 from simulation.radar import RadarModel, place_radar
@@ -387,6 +388,16 @@ def test_the_command_tells_the_verdict(tmp_path, monkeypatch, left):
     view = gr.read_pose(tmp_path / "pose.json").view
     assert view == gr.View(max_range_m=reached_m(R2))
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_verdict_is_in_the_language_of_the_terminal():
+    """And it stays a word in JSON."""
+    seen = {"scan_check": dict.fromkeys(["verdict"], "doubts")}
+    answer = Localization(pose=replace(POSE, evidence=seen), fitness=1.0, observable=True)
+    verdict = answer.figures()["scan_check"]
+    assert verdict == "doubts"
+    with speaking("de"):
+        assert as_lines("scan_check", verdict) == "widerspricht"
 
 
 def reached_m(path):

@@ -153,6 +153,10 @@ def test_sensors_that_never_recorded_together_are_named(place, tmp_path):
     pq.write_table(later, tmp_path / "R2.parquet")
     (warning,) = gr.check_site(site).warnings
     assert warning.startswith("R1 and R2 have no time in common: 3,500 s lie between them")
+    (tmp_path / "clocks.json").write_text('{"clocks": {"R2": {"offset_s": 3600}}}', "utf-8")
+    text = site.read_text(encoding="utf-8")
+    site.write_text(text.replace("[measure]", '[measure]\nclocks = "clocks.json"'), "utf-8")
+    assert not gr.check_site(site).warnings  # the run corrects it
 
 
 def with_rates(site, factor):

@@ -42,6 +42,7 @@ from .files import (
     atomic_folder,
     atomic_write,
     atomic_writes,
+    folder_to_fill,
     only_writer,
     output_errors,
     paths_of,
@@ -130,6 +131,7 @@ from .words import (
     NO_FIGURE,
     THIN_SPACE,
     WINDS,
+    by_number,
     current_language,
     decimal,
     direction,
@@ -145,6 +147,7 @@ from .words import (
     street_label,
     tr,
     wind_of,
+    with_error,
 )
 
 __all__ = [
@@ -196,6 +199,7 @@ __all__ = [
     "atomic_writes",
     "axes_or_new",
     "bearing_of",
+    "by_number",
     "card",
     "class_label",
     "compiled",
@@ -210,6 +214,7 @@ __all__ = [
     "duration_s",
     "figure_text",
     "first_line",
+    "folder_to_fill",
     "free_address_space",
     "give_back_memory",
     "go_offline",
@@ -285,6 +290,7 @@ __all__ = [
     "watch_parent",
     "whole_span",
     "wind_of",
+    "with_error",
     "with_texts",
     "worker_pool",
     "workers_here",

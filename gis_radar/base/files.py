@@ -163,6 +163,27 @@ def atomic_writes(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
 
 
 @contextmanager
+def folder_to_fill(path: Path) -> Iterator[None]:
+    """Make a folder for files that the block writes; one that is new stays only if that ends well.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be made.
+    """
+    new = [each for each in (path, *path.parents) if not each.exists()]
+    try:
+        with output_errors(path):
+            path.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
+        for folder in new:
+            with suppress(OSError):  # not made, or another program has put something there
+                folder.rmdir()
+        raise
+
+
+@contextmanager
 def atomic_folder(
     path: Path, *, owned: tuple[str, ...], reporter: Reporter = QUIET
 ) -> Iterator[Path]:

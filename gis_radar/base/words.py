@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -118,6 +119,29 @@ def plus_minus(value: float, digits: int, unit: str = "") -> str:
     """Return one standard deviation with its sign and unit; a dash where it is not known."""
     text = f"±{THIN_SPACE}{figure_text(value, digits)}{unit.replace(' ', THIN_SPACE)}"
     return text if math.isfinite(value) else NO_FIGURE
+
+
+def with_error(value: float, error: float) -> str:
+    """Return a value with its standard error; 0 alone where neither is half a unit.
+
+    Examples
+    --------
+    >>> with_error(120.0, 11.2).replace(THIN_SPACE, " "), with_error(0.0, 0.0)
+    ('120 ± 11', '0')
+    """
+    shown = figure_text(value), figure_text(error)
+    return "0" if shown == ("0", "0") else f"{THIN_SPACE}±{THIN_SPACE}".join(shown)
+
+
+def by_number(name: str) -> str:
+    """Return a name by which names sort so that numbers in them ascend.
+
+    Examples
+    --------
+    >>> sorted(["lane 10", "lane 2"], key=by_number)
+    ['lane 2', 'lane 10']
+    """
+    return re.sub(r"[0-9]+", lambda digits: digits[0].zfill(9), name)
 
 
 def wind_of(east_m: float, north_m: float) -> str:

@@ -202,7 +202,11 @@ class Dataset(TrafficTables, VehicleTables, SqlQueries):
             parts.append(union_of_runs([Runs(first=first, last=last if valid else first)]))
         found = union_of_runs(parts) if parts else None
         if found is None or not len(found):
-            raise InputError("{}: holds no frame", self.folder, hint="were the recordings empty?")
+            raise InputError(
+                "{}: holds no frame",
+                self.folder,
+                hint="measuring was interrupted, or recordings are empty",
+            )
         return found
 
     def tiles(self) -> gpd.GeoDataFrame:

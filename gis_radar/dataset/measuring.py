@@ -54,8 +54,8 @@ from gis_radar.dataset.registry import (
 from gis_radar.dataset.remarks import Examined, remark_on_recordings, remark_on_vehicles
 from gis_radar.hdmap import LaneGraph, LaneletMap, fingerprint, lane_graph
 from gis_radar.measures import Filters, PlacedRecording, RecordingCounts, SightBook, validity_of
-from gis_radar.poses import Pose, PoseTrack, as_track
-from gis_radar.recordings import Recording, as_recording
+from gis_radar.poses import Pose, PoseTrack, as_tracks
+from gis_radar.recordings import Recording, as_recordings
 from gis_radar.scans import SightSource, SightTiles, describe_sight, open_sight
 from gis_radar.tracking import map_of_tiles
 
@@ -89,8 +89,8 @@ class _Given:
 
 
 def measure(
-    recordings: Sequence[str | Path | Recording],
-    poses: Sequence[Pose | PoseTrack],
+    recordings: str | Path | Recording | Sequence[str | Path | Recording],
+    poses: Pose | PoseTrack | str | Path | Sequence[Pose | PoseTrack | str | Path],
     tiles: gpd.GeoDataFrame,
     map: str | Path | None,  # noqa: A002 - the word of the contract
     folder: str | Path,
@@ -119,9 +119,9 @@ def measure(
 
     Parameters
     ----------
-    recordings : sequence
+    recordings : one or a sequence
         Files, or what :func:`gis_radar.open_recording` returns.
-    poses : sequence of Pose or PoseTrack
+    poses : one or a sequence of Pose, PoseTrack or their files
         As many as recordings, in order. A pose without a view gets the default one.
     tiles : GeoDataFrame
         As from :func:`gis_radar.read_tiles`.
@@ -195,8 +195,9 @@ def measure(
     >>> gr.make_traffic(ds, interval="1min").figures()["lanes"] > 10
     True
     """
-    if len(recordings) != len(poses) or not recordings:
-        raise UsageError("{} recordings, but {} poses", len(recordings), len(poses))
+    opened, tracks = as_recordings(recordings), as_tracks(poses)
+    if len(opened) != len(tracks) or not opened:
+        raise UsageError("{} recordings, but {} poses", len(opened), len(tracks))
     if map is None and not hits_only:
         raise UsageError(
             "vehicles need the map that the tiles were made from",
@@ -210,8 +211,6 @@ def measure(
         road, scans=scans, scan_crs=scan_crs, sight=sight, cache=sight_cache, reporter=reporter
     )
     book = SightBook(road=road, scan=scan)
-    opened = [as_recording(each) for each in recordings]
-    tracks = [as_track(pose) for pose in poses]
     refuse_swapped(opened, tracks)
     sources = book.place(opened, tracks, clocks, reporter)
     given = _given(sources, book, tiles, map, cycles, settings, timezone, reporter)

@@ -196,13 +196,23 @@ class SightBook:
             if not any(len(each.tile_id) for each in sights)
         ]
         if len(blind) == len(seen):
+            pose = next(iter(seen.values()))[0].pose
             raise NoAnswerError(
-                "no tile lies in the view of {}",
-                ", ".join(blind),
-                hint="poses, heights and tiles do not fit each other",
+                "no tile lies in the view of {}", ", ".join(blind), hint=self._why_blind(pose)
             )
         for sensor in blind:
             reporter.warn("no tile lies in the view of {}", sensor)
+
+    def _why_blind(self, pose: Pose) -> Text:
+        """Return what to check of a pose that has no tile in sight."""
+        apart = self.road.centres - pose.position
+        beside = np.hypot(apart[:, 0], apart[:, 1])
+        far = Text("{} stands {:,.0f} m from the nearest tile", pose.sensor, beside.min())
+        if np.isfinite(over := -apart[np.argmin(beside), 2]):
+            far = Text("{}, {:,.0f} m over it", far, over)
+        if self.scan is not None:
+            far = Text("{}, where the scan, if it is of another place, may hide all", far)
+        return Text("{}: check position, height, and whether its angles are degrees", far)
 
     def report(self, reporter: Reporter) -> None:
         """Report that there is no scan, or the share of views that it covers."""

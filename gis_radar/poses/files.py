@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -124,11 +124,21 @@ class PoseTrack:
         return table_card(f"Poses of {self._title()}", ["since", *units, "event"], rows)
 
 
-def as_track(pose: Pose | PoseTrack) -> PoseTrack:
-    """Return a pose as a track of one pose that always holds; a track as it is."""
+def as_track(pose: Pose | PoseTrack | str | Path) -> PoseTrack:
+    """Return a pose as a track of one pose that always holds; a track as it is; that of a file."""
+    if isinstance(pose, str | Path):
+        return read_track(pose)
     if isinstance(pose, PoseTrack):
         return pose
     return PoseTrack(poses=(pose,), since=np.array([-math.inf]))
+
+
+def as_tracks(
+    poses: Pose | PoseTrack | str | Path | Sequence[Pose | PoseTrack | str | Path],
+) -> list[PoseTrack]:
+    """Return poses, tracks or their files as tracks; one alone is a list of one."""
+    given = [poses] if isinstance(poses, Pose | PoseTrack | str | Path) else poses
+    return [as_track(pose) for pose in given]
 
 
 def read_pose(path: str | Path) -> Pose:

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from gis_radar.base import Clock, figure_text, picture_file, tr, zone_of
+from gis_radar.base import Clock, picture_file, tr, with_error, zone_of
 from gis_radar.products.heatmap.picture import INK, SOFT
 
 WIDTH_IN, DPI = 10.0, 160
@@ -143,10 +143,7 @@ def _label(
     order = {name: k for k, name in enumerate(_ARROWS)}
     rows = rows.sort_values(["turn", "to_lane"], key=lambda v: v.map(order).fillna(0))
     values = zip(rows["turn"], rows["volume_veh_h"], rows["error_veh_h"], strict=True)
-    texts = [
-        f"{_ARROWS[str(turn)]} {figure_text(volume)} \u00b1 {figure_text(error)}"
-        for turn, volume, error in values
-    ]
+    texts = [f"{_ARROWS[str(turn)]} {with_error(volume, error)}" for turn, volume, error in values]
     start, after = shapely.get_coordinates(rows.geometry.iloc[0])[:2]
     turned = math.degrees(math.atan2(*(after - start)[::-1]))
     upside_down = not -90.0 < turned <= 90.0

@@ -1,5 +1,5 @@
 from .conversion import Conversion, convert
-from .formats import as_recording, format_of, is_recording, open_recording
+from .formats import as_recording, as_recordings, format_of, is_recording, open_recording
 from .frame_clock import AGREEING_S
 from .frames import DamagedError, Frame, ReaderContext
 from .overlaps import time_warnings
@@ -19,6 +19,7 @@ __all__ = [
     "Recording",
     "RollingWindow",
     "as_recording",
+    "as_recordings",
     "convert",
     "format_of",
     "has_height",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -102,3 +102,11 @@ def open_recording(path: str | Path) -> Recording:
 def as_recording(source: str | Path | Recording) -> Recording:
     """Return a recording, opened if `source` is its path."""
     return source if isinstance(source, Recording) else open_recording(source)
+
+
+def as_recordings(
+    sources: str | Path | Recording | Sequence[str | Path | Recording],
+) -> list[Recording]:
+    """Return recordings, opened where they are paths; one alone is a list of one."""
+    given = [sources] if isinstance(sources, str | Path | Recording) else sources
+    return [as_recording(each) for each in given]

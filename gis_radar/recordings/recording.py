@@ -141,6 +141,10 @@ class Recording:
     time_spans: Callable[[], list[tuple[float, float]] | None] | None = None
     sensor: str = ""
 
+    def __repr__(self) -> str:
+        rows = "" if self.rows is None else f", {self.rows} rows"
+        return f"Recording({str(self.path)!r}{rows}{', ' * bool(self.sensor)}{self.sensor})"
+
     def read(self, *, further: bool = False) -> Iterator[Detections]:
         """Read the recording in batches, in bounded memory.
 
@@ -426,7 +430,8 @@ def _refuse_no_frame(time: Floats, path: Path, last: float, before: int) -> int:
 def _require_numbers(kind: pa.DataType, name: str, path: Path) -> None:
     # A column of nulls has the type null, which NUMERIC holds; digits as text are refused.
     if not any(is_kind(kind) for is_kind in NUMERIC):
-        raise InputError("{}: column {} is {}, expected numbers", path, name, kind)
+        hint = Text("gis-radar convert makes a recording of it")
+        raise InputError("{}: column {} is {}, expected numbers", path, name, kind, hint=hint)
 
 
 def _numbers(batch: pa.RecordBatch, name: str, path: Path) -> Floats:

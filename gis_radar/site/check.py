@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ from gis_radar.calibration import (
     Finding,
     LaneMap,
     RecordedSensor,
+    SensorClock,
     check_plausibility,
     check_recordings,
     read_clocks,
@@ -184,8 +185,11 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
         if spans:
             recorded[sensor.name] = spans
     reporter.progress("reading recordings", len(site.sensor), len(site.sensor))
-    warnings += time_warnings(recorded)
-    findings = _check_poses(site, roads, reporter)
+    clocks = read_clocks(site.measure.clocks) if site.measure.clocks else {}
+    warnings += time_warnings(
+        {name: _corrected(spans, clocks.get(name)) for name, spans in recorded.items()}
+    )
+    findings = _check_poses(site, roads, clocks, reporter)
     accepted = {each.name for each in site.sensor if each.accept}
     warnings += [f.doubt for f in findings if f.doubt and (not f.refused or f.sensor in accepted)]
     folder = site.path.absolute().parent  # files are named from it, as in a run
@@ -196,6 +200,16 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
         site=site, crs=name_of(roads.crs), lanelets=len(roads.lanelets), sensors=found,
         findings=findings, warnings=tuple(warnings),
     )  # fmt: skip
+
+
+def _corrected(
+    spans: Sequence[tuple[float, float, Path]], clock: SensorClock | None
+) -> list[tuple[float, float, Path]]:
+    """Return spans of time as a right clock would have stamped them."""
+    if clock is None:
+        return list(spans)
+    times = clock.corrected(np.array([span[:2] for span in spans])).tolist()
+    return [(begin, end, path) for (begin, end), (*_, path) in zip(times, spans, strict=True)]
 
 
 def _check_scans(site: Site, roads: LaneletMap) -> None:
@@ -242,23 +256,23 @@ def _check_place(sensor: Sensor, roads: LaneletMap) -> None:
         )
 
 
-def _check_poses(site: Site, roads: LaneletMap, reporter: Reporter) -> tuple[Finding, ...]:
+def _check_poses(
+    site: Site, roads: LaneletMap, clocks: Mapping[str, SensorClock], reporter: Reporter
+) -> tuple[Finding, ...]:
     """Check given poses against recordings and map, and recordings alone where the run finds poses.
 
     What the run converts, it checks itself.
     """
-    given, alone = {}, dict[str, list[Recording]]()
-    clocks = read_clocks(site.measure.clocks) if site.measure.clocks else {}
+    given, alone = dict[str, RecordedSensor](), dict[str, RecordedSensor]()
     for each in site.sensor:
         ours = [open_recording(path) for path in each.recordings if path not in each.foreign]
-        if each.pose is not None and ours:
-            given[each.name] = RecordedSensor(
-                recordings=ours,
-                tracks=[read_track(each.pose)] * len(ours),
-                clock=clocks.get(each.name),
-            )
-        elif ours:
-            alone[each.name] = ours
+        if not ours:
+            continue
+        recorded = RecordedSensor(recordings=ours, clock=clocks.get(each.name))
+        if each.pose is None:
+            alone[each.name] = recorded
+        else:
+            given[each.name] = replace(recorded, tracks=[read_track(each.pose)] * len(ours))
     masked = site.scan and site.scan.road
     road = read_road(masked, roads.crs) if masked else np.empty((0, 3))
     lanes = LaneMap(lanelets=roads.lanelets, road=road)

@@ -67,13 +67,13 @@ class RecordedSensor:
     recordings : sequence of Recording
         The sensor's recordings.
     tracks : sequence of PoseTrack
-        As many, in order.
+        As many, in order; none where the pose is not known.
     clock : SensorClock, optional
         How far the sensor's clock is ahead.
     """
 
     recordings: Sequence[Recording]
-    tracks: Sequence[PoseTrack]
+    tracks: Sequence[PoseTrack] = ()
     clock: SensorClock | None = None
 
 
@@ -124,14 +124,14 @@ def check_plausibility(
 
 
 def check_recordings(
-    sensors: Mapping[str, Sequence[Recording]], *, reporter: Reporter = QUIET
+    sensors: Mapping[str, RecordedSensor], *, reporter: Reporter = QUIET
 ) -> tuple[Finding, ...]:
     """Check recordings alone, where poses are not yet known: frozen frames, units, signs, traffic.
 
     Parameters
     ----------
-    sensors : mapping of str to sequence of Recording
-        The recordings of each sensor, by name.
+    sensors : mapping of str to RecordedSensor
+        By name.
     reporter : Reporter
         Receives progress.
 
@@ -146,9 +146,9 @@ def check_recordings(
         If a recording is damaged.
     """
     found = []
-    for done, (name, recordings) in enumerate(sorted(sensors.items())):
+    for done, (name, each) in enumerate(sorted(sensors.items())):
         reporter.progress(STAGE, done, len(sensors))
-        excerpt = next(read_excerpts(recordings))
+        excerpt = next(read_excerpts(each.recordings, clock=each.clock))
         odd = _odd_recording(excerpt) or odd_scale(measure_range_scale(excerpt.moving))
         odd = odd or _too_little(excerpt)
         found += [replace(odd, sensor=name)] if odd is not None else []
@@ -226,6 +226,11 @@ def _odd_recording(excerpt: Excerpt) -> Finding | None:
         begin, end, frames = excerpt.frozen
         evidence = Text("{} frames from {} to {} are the same", frames, iso(begin), iso(end))
         return wrong(evidence, Text("the recording is frozen"), Text("leave that time out"))
+    infinite = int(np.isinf(excerpt.moving.range_rate).sum())
+    if excerpt.wild and 2 * infinite > excerpt.wild:  # another unit makes all of them large
+        evidence = Text("{:,} range rates are infinite", infinite)
+        advice = Text("a detection without a range rate has NaN there")
+        return wrong(evidence, Text("the recording is damaged, or was converted wrongly"), advice)
     if excerpt.wild:
         evidence = Text("{:,} detections are faster than {:g} m/s", excerpt.wild, WILD_MPS)
         advice = Text("range_rate is m/s")

@@ -78,7 +78,7 @@ def track(
     recording: str | Path | Recording,
     roads: LaneletMap,
     road_points: Floats,
-    pose: Pose | PoseTrack,
+    pose: Pose | PoseTrack | str | Path,
     *,
     reporter: Reporter = QUIET,
 ) -> Track:
@@ -94,7 +94,7 @@ def track(
         The lanes.
     road_points : (n, 3) array
         Points of the road's surface in the map's CRS, as :func:`gis_radar.read_road` gives them.
-    pose : Pose or PoseTrack
+    pose : Pose, PoseTrack or its file
         Where the sensor stands when the recording begins, as :func:`gis_radar.localize` finds it;
         of a track the pose that holds then.
     reporter : Reporter

@@ -23,7 +23,7 @@ from gis_radar.base import (
     UsageError,
     atomic_writes,
     card,
-    output_errors,
+    folder_to_fill,
 )
 from gis_radar.calibration.registration.lanes import MARGIN_M, Lanes, sample_lanes
 from gis_radar.calibration.registration.traces import Moving
@@ -97,10 +97,8 @@ class JointCalibration:
     def write(self, folder: str | Path) -> list[Path]:
         """Write a pose file for each sensor into a folder, all or none, and return them."""
         folder = Path(folder)
-        with output_errors(folder):
-            folder.mkdir(exist_ok=True)
         made = [folder / f"{name}.json" for name in self.found]
-        with atomic_writes(made[0]) as (private, places):
+        with folder_to_fill(folder), atomic_writes(made[0]) as (private, places):
             for found, path in zip(self.found.values(), made, strict=True):
                 found.pose.write(private / path.name)
                 places[private / path.name] = path

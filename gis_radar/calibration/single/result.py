@@ -14,6 +14,7 @@ import numpy as np
 from gis_radar.base import (
     Floats,
     NoAnswerError,
+    Text,
     axes_or_new,
     card,
     figure_text,
@@ -104,7 +105,7 @@ class Localization:
             "vehicles": self.vehicles,
             "hypotheses": len(self.hypotheses),
             **range_scale_figures(self.pose),
-            **({"scan_check": look["verdict"]} if look else {}),
+            **({"scan_check": Text(look["verdict"])} if look else {}),
         }
 
     def with_scan_check(self, look: ScanCheck) -> Localization:

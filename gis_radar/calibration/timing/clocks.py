@@ -212,7 +212,7 @@ def _clock_of(entry: Any, what: str) -> SensorClock:
 
 def measure_clocks(
     recordings: Sequence[str | Path | Recording],
-    poses: Sequence[Pose | PoseTrack],
+    poses: Sequence[Pose | PoseTrack | str | Path],
     tiles: gpd.GeoDataFrame,
     *,
     reference: str | None = None,
@@ -231,7 +231,7 @@ def measure_clocks(
     recordings : sequence
         Files, or what :func:`gis_radar.open_recording` returns; of long recordings about an hour
         is used in which all recorded.
-    poses : sequence of Pose or PoseTrack
+    poses : sequence of Pose, PoseTrack or their files
         As many as recordings, in order.
     tiles : GeoDataFrame
         As from :func:`gis_radar.hdmap.tiles.read_tiles`.

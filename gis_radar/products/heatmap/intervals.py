@@ -33,6 +33,7 @@ from gis_radar.base import (
 from gis_radar.measures import Runs, union_of_runs
 
 MOST_BANDS = 500  # intervals that become columns and bands (the contract); more are rows only
+MOST_EMPTY = 10  # intervals for each one with a frame; of more, empty ones are left out
 MOST_ROWS = 100_000_000  # most rows of the layer by interval: about 35 GB of GeoPackage
 
 
@@ -302,19 +303,19 @@ def moment_of(text: str, what: str) -> float:
 def intervals_of(
     runs: Runs, interval: str, zone: ZoneInfo | None, tiles: int, reporter: Reporter
 ) -> Timeline:
-    """Return the intervals; where there are very many, only those with a frame."""
+    """Return the intervals; where most are empty, or there are many, only those with a frame."""
     steps = interval_steps(interval)
     first, last = int(runs.first[0]), int(runs.last[-1])
     if zone is None or follows_utc(steps):
-        if last // steps - first // steps < MOST_BANDS:
+        every, filled = last // steps - first // steps + 1, intervals_with(runs, steps)
+        if _all_are_kept(every, filled):
             return aligned(first, last, steps)
-        filled = intervals_with(runs, steps)
     else:
         local = local_intervals(first, last, steps, zone)
-        if len(local) <= MOST_BANDS:
+        with_frames = those_with(local, runs)
+        every, filled = len(local), len(with_frames)
+        if _all_are_kept(every, filled):
             return local
-        local = those_with(local, runs)
-        filled = len(local)
     if filled * tiles > MOST_ROWS:
         raise UsageError(
             "{} intervals of {} for {} tiles are more than a heat map can hold",
@@ -331,4 +332,9 @@ def intervals_of(
             MOST_BANDS,
         )
     reporter.log(note)
-    return aligned_with(runs, steps) if zone is None or follows_utc(steps) else local
+    return aligned_with(runs, steps) if zone is None or follows_utc(steps) else with_frames
+
+
+def _all_are_kept(every: int, filled: int) -> bool:
+    """Return whether empty intervals are kept: an outage is, a week between two hours is not."""
+    return every <= MOST_BANDS and every <= MOST_EMPTY * filled

@@ -41,6 +41,7 @@ FINEST_M = 0.04  # finest pixel: finer ones show no more of tiles of 0.5 m
 STRIPES, HATCHES = 12, 7
 OVERLAY_IN = 5.2  # width of the figure over a picture: the narrower, the larger its letters
 NARROW_IN, NARROW_PIXELS = 3.1, 800  # on a phone: a page as wide as this, of so many pixels
+SENSOR_IN = 0.2  # around a sensor's place: its triangle
 BAR_IN, BAR_SHARE = 1.4, 0.27  # the longest scale bar; in the corner of a map, of its width
 
 # Places in the palette; the classes of hit share follow.
@@ -135,7 +136,7 @@ class MapPicture:
             Width of the figure, inches: the narrower, the larger its letters.
         """
         figure, ax = self.blank(width_in)
-        scale = add_corner_scale(figure, ax)
+        scale = add_corner_scale(figure, ax, poses)
         for pose in poses:
             add_sensor(ax, pose, scale)
         return image_of_figure(figure)
@@ -243,7 +244,7 @@ def round_length(longest_m: float) -> float:
 
 def add_scale_bar(
     figure: Figure, corner_in: tuple[float, float], metre_in: float, longest_in: float = BAR_IN
-) -> float:
+) -> None:
     """Draw a scale bar and a north arrow.
 
     Parameters
@@ -256,11 +257,6 @@ def add_scale_bar(
         Inches on paper of a metre of the map.
     longest_in : float
         Longest length of the bar, inches.
-
-    Returns
-    -------
-    float
-        Their left end, inches.
     """
     tip, base = corner_in[0] - 0.1, corner_in[1]
     right = corner_in[0] - 0.5
@@ -282,18 +278,31 @@ def add_scale_bar(
     figure.text(left, base + 0.11, "0", fontsize=8, **text)
     figure.text(right, base + 0.11, f"{bar_m:g} m", fontsize=8, **text)
     figure.text(tip, base + 0.27, "N", fontsize=7, fontweight="bold", **text)
-    return left
 
 
-def add_corner_scale(figure: Figure, ax: Axes) -> BboxBase:
-    """Draw scale bar and north arrow on white in the lower right corner; return their box, px."""
+def add_corner_scale(figure: Figure, ax: Axes, poses: Sequence[Pose] = ()) -> BboxBase:
+    """Draw scale bar and north arrow on white in a lower corner; return their box, px.
+
+    It is the right corner, unless a sensor stands there and none in the left one.
+    """
     width_in = float(figure.get_size_inches()[0])
     west, east = ax.get_xlim()
+    metre_in = width_in / (east - west)
     longest_in = min(BAR_IN, BAR_SHARE * width_in)
-    left = add_scale_bar(figure, (width_in - 0.16, 0.2), width_in / (east - west), longest_in)
+    room_in = round_length(longest_in / metre_in) * metre_in + 0.76
+    low = np.array([west, ax.get_ylim()[0]])
+    stand = (np.array([each.position[:2] for each in poses]).reshape(-1, 2) - low) * metre_in
+
+    def taken(left: float) -> bool:
+        beside = (stand[:, 0] > left - SENSOR_IN) & (stand[:, 0] < left + room_in + SENSOR_IN)
+        return bool((beside & (stand[:, 1] < 0.66 + SENSOR_IN)).any())
+
+    right = width_in - 0.1 - room_in
+    left = 0.1 if taken(right) and not taken(0.1) else right
+    add_scale_bar(figure, (left + room_in - 0.06, 0.2), metre_in, longest_in)
     ground = Rectangle(
-        (left - 0.2, 0.1), width_in - 0.1 - (left - 0.2), 0.56, transform=figure.dpi_scale_trans,
-        facecolor="white", alpha=0.9, zorder=6,
+        (left, 0.1), room_in, 0.56, transform=figure.dpi_scale_trans, facecolor="white", alpha=0.9,
+        zorder=6,
     )  # fmt: skip
     figure.add_artist(ground)
     return ground.get_window_extent()

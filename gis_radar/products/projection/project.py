@@ -42,7 +42,7 @@ laspy = lazy_loader.load("laspy")  # 0.2 s, and most files written are no scans
 
 def project(
     recording: str | Path | Recording,
-    pose: Pose | PoseTrack,
+    pose: Pose | PoseTrack | str | Path,
     *,
     roads: LaneletMap | None = None,
     reporter: Reporter = QUIET,
@@ -53,7 +53,7 @@ def project(
     ----------
     recording : str, Path or Recording
         The sensor's recording.
-    pose : Pose or PoseTrack
+    pose : Pose, PoseTrack or its file
         Pose of the sensor.
     roads : LaneletMap, optional
         Map by which columns are added: `lanelet_id`, `s_m` along it, `d_m` left of its middle, and
@@ -86,7 +86,7 @@ def project(
 
 def write_projection(
     recording: str | Path | Recording,
-    pose: Pose | PoseTrack,
+    pose: Pose | PoseTrack | str | Path,
     path: str | Path,
     *,
     roads: LaneletMap | None = None,

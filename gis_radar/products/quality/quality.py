@@ -245,7 +245,11 @@ def measure_quality(
     dataset = open_dataset(dataset, reporter=reporter)
     times = frame_times(dataset)
     if not times:
-        raise InputError("{}: holds no frame", dataset.folder, hint="were the recordings empty?")
+        raise InputError(
+            "{}: holds no frame",
+            dataset.folder,
+            hint="measuring was interrupted, or recordings are empty",
+        )
     counts = count_frames(dataset, times, zone, reporter)
     poses = _poses(dataset.poses())
     hours = sorted({hour for _, hour in counts})

@@ -78,16 +78,31 @@ def _named(row: pd.Series) -> str:
     return f"{street}\n{number}" if street else number
 
 
+def edges_of(spans: Sequence[tuple[datetime, datetime]]) -> tuple[list[datetime], list[int]]:
+    """Return the edges of intervals and of gaps between them, and which each is; -1 for a gap."""
+    edges, interval = [spans[0][0]], list[int]()
+    for number, (begin, end) in enumerate(spans):
+        if begin > edges[-1]:
+            edges.append(begin)
+            interval.append(-1)
+        edges.append(end)
+        interval.append(number)
+    return edges, interval
+
+
 def _chart(
     heat: HeatMap, strips: Sequence[tuple[str, Floats, Floats]], top: float, clock: Clock
 ) -> Chart:
-    edges = [begin for begin, _ in heat.timeline.spans()] + [heat.timeline.span(-1)[1]]
+    edges, interval = edges_of(heat.timeline.spans())
     seconds = np.array([(each - edges[0]).total_seconds() for each in edges])
     place = seconds / seconds[-1]
     return Chart(
         caption=_caption(heat.measure), alt=_described(heat, strips, clock),
         heading=_heading(heat.measure), top=f"{top * 100:g}", below=clock.name,
-        strips=[strip_of(name, place, share / top, error / top) for name, share, error in strips],
+        strips=[
+            strip_of(name, place, *(np.append(each / top, np.nan)[interval] for each in known))
+            for name, *known in strips
+        ],
         times=[
             (float(at / seconds[-1]), label) for at, label in times_below(edges, seconds, clock)
         ],

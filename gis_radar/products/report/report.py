@@ -24,9 +24,9 @@ from gis_radar.base import (
     csv_for,
     direction,
     figure_text,
+    folder_to_fill,
     known_language,
     listed,
-    output_errors,
     percent,
     plural,
     speaking,
@@ -247,11 +247,9 @@ def _quality(results: Results, timezone: str, reporter: Reporter) -> Quality | N
 
 def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -> list[Path]:
     """Write all files, which appear together or not at all."""
-    with output_errors(place):
-        place.mkdir(parents=True, exist_ok=True)
     writers = _writers(found, content)
     before = [place / name for name in names.REPORT_FILES] if (place / names.PAGE).is_file() else []
-    with atomic_writes(place / names.PAGE) as (private, places):
+    with folder_to_fill(place), atomic_writes(place / names.PAGE) as (private, places):
         for done, (name, write) in enumerate(writers.items(), start=1):
             write(private / name)
             if (private / name).is_file():

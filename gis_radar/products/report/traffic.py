@@ -22,6 +22,7 @@ from gis_radar.base import (
     THIN_SPACE,
     Clock,
     Text,
+    by_number,
     figure_text,
     interval_steps,
     percent,
@@ -29,6 +30,7 @@ from gis_radar.base import (
     seconds_text,
     speaking,
     tr,
+    with_error,
 )
 from gis_radar.dataset import Dataset, LaneTraffic
 from gis_radar.hdmap import LANES_LAYER
@@ -204,15 +206,15 @@ def _roads(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
     inside = set(network.lane[network.connector].tolist())
     rows = traffic.by_lane[~traffic.by_lane["lane"].isin(inside)]
     later = ~rows["lane"].isin(_before_lines(traffic))
-    return rows.assign(later=later).sort_values(["later", "name"], ignore_index=True)
+    rows = rows.assign(later=later, order=rows["name"].map(by_number))
+    return rows.sort_values(["later", "order"], ignore_index=True)
 
 
 def _estimated(row: pd.Series) -> str:
     """Return a volume an hour with its standard error, or why there is none."""
     if pd.isna(row["volume"]):
         return tr(TOO_LITTLE if row["visible_share"] > 0.0 else NOT_SEEN)
-    volume, error = (figure_text(row[name] / row["hours"]) for name in ("volume", "volume_se"))
-    return f"{volume}{THIN_SPACE}±{THIN_SPACE}{error}"
+    return with_error(row["volume"] / row["hours"], row["volume_se"] / row["hours"])
 
 
 def _volume_table(traffic: ReportedTraffic) -> Table:
@@ -393,7 +395,8 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
     """Return the volumes of turns, a row a lane, a column a way."""
     table, hours = traffic.by_turn, traffic.hours
     ways = [way for way in TURN_WORDS if way in set(table["turn"])]
-    numbers = table.groupby("from_lane")["from_name"].first().sort_values()
+    numbers = table.groupby("from_lane")["from_name"].first()
+    numbers = numbers.sort_values(key=lambda each: each.map(by_number))
 
     def volume(lane: int, way: str) -> str:
         mine = table[(table["from_lane"] == lane) & (table["turn"] == way)]
@@ -403,8 +406,7 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
         if not unknown.empty:
             return tr(TOO_LITTLE if unknown["visible_share"].min() > 0.0 else NOT_SEEN)
         error = float(np.sqrt((mine["volume_se"] ** 2).sum()))
-        shown = (figure_text(each / hours) for each in (mine["volume"].sum(), error))
-        return f"{THIN_SPACE}±{THIN_SPACE}".join(shown)
+        return with_error(mine["volume"].sum() / hours, error / hours)
 
     titles = [Column(tr("From lane"), "", str, False), Column(tr("No."), tr("on the plan"), str)]
     titles += [Column(_capital(tr(TURN_WORDS[way])), tr("veh/h"), str) for way in ways]

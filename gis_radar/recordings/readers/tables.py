@@ -155,13 +155,15 @@ def _seconds(column: pa.Array, path: Path, unit: str) -> Floats:
     """Return times as UNIX seconds; they are numbers in `unit`, or ISO 8601 text in UTC."""
     if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
         try:
-            column = pc.cast(column, pa.timestamp("us", tz="UTC"))
+            column = pc.cast(column, pa.timestamp("ns", tz="UTC"))
         except pa.ArrowException as error:
             raise InputError(
                 "{}: a time is neither a number nor ISO 8601: {}", path, error
             ) from error
     if pa.types.is_timestamp(column.type):
-        column, unit = pc.cast(pc.cast(column, pa.timestamp("us")), pa.int64()), "us"
+        # pandas writes nanoseconds, of which float64 resolves none
+        column, unit = pc.cast(column, pa.timestamp("us"), safe=False), "us"
+        column = pc.cast(column, pa.int64())
     time = _numpy(column).astype(np.float64) * UNITS_S[unit]
     if not np.isfinite(time).all():
         raise InputError("{}: a row has no time", path)
