@@ -31,9 +31,9 @@ from gis_radar.live import (
     pack_message,
     read_live_site,
 )
-from gis_radar.live.first_run import run_fusion_once
 from gis_radar.live.fusion import COUNTS_FILE, SPOOL
-from gis_radar.live.payload import varint
+from gis_radar.live.wire.first_run import run_fusion_once
+from gis_radar.live.wire.payload import varint
 from gis_radar.scans import SightTiles
 
 KEY, HZ, STEPS = b"1234", 20, 20

@@ -50,9 +50,9 @@ from gis_radar.live import (
     read_live_site,
     write_broker_files,
 )
-from gis_radar.live.buffer import Waiting
-from gis_radar.live.map_of_now import Seen
-from gis_radar.live.payload import POSE_BYTES, varint
+from gis_radar.live.now.map_of_now import Seen
+from gis_radar.live.wire.buffer import Waiting
+from gis_radar.live.wire.payload import POSE_BYTES, varint
 from gis_radar.measures import road_near
 from gis_radar.scans import SightTiles, find_sight
 

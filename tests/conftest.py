@@ -223,7 +223,7 @@ def ready_workers(monkeypatch):
     """
     forking, get_context = multiprocessing.get_context("forkserver"), multiprocessing.get_context
     forking.set_forkserver_preload(
-        ["numba", "gis_radar.live.hour_work", "gis_radar.live.vehicles_now"]
+        ["numba", "gis_radar.live.hours.hour_work", "gis_radar.live.now.vehicles_now"]
     )
     chosen = lambda method=None: forking if method == "spawn" else get_context(method)  # noqa: E731
     monkeypatch.setattr(multiprocessing, "get_context", chosen)

@@ -18,7 +18,7 @@ from gis_radar.live import (
     pack_detections,
     pack_message,
 )
-from gis_radar.live.hour_work import MeasuredSite
+from gis_radar.live.hours.hour_work import MeasuredSite
 from gis_radar.measures import road_near
 from gis_radar.scans import SightTiles, find_sight
 

@@ -23,7 +23,7 @@ from live_site import LONGEST_S, free_port
 import gis_radar as gr
 from gis_radar.base import Reporter
 from gis_radar.live import Edge, SpoolFile, spool_files, unpack_detections, unpack_message
-from gis_radar.live.spool import FRAMES
+from gis_radar.live.hours.spool import FRAMES
 
 LONG = os.environ.get("GIS_RADAR_LIVE") == "all"
 takes_long = pytest.mark.skipif(not LONG, reason="takes long: make live-test")

@@ -12,8 +12,8 @@ import gis_radar as gr
 from gis_radar.base import step_begin
 from gis_radar.dataset.tables import HITS, OBSERVED
 from gis_radar.live import Lately, Place, Snapshot
-from gis_radar.live.now_filter import VehiclesNow
-from gis_radar.live.snapshot import ShownSensor
+from gis_radar.live.now.now_filter import VehiclesNow
+from gis_radar.live.served.snapshot import ShownSensor
 
 
 class Replay:

@@ -15,7 +15,7 @@ from waiting import LONGEST_S, wait_for
 
 import gis_radar as gr
 from gis_radar.live import write_broker_files
-from gis_radar.live.broker_files import password_lines
+from gis_radar.live.wire.broker_files import password_lines
 
 SAMPLE = gr.sample_folder()
 BRIEF_S = 30.0

@@ -37,7 +37,7 @@ def test_what_takes_long_to_import_waits_until_it_is_needed():
     code = (
         "import sys, gis_radar.calibration.single.localization, gis_radar.scans.mask\n"
         "assert 'numba' not in sys.modules\n"
-        "import gis_radar.live.fusion, gis_radar.live.hour_work\n"
+        "import gis_radar.live.fusion, gis_radar.live.hours.hour_work\n"
         "assert 'matplotlib' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

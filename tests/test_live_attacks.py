@@ -29,7 +29,7 @@ from gis_radar.live import (
     read_live_site,
 )
 from gis_radar.live.health import serve_metrics
-from gis_radar.live.page import MOST_READERS, page_server
+from gis_radar.live.served.page import MOST_READERS, page_server
 from gis_radar.live.web_server import MOST_CONNECTIONS, REQUEST_S
 from gis_radar.measures import FrameCounter
 from gis_radar.poses import pose_from_dict

@@ -46,7 +46,7 @@ from gis_radar.live import (
     read_edge_file,
     read_live_site,
 )
-from gis_radar.live.payload import MOST_BYTES
+from gis_radar.live.wire.payload import MOST_BYTES
 
 pytestmark = [needs_mosquitto, pytest.mark.usefixtures("ready_workers")]
 
@@ -214,8 +214,8 @@ def test_fusion_on_a_disk_without_an_inode_goes_on_and_measures_once_there_is_on
         site = LiveSite(tmp_path, once, names=("R1",), of_live=OF_THE_SAMPLE + '\nevery = "1s"')
         site.broker.start()
         said = Lines()
-        monkeypatch.setattr("gis_radar.live.jobs.SETTLE_S", 1.0)
-        monkeypatch.setattr("gis_radar.live.jobs.AGAIN_S", 1.0)
+        monkeypatch.setattr("gis_radar.live.hours.jobs.SETTLE_S", 1.0)
+        monkeypatch.setattr("gis_radar.live.hours.jobs.AGAIN_S", 1.0)
         fusion = Fusion(read_live_site(site.file), reporter=said)
         middle = Background(fusion.run)
         wait_for(lambda: fusion.link is not None and fusion.link.connected)

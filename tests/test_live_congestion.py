@@ -78,7 +78,7 @@ def test_what_waited_while_fusion_stood_still_is_caught_up(tmp_path, monkeypatch
     """Fusion stands still for a minute, then takes a quarter more than what comes."""
     clock = SimpleNamespace(now_s=1000.0)
     clock.monotonic = lambda: clock.now_s
-    monkeypatch.setattr("gis_radar.live.outbox.time", clock)
+    monkeypatch.setattr("gis_radar.live.wire.outbox.time", clock)
     broker = Broker()
     sensors = {f"R{k}": Sensor(f"R{k}", tmp_path, broker) for k in range(SENSORS)}
     made = 0

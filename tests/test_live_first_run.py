@@ -8,13 +8,13 @@ import pytest
 from live_programs import Program, takes_long
 from live_site import LiveSite, wait_for
 
-from gis_radar.live.first_run import COMPILING
+from gis_radar.live.wire.first_run import COMPILING
 
 BEGIN = """
 import gis_radar as gr
-from gis_radar.live import first_run
-from gis_radar.live.detections import DetectionSelector, pack_detections, unpack_detections
-from gis_radar.live.sources import frames_of_recording
+from gis_radar.live.wire import first_run
+from gis_radar.live.wire.detections import DetectionSelector, pack_detections, unpack_detections
+from gis_radar.live.wire.sources import frames_of_recording
 from gis_radar.measures.hit_counter import FrameCounter
 from gis_radar.scans import SightTiles
 from numba.core.dispatcher import Dispatcher
@@ -49,7 +49,7 @@ OF_VEHICLES = (
     BEGIN
     + """
 from gis_radar.hdmap import lane_graph
-from gis_radar.live.vehicles_now import PlacedMessage, VehicleFollower, run_vehicles_once
+from gis_radar.live.now.vehicles_now import PlacedMessage, VehicleFollower, run_vehicles_once
 run_vehicles_once()
 following = VehicleFollower(lane_graph(gr.read_map(sample / "junction.osm").lanelets))
 before = compiled()

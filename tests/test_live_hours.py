@@ -17,9 +17,10 @@ from live_site import wait_for
 import gis_radar as gr
 from gis_radar.base import InputError, step_begin
 from gis_radar.dataset import hour_text, read_hours
-from gis_radar.live import CUT_US, HOUR_US, Lately, hour_work, recording_path
-from gis_radar.live import jobs as jobs_module
-from gis_radar.live.hour_work import (
+from gis_radar.live import CUT_US, HOUR_US, Lately, recording_path
+from gis_radar.live.hours import hour_work
+from gis_radar.live.hours import jobs as jobs_module
+from gis_radar.live.hours.hour_work import (
     QUARTER_US,
     Done,
     make_hours,
@@ -27,9 +28,9 @@ from gis_radar.live.hour_work import (
     refuse_other_settings,
     take_up,
 )
-from gis_radar.live.jobs import DOUBTS, HourJobs
-from gis_radar.live.quarters import KEPT, TRAFFIC, Quarters, read_quarters
-from gis_radar.live.recordings import end_of_hour_s
+from gis_radar.live.hours.jobs import DOUBTS, HourJobs
+from gis_radar.live.hours.quarters import KEPT, TRAFFIC, Quarters, read_quarters
+from gis_radar.live.hours.recordings import end_of_hour_s
 
 pytestmark = pytest.mark.usefixtures("ready_workers")
 HOUR = 486_111  # since 1970: 2025-06-15T15Z

@@ -20,8 +20,8 @@ from gis_radar.live import (
     spool_files,
 )
 from gis_radar.live.fusion import COUNTS_FILE
-from gis_radar.live.recordings import hour_of_time
-from gis_radar.live.spool import FRAMES, PASSED, POSE
+from gis_radar.live.hours.recordings import hour_of_time
+from gis_radar.live.hours.spool import FRAMES, PASSED, POSE
 from gis_radar.scans import find_sight
 
 DAY_US, HOUR_US = 86_400_000_000, 3_600_000_000

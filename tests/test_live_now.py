@@ -23,7 +23,7 @@ from gis_radar.live import (
     read_edge_file,
     read_live_site,
 )
-from gis_radar.live.vehicles_now import (
+from gis_radar.live.now.vehicles_now import (
     MOST_WAITING,
     LiveVehicles,
     PlacedMessage,

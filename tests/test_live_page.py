@@ -48,10 +48,10 @@ from gis_radar.live import (
     read_edge_file,
     read_live_site,
 )
-from gis_radar.live.features import refusal as refused
-from gis_radar.live.page import HIT, VEHICLE, difference, page_server, whole_event
-from gis_radar.live.quarters import TRAFFIC
-from gis_radar.live.snapshot import NOT_OBSERVED
+from gis_radar.live.hours.quarters import TRAFFIC
+from gis_radar.live.served.features import refusal as refused
+from gis_radar.live.served.page import HIT, VEHICLE, difference, page_server, whole_event
+from gis_radar.live.served.snapshot import NOT_OBSERVED
 from gis_radar.products.heatmap import style
 from gis_radar.site import PageTable
 

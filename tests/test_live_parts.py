@@ -37,15 +37,15 @@ from gis_radar.live import (
     unpack_detections,
     unpack_message,
 )
-from gis_radar.live.broker import parts_of
-from gis_radar.live.buffer import FullError
-from gis_radar.live.detections import FARTHEST, UNKNOWN_Z
 from gis_radar.live.health import ALARMS
-from gis_radar.live.map_of_now import Seen
-from gis_radar.live.page import read_token
-from gis_radar.live.payload import VersionError
-from gis_radar.live.settings import BufferTable
-from gis_radar.live.sources import Replay
+from gis_radar.live.now.map_of_now import Seen
+from gis_radar.live.served.page import read_token
+from gis_radar.live.wire.broker import parts_of
+from gis_radar.live.wire.buffer import FullError
+from gis_radar.live.wire.detections import FARTHEST, UNKNOWN_Z
+from gis_radar.live.wire.payload import VersionError
+from gis_radar.live.wire.settings import BufferTable
+from gis_radar.live.wire.sources import Replay
 from gis_radar.measures import NO_FURTHER
 from gis_radar.recordings import Detections
 from gis_radar.scans import SightTiles
@@ -315,7 +315,7 @@ def test_cumulative_counts_begin_anew_with_the_interval():
 
 def test_a_looping_replay_is_at_the_same_place_whenever_it_began(monkeypatch):
     now = [1_800_000_000.0]
-    monkeypatch.setattr("gis_radar.live.sources.time.time", lambda: now[0])
+    monkeypatch.setattr("gis_radar.live.wire.sources.time.time", lambda: now[0])
     first = next(iter(Replay(path=SAMPLE / "R1.parquet", loop_s=100.0).frames()))
     now[0] += 37.0
     later = next(iter(Replay(path=SAMPLE / "R1.parquet", loop_s=100.0).frames()))

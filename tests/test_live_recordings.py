@@ -27,8 +27,8 @@ from gis_radar.live import (
     spool_files,
     waiting_hours,
 )
-from gis_radar.live.recordings import remove_old
-from gis_radar.live.spool import FRAMES, POSE
+from gis_radar.live.hours.recordings import remove_old
+from gis_radar.live.hours.spool import FRAMES, POSE
 
 HOUR = 486_111  # since 1970: 2025-06
 BEGIN_US = HOUR * HOUR_US + CUT_US

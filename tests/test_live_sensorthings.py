@@ -20,8 +20,8 @@ from live_site import LONGEST_S, SAMPLE, LiveSite, wait_for
 import gis_radar as gr
 from gis_radar.base import InputError
 from gis_radar.live import Fusion, Lately, Place, RecentCounts, read_live_site
-from gis_radar.live.lane_push import LanePush
-from gis_radar.live.sensorthings import HITS, LaneMeasure, LaneServer, ServerError, Service
+from gis_radar.live.served.lane_push import LanePush
+from gis_radar.live.served.sensorthings import HITS, LaneMeasure, LaneServer, ServerError, Service
 from gis_radar.site import SensorThingsTable
 
 MANDATORY = {

@@ -53,7 +53,7 @@ class Hidden(importlib.abc.MetaPathFinder):
 
 sys.meta_path.insert(0, Hidden())
 tool.modules_of = lambda _: []
-for known in ("gis_radar.live.page", "gis_radar.cli", "gis_radar.demo"):
+for known in ("gis_radar.live.served.page", "gis_radar.cli", "gis_radar.demo"):
     tool.own_modules = lambda: [known]
     print(known, tool.load_all("run"), "uvicorn" in sys.modules)
 tool.own_modules = lambda: ["gis_radar.nowhere"]
@@ -66,7 +66,7 @@ def test_what_extras_bring_is_not_needed_for_the_demo():
     command = [sys.executable, "-c", WITHOUT_EXTRAS]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert done.stdout.splitlines() == [
-        "gis_radar.live.page [] False",
+        "gis_radar.live.served.page [] False",
         "gis_radar.cli [] False",
         "gis_radar.demo [] False",
         "[\"gis_radar.nowhere: No module named 'gis_radar.nowhere'\"]",

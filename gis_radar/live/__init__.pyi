@@ -1,15 +1,21 @@
-from .broker import BrokerAddress, Link, Received, SensorTopics
-from .broker_files import write_broker_files
-from .buffer import DiskBuffer
-from .detections import DetectionSelector, FrameDetections, pack_detections, unpack_detections
 from .edge import Edge, run_edge
 from .fusion import Fusion, run_fusion
 from .health import SensorHealth, prometheus_text
+from .hours.quarters import Lately
+from .hours.recent import RecentCounts
+from .hours.recordings import CUT_US, HOUR_US, join_parts, make_parts, recording_path, waiting_hours
+from .hours.spool import Spool, SpooledFrames, SpoolFile, spool_files
 from .intake import Intake
-from .map_of_now import MapOfNow, Windows
-from .outbox import Outbox
-from .page import make_app
-from .payload import (
+from .now.map_of_now import MapOfNow, Windows
+from .served.page import make_app
+from .served.snapshot import Place, Snapshot
+from .web_server import WebServer
+from .wire.broker import BrokerAddress, Link, Received, SensorTopics
+from .wire.broker_files import write_broker_files
+from .wire.buffer import DiskBuffer
+from .wire.detections import DetectionSelector, FrameDetections, pack_detections, unpack_detections
+from .wire.outbox import Outbox
+from .wire.payload import (
     Acknowledgement,
     Envelope,
     PoseContent,
@@ -18,14 +24,8 @@ from .payload import (
     pack_message,
     unpack_message,
 )
-from .quarters import Lately
-from .recent import RecentCounts
-from .recordings import CUT_US, HOUR_US, join_parts, make_parts, recording_path, waiting_hours
-from .settings import edge_template, read_edge_file, read_live_site
-from .snapshot import Place, Snapshot
-from .sources import Radar, frames_of_recording
-from .spool import Spool, SpooledFrames, SpoolFile, spool_files
-from .web_server import WebServer
+from .wire.settings import edge_template, read_edge_file, read_live_site
+from .wire.sources import Radar, frames_of_recording
 
 __all__ = [
     "CUT_US",

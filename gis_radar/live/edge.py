@@ -15,11 +15,6 @@ import numpy as np
 from gis_radar.base import QUIET, STEP_US, NoAnswerError, Reporter, Text, require_same
 from gis_radar.calibration import FRAMES
 from gis_radar.hdmap import read_tiles
-from gis_radar.live.broker import Link, SensorTopics
-from gis_radar.live.buffer import DiskBuffer
-from gis_radar.live.detections import DetectionSelector, FrameDetections, pack_detections
-from gis_radar.live.first_run import compile_first, run_sensor_once
-from gis_radar.live.outbox import OFFLINE, Outbox, status_message
 from gis_radar.live.own_pose import (
     AGAIN_FRAMES,
     Followed,
@@ -28,9 +23,14 @@ from gis_radar.live.own_pose import (
     rounded,
     view_of,
 )
-from gis_radar.live.payload import PoseContent, in_parts, key_of_pose
-from gis_radar.live.settings import EdgeFile, read_edge_file
-from gis_radar.live.sources import IDLE_S, Frames, Radar, Replay
+from gis_radar.live.wire.broker import Link, SensorTopics
+from gis_radar.live.wire.buffer import DiskBuffer
+from gis_radar.live.wire.detections import DetectionSelector, FrameDetections, pack_detections
+from gis_radar.live.wire.first_run import compile_first, run_sensor_once
+from gis_radar.live.wire.outbox import OFFLINE, Outbox, status_message
+from gis_radar.live.wire.payload import PoseContent, in_parts, key_of_pose
+from gis_radar.live.wire.settings import EdgeFile, read_edge_file
+from gis_radar.live.wire.sources import IDLE_S, Frames, Radar, Replay
 from gis_radar.measures import road_near
 from gis_radar.poses import ANGLES, POSITION, Pose, read_track
 from gis_radar.recordings import Detections

@@ -31,22 +31,22 @@ from gis_radar.base import (
 )
 from gis_radar.hdmap import lane_graph, read_tiles
 from gis_radar.live.background import in_background
-from gis_radar.live.broker import FUSION, Link, SensorTopics
-from gis_radar.live.first_run import NOT_COMPILED, compile_first, run_fusion_once
 from gis_radar.live.health import prometheus_text, serve_metrics
-from gis_radar.live.hour_work import MeasuredSite, refuse_other_settings
+from gis_radar.live.hours.hour_work import MeasuredSite, refuse_other_settings
+from gis_radar.live.hours.jobs import HourJobs
+from gis_radar.live.hours.quarters import Quarters, share_of
+from gis_radar.live.hours.recent import RecentCounts
+from gis_radar.live.hours.spool import Spool, SpoolFile, spool_files
 from gis_radar.live.intake import Intake, SensorState
-from gis_radar.live.jobs import HourJobs
-from gis_radar.live.lane_push import LanePush
-from gis_radar.live.map_of_now import MapOfNow, MapState, Seen, Windows
-from gis_radar.live.outbox import OFFLINE, ONLINE, status_message
-from gis_radar.live.payload import DETECTIONS, POSE, Acknowledgement
-from gis_radar.live.quarters import Quarters, share_of
-from gis_radar.live.recent import RecentCounts
-from gis_radar.live.settings import LiveSite, read_live_site
-from gis_radar.live.snapshot import place_of
-from gis_radar.live.spool import Spool, SpoolFile, spool_files
-from gis_radar.live.vehicles_now import LiveVehicles, layer_of
+from gis_radar.live.now.map_of_now import MapOfNow, MapState, Seen, Windows
+from gis_radar.live.now.vehicles_now import LiveVehicles, layer_of
+from gis_radar.live.served.lane_push import LanePush
+from gis_radar.live.served.snapshot import place_of
+from gis_radar.live.wire.broker import FUSION, Link, SensorTopics
+from gis_radar.live.wire.first_run import NOT_COMPILED, compile_first, run_fusion_once
+from gis_radar.live.wire.outbox import OFFLINE, ONLINE, status_message
+from gis_radar.live.wire.payload import DETECTIONS, POSE, Acknowledgement
+from gis_radar.live.wire.settings import LiveSite, read_live_site
 from gis_radar.measures import FrameCounter, validity_of
 from gis_radar.scans import SightTiles, open_sight
 from gis_radar.tracking import map_of_tiles
@@ -429,7 +429,7 @@ def _page(fusion: Fusion, site: LiveSite) -> WebServer | None:
     """Return the web server of the page, imported only if the site's file asks for a page."""
     if site.live.page is None:
         return None
-    from gis_radar.live.page import page_server  # noqa: PLC0415
+    from gis_radar.live.served.page import page_server  # noqa: PLC0415
 
     return page_server(fusion, site, site.live.page, fusion.tiles)
 

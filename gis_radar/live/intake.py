@@ -21,12 +21,25 @@ from gis_radar.base import (
     iso_from_step,
     require_same,
 )
-from gis_radar.live.broker import FUSION, Received, parts_of
-from gis_radar.live.detections import FrameDetections, first_time_us, unpack_detections
 from gis_radar.live.health import SensorHealth
-from gis_radar.live.map_of_now import Seen, Windows
-from gis_radar.live.outbox import ONLINE
-from gis_radar.live.payload import (
+from gis_radar.live.hours.recordings import HOUR_US, hour_of_time
+from gis_radar.live.hours.spool import (
+    FRAMES,
+    HEAD,
+    PASSED,
+    STREAMS_KEPT,
+    Spool,
+    SpooledFrames,
+    SpoolFile,
+    marks_in,
+)
+from gis_radar.live.hours.spool import POSE as POSE_RECORD
+from gis_radar.live.now.map_of_now import Seen, Windows
+from gis_radar.live.now.vehicles_now import LiveVehicles
+from gis_radar.live.wire.broker import FUSION, Received, parts_of
+from gis_radar.live.wire.detections import FrameDetections, first_time_us, unpack_detections
+from gis_radar.live.wire.outbox import ONLINE
+from gis_radar.live.wire.payload import (
     DETECTIONS,
     POSE,
     STREAM_BYTES,
@@ -38,19 +51,6 @@ from gis_radar.live.payload import (
     stream_of,
     unpack_message,
 )
-from gis_radar.live.recordings import HOUR_US, hour_of_time
-from gis_radar.live.spool import (
-    FRAMES,
-    HEAD,
-    PASSED,
-    STREAMS_KEPT,
-    Spool,
-    SpooledFrames,
-    SpoolFile,
-    marks_in,
-)
-from gis_radar.live.spool import POSE as POSE_RECORD
-from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.measures import FrameCounter, PoseNumbers, road_near
 from gis_radar.poses import Pose, pose_from_dict
 from gis_radar.scans import IN_SIGHT, SightSource, SightTiles, find_sight

@@ -27,7 +27,7 @@ from gis_radar.calibration import (
     track_of,
 )
 from gis_radar.hdmap import LaneletMap, read_map
-from gis_radar.live.settings import EdgeFile
+from gis_radar.live.wire.settings import EdgeFile
 from gis_radar.poses import ANGLES, DECIMALS, POSITION, Pose, View
 from gis_radar.recordings import Detections
 from gis_radar.scans import read_road

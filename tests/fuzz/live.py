@@ -42,7 +42,7 @@ from gis_radar.live import (
     unpack_detections,
     waiting_hours,
 )
-from gis_radar.live.outbox import ONLINE, status_message
+from gis_radar.live.wire.outbox import ONLINE, status_message
 from gis_radar.measures import FrameCounter
 from gis_radar.scans import SightFile, SightTiles, find_sight, write_sights
 

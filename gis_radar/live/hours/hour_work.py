@@ -35,8 +35,8 @@ from gis_radar.dataset import (
     require_same_settings,
 )
 from gis_radar.hdmap import read_tiles
-from gis_radar.live.quarters import KEPT, Lately, read_quarters
-from gis_radar.live.recordings import (
+from gis_radar.live.hours.quarters import KEPT, Lately, read_quarters
+from gis_radar.live.hours.recordings import (
     CUT_US,
     HOUR_US,
     PARTS,

@@ -31,9 +31,9 @@ from gis_radar.base import (
     writing_errors,
 )
 from gis_radar.dataset import rename_whole, unfinished
-from gis_radar.live.detections import FrameDetections, unpack_detections
-from gis_radar.live.payload import PoseContent, key_of_pose, unpack_message
-from gis_radar.live.spool import FRAMES, POSE, SpoolFile
+from gis_radar.live.hours.spool import FRAMES, POSE, SpoolFile
+from gis_radar.live.wire.detections import FrameDetections, unpack_detections
+from gis_radar.live.wire.payload import PoseContent, key_of_pose, unpack_message
 from gis_radar.measures import MARGIN_STEPS, FrameIndex
 from gis_radar.poses import PoseTrack, pose_from_dict, read_track
 from gis_radar.recordings import open_recording

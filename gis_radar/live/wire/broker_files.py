@@ -14,10 +14,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gis_radar.base import atomic_folder
-from gis_radar.live.broker import FUSION, IN_FLIGHT, TOPICS, BrokerAddress
-from gis_radar.live.outbox import UNACKNOWLEDGED
-from gis_radar.live.payload import MOST_BYTES
-from gis_radar.live.settings import LiveSite, read_live_site
+from gis_radar.live.wire.broker import FUSION, IN_FLIGHT, TOPICS, BrokerAddress
+from gis_radar.live.wire.outbox import UNACKNOWLEDGED
+from gis_radar.live.wire.payload import MOST_BYTES
+from gis_radar.live.wire.settings import LiveSite, read_live_site
 
 CONFIG, ACCESS, PASSWORDS = "mosquitto.conf", "access", "passwords"
 COMPOSE, IMAGE = "compose.yaml", "Dockerfile"

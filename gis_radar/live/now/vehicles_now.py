@@ -20,10 +20,10 @@ from gis_radar.base import (
     watch_parent,
 )
 from gis_radar.hdmap import LaneGraph, lane_graph
-from gis_radar.live.detections import DetectionSelector, pack_detections, unpack_detections
-from gis_radar.live.first_run import SampleSensor
-from gis_radar.live.now_filter import NowFilter, VehiclesNow
-from gis_radar.live.payload import POSE_BYTES
+from gis_radar.live.now.now_filter import NowFilter, VehiclesNow
+from gis_radar.live.wire.detections import DetectionSelector, pack_detections, unpack_detections
+from gis_radar.live.wire.first_run import SampleSensor
+from gis_radar.live.wire.payload import POSE_BYTES
 from gis_radar.measures import rows_of
 from gis_radar.poses import Pose
 from gis_radar.tracking import map_detections

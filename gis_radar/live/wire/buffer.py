@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from gis_radar.base import GisRadarError, InputError, OutputError, Text
-from gis_radar.live.payload import STREAM_BYTES, VERSION
+from gis_radar.live.wire.payload import STREAM_BYTES, VERSION
 
 LOCK_S = 1.0  # wait for another program to release the file
 LAST_NUMBER = 1 << 62  # largest number of a message, so that the next ones fit in 64 bits

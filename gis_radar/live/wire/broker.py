@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
 from gis_radar.base import QUIET, GisRadarError, InputError, Reporter, Text, UsageError
-from gis_radar.live.payload import MOST_BYTES
+from gis_radar.live.wire.payload import MOST_BYTES
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client

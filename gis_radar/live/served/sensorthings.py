@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 from urllib.parse import quote, urljoin
 
 from gis_radar.base import STEP_S, GisRadarError, iso_from_step, street_label
-from gis_radar.live.settings import read_secret
-from gis_radar.live.snapshot import Place, geometries
+from gis_radar.live.served.snapshot import Place, geometries
+from gis_radar.live.wire.settings import read_secret
 from gis_radar.site import SensorThingsTable
 
 TIMEOUT_S = 30.0

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gis_radar.base import Floats, InputError, Integers, compiled
 from gis_radar.hdmap import LANE_MARGIN_M, TileGrid
-from gis_radar.live.payload import HEAD_BYTES, MOST_FRAMES, POSE_BYTES, Numbers, varint
+from gis_radar.live.wire.payload import HEAD_BYTES, MOST_FRAMES, POSE_BYTES, Numbers, varint
 from gis_radar.measures import NO_FURTHER
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections

@@ -8,7 +8,7 @@ from typing import Annotated, Self
 from pydantic import Field, PrivateAttr, model_validator
 
 from gis_radar.base import InputError, Text
-from gis_radar.live.broker import FUSION, BrokerAddress
+from gis_radar.live.wire.broker import FUSION, BrokerAddress
 from gis_radar.measures import Filters
 from gis_radar.site import (
     BrokerTable,

@@ -30,13 +30,13 @@ from gis_radar.base import (
 )
 from gis_radar.dataset import stated_lanes
 from gis_radar.hdmap import fingerprint, read_map
+from gis_radar.live.hours.quarters import Lately, Quarters, share_of
+from gis_radar.live.hours.recent import QUARTER, RecentCounts
 from gis_radar.live.intake import SensorState
-from gis_radar.live.map_of_now import MapState
-from gis_radar.live.now_filter import VehiclesNow
-from gis_radar.live.quarters import Lately, Quarters, share_of
-from gis_radar.live.recent import QUARTER, RecentCounts
-from gis_radar.live.settings import LiveSite
-from gis_radar.live.vehicles_now import LiveVehicles
+from gis_radar.live.now.map_of_now import MapState
+from gis_radar.live.now.now_filter import VehiclesNow
+from gis_radar.live.now.vehicles_now import LiveVehicles
+from gis_radar.live.wire.settings import LiveSite
 from gis_radar.measures import LaneNetwork, lane_names
 from gis_radar.poses import Pose
 from gis_radar.products import BREAKS, lane_totals, lanes_with_tiles

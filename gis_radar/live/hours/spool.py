@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from gis_radar.base import output_errors
 from gis_radar.dataset import sync_folder
-from gis_radar.live.payload import check_of, stream_of, unpack_message
+from gis_radar.live.wire.payload import check_of, stream_of, unpack_message
 
 HEAD, POSE, FRAMES, PASSED = range(4)  # kinds of records; PASSED: a message that was skipped
 ENDING = ".spool"

@@ -24,9 +24,9 @@ from gis_radar.base import (
 )
 from gis_radar.dataset import STEPS_PER_QUARTER
 from gis_radar.live.background import in_background
-from gis_radar.live.quarters import KEPT, Lately, share_of
-from gis_radar.live.sensorthings import HITS, MEASURES, LaneMeasure, LaneServer, Service
-from gis_radar.live.snapshot import Place
+from gis_radar.live.hours.quarters import KEPT, Lately, share_of
+from gis_radar.live.served.sensorthings import HITS, MEASURES, LaneMeasure, LaneServer, Service
+from gis_radar.live.served.snapshot import Place
 from gis_radar.site import SensorThingsTable
 
 FIRST_RETRY_S, SLOWEST_RETRY_S = 30.0, 900.0

@@ -16,9 +16,9 @@ import numpy as np
 
 from gis_radar.base import GisRadarError, Reporter, run_unless_stopped
 from gis_radar.hdmap import make_tiles, read_map
-from gis_radar.live.detections import DetectionSelector, pack_detections, unpack_detections
-from gis_radar.live.payload import POSE_BYTES
-from gis_radar.live.sources import frames_of_recording
+from gis_radar.live.wire.detections import DetectionSelector, pack_detections, unpack_detections
+from gis_radar.live.wire.payload import POSE_BYTES
+from gis_radar.live.wire.sources import frames_of_recording
 from gis_radar.measures import FrameCounter
 from gis_radar.poses import Pose, read_pose
 from gis_radar.recordings import Detections

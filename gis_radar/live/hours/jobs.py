@@ -29,7 +29,7 @@ from gis_radar.base import (
     with_texts,
 )
 from gis_radar.dataset import hour_text
-from gis_radar.live.hour_work import (
+from gis_radar.live.hours.hour_work import (
     AFTER_US,
     QUARTER_US,
     Done,
@@ -39,8 +39,8 @@ from gis_radar.live.hour_work import (
     make_recordings,
     take_up,
 )
-from gis_radar.live.quarters import Quarters
-from gis_radar.live.recordings import end_of_hour_s
+from gis_radar.live.hours.quarters import Quarters
+from gis_radar.live.hours.recordings import end_of_hour_s
 
 SETTLE_S = 30.0  # longest wait for frames of all sensors, and the time after a late frame
 AGAIN_S = 60.0  # time after which a job that failed is tried again

@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable
 
 from gis_radar.base import QUIET, InputError, OutputError, Reporter
-from gis_radar.live.broker import Link, SensorTopics
-from gis_radar.live.buffer import DiskBuffer, Waiting
-from gis_radar.live.payload import (
+from gis_radar.live.wire.broker import Link, SensorTopics
+from gis_radar.live.wire.buffer import DiskBuffer, Waiting
+from gis_radar.live.wire.payload import (
     DETECTIONS,
     MOST_CONTENT,
     POSE,

@@ -42,10 +42,9 @@ from gis_radar.base import (
     step_begin,
     tr,
 )
-from gis_radar.live.features import feature_routes, refusal
 from gis_radar.live.health import ALARMS, METRICS_TYPE
-from gis_radar.live.settings import LiveSite, read_secret
-from gis_radar.live.snapshot import (
+from gis_radar.live.served.features import feature_routes, refusal
+from gis_radar.live.served.snapshot import (
     DEGREES,
     FusedMap,
     Place,
@@ -56,6 +55,7 @@ from gis_radar.live.snapshot import (
     place_of,
 )
 from gis_radar.live.web_server import WebServer
+from gis_radar.live.wire.settings import LiveSite, read_secret
 from gis_radar.products import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_classes
 from gis_radar.site import PageTable
 
@@ -64,7 +64,7 @@ EVENTS_PER_S = 3.0  # as a person can follow; a step is 50 ms
 WAITING = 8  # most events that a slow reader may lag behind; then the whole map is sent again
 MOST_READERS = 200  # p99 of 50 readers at 4 Hz is 10 ms; a city's page needs a proxy
 COOKIE = "gis_radar"
-WEB = Path(__file__).with_name("web")
+WEB = Path(__file__).parents[1] / "web"
 _TEMPLATE = Environment(
     autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 ).from_string((WEB / "page.html").read_text(encoding="utf-8"))

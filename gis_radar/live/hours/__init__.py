@@ -1,0 +1,1 @@
+"""From messages to recordings, and to the measures of quarters and hours."""

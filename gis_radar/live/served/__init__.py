@@ -1,0 +1,1 @@
+"""What others see of the live system: the page, layers, OGC features, SensorThings."""

@@ -1,0 +1,1 @@
+"""What sensors and the centre share: settings, messages, the broker, and what waits to be sent."""
