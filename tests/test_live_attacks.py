@@ -238,7 +238,7 @@ def said():
 def intake(live, tmp_path, said):
     road = SightTiles.of(live.place.tiles)
     return Intake(
-        ["R1"], site="s", spool=Spool(tmp_path / "spool"), road=road,
+        ["R1"], spool=Spool(tmp_path / "spool"), road=road,
         counter=FrameCounter(road), windows=Windows(0.2),
         oldest_s=1e6, reporter=said,
     )  # fmt: skip
