@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 import yaml
+from live_programs import Lines
 from live_site import LONGEST_S, LiveSite, needs_mosquitto, wait_for
 
-from gis_radar.base import InputError
+from gis_radar.base import QUIET, InputError
 from gis_radar.live import BrokerAddress, Link, read_edge_file, read_live_site
 
 
@@ -81,10 +82,10 @@ def test_mosquitto_says_nothing_against_its_configuration(site):
     assert "Warning" not in said.replace("Warning: Mosquitto should not be run as root", "")
 
 
-def linked(site, user, *topics):
+def linked(site, user, *topics, reporter=QUIET):
     """Log in at the broker as one of its users."""
     known = BrokerAddress.of(site.address, user=user, password=site.password(user))
-    link = Link(known, name=user, topics=topics)
+    link = Link(known, name=user, topics=topics, reporter=reporter)
     link.open()
     wait_for(lambda: link.connected)
     return link
@@ -93,12 +94,14 @@ def linked(site, user, *topics):
 @needs_mosquitto
 def test_a_sensor_publishes_in_its_own_name_only(site):
     site.broker.start()
-    fusion, sensor = linked(site, "fusion", "v1/junction/+/detections"), linked(site, "R1")
+    said = Lines()
+    fusion = linked(site, "fusion", "v1/junction/+/detections")
+    sensor = linked(site, "R1", reporter=said)
     try:
         for name in ("R2", "R1"):
             sensor.publish(f"v1/junction/{name}/detections", b"frames")
         assert fusion.take(LONGEST_S).topic == "v1/junction/R1/detections"
-        wait_for(lambda: sensor.refused == 1)
+        wait_for(lambda: said.told("the broker does not take a message"))
     finally:
         for link in (fusion, sensor):
             link.close()
