@@ -41,8 +41,9 @@ def constants(monkeypatch):
 
     def change(**modules):
         for module, changes in modules.items():
+            inner = "single" if module == "moving" else "monitoring"
             for name, value in changes.items():
-                monkeypatch.setattr(f"gis_radar.calibration.{module}.{name}", value)
+                monkeypatch.setattr(f"gis_radar.calibration.{inner}.{module}.{name}", value)
 
     return change
 
