@@ -161,7 +161,10 @@ def test_several_files_are_whole_after_the_next_run(tmp_path, moved, before):
 
 
 def test_a_folder_that_cannot_be_made_is_named_and_a_new_one_stays_only_if_all_goes_well(tmp_path):
-    with pytest.raises(OutputError, match="cannot be written"), folder_to_fill(tmp_path / ("x" * 300)):
+    with (
+        pytest.raises(OutputError, match="cannot be written"),
+        folder_to_fill(tmp_path / ("x" * 300)),
+    ):
         pass
     with pytest.raises(RuntimeError), folder_to_fill(tmp_path / "a/b"):
         raise RuntimeError

@@ -132,5 +132,5 @@ def test_fusion_names_a_password_that_it_may_not_read(site, monkeypatch):
 
     monkeypatch.setattr(Path, "stat", denied)  # of a folder that is closed to it
     monkeypatch.setattr(Path, "read_text", denied)
-    with pytest.raises(InputError, match="password_of_fusion: cannot be read: .*denied"):
+    with pytest.raises(InputError, match=r"password_of_fusion: cannot be read: .*denied"):
         live.address()

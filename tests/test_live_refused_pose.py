@@ -11,8 +11,14 @@ from live_site import SAMPLE, Background, LiveSite, wait_for
 import gis_radar as gr
 from gis_radar.base import CrsError, NoAnswerError
 from gis_radar.calibration import FRAMES
-from gis_radar.live import DiskBuffer, Edge, PoseContent, frames_of_recording, read_edge_file
-from gis_radar.live.outbox import Outbox
+from gis_radar.live import (
+    DiskBuffer,
+    Edge,
+    Outbox,
+    PoseContent,
+    frames_of_recording,
+    read_edge_file,
+)
 from gis_radar.live.own_pose import Followed
 from gis_radar.scans import SightTiles
 
