@@ -20,6 +20,7 @@ from gis_radar.base import (
     atomic_write,
     atomic_writes,
     files,
+    folder_to_fill,
     leftovers,
     scratch_folder,
     writing_errors,
@@ -157,6 +158,20 @@ def test_several_files_are_whole_after_the_next_run(tmp_path, moved, before):
         raise RuntimeError
     assert names(tmp_path) == trio
     assert {(tmp_path / name).read_text() for name in trio} == {"new"}
+
+
+def test_a_folder_that_cannot_be_made_is_named_and_a_new_one_stays_only_if_all_goes_well(tmp_path):
+    with (
+        pytest.raises(OutputError, match="cannot be written"),
+        folder_to_fill(tmp_path / ("x" * 300)),
+    ):
+        pass
+    with pytest.raises(RuntimeError), folder_to_fill(tmp_path / "a/b"):
+        raise RuntimeError
+    assert names(tmp_path) == []
+    with folder_to_fill(tmp_path / "a/b"):
+        pass
+    assert (tmp_path / "a/b").is_dir()
 
 
 def test_a_plan_moves_nothing_elsewhere(tmp_path):

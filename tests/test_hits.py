@@ -287,6 +287,11 @@ def test_a_sensor_that_sees_nothing_is_warned_of(tmp_path):
     assert set(both.sights()["pose"].str[:2]) == {"R1"}
     with pytest.raises(NoAnswerError, match="no tile lies in the view of R2"):
         hits_of([path], [far], crossing(), tmp_path / "blind")
+    for height, words in ((330.0, "40 m under it"), (375.0, "5 m over it")):
+        placed = pose(sensor="R2", easting=EAST + 5000, height=height)
+        with pytest.raises(NoAnswerError) as caught:
+            hits_of([path], [placed], crossing().assign(height_m=370.0), tmp_path / "blind")
+        assert words in caught.value.hint
     assert not (tmp_path / "blind").exists()
 
 

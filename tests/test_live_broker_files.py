@@ -1,5 +1,6 @@
 """What `--broker-files` writes: Mosquitto and systemd find no fault in it, compose is YAML."""
 
+import errno
 import os
 import shutil
 import stat
@@ -124,3 +125,15 @@ def test_fusion_names_a_password_that_is_not_there(site):
     with pytest.raises(InputError, match=r"password_of_fusion: no such file") as caught:
         read_live_site(site.file).address()
     assert "broker" in caught.value.hint
+
+
+def test_fusion_names_a_password_that_it_may_not_read(site, monkeypatch):
+    live = read_live_site(site.file)
+
+    def denied(*_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "stat", denied)  # of a folder that is closed to it
+    monkeypatch.setattr(Path, "read_text", denied)
+    with pytest.raises(InputError, match=r"password_of_fusion: cannot be read: .*denied"):
+        live.address()

@@ -122,6 +122,18 @@ def test_the_spool_reaches_the_disk_before_it_counts(tmp_path, monkeypatch):
     assert calls == ["write", "fsync"]
 
 
+def test_of_streams_that_take_turns_the_one_heard_last_is_gone_on_with(tmp_path):
+    spool = Spool(tmp_path / "s")
+    turns = ((b"abcd", 1), (b"efgh", 1), (b"abcd", 2))
+    spool.mark(
+        ("R1", pack_message(Envelope(stream=stream, number=number), b""))
+        for stream, number in turns
+    )
+    assert [(bytes.fromhex(name), mark.number) for name, mark in spool.marks["R1"].items()] == [
+        (b"efgh", 1), (b"abcd", 2),
+    ]  # fmt: skip
+
+
 @pytest.mark.skipif(os.name != "posix", reason="names are brought to disk by the system")
 def test_a_new_file_of_the_spool_has_its_name_on_disk_before_it_is_used(tmp_path, monkeypatch):
     spool, synced, sync = Spool(tmp_path / "s"), [], os.fsync

@@ -1,7 +1,7 @@
 """A start pose that traffic refuses: it is searched anew, or waited for, and counts only then."""
 
 from dataclasses import replace
-from itertools import cycle, groupby
+from itertools import count, cycle, groupby
 
 import numpy as np
 import pytest
@@ -11,7 +11,14 @@ from live_site import SAMPLE, Background, LiveSite, wait_for
 import gis_radar as gr
 from gis_radar.base import CrsError, NoAnswerError
 from gis_radar.calibration import FRAMES
-from gis_radar.live import DiskBuffer, Edge, PoseContent, frames_of_recording, read_edge_file
+from gis_radar.live import (
+    DiskBuffer,
+    Edge,
+    Outbox,
+    PoseContent,
+    frames_of_recording,
+    read_edge_file,
+)
 from gis_radar.live.own_pose import Followed
 from gis_radar.scans import SightTiles
 
@@ -114,6 +121,20 @@ def test_a_given_pose_that_is_refused_is_tried_again_and_trusted_once_traffic_co
     assert [doubted for _, doubted in edge.made] == [False, True, True]
     assert len(sent) + edge.not_sent == 1500
     assert 1100 < edge.not_sent < 1300  # from its refusal on, until traffic says otherwise
+    assert sum("not confirmed" in line for line in said) == 1
+
+
+def test_a_doubt_that_a_full_disk_did_not_take_counts_once_there_is_room(
+    run, tmp_path, monkeypatch
+):
+    WRONG.write(tmp_path / "R1.pose.json")
+    store, tries = Outbox.put_pose, count()
+    monkeypatch.setattr(
+        Outbox, "put_pose",
+        lambda box, message: next(tries) not in range(1, 31) and store(box, message),
+    )  # fmt: skip
+    edge, sent, said = run(400, pose='"R1.pose.json"')
+    assert (len(sent), edge.not_sent) == (130, 270)  # it is refused at the hundredth frame
     assert sum("not confirmed" in line for line in said) == 1
 
 

@@ -126,7 +126,7 @@ def alignment_of(look):
 
 @pytest.mark.parametrize("sensor", ["R1", "R2"])
 def test_the_truth_is_confirmed(sensor, look):
-    pose = gr.read_pose(SAMPLE / f"{sensor}.json")
+    pose = SAMPLE / f"{sensor}.json"
     found = (
         look
         if sensor == "R2"

@@ -129,9 +129,10 @@ def test_a_bank_of_earth_hides_what_is_behind_it(tmp_path):
     assert (sight_over(tmp_path, points, across()).state == HIDDEN).all()
 
 
-def test_without_a_scan_or_heights_the_view_decides():
+def test_without_a_scan_or_heights_the_view_decides(tmp_path):
     tiles = across(np.nan)
-    sight = find_sight(SENSOR, tiles)
+    SENSOR.write(tmp_path / "S.json")
+    sight = find_sight(tmp_path / "S.json", tiles)
     place = SENSOR.to_sensor(np.column_stack([tiles.centres[:, :2], np.full(240, 378.0)]))
     assert ((sight.state == IN_SIGHT) == (np.hypot(*place[:, :2].T) <= 150.0)).all()
     narrow = pose(height=378.0, view=View(max_range_m=150.0, azimuth_deg=30.0))

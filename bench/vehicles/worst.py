@@ -109,7 +109,8 @@ def _cause(side: str, row: pd.Series, bodies: pd.DataFrame) -> str:
     track_is_short = (~long).any() if side == "missed" else not is_long
     if true_is_long and track_is_short:
         return AS_SHORT
-    return IN_PLACE if track_is_long else f"off its place, {stands}"
+    alone = true_is_long and len(bodies) == 1  # a long one that is followed as it is, farther on
+    return IN_PLACE if track_is_long and not alone else f"off its place, {stands}"
 
 
 def _nobody(side: str, row: pd.Series, stands: str) -> str:

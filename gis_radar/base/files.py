@@ -171,9 +171,10 @@ def folder_to_fill(path: Path) -> Iterator[None]:
     OutputError
         If it cannot be made.
     """
-    new = [each for each in (path, *path.parents) if not each.exists()]
+    new: list[Path] = []
     try:
-        with output_errors(path):
+        with output_errors(path):  # asking for a folder may be refused, too
+            new += [each for each in (path, *path.parents) if not each.exists()]
             path.mkdir(parents=True, exist_ok=True)
         yield
     except BaseException:

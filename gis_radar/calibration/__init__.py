@@ -1,6 +1,6 @@
 """Calibration: where sensors stand and look, how far their clocks are apart, and what confirms it.
 
-From the data to the answers:
+From the data to the answers (*in* names the module that calls the others):
 
 - `registration` compares traffic with lanes: `traces` links detections to tracks, `lanes` samples
   lanes, `matches` and `lane_paths` find the lane of each detection, `model` and `residuals`

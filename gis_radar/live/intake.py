@@ -217,6 +217,7 @@ class Intake:
                 elif sensor is not None and kind == POSE_RECORD:
                     poses[name, key_of_pose(payload)] = payload
                 elif sensor is not None and kind in {FRAMES, PASSED}:
+                    last.pop((name, stream_of(payload)), None)  # the latest stream stands last
                     last[name, stream_of(payload)] = payload
                     if kind == FRAMES and first_time_us(payload) >= begin_us - SPAN_US:
                         self._take_again(sensor, payload, poses, begin_us)

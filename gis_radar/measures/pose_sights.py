@@ -209,7 +209,8 @@ class SightBook:
         beside = np.hypot(apart[:, 0], apart[:, 1])
         far = Text("{} stands {:,.0f} m from the nearest tile", pose.sensor, beside.min())
         if np.isfinite(over := -apart[np.argmin(beside), 2]):
-            far = Text("{}, {:,.0f} m over it", far, over)
+            under = Text("{}, {:,.0f} m under it", far, -over)
+            far = under if over < 0.0 else Text("{}, {:,.0f} m over it", far, over)
         if self.scan is not None:
             far = Text("{}, where the scan, if it is of another place, may hide all", far)
         return Text("{}: check position, height, and whether its angles are degrees", far)

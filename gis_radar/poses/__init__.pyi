@@ -1,5 +1,5 @@
 from .evidence import COMPONENTS, Evidence
-from .files import DECIMALS, PoseTrack, as_track, as_tracks, read_pose, read_track
+from .files import DECIMALS, PoseTrack, as_pose, as_track, as_tracks, read_pose, read_track
 from .layers import SENSORS, UNCERTAINTY, VIEWS, read_style, write_sensors
 from .pose import (
     ANGLES,
@@ -23,6 +23,7 @@ __all__ = [
     "Pose",
     "PoseTrack",
     "View",
+    "as_pose",
     "as_track",
     "as_tracks",
     "draw_sensor",

@@ -124,6 +124,11 @@ class PoseTrack:
         return table_card(f"Poses of {self._title()}", ["since", *units, "event"], rows)
 
 
+def as_pose(pose: Pose | str | Path) -> Pose:
+    """Return a pose, read if it is a path."""
+    return pose if isinstance(pose, Pose) else read_pose(pose)
+
+
 def as_track(pose: Pose | PoseTrack | str | Path) -> PoseTrack:
     """Return a pose as a track of one pose that always holds; a track as it is; that of a file."""
     if isinstance(pose, str | Path):

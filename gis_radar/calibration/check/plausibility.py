@@ -277,9 +277,8 @@ def _changed(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
     bad = since if until.verdict == FITS else until
     if until.verdict == since.verdict or (gain < CHANGED and bad.cause == UNKNOWN_CAUSE):
         return None
-    if (
-        excerpt.scene_change is not None and bad.cause not in OF_RATES
-    ):  # place and axes are the same
+    same_place = excerpt.scene_change is not None  # place and axes are those of before
+    if same_place and bad.cause not in OF_RATES:
         return None
     if until.verdict == WRONG:
         return replace(until, cause=Text("until {}: {}", iso(when), until.cause))

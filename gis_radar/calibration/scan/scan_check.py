@@ -35,7 +35,7 @@ from gis_radar.calibration.scan.surroundings import (
     read_structure,
     standing,
 )
-from gis_radar.poses import Pose
+from gis_radar.poses import Pose, as_pose
 from gis_radar.recordings import Recording
 from gis_radar.scans import box_with_margin, open_scan
 
@@ -249,7 +249,7 @@ def _elsewhere(
 
 def check_against_scan(
     recording: str | Path | Recording,
-    pose: Pose,
+    pose: Pose | str | Path,
     scans: str | Path | Sequence[str | Path],
     *,
     scan_crs: Any = None,
@@ -265,8 +265,8 @@ def check_against_scan(
     ----------
     recording : str, Path or Recording
         The sensor's recording; its last 2000 frames count.
-    pose : Pose
-        The pose to check.
+    pose : Pose, str or Path
+        The pose to check, or its file.
     scans : path or sequence of paths
         Airborne scans (LAS, LAZ, COPC), whole and not masked; classified or not.
     scan_crs : CRS, str or int, optional
@@ -284,7 +284,8 @@ def check_against_scan(
         If a file cannot be read, or no scan has a point near the pose; CrsError if a scan has no
         projected, metric coordinate system.
     """
-    scans, slow = paths_of(scans), read_slow(recording, reporter=reporter)
+    pose, scans = as_pose(pose), paths_of(scans)
+    slow = read_slow(recording, reporter=reporter)
     level = LevelFrame(pose=pose)
     reach_m = float(np.clip(slow.reach_m, LEAST_REACH_M, MOST_REACH_M))
     structure = read_structure(

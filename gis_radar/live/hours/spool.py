@@ -151,7 +151,10 @@ class Spool:
 
     def mark(self, messages: Iterable[tuple[str, bytes]]) -> None:
         """Record that messages of sensors are on the disk, in the order in which they came."""
-        last = {(sensor, stream_of(payload)): payload for sensor, payload in messages}
+        last = dict[tuple[str, str], bytes]()
+        for sensor, payload in messages:
+            last.pop((sensor, stream_of(payload)), None)  # so that the latest stream stands last
+            last[sensor, stream_of(payload)] = payload
         marks = dict(self.marks)
         for (sensor, stream), payload in last.items():
             envelope, content = unpack_message(payload)

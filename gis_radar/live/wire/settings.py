@@ -196,19 +196,22 @@ def broker_address(table: BrokerTable, *, user: str) -> BrokerAddress:
     """
     password = ""
     if table.password_file is not None:
-        if not table.password_file.exists():
-            raise InputError(
-                "{}: no such file",
-                table.password_file,
-                hint="the files written for the broker hold one for each",
-            )
-        password = read_secret(table.password_file)
+        password = read_secret(
+            table.password_file, hint="the files written for the broker hold one for each"
+        )
     name = (table.user or user) if password else ""
     return BrokerAddress.of(table.address, user=name, password=password, authority=table.authority)
 
 
-def read_secret(path: Path) -> str:
+def read_secret(path: Path, *, hint: str = "") -> str:
     """Read a file with nothing but a password or token.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    hint : str
+        What to do if there is none.
 
     Raises
     ------
@@ -217,6 +220,8 @@ def read_secret(path: Path) -> str:
     """
     try:
         return path.read_text(encoding="utf-8").strip()
+    except FileNotFoundError as error:
+        raise InputError("{}: no such file", path, hint=hint) from error
     except (OSError, UnicodeDecodeError) as error:
         raise InputError("{}: cannot be read: {}", path, error) from error
 

@@ -33,7 +33,7 @@ from gis_radar.base import (
     compiled,
     paths_of,
 )
-from gis_radar.poses import Pose, View
+from gis_radar.poses import Pose, View, as_pose
 from gis_radar.scans.columns import ScanColumns, read_columns
 from gis_radar.scans.scan import Scan, box_with_margin, open_scan
 from gis_radar.scans.sight.obstacles import (
@@ -300,7 +300,7 @@ class SightScan:
 
 
 def find_sight(
-    pose: Pose,
+    pose: Pose | str | Path,
     tiles: gpd.GeoDataFrame | SightTiles,
     source: SightSource | str | Path | Sequence[str | Path] | None = None,
     *,
@@ -313,8 +313,8 @@ def find_sight(
 
     Parameters
     ----------
-    pose : Pose
-        Pose of the sensor; without a view, the default one counts.
+    pose : Pose, str or Path
+        Pose of the sensor, or its file; without a view, the default one counts.
     tiles : GeoDataFrame or SightTiles
         The tiles, in the pose's CRS. Where the road's height is unknown, that of the scan's ground
         counts; without a scan, any elevation is in view.
@@ -340,11 +340,12 @@ def find_sight(
     >>> import gis_radar as gr
     >>> sample = gr.sample_folder()
     >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
-    >>> sight = gr.find_sight(gr.read_pose(sample / "R1.json"), tiles)
+    >>> sight = gr.find_sight(sample / "R1.json", tiles)
     >>> sight.figures()["in_sight"] > 1000
     True
     """
     road = tiles if isinstance(tiles, SightTiles) else SightTiles.of(tiles)
+    pose = as_pose(pose)
     if isinstance(source, str | Path | Sequence):
         source = SightScan(paths_of(source), road, scan_crs=scan_crs)
     elif scan_crs is not None:
