@@ -78,6 +78,7 @@ YAW, PITCH = POSES["R1"].yaw, POSES["R1"].pitch
 MISTAKES = {
     "turned": (turned("yaw", YAW + 180.0), None, "yaw is off by 180 deg", "set yaw to 21.7 deg"),
     "a bearing": (turned("yaw", 90.0 - YAW), None, "its yaw is a bearing", "21.7"),
+    "clockwise": (turned("yaw", 360.0 - YAW), None, "counts clockwise", "set yaw to 21.7 deg"),
     "two degrees": (turned("yaw", YAW + 2.0), None, "its pose is off", "set yaw 21.6"),
     "pitch": (turned("pitch", -PITCH), None, "pitch has the wrong sign", "set pitch to 3.2"),
     "height": (turned("height", POSES["R1"].height + 3.0), None, "height is 3", "height to 520"),

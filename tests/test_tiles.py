@@ -5,12 +5,14 @@ import warnings
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import pyogrio
 import pytest
 import shapely
 from maps import Listener
 from sites import EAST, NORTH, UTM, crossing, lane_quads, tiles_of
 
+import gis_radar as gr
 from gis_radar.base import CrsError, InputError, OutputError, UsageError
 from gis_radar.hdmap import (
     LANE_COLUMN,
@@ -83,6 +85,12 @@ def test_a_straight_lane_is_cut_at_half_metres(length_m, count):
     assert tiles["lanelet_id"].iloc[0] == 9_000_000_000_000_000_000
     assert tuple(tiles.columns) == (*TILE_COLUMNS, LANE_COLUMN, "geometry")
     assert shapely.is_ccw(shapely.get_exterior_ring(tiles.geometry.array)).all()
+
+
+def test_a_map_is_given_as_it_is_or_as_its_file():
+    path = gr.sample_folder() / "junction.osm"
+    of_file = make_tiles(str(path))
+    pd.testing.assert_frame_equal(of_file, make_tiles(gr.read_map(path)))
 
 
 @pytest.mark.parametrize("radius_m", [5.0, 12.0, 200.0])

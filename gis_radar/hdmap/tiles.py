@@ -36,7 +36,7 @@ from gis_radar.hdmap.bounds import CannotMendError, slices, sound_rungs
 from gis_radar.hdmap.lanelet_map import LaneletMap
 from gis_radar.hdmap.lanes import LANES_LAYER, STOP_LINES_LAYER, lane_numbers, lane_style
 from gis_radar.hdmap.mending import outline
-from gis_radar.hdmap.reader import problem_table
+from gis_radar.hdmap.reader import problem_table, read_map
 from gis_radar.hdmap.tagging import ON_FOOT_OR_BICYCLE
 from gis_radar.hdmap.tile_lookup import TileGrid
 
@@ -55,7 +55,7 @@ LANE_COLUMN = "lane"  # number of the lane; tiles of older versions have none
 
 
 def make_tiles(
-    roads: LaneletMap,
+    roads: LaneletMap | str | Path,
     *,
     length_m: float = LENGTH_M,
     subtypes: Collection[str] | None = None,
@@ -69,8 +69,8 @@ def make_tiles(
 
     Parameters
     ----------
-    roads : LaneletMap
-        The map.
+    roads : LaneletMap, str or Path
+        The map, or its file, which :func:`gis_radar.read_map` reads.
     length_m : float
         Length of a tile along the lane, metres; a lanelet gets
         `max(1, round(mean length of its bounds / length_m))` tiles, or more where these would
@@ -107,6 +107,8 @@ def make_tiles(
     """
     if not LEAST_LENGTH_M <= length_m < np.inf:
         raise UsageError("tile length is {} m, expected {} m or more", length_m, LEAST_LENGTH_M)
+    if isinstance(roads, str | Path):
+        roads = read_map(roads, reporter=reporter)
     lanelets = _chosen(roads.lanelets, subtypes)
     _say_left_out(roads.lanelets, lanelets, reporter)
     tiles = _table(lanelets, _rungs(lanelets, length_m, reporter), roads.crs)

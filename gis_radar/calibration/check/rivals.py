@@ -285,6 +285,11 @@ def _compared(
     return np.log(mine + other), mine > other, np.where(mine > other, over, np.nan)
 
 
+def _within_half_turn(angle: float) -> float:
+    """Return an angle as one from -180 to 180 degrees."""
+    return (angle + 180.0) % 360.0 - 180.0
+
+
 def ways_to_be_wrong(
     excerpt: Excerpt, others: Mapping[str, Pose], units: Sequence[UnitMistake] = ()
 ) -> list[Rival]:
@@ -301,19 +306,19 @@ def ways_to_be_wrong(
     """
     pose = excerpt.usual
     compass = yaw_from_compass(pose.yaw, pose.crs, pose.easting, pose.northing)
-    back, over = ((angle + 360.0) % 360.0 - 180.0 for angle in (pose.yaw, pose.roll))
+    back, over = _within_half_turn(pose.yaw + 180.0), _within_half_turn(pose.roll + 180.0)
     measured = bool(np.isfinite(excerpt.points[:, 2]).any())
     found = [
         Rival(cause=Text("yaw is off by 180 deg"), advice=Text("set yaw to {:.1f} deg", back),
               turned=lambda p: replace(p, yaw=p.yaw + 180.0)),
         Rival(cause=Text("its yaw is a bearing from true north"),
-              advice=Text("set yaw to {:.1f} deg", compass),
+              advice=Text("set yaw to {:.1f} deg", _within_half_turn(compass)),
               turned=lambda p: replace(p, yaw=p.yaw + compass - pose.yaw)),
         Rival(cause=Text("its yaw is a bearing from grid north"),
-              advice=Text("set yaw to {:.1f} deg", 90.0 - pose.yaw),
+              advice=Text("set yaw to {:.1f} deg", _within_half_turn(90.0 - pose.yaw)),
               turned=lambda p: replace(p, yaw=90.0 - p.yaw)),
         Rival(cause=Text("its yaw counts clockwise"),
-              advice=Text("set yaw to {:.1f} deg", -pose.yaw),
+              advice=Text("set yaw to {:.1f} deg", _within_half_turn(-pose.yaw)),
               turned=lambda p: replace(p, yaw=-p.yaw)),
         Rival(cause=Text("x and y are swapped"), advice=Text("swap x and y"), axes=Axes.SWAPPED),
         Rival(cause=Text("x points to the right and y forward"),
