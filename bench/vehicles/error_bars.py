@@ -22,15 +22,15 @@ import pandas as pd
 from found import estimated_occupancy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from own import found_poses
+from own import measured
 from scenes import SceneFiles, scene
+from targets import beside_truth
 
 import gis_radar as gr
 
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
 import pages
 
-LEAST_S = 30.0  # for which a tile is visible, in truth and by the estimate
 RANGES_M = {"up to 40 m": 40.0, "40 to 80 m": 80.0, "80 to 140 m": 140.0, "farther": np.inf}
 BUSY = {"up to 5 %": 5.0, "5 to 20 %": 20.0, "over 20 %": np.inf}
 VOLUMES = {"none": 0.5, "1 to 5": 5.5, "over 5": np.inf}
@@ -66,13 +66,8 @@ def main() -> None:
 
 def errors(site: SceneFiles) -> Iterator[pd.DataFrame]:
     """Yield tables `panel kind stated error` of a scene measured with found poses."""
-    poses = [gr.read_pose(path) for path in found_poses(site)]
     with tempfile.TemporaryDirectory() as folder:
-        gr.measure(
-            site.recordings, poses, site.tiles(), site.map, Path(folder) / "dataset",
-            scans=[site.scan], check=False,
-        )  # fmt: skip
-        dataset = gr.open_dataset(Path(folder) / "dataset")
+        dataset = measured(site, Path(folder) / "dataset", found=True)
         tiles, lanes = of_tiles(site, dataset), of_lanes(site, dataset)
     yield tiles.assign(panel="range", kind=classed(tiles["away"], RANGES_M))
     yield tiles.assign(panel="traffic", kind=classed(tiles["true"], BUSY))
@@ -86,16 +81,11 @@ def classed(values: pd.Series, uppers: dict[str, float]) -> pd.Series:
 
 def of_tiles(site: SceneFiles, dataset: gr.Dataset) -> pd.DataFrame:
     """Return `stated error true`, percentage points, and `away`, metres, of the visible tiles."""
-    both = site.truth().table().merge(
-        estimated_occupancy(dataset), on="tile_id", suffixes=("", "_given")
-    )  # fmt: skip
-    both = both[(both["visible_s"] > LEAST_S) & (both["visible_s_given"] > LEAST_S)]
-    middle = site.tiles().set_index("tile_id").centroid.loc[both["tile_id"]]
-    away = [np.hypot(middle.x - pose.easting, middle.y - pose.northing) for pose in site.poses]
+    both = beside_truth(site, estimated_occupancy(dataset))
     return pd.DataFrame({
-        "stated": 100.0 * both["occupancy_se"].to_numpy(),
-        "error": 100.0 * (both["occupancy_given"] - both["occupancy"]).to_numpy(),
-        "true": 100.0 * both["occupancy"].to_numpy(), "away": np.min(away, axis=0),
+        "stated": 100.0 * both["occupancy_se"],
+        "error": 100.0 * (both["occupancy_given"] - both["occupancy"]),
+        "true": 100.0 * both["occupancy"], "away": both["away_m"],
     }).dropna()  # fmt: skip
 
 

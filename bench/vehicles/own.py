@@ -92,6 +92,14 @@ def pose_errors(site: SceneFiles, files: Sequence[Path]) -> dict[str, list[float
     return found
 
 
+def measured(site: SceneFiles, folder: Path, *, found: bool) -> gr.Dataset:
+    """Measure a scene into a folder with found or with true poses, which are not checked again."""
+    poses = [gr.read_pose(path) for path in found_poses(site)] if found else site.poses
+    return gr.measure(
+        site.recordings, poses, site.tiles(), site.map, folder, scans=[site.scan], check=False
+    )
+
+
 def measure(site: SceneFiles, files: Sequence[Path], folder: Path) -> Ran:
     """Run `gis-radar measure` on a scene with some pose files."""
     return run("measure", *_sources(site, files), "-o", folder)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,43 +18,41 @@ import lane_volumes
 import numpy as np
 import pandas as pd
 from found import found_in
-from own import found_poses
+from own import measured
 from scenes import SceneFiles, scene
 from tracks import Scored, compared, score_tracks
 
-import gis_radar as gr
-from gis_radar.base import Booleans
+from gis_radar.base import Floats
 
 STANDS_MPS = 0.5
 LEAST_S = 30.0  # for which a tile is visible, in truth and by the estimate
 
 
-def measured(site: SceneFiles, poses: Sequence[gr.Pose]) -> dict[str, str]:
-    """Measure a scene and return its figures."""
+def figures_of(site: SceneFiles, *, found: bool) -> dict[str, str]:
+    """Measure a scene with found or with true poses and return its figures."""
     with tempfile.TemporaryDirectory() as folder:
-        gr.measure(
-            site.recordings, poses, site.tiles(), site.map, Path(folder) / "dataset",
-            scans=[site.scan], check=False,
-        )  # fmt: skip
-        dataset = gr.open_dataset(Path(folder) / "dataset")
+        dataset = measured(site, Path(folder) / "dataset", found=found)
         given = found_in(dataset)
         figures = lane_volumes.score(site, dataset)
     scored = compared(site.tiles(), site.truth(), site.traffic(), given.states)
     return figures | occupancy(site, given.occupancy) | vehicles(near_only(site, scored))
 
 
-def is_near(site: SceneFiles, easting: pd.Series, northing: pd.Series) -> Booleans:
-    """Return which places are within 100 m of a radar."""
+def from_radar(site: SceneFiles, easting: pd.Series, northing: pd.Series) -> Floats:
+    """Return how far places are from the nearest radar, metres."""
     apart = [
         np.hypot(easting - pose.easting, northing - pose.northing) for pose in site.poses
     ]  # fmt: skip
-    return np.asarray(np.min(apart, axis=0) < lane_volumes.WITHIN_M)
+    return np.asarray(np.min(apart, axis=0))
 
 
 def near_only(site: SceneFiles, scored: Scored) -> Scored:
     """Return both sides with what is due restricted to places near a radar."""
     true, given = (
-        side.assign(due=side["due"] & is_near(site, side["easting"], side["northing"]))
+        side.assign(
+            due=side["due"]
+            & (from_radar(site, side["easting"], side["northing"]) < lane_volumes.WITHIN_M)
+        )
         for side in (scored.true, scored.given)
     )
     return replace(scored, true=true, given=given)
@@ -63,14 +60,10 @@ def near_only(site: SceneFiles, scored: Scored) -> Scored:
 
 def occupancy(site: SceneFiles, given: pd.DataFrame) -> dict[str, str]:
     """Return how far the occupancy of near tiles and lanelets is off."""
-    tiles, true = site.tiles().set_index("tile_id"), site.truth().table()
-    both = true.merge(given, on="tile_id", suffixes=("", "_given"))
-    both = both[(both["visible_s"] > LEAST_S) & (both["visible_s_given"] > LEAST_S)]
-    middle = tiles.centroid.loc[both["tile_id"]]
-    near = is_near(site, middle.x.reset_index(drop=True), middle.y.reset_index(drop=True))
-    both = both[near].dropna(subset="occupancy_given")
+    both = beside_truth(site, given)
+    both = both[both["away_m"] < lane_volumes.WITHIN_M]
     error = both["occupancy_given"] - both["occupancy"]
-    lane = tiles["lanelet_id"].loc[both["tile_id"]].to_numpy()
+    lane = site.tiles().set_index("tile_id")["lanelet_id"].loc[both["tile_id"]].to_numpy()
     by_lane = both.groupby(lane)[["occupancy", "occupancy_given"]].sum()
     off = (by_lane["occupancy_given"] - by_lane["occupancy"]).abs().sum()
     within = error.abs() <= 2.0 * both["occupancy_se"]
@@ -81,6 +74,15 @@ def occupancy(site: SceneFiles, given: pd.DataFrame) -> dict[str, str]:
         f"(bias {error.sum() / both['occupancy'].sum():+.1%})",
         "tiles_within_2_se": f"{within.mean():.0%}",
     }
+
+
+def beside_truth(site: SceneFiles, given: pd.DataFrame) -> pd.DataFrame:
+    """Return the true table of the tiles that both see, with `..._given` and `away_m`."""
+    both = site.truth().table().merge(given, on="tile_id", suffixes=("", "_given"))
+    both = both[(both["visible_s"] > LEAST_S) & (both["visible_s_given"] > LEAST_S)]
+    middle = site.tiles().set_index("tile_id").centroid.loc[both["tile_id"]]
+    both = both.assign(away_m=from_radar(site, middle.x, middle.y))
+    return both.dropna(subset="occupancy_given")
 
 
 def vehicles(scored: Scored) -> dict[str, str]:
@@ -108,10 +110,7 @@ def main() -> None:
     parser.add_argument("--poses", choices=("true", "found"), default="true")
     options = parser.parse_args()
     for name in options.scene.split(","):
-        site, poses = scene(name), scene(name).poses
-        if options.poses == "found":
-            poses = [gr.read_pose(path) for path in found_poses(site)]
-        figures = measured(site, poses)
+        figures = figures_of(scene(name), found=options.poses == "found")
         print(name, *(f"{key} {value}" for key, value in figures.items()), sep="\n  ", flush=True)
 
 

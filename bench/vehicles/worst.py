@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from found import estimated_states
-from own import found_poses
+from own import measured
 from scenes import SceneFiles, scene
 from targets import STANDS_MPS, near_only
 from tracks import EVERY, Scored, compared, matched
@@ -55,13 +55,10 @@ def _of_scene(site: SceneFiles, poses: str, dataset: Path | None) -> pd.DataFram
     """Return the errors of a scene, which is measured where no dataset is given."""
     with tempfile.TemporaryDirectory() as folder:
         if dataset is None:
-            dataset = Path(folder) / "dataset"
-            found = map(gr.read_pose, found_poses(site)) if poses == "found" else site.poses
-            gr.measure(
-                site.recordings, list(found), site.tiles(), site.map, dataset, scans=[site.scan],
-                check=False,
-            )  # fmt: skip
-        states = estimated_states(gr.open_dataset(dataset))
+            opened = measured(site, Path(folder) / "dataset", found=poses == "found")
+        else:
+            opened = gr.open_dataset(dataset)
+        states = estimated_states(opened)
     scored = near_only(site, compared(site.tiles(), site.truth(), site.traffic(), states))
     return errors_of(scored).assign(scene=site.name)
 
