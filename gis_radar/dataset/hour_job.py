@@ -115,8 +115,6 @@ class HourSite:
         Easting and northing from which tracks count, whole metres.
     settings : MeasureSettings
         Settings in effect.
-    validity_s : mapping
-        By sensor, how long its frames are valid, seconds.
     """
 
     folder: Path
@@ -124,7 +122,6 @@ class HourSite:
     graph: LaneGraph | None
     origin: tuple[int, int]
     settings: MeasureSettings
-    validity_s: Mapping[str, float]
 
     @cached_property
     def target(self) -> HitTarget:
@@ -167,6 +164,7 @@ def make_hour(
     site: HourSite,
     hour: int,
     sources: Sequence[PlacedRecording],
+    validity_s: Mapping[str, float],
     *,
     processes: int = 1,
 ) -> MadeHour:
@@ -180,6 +178,8 @@ def make_hour(
         The hour since 1970.
     sources : sequence of PlacedRecording
         All recordings that reach into the window, those of a sensor by their first frame.
+    validity_s : mapping
+        By sensor, how long its frames are valid, seconds.
     processes : int
         Number of blocks of the hour in which vehicles are looked for in parallel.
 
@@ -197,12 +197,12 @@ def make_hour(
         for source, counted in zip(sensor.sources, sensor.evidence, strict=True)
     }
     sensors = [sensor for sensor in sensors if len(sensor.frames)]
-    valid = [ValidFrames.of(each, valid_steps(site.validity_s[each.sensor])) for each in sensors]
+    valid = [ValidFrames.of(each, valid_steps(validity_s[each.sensor])) for each in sensors]
     held = valid_runs(sensors, valid, window)
     sights = {each.name: each for sensor in sensors for each in sensor.sights}
     origin = Origin(
         fingerprint=site.target.road.fingerprint, method=METHOD,
-        inputs=digest_of_inputs(sensors, site),
+        inputs=digest_of_inputs(sensors, site.settings, validity_s),
     )  # fmt: skip
     vehicles, on_lanes = 0, list[pd.DataFrame]()
     with HourWriter(folder=site.folder, hour=hour, origin=origin) as writer:
@@ -274,14 +274,16 @@ def _compared_hashes(frames: HashedFrames) -> np.ndarray[tuple[int], np.dtype[np
     return frames.hash[frames.detections >= LEAST_COMPARED]
 
 
-def digest_of_inputs(sensors: Sequence[SensorHour], site: HourSite) -> str:
+def digest_of_inputs(
+    sensors: Sequence[SensorHour], settings: MeasureSettings, validity_s: Mapping[str, float]
+) -> str:
     """Return the digest of all inputs of an hour's parts but tiles and method.
 
     It is equal for equal rows in the window, in however many files they come.
     """
-    digest = hashlib.sha256(json.dumps(site.settings.as_dict(), sort_keys=True).encode())
+    digest = hashlib.sha256(json.dumps(settings.as_dict(), sort_keys=True).encode())
     for sensor in sensors:
-        digest.update(f"{sensor.sensor} {site.validity_s[sensor.sensor]!r}".encode())
+        digest.update(f"{sensor.sensor} {validity_s[sensor.sensor]!r}".encode())
         known: dict[str, int] = {}
         number = np.empty(len(sensor.frames), np.int64)
         for k, source in enumerate(sensor.sources):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, as_completed
+from concurrent.futures import as_completed
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import clear_unfinished, days_of, hour_text, part_path
 from gis_radar.dataset.records import HourRecord, read_hours, remove_record
+from gis_radar.dataset.registered import hours_to_make, is_whole, keep_site, make_registered
 from gis_radar.dataset.registry import (
     Placing,
     RecordingEntry,
@@ -36,8 +37,9 @@ from gis_radar.dataset.registry import (
     digest_of,
     source_of,
     touched_hours,
+    validity_by_sensor,
 )
-from gis_radar.dataset.tables import HOUR_TABLES, TABLES
+from gis_radar.dataset.tables import HOUR_TABLES
 from gis_radar.dataset.tile_counts import update_counts
 from gis_radar.measures import HourWindow
 
@@ -108,8 +110,9 @@ def change(
     """
     margin = site.settings.margin
     records = read_hours(site.folder)
-    broken = {hour for hour, record in records.items() if not _is_whole(site.folder, record)}
-    missing = sorted({*after.missing_hours(margin), *(set(after.hours) - (set(records) - broken))})
+    known = list(known)
+    validity_s = validity_by_sensor(after.entries)
+    missing = hours_to_make(after, records, margin, touched_hours(after.hours, known, margin))
     missing = [hour for hour in missing if before_hour is None or hour < before_hour]
     _refuse_dropped(site.folder, [records[hour] for hour in missing if hour in records])
     _require_recordings(after, missing, margin, {each.path for each in known})
@@ -117,7 +120,8 @@ def change(
     placings = {hour: [after.placing(each) for each in reaching[hour]] for hour in missing}
     known_before = {(each.key, each.pose) for each in before.entries}
     fresh = [each for each in after.entries if (each.key, each.pose) not in known_before]
-    if set(missing) & (set(records) - broken):  # if one cannot be made, the present hours stay
+    present = (records[hour] for hour in missing if hour in records)
+    if any(is_whole(site.folder, each) for each in present):  # they stay if one cannot be made
         for hour in touched_hours(missing, fresh, margin):
             _check(site, hour, placings[hour])
     after = after.without_hours(missing)
@@ -129,7 +133,7 @@ def change(
     for hour in {*missing, *(records.keys() - set(after.hours))}:
         remove_record(site.folder, hour)
     _remove_parts(site.folder, records.keys() - set(after.hours))
-    made = _made_and_noted(site, before, after, placings, processes, reporter)
+    made = _made_and_noted(site, before, after, placings, validity_s, processes, reporter)
     if missing:
         after = after.with_hours(missing, margin)
         after.write_recordings()
@@ -142,7 +146,7 @@ def change(
 
 def _made_and_noted(
     site: HourSite, before: Registry, after: Registry, placings: Mapping[int, Sequence[Placing]],
-    processes: int, reporter: Reporter,
+    validity_s: Mapping[str, float], processes: int, reporter: Reporter,
 ) -> list[MadeHour]:  # fmt: skip
     """Make hours, and record from time to time which are made, so that a killed run can resume."""
     made, noted_s = list[MadeHour](), time.monotonic()
@@ -152,7 +156,7 @@ def _made_and_noted(
 
     reporter.progress(STAGE, 0, len(placings))
     try:
-        for each in _made(site, placings, processes):
+        for each in _made(site, placings, validity_s, processes):
             made.append(each)
             reporter.progress(STAGE, len(made), len(placings))
             if time.monotonic() - noted_s > NOTED_EVERY_S:
@@ -166,16 +170,6 @@ def _made_and_noted(
             note()
         raise
     return made
-
-
-def _is_whole(folder: Path, record: HourRecord) -> bool:
-    """Return whether all parts of an hour are there, with the sizes in its record."""
-    kept = {name: part for name, part in record.parts.items() if name not in record.dropped}
-    for name, part in kept.items():
-        path = part_path(folder, TABLES[name], record.hour)
-        if not path.is_file() or path.stat().st_size != part.size:
-            return False
-    return True
 
 
 def _refuse_dropped(folder: Path, records: Iterable[HourRecord]) -> None:
@@ -243,33 +237,19 @@ def _count(registry: Registry, hours: Iterable[int]) -> None:
 
 
 def _made(
-    site: HourSite, tasks: Mapping[int, Sequence[Placing]], processes: int
-) -> Iterator[MadeHour]:
+    site: HourSite, tasks: Mapping[int, Sequence[Placing]], validity_s: Mapping[str, float],
+    processes: int,
+) -> Iterator[MadeHour]:  # fmt: skip
     """Make hours, one after the other or in parallel, and yield them as they are done."""
     workers = min(processes, len(tasks))
     if workers < 2:
         for hour, placings in tasks.items():
             sources = [source_of(*each) for each in placings]
-            yield make_hour(site, hour, sources, processes=processes)
+            yield make_hour(site, hour, sources, validity_s, processes=processes)
         return
     share = processes // workers
-    with worker_pool(workers, _start_worker, site) as pool:
-        running: list[Future[MadeHour]] = [
-            pool.submit(_make_in_worker, hour, placings, share) for hour, placings in tasks.items()
-        ]
+    keep_site(site, Manifest.read(site.folder))
+    with worker_pool(workers, watch_parent) as pool:
+        running = [pool.submit(make_registered, site.folder, hour, share) for hour in tasks]
         for each in as_completed(running):
             yield each.result()
-
-
-_site: HourSite | None = None  # the site of this worker process
-
-
-def _start_worker(site: HourSite) -> None:
-    global _site  # noqa: PLW0603 - what all hours of a worker have in common
-    watch_parent()
-    _site = site
-
-
-def _make_in_worker(hour: int, placings: Sequence[Placing], processes: int) -> MadeHour:
-    assert _site is not None  # noqa: S101 - set when the worker starts
-    return make_hour(_site, hour, [source_of(*each) for each in placings], processes=processes)

@@ -49,7 +49,6 @@ from gis_radar.dataset.registry import (
     refuse_swapped,
     refuse_two_sensors,
     touched_hours,
-    validity_by_sensor,
 )
 from gis_radar.dataset.remarks import Examined, remark_on_recordings, remark_on_vehicles
 from gis_radar.hdmap import LaneGraph, LaneletMap, fingerprint, lane_graph
@@ -388,7 +387,6 @@ def _add(
     site = HourSite(
         folder=folder, tiles=given.tiles, graph=given.graph, origin=manifest.origin,
         settings=given.settings,
-        validity_s=validity_by_sensor(registry.entries),
     )  # fmt: skip
     if is_new:
         try:

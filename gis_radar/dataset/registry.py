@@ -19,8 +19,17 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from gis_radar.base import STEP_US, STEPS_PER_HOUR, InputError, Text, iso_from_step, step_of
+from gis_radar.base import (
+    STEP_US,
+    STEPS_PER_HOUR,
+    STEPS_PER_SECOND,
+    InputError,
+    Text,
+    iso_from_step,
+    step_of,
+)
 from gis_radar.calibration import SensorClock
 from gis_radar.dataset.parts import hour_of_step, whole_table, write_whole
 from gis_radar.dataset.tables import POSES, RECORDINGS, SIGHTS
@@ -163,8 +172,21 @@ class Registry:
     poses: PoseBook = field(default_factory=PoseBook)
 
     @classmethod
-    def read(cls, folder: Path, fingerprint: str) -> Registry:
-        """Read the registry of a dataset.
+    def read(
+        cls, folder: Path, fingerprint: str, *, hour: int | None = None, margin: int = 0
+    ) -> Registry:
+        """Read the registry of a dataset, or its recordings that reach into one hour.
+
+        Parameters
+        ----------
+        folder : Path
+            Folder of the dataset.
+        fingerprint : str
+            Fingerprint of its tiles.
+        hour : int, optional
+            The hour since 1970.
+        margin : int
+            Steps on either side of the hour.
 
         Raises
         ------
@@ -173,11 +195,15 @@ class Registry:
         """
         tables = (whole_table(table, folder, fingerprint) for table in (RECORDINGS, POSES, SIGHTS))
         recordings, poses, sights = tables
+        if hour is not None:  # a year's recordings as Python objects take seconds
+            recordings = recordings.filter(_about(recordings, hour, margin))
         try:
             entries = [
                 RecordingEntry(**{**row, "hours": frozenset(row["hours"])})
                 for row in recordings.select(RECORDINGS.names).to_pylist()
             ]
+            if hour is not None:
+                entries = [each for each in entries if hour in each.reached_hours(margin)]
             book = _poses_from(poses, sights, folder)
             book.of(each.pose for each in entries)  # all are there
         except (ValueError, KeyError, TypeError) as error:
@@ -238,6 +264,16 @@ class Registry:
     def placing(self, entry: RecordingEntry) -> Placing:
         """Return a recording with its poses."""
         return entry, self.poses.tracks[entry.pose], self.poses.sights[entry.pose]
+
+
+def _about(recordings: pa.Table, hour: int, margin: int) -> pa.ChunkedArray:
+    """Return which recordings have frames in an hour, its margin and a second on either side."""
+    around_s = margin / STEPS_PER_SECOND + 1.0
+    begin_s = hour * 3600.0
+    return pc.and_(
+        pc.less_equal(recordings["first_time"], begin_s + 3600.0 + around_s),
+        pc.greater_equal(recordings["last_time"], begin_s - around_s),
+    )
 
 
 Placing: TypeAlias = tuple[RecordingEntry, PoseTrack, Sequence[PoseSight]]

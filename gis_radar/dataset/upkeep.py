@@ -17,7 +17,6 @@ from gis_radar.dataset.registry import (
     Registry,
     digest_of,
     touched_hours,
-    validity_by_sensor,
 )
 from gis_radar.hdmap import lane_graph
 from gis_radar.tracking import map_of_tiles
@@ -44,7 +43,6 @@ def withdraw(
         site = HourSite(
             folder=folder, tiles=tiles, graph=graph, origin=manifest.origin,
             settings=settings,
-            validity_s=validity_by_sensor(after.entries),
         )  # fmt: skip
         change(site, before, after, processes=processes, reporter=reporter)
         sensors = {each.sensor for each in kept}

@@ -2,20 +2,24 @@ from .check import SiteCheck, check_site
 from .execution import RunState
 from .live_table import BrokerTable, Duration, LiveTable, PageTable, SensorThingsTable, TopicWord
 from .plan import Stage, stages_of
-from .recipes import mask_scans, measure_recordings, see_tiles, split_map
-from .run import SiteRun, run_site
+from .recipes import mask_scans, measure_recordings, measure_site, see_tiles, split_map
+from .run import SiteRun, prepare_site, run_site
 from .settings import MapTable, Sensor, Site, ViewTable, read_site, site_template
-from .toml_file import read_toml, toml_template
+from .software import software
+from .toml_file import read_toml, toml_reference, toml_template
 from .values import (
     CompassBearing,
     File,
     Meaning,
+    Name,
+    Place,
     Position,
     Recordings,
     Switch,
     TextValue,
     TomlTable,
     Unfit,
+    Zone,
     key,
     within,
 )
@@ -29,7 +33,9 @@ __all__ = [
     "LiveTable",
     "MapTable",
     "Meaning",
+    "Name",
     "PageTable",
+    "Place",
     "Pool",
     "Position",
     "Recordings",
@@ -46,18 +52,23 @@ __all__ = [
     "TopicWord",
     "Unfit",
     "ViewTable",
+    "Zone",
     "check_site",
     "key",
     "mask_scans",
     "measure_recordings",
+    "measure_site",
+    "prepare_site",
     "process_pool",
     "read_site",
     "read_toml",
     "run_site",
     "see_tiles",
     "site_template",
+    "software",
     "split_map",
     "stages_of",
+    "toml_reference",
     "toml_template",
     "within",
 ]

@@ -88,7 +88,8 @@ def mask_scans(
 
 def measure_site(
     sensors: Mapping[str, tuple[Sequence[Path], PoseTrack]], tile_file: Path, map_file: Path,
-    output: Path, *, reporter: Reporter, accept: Sequence[str] = (), **options: Any,
+    output: Path, *, reporter: Reporter, accept: Sequence[str] = (), only: bool = True,
+    **options: Any,
 ) -> tuple[Dataset, dict[str, GisRadarError]]:  # fmt: skip
     """Measure the recordings of several sensors, by name, without sensors that are refused.
 
@@ -103,7 +104,7 @@ def measure_site(
         tracks = [track for paths, track in left.values() for _ in paths]
         try:
             made = measure_recordings(
-                recordings, tracks, tile_file, map_file, output, only=True, reporter=reporter,
+                recordings, tracks, tile_file, map_file, output, only=only, reporter=reporter,
                 accept=[name for name in accept if name in left], **options,
             )  # fmt: skip
         except ImplausibleError as error:

@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ from gis_radar.site.summary import (
     summary_page,
     warnings_of,
 )
-from gis_radar.site.worker import process_pool
+from gis_radar.site.worker import own_pool, process_pool
 
 _POSE = ("easting", "northing", "height", "yaw", "pitch", "roll")
 
@@ -212,6 +213,41 @@ def run_site(
         kept.save()
         _write_record(site, root, outcomes, kept, finished=True)
     return SiteRun(site=site, folder=Path(folder), outcomes=outcomes)
+
+
+def prepare_site(site: Site, folder: Path, *, reporter: Reporter = QUIET) -> Sequence[Outcome]:
+    """Do the stages before measuring in this process: road, poses, tiles.
+
+    Parameters
+    ----------
+    site : Site
+        The site.
+    folder : Path
+        Folder for the results, as of :func:`run_site`.
+    reporter : Reporter
+        Receives progress and remarks.
+
+    Raises
+    ------
+    GisRadarError
+        As :func:`run_site`.
+    """
+    root = folder.absolute()
+    state = _prepared(root)
+    with ExitStack() as stack:
+        stack.enter_context(only_writer(folder, lock=state / "lock", reporter=reporter))
+        scratch = _cleared(root, state)
+        stack.callback(shutil.rmtree, scratch, ignore_errors=True)
+        kept = RunState(state / "state.json", root)
+        before = takewhile(lambda stage: stage.work != work.measure_stage, stages_of(site, root))
+        execution = Execution(
+            stages=list(before), state=kept, pool=stack.enter_context(own_pool()),
+            reporter=reporter, timezone=site.timezone, folder=site.path.absolute().parent,
+        )  # fmt: skip
+        outcomes = execution.run()
+        kept.save()
+        _write_record(site, root, outcomes, kept, finished=False)
+    return outcomes
 
 
 def _prepared(root: Path) -> Path:

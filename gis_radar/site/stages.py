@@ -196,7 +196,8 @@ def _named_with_view(track: PoseTrack, sensor: str, view: dict[str, float] | Non
 
 def measure_stage(
     *, recordings: Paths, poses: Paths, sensors: dict[str, dict[str, Any]], map_file: Path,
-    tile_file: Path, outputs: Paths, reporter: Reporter, **options: Any,
+    tile_file: Path, outputs: Paths, reporter: Reporter, before_hour: int | None = None,
+    **options: Any,
 ) -> Figures:  # fmt: skip
     """Measure the recordings of all sensors: make the site's dataset, or its missing hours.
 
@@ -216,9 +217,11 @@ def measure_stage(
     cycles = {name: each["cycle"] for name, each in sensors.items() if each["cycle"]}
     made, refused = measure_site(
         given, tile_file, map_file, outputs[0], cycles=cycles, reporter=reporter,
-        sight_cache=outputs[0].parent / STATE / SIGHTS, **options,
+        sight_cache=outputs[0].parent / STATE / SIGHTS, before_hour=before_hour, **options,
     )  # fmt: skip
-    heavy = {"heavy": int((made.vehicles()["p_heavy"] >= 0.5).sum())} if made.has_vehicles else {}
+    heavy = {}
+    if made.has_vehicles and before_hour is None:
+        heavy = {"heavy": int((made.vehicles()["p_heavy"] >= 0.5).sum())}
     return {
         **made.figures(), **heavy,
         "doubts": {n: line for n, line in made.manifest.doubts.items() if n in made.sensors},

@@ -10,7 +10,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.context import SpawnContext, SpawnProcess
@@ -146,6 +146,14 @@ def process_pool(jobs: int, scratch: Path, language: str = "en") -> Iterator[Poo
         stop_workers(worker for worker in context.started if worker.pid is not None)
         executor.shutdown(cancel_futures=True)
         events.close()
+
+
+@contextmanager
+def own_pool() -> Iterator[Pool]:
+    """Provide a thread of this process, which does one stage after the other."""
+    events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+    with ThreadPoolExecutor(1) as executor:
+        yield Pool(executor=executor, send=events.put, events=events)
 
 
 class _Worker(SpawnProcess):

@@ -1,0 +1,106 @@
+"""The city file: the sites of a city, in TOML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from gis_radar.base import Text
+from gis_radar.site import (
+    Duration,
+    Name,
+    Place,
+    Switch,
+    TextValue,
+    TomlTable,
+    Unfit,
+    Zone,
+    key,
+    read_toml,
+    toml_reference,
+    toml_template,
+)
+
+_HINT = Text("begin with: gis-radar run --city-template > CITY.toml")
+
+
+class CitySite(TomlTable):
+    """A site of the city: its dataset is the folder site=NAME."""
+
+    name: Name = key('"ostring"')
+    """Its name, also that of its folders."""
+    file: Place = key('"sites/ostring/SITE.toml"')
+    """Its site file, as gis-radar run takes it."""
+
+
+class City(TomlTable):
+    """A city, as its file states it; made by :func:`read_city`."""
+
+    title: TextValue = key('"Example city"')
+    """What the city is called."""
+    timezone: Zone = key('"Europe/Berlin"', "UTC")
+    """Zone of the months and days of the city's page."""
+    language: Literal["en", "de"] = key('"de"', "en")
+    """Language of the city's page: en or de."""
+    keep: Duration | None = key('"30d"', None, "for ever")
+    """How long exact tables are kept; counts and measures stay."""
+    reports: Switch = key("false", True, "true")
+    """Whether each site gets a heat map and a report of its last month."""
+    site: Annotated[tuple[CitySite, ...], Field(min_length=1)]
+    """The sites, a table each."""
+    _path: Path = PrivateAttr(Path("CITY.toml"))
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        names = [each.name.casefold() for each in self.site]
+        for place, name in enumerate(names):
+            if name in names[:place]:
+                raise Unfit(
+                    message=Text("two sites are called {}", repr(self.site[place].name)),
+                    hint=Text("folders carry their names"),
+                    at=("site", place, "name"),
+                )
+        return self
+
+    @property
+    def path(self) -> Path:
+        """The file it was read from."""
+        return self._path
+
+
+def read_city(path: str | Path) -> City:
+    """Read a city file; the files of its sites are read when they are run.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file, described in `docs/how-to/city.md`; the paths in it are relative to its folder.
+
+    Raises
+    ------
+    InputError
+        If it is no TOML, a key is unknown or missing, a value does not fit, or two sites have one
+        name.
+    """
+    city = read_toml(Path(path), City, of_site=False, hint=_HINT)
+    city._path = Path(path)  # noqa: SLF001 - not a key of the file
+    return city
+
+
+_HEAD = """\
+# A city of gis_radar. Lines without # must be filled in; the others show what else there is.
+# Paths are relative to the folder of this file.
+# Then: gis-radar run CITY.toml -o ROOT
+"""
+
+
+def city_template() -> str:
+    """Return a commented city file to fill in."""
+    return toml_template(City, _HEAD)
+
+
+def city_reference() -> str:
+    """Return the reference of all keys as Markdown."""
+    return toml_reference(City)

@@ -1,0 +1,205 @@
+"""Tasks of a city's run as functions from files to files, which any worker can carry out.
+
+Their arguments are paths and numbers. A worker reads and writes the files of the city itself, which
+lie where all workers see them: only names and figures pass between the run and its workers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from gis_radar.base import GisRadarError, InputError, Reporter, Text, atomic_write
+from gis_radar.city.root import site_folder
+from gis_radar.dataset import Manifest, make_registered, open_dataset, update_days
+from gis_radar.site import Sensor, Site, prepare_site, read_site, stages_of
+from gis_radar.site.stages import convert_stage, measure_stage
+
+POSES, RESULTS = "poses", "results"  # folders of a city beside those of its datasets
+
+Failure = tuple[str, GisRadarError]
+"""What has no result, and why."""
+
+
+@dataclass(kw_only=True)
+class SiteTask(Reporter):
+    """A site of a city, as its tasks see it, and what they say.
+
+    Parameters
+    ----------
+    root : Path
+        Folder of the city.
+    name : str
+        Name of the site.
+    file : Path
+        The site file.
+    failures : list of Failure
+        What has no result, and why.
+    warnings : list of str
+        Warnings.
+    """
+
+    root: Path
+    name: str
+    file: Path
+    failures: list[Failure] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def dataset(self) -> Path:
+        """Folder of its dataset."""
+        return site_folder(self.root, self.name)
+
+    @property
+    def results(self) -> Path:
+        """Folder of all else that is made of it."""
+        return self.root / RESULTS / self.name
+
+    def log(self, message: str, level: str = "info") -> None:
+        """Keep a warning."""
+        if level == "warning" and message not in self.warnings:
+            self.warnings.append(message)
+
+
+def take_up(task: SiteTask) -> SiteTask:
+    """Prepare a site, and register its new recordings in its dataset; no hour is made yet.
+
+    Poses are found once, from the first recordings, and kept in the city's folder `poses`:
+    recordings that come later change none of them. Recordings that the dataset has keep the pose
+    that they were measured with.
+
+    Raises
+    ------
+    GisRadarError
+        If there is no result for the whole site.
+    """
+    site = _with_known_poses(_converted(read_site(task.file), task), task)
+    outcomes = prepare_site(site, task.results, reporter=task)
+    lost = {each.stage.sensor: each.error for each in outcomes if each.stage.sensor and each.error}
+    task.failures += [(name, error) for name, error in lost.items() if error is not None]
+    for sensor in site.sensor:
+        if sensor.pose is None and sensor.name not in lost:
+            _keep_pose(sensor, task)
+    known = _known_recordings(task.dataset)
+    new = {each.name: _new(each, known) for each in site.sensor if each.name not in lost}
+    sensors = [
+        each.model_copy(update={"recordings": tuple(new[each.name])})
+        for each in site.sensor if new.get(each.name)
+    ]  # fmt: skip
+    if sensors:
+        _register(site.model_copy(update={"sensor": tuple(sensors)}), task)
+    return task
+
+
+def _converted(site: Site, task: SiteTask) -> Site:
+    """Convert recordings of other formats one by one, those that are new or were changed."""
+    sensors = []
+    for sensor in site.sensor:
+        paths = [each for each in sensor.recordings if each not in sensor.foreign]
+        options = sensor.convert.model_dump() if sensor.convert else {}
+        for path in sensor.foreign:
+            made = task.results / "recordings" / sensor.name / f"{path.stem}.parquet"
+            if not made.exists() or made.stat().st_mtime < path.stat().st_mtime:
+                made.parent.mkdir(parents=True, exist_ok=True)
+                try:
+                    convert_stage(recordings=[path], outputs=[made], reporter=task, **options)
+                except GisRadarError as error:
+                    task.failures.append((sensor.name, error))
+                    continue
+            paths.append(made)
+        if paths:
+            found = {"recordings": tuple(paths), "convert": None}
+            sensors.append(sensor.model_copy(update=found))
+    if not sensors:
+        raise InputError("{}: no recording could be converted", task.file)
+    return site.model_copy(update={"sensor": tuple(sensors)})
+
+
+def _pose_path(sensor: Sensor, task: SiteTask) -> Path:
+    return task.root / POSES / task.name / f"{sensor.name}.json"
+
+
+def _with_known_poses(site: Site, task: SiteTask) -> Site:
+    """Give sensors the poses that an earlier run found."""
+    sensors = [
+        each.model_copy(update={"pose": path, "guess": None, "view": None})
+        if each.pose is None and (path := _pose_path(each, task)).is_file()
+        else each
+        for each in site.sensor
+    ]
+    return site.model_copy(update={"sensor": tuple(sensors)})
+
+
+def _keep_pose(sensor: Sensor, task: SiteTask) -> None:
+    path = _pose_path(sensor, task)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as part:
+        part.write_bytes((task.results / "sensors" / sensor.name / "pose.json").read_bytes())
+
+
+def _known_recordings(dataset: Path) -> Mapping[str, float]:
+    """Return the recordings of a dataset, each with the time when it was last looked at."""
+    if not Manifest.is_there(dataset):
+        return {}
+    looked_at = (dataset / "recordings.parquet").stat().st_mtime
+    return dict.fromkeys(open_dataset(dataset).recordings()["path"], looked_at)
+
+
+def _new(sensor: Sensor, known: Mapping[str, float]) -> list[Path]:
+    """Return the recordings of a sensor that are not known, or have changed since."""
+    return [
+        path for path in sensor.recordings
+        if path.stat().st_mtime > known.get(path.resolve().as_posix(), float("-inf"))
+    ]  # fmt: skip
+
+
+def _register(site: Site, task: SiteTask) -> None:
+    """Check recordings and add them to the dataset, without making their hours."""
+    stage = next(s for s in stages_of(site, task.results) if s.work is measure_stage)
+    figures = measure_stage(
+        **stage.arguments, outputs=[task.dataset], reporter=task, only=False, before_hour=0
+    )
+    for name, message in figures["refused"].items():
+        task.failures.append((name, InputError("{}", message, hint=figures["hints"][name])))
+
+
+def make_hour(dataset: Path, hour: int, processes: int) -> int:
+    """Make an hour of a dataset from its registered recordings; return its number of vehicles."""
+    return make_registered(dataset, hour, processes).vehicles
+
+
+def close_site(task: SiteTask, timezone: str, *, keep_s: float | None, report: bool) -> SiteTask:
+    """Bring the tables of dates up to date, and make heat map and report of the last month."""
+    update_days(task.dataset)
+    if report:
+        _report(task, timezone)
+    return task
+
+
+def _report(task: SiteTask, timezone: str) -> None:
+    """Write heat map and report of the local month of the last measured hour."""
+    from gis_radar.products import MapLabels, make_heatmap, write_report  # noqa: PLC0415 - 2 s
+
+    dataset, site = open_dataset(task.dataset), read_site(task.file)
+    hours = dataset.records()
+    if not hours:
+        return
+    last = pd.Timestamp(max(hours) * 3600, unit="s", tz="UTC").tz_convert(timezone)
+    begin = last.normalize().replace(day=1)
+    labels = MapLabels(
+        title=site.title, timezone=site.timezone, language=site.language, sources=site.credits
+    )
+    heat = make_heatmap(
+        dataset, begin=begin, end=begin + pd.DateOffset(months=1),
+        timezone=None if site.timezone == "UTC" else site.timezone, labels=labels, reporter=task,
+    )  # fmt: skip
+    heat.write(task.results / "heatmap", reporter=task)
+    write_report(
+        task.results, dataset=task.dataset, csv_locale=site.csv_locale, reporter=task
+    )
+
+
