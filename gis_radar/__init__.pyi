@@ -14,7 +14,7 @@ from .calibration import (
     read_clocks,
     track,
 )
-from .city import City, open_city
+from .city import City, CityRun, open_city, run_city
 from .dataset import (
     Dataset,
     measure,
@@ -60,6 +60,7 @@ from .site import Site, check_site, read_site, run_site
 
 __all__ = [
     "City",
+    "CityRun",
     "CrsError",
     "Dataset",
     "Filters",
@@ -100,6 +101,7 @@ __all__ = [
     "read_site",
     "read_tiles",
     "read_track",
+    "run_city",
     "run_demo",
     "run_edge",
     "run_fusion",

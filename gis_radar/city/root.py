@@ -12,6 +12,11 @@ from gis_radar.dataset import Dataset, Manifest, open_dataset
 SITE = "site="
 
 
+def site_folder(root: Path, name: str) -> Path:
+    """Return the folder of a site's dataset."""
+    return root / f"{SITE}{name}"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class City:
     """City: the datasets of its sites.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -35,8 +36,8 @@ class CitySite(TomlTable):
     """Its site file, as gis-radar run takes it."""
 
 
-class City(TomlTable):
-    """A city, as its file states it; made by :func:`read_city`."""
+class CityFile(TomlTable):
+    """A city, as its file states it; made by :func:`read_city_file`."""
 
     title: TextValue = key('"Example city"')
     """What the city is called."""
@@ -44,7 +45,7 @@ class City(TomlTable):
     """Zone of the months and days of the city's page."""
     language: Literal["en", "de"] = key('"de"', "en")
     """Language of the city's page: en or de."""
-    keep: Duration | None = key('"30d"', None, "for ever")
+    keep: Duration | None = key('"720h"', None, "for ever")
     """How long exact tables are kept; counts and measures stay."""
     reports: Switch = key("false", True, "true")
     """Whether each site gets a heat map and a report of its last month."""
@@ -70,7 +71,7 @@ class City(TomlTable):
         return self._path
 
 
-def read_city(path: str | Path) -> City:
+def read_city_file(path: str | Path) -> CityFile:
     """Read a city file; the files of its sites are read when they are run.
 
     Parameters
@@ -84,7 +85,7 @@ def read_city(path: str | Path) -> City:
         If it is no TOML, a key is unknown or missing, a value does not fit, or two sites have one
         name.
     """
-    city = read_toml(Path(path), City, of_site=False, hint=_HINT)
+    city = read_toml(Path(path), CityFile, of_site=False, hint=_HINT)
     city._path = Path(path)  # noqa: SLF001 - not a key of the file
     return city
 
@@ -96,11 +97,19 @@ _HEAD = """\
 """
 
 
+def is_city_file(path: str | Path) -> bool:
+    """Return whether a TOML file has sites, as no site file has."""
+    try:
+        return "site" in tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return False  # read_site says what is wrong with it
+
+
 def city_template() -> str:
     """Return a commented city file to fill in."""
-    return toml_template(City, _HEAD)
+    return toml_template(CityFile, _HEAD)
 
 
 def city_reference() -> str:
     """Return the reference of all keys as Markdown."""
-    return toml_reference(City)
+    return toml_reference(CityFile)

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
-from gis_radar.base import GisRadarError, InputError, Reporter, Text, atomic_write
+from gis_radar.base import GisRadarError, InputError, Reporter, atomic_write
 from gis_radar.city.root import site_folder
+from gis_radar.city.settings import CityFile
 from gis_radar.dataset import Manifest, make_registered, open_dataset, update_days
 from gis_radar.site import Sensor, Site, prepare_site, read_site, stages_of
 from gis_radar.site.stages import convert_stage, measure_stage
@@ -172,11 +172,11 @@ def make_hour(dataset: Path, hour: int, processes: int) -> int:
     return make_registered(dataset, hour, processes).vehicles
 
 
-def close_site(task: SiteTask, timezone: str, *, keep_s: float | None, report: bool) -> SiteTask:
+def close_site(task: SiteTask, city: CityFile) -> SiteTask:
     """Bring the tables of dates up to date, and make heat map and report of the last month."""
     update_days(task.dataset)
-    if report:
-        _report(task, timezone)
+    if city.reports:
+        _report(task, city.timezone)
     return task
 
 
@@ -198,8 +198,4 @@ def _report(task: SiteTask, timezone: str) -> None:
         timezone=None if site.timezone == "UTC" else site.timezone, labels=labels, reporter=task,
     )  # fmt: skip
     heat.write(task.results / "heatmap", reporter=task)
-    write_report(
-        task.results, dataset=task.dataset, csv_locale=site.csv_locale, reporter=task
-    )
-
-
+    write_report(task.results, dataset=task.dataset, csv_locale=site.csv_locale, reporter=task)

@@ -129,7 +129,9 @@ def numbers(names: str) -> Parsed:
     return Parsed(names, partial(_numbers, names))
 
 
-def template(make: Callable[[], str], text: str) -> Callable[[Verb], Verb]:
+def template(
+    make: Callable[[], str], text: str, *, name: str = "--template"
+) -> Callable[[Verb], Verb]:
     """Return a decorator that adds `--template`, which prints a file to fill in, and its help."""
 
     def show(context: click.Context, _option: click.Parameter, wanted: object) -> None:
@@ -138,7 +140,7 @@ def template(make: Callable[[], str], text: str) -> Callable[[Verb], Verb]:
             context.exit()
 
     return click.option(
-        "--template", is_flag=True, is_eager=True, expose_value=False, callback=show, help=text
+        name, is_flag=True, is_eager=True, expose_value=False, callback=show, help=text
     )
 
 

@@ -9,11 +9,17 @@ from typing import Any
 import click
 
 import gis_radar as gr
-from gis_radar.base import Reporter, Text, atomic_folder, refuse_inputs
+from gis_radar.base import Reporter, Text, UsageError, atomic_folder, refuse_inputs
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import FILE, csv_locale, language, output, template
 
 SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
+
+
+def _city_template() -> str:
+    from gis_radar.city import city_template  # noqa: PLC0415 - --help needs no NumPy
+
+    return city_template()
 
 
 def _site_template() -> str:
@@ -27,17 +33,43 @@ def _site_template() -> str:
 @output
 @click.option("--jobs", type=int, help="Stages at once; by default as cores and memory allow.")
 @click.option("--fresh", is_flag=True, help="Do all again, also what an earlier run has done.")
+@click.option(
+    "--executor", metavar="tcp://HOST:PORT",
+    help="Let the workers of a Dask cluster do the work, for a city.",
+)  # fmt: skip
 @template(
     _site_template,
     "Print a site file to fill in, and do nothing else.",
 )
-def run(*, site: Path, output: Path, reporter: Reporter, **options: Any) -> Result:
-    """Run all stages for all sensors of a site; continue where an earlier run ended.
+@template(
+    _city_template,
+    "Print a city file to fill in, and do nothing else.",
+    name="--city-template",
+)
+def run(
+    *, site: Path, output: Path, executor: str | None, fresh: bool, jobs: int | None,
+    reporter: Reporter,
+) -> Result:  # fmt: skip
+    """Run all stages for all sensors of a site, or of all sites of a city (CITY.toml).
 
-    Exit code 4: a sensor has no trustworthy pose; 3: its data are bad; the heat maps show the
-    others.
+    It continues where an earlier run ended. Exit code 4: a sensor has no trustworthy pose; 3: its
+    data are bad; the heat maps show the others.
     """
-    done = gr.run_site(site, output, reporter=reporter, **options)
+    from gis_radar.city import is_city_file  # noqa: PLC0415 - as above
+
+    if is_city_file(site):
+        if fresh:
+            raise UsageError(
+                "{} is for one site", "--fresh", hint="remove the folder of a site to make it anew"
+            )
+        city = gr.run_city(site, output, jobs=jobs, executor=executor, reporter=reporter)
+        return Result(
+            outputs=city.outputs, summary=city.figures(), failure=city.failure,
+            timezone=city.city.timezone,
+        )  # fmt: skip
+    if executor is not None:
+        raise UsageError("{} is for a city", "--executor", hint="name a city file: CITY.toml")
+    done = gr.run_site(site, output, jobs=jobs, fresh=fresh, reporter=reporter)
     return Result(
         outputs=done.outputs, summary=done.figures(), failure=done.failure,
         advice=_to_open(done.outputs), timezone=done.site.timezone,

@@ -4,6 +4,7 @@ from .day_tables import STEPS_PER_QUARTER
 from .footprints import FOOTPRINTS, SHOWN_S, footprint_style
 from .hour_job import MeasureSettings
 from .lane_measures import LaneTraffic
+from .making import OpenHours, open_hours, update_days
 from .manifest import Manifest, create_dataset, require_same_settings, require_same_site
 from .measuring import manifest_of, measure
 from .parts import (
@@ -18,6 +19,7 @@ from .parts import (
     write_whole,
 )
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
+from .registered import make_registered
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes
 from .states import states_of
@@ -38,6 +40,7 @@ __all__ = [
     "LaneTraffic",
     "Manifest",
     "MeasureSettings",
+    "OpenHours",
     "Origin",
     "Shifts",
     "TableSchema",
@@ -50,9 +53,11 @@ __all__ = [
     "hour_of_step",
     "hour_text",
     "lanes_beside",
+    "make_registered",
     "manifest_of",
     "measure",
     "open_dataset",
+    "open_hours",
     "part_path",
     "read_hour",
     "read_hours",
@@ -69,6 +74,7 @@ __all__ = [
     "text_in",
     "unfinished",
     "update_counts",
+    "update_days",
     "write_record",
     "write_whole",
 ]

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from gis_radar.base import (
@@ -29,7 +30,13 @@ from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import clear_unfinished, days_of, hour_text, part_path
 from gis_radar.dataset.records import HourRecord, read_hours, remove_record
-from gis_radar.dataset.registered import hours_to_make, is_whole, keep_site, make_registered
+from gis_radar.dataset.registered import (
+    hours_to_make,
+    is_whole,
+    keep_site,
+    make_registered,
+    settings_of,
+)
 from gis_radar.dataset.registry import (
     Placing,
     RecordingEntry,
@@ -140,7 +147,7 @@ def change(
     poses = after.poses.of(each.pose for each in after.entries)
     if poses.tracks.keys() != both.tracks.keys():
         after.write_poses(poses)
-    _count(after, {*after.hours, *records})
+    _count(after.folder, after.fingerprint, {*after.hours, *records})
     return sorted(made, key=lambda each: each.hour)
 
 
@@ -227,13 +234,78 @@ def _undo(folder: Path, before: Registry, made: Sequence[int]) -> None:
     before.write_poses(before.poses)
 
 
-def _count(registry: Registry, hours: Iterable[int]) -> None:
+def update_days(folder: Path) -> None:
+    """Bring the tables of all dates of a dataset up to date; the caller is its only writer."""
+    _count(folder, Manifest.read(folder).fingerprint, read_hours(folder))
+
+
+def _count(folder: Path, fingerprint: str, hours: Iterable[int]) -> None:
     """Update the tables of the dates of some hours."""
-    traffic = LaneTraffic(folder=registry.folder, fingerprint=registry.fingerprint)
-    records = read_hours(registry.folder)
+    traffic = LaneTraffic(folder=folder, fingerprint=fingerprint)
+    records = read_hours(folder)
     for day in days_of(hours):
-        update_counts(registry.folder, registry.fingerprint, day, records)
+        update_counts(folder, fingerprint, day, records)
         traffic.update(day, records)
+
+
+@dataclass(kw_only=True)
+class OpenHours:
+    """Hours of a dataset that are to be made, elsewhere and in any order.
+
+    Parameters
+    ----------
+    registry : Registry
+        The registry without these hours.
+    margin : int
+        Steps on either side of an hour from which its parts follow.
+    missing : list of int
+        The hours to make, ascending.
+    refused : dict
+        By hour, why it cannot be made.
+    made : list of int
+        Those that were made, as the caller adds them.
+    """
+
+    registry: Registry
+    margin: int
+    missing: list[int]
+    refused: dict[int, InputError]
+    made: list[int] = field(default_factory=list)
+
+    def note(self) -> None:
+        """Record the hours that were made."""
+        self.registry.with_hours(self.made, self.margin).write_recordings()
+
+
+@contextmanager
+def open_hours(folder: Path, reporter: Reporter) -> Iterator[OpenHours]:
+    """Lock a dataset for writing, and find the hours that are missing or of an earlier method.
+
+    Raises
+    ------
+    InputError
+        If the dataset is damaged.
+    OutputError
+        If another run is writing it.
+    """
+    with writing(folder, reporter):
+        manifest = Manifest.read(folder)
+        margin = settings_of(manifest, folder).margin
+        registry, records = Registry.read(folder, manifest.fingerprint), read_hours(folder)
+        missing = hours_to_make(registry, records, margin, registry.hours)
+        there = {each.path for each in registry.entries if Path(each.path).is_file()}
+        refused: dict[int, InputError] = {}
+        for hour in missing:
+            try:
+                _refuse_dropped(folder, [records[hour]] if hour in records else [])
+                _require_recordings(registry, [hour], margin, there)
+            except InputError as error:
+                refused[hour] = error
+        missing = [hour for hour in missing if hour not in refused]
+        without = registry.without_hours(missing)
+        if without.entries != registry.entries:
+            without.write_recordings()
+        yield OpenHours(registry=without, margin=margin, missing=missing, refused=refused)
 
 
 def _made(

@@ -5,7 +5,6 @@ from .plan import Stage, stages_of
 from .recipes import mask_scans, measure_recordings, measure_site, see_tiles, split_map
 from .run import SiteRun, prepare_site, run_site
 from .settings import MapTable, Sensor, Site, ViewTable, read_site, site_template
-from .software import software
 from .toml_file import read_toml, toml_reference, toml_template
 from .values import (
     CompassBearing,
@@ -23,7 +22,8 @@ from .values import (
     key,
     within,
 )
-from .worker import Pool, process_pool
+from .versions import software
+from .worker import Pool, WorkerContext, process_pool
 
 __all__ = [
     "BrokerTable",
@@ -52,6 +52,7 @@ __all__ = [
     "TopicWord",
     "Unfit",
     "ViewTable",
+    "WorkerContext",
     "Zone",
     "check_site",
     "key",

@@ -28,7 +28,7 @@ from gis_radar.base import (
 )
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.plan import Ending, Outcome, Stage
-from gis_radar.site.software import software
+from gis_radar.site.versions import software
 from gis_radar.site.worker import Event, Pool, carry_out
 
 ALL = Text("all stages")

@@ -35,7 +35,6 @@ from gis_radar.site import stages as work
 from gis_radar.site.execution import Execution, RunState, discard
 from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
 from gis_radar.site.settings import Site, read_site
-from gis_radar.site.software import software
 from gis_radar.site.stages import STATE
 from gis_radar.site.summary import (
     doubts_of,
@@ -45,6 +44,7 @@ from gis_radar.site.summary import (
     summary_page,
     warnings_of,
 )
+from gis_radar.site.versions import software
 from gis_radar.site.worker import own_pool, process_pool
 
 _POSE = ("easting", "northing", "height", "yaw", "pitch", "roll")

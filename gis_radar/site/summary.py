@@ -30,7 +30,7 @@ from gis_radar.site import stages as work
 from gis_radar.site.messages import error_in_site_words
 from gis_radar.site.plan import Outcome
 from gis_radar.site.settings import Site
-from gis_radar.site.software import software
+from gis_radar.site.versions import software
 
 
 def sensors_in(outcomes: Sequence[Outcome]) -> list[str]:

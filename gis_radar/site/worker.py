@@ -135,7 +135,7 @@ def process_pool(jobs: int, scratch: Path, language: str = "en") -> Iterator[Poo
     language : str
         Language of the pictures that they draw.
     """
-    context = _WorkerContext()
+    context = WorkerContext()
     events: SimpleQueue[Event] = context.SimpleQueue()
     executor = ProcessPoolExecutor(
         jobs, mp_context=context, initializer=_begin, initargs=(events, str(scratch), language)
@@ -174,7 +174,7 @@ class _Worker(SpawnProcess):
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-class _WorkerContext(SpawnContext):
+class WorkerContext(SpawnContext):
     """A context of multiprocessing that keeps the workers it makes, so that all can be stopped."""
 
     def __init__(self) -> None:

@@ -1,0 +1,316 @@
+"""Run a city: make what is missing or out of date of all its sites, on one machine or a cluster.
+
+A run has three steps, each of independent tasks: sites are taken up, their hours are made, oldest
+first, and sites with new hours are closed. What fails stops no other site.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gis_radar.base import (
+    QUIET,
+    GisRadarError,
+    InputError,
+    NoAnswerError,
+    OutputError,
+    Reporter,
+    Text,
+    atomic_write,
+    card,
+    json_text,
+    only_writer,
+    output_errors,
+    with_texts,
+)
+from gis_radar.city.executors import Workers, workers_of
+from gis_radar.city.settings import CityFile, read_city_file
+from gis_radar.city.tasks import Failure, SiteTask, close_site, make_hour, take_up
+from gis_radar.dataset import Manifest, OpenHours, hour_text, open_hours
+from gis_radar.site import software
+
+STATE = ".gis-radar"
+NOTED_EVERY_S = 10.0  # seconds between writes of a site's registry
+HOURS = Text("hours")
+
+
+@dataclass(kw_only=True)
+class SiteOutcome:
+    """Outcome of a site of a city.
+
+    Parameters
+    ----------
+    hours : int
+        Number of hours made.
+    failures : list of Failure
+        What has no result, and why.
+    warnings : list of str
+        Warnings.
+    """
+
+    hours: int = 0
+    failures: list[Failure] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CityRun:
+    """Results of a run of a city.
+
+    Parameters
+    ----------
+    city : CityFile
+        The city.
+    root : Path
+        Folder of its datasets.
+    sites : mapping
+        Outcome of each site.
+    """
+
+    city: CityFile
+    root: Path
+    sites: Mapping[str, SiteOutcome]
+
+    @property
+    def outputs(self) -> list[Path]:
+        """Datasets and results that exist now."""
+        tasks = [_task(self.root, self.city, each.name) for each in self.city.site]
+        made = [each.dataset for each in tasks if Manifest.is_there(each.dataset)]
+        return [*made, self.root / "run.json"]
+
+    @property
+    def failure(self) -> GisRadarError | None:
+        """Error about the sites that lack a result; None if there are none."""
+        lacking = {name: each.failures for name, each in self.sites.items() if each.failures}
+        if not lacking:
+            return None
+        errors = [error for failures in lacking.values() for _, error in failures]
+        kind = NoAnswerError if all(isinstance(e, NoAnswerError) for e in errors) else InputError
+        parts = [
+            kind("{}", _line(name, failure), hint=failure[1].hint)
+            for name, failures in lacking.items() for failure in failures
+        ]  # fmt: skip
+        return kind(
+            "{} of {} sites lack a result: {}", len(lacking), len(self.sites), parts[0].message,
+            hint=parts[0].hint, parts=parts if len(parts) > 1 else (),
+        )  # fmt: skip
+
+    def figures(self) -> Mapping[str, Any]:
+        """Return key figures by name."""
+        return {
+            "city": self.city.title,
+            "sites": len(self.sites),
+            "hours_made": sum(each.hours for each in self.sites.values()),
+            "failed": [
+                _line(name, failure)
+                for name, each in self.sites.items() for failure in each.failures
+            ],
+            "warnings": sum(len(each.warnings) for each in self.sites.values()),
+        }  # fmt: skip
+
+    def __repr__(self) -> str:
+        return f"CityRun({self.city.title!r}, {len(self.sites)} sites, {self.root})"
+
+    def _repr_html_(self) -> str:
+        return card(f"Run of {self.city.title}", self.figures())
+
+
+def run_city(
+    path: str | Path,
+    root: str | Path,
+    *,
+    jobs: int | None = None,
+    executor: str | None = None,
+    reporter: Reporter = QUIET,
+) -> CityRun:
+    """Make what is missing or out of date of the sites of a city.
+
+    Parameters
+    ----------
+    path : str or Path
+        The city file, see :func:`read_city_file`.
+    root : str or Path
+        Folder of the datasets, `ROOT/site=NAME/`; all workers see it under the same name.
+    jobs : int, optional
+        Number of processes; by default as many as the machine has cores and memory for.
+    executor : str, optional
+        Address of a Dask scheduler whose workers do the work instead.
+    reporter : Reporter
+        Receives progress, remarks, and each failure as it comes.
+
+    Returns
+    -------
+    CityRun
+        Its `failure` is set where a site lacks a result.
+
+    Raises
+    ------
+    InputError
+        If the city file is bad, or a worker has other packages than this one.
+    OutputError
+        If results cannot be written, another run works in the folder, or workers are lost again and
+        again. What was done stays done: the same call goes on from there.
+    UsageError
+        If `jobs` or `executor` do not fit.
+    """
+    city, root = read_city_file(path), Path(root).absolute()
+    state = root / STATE
+    with output_errors(root):
+        state.mkdir(parents=True, exist_ok=True)
+    sites = {each.name: SiteOutcome() for each in city.site}
+    with (
+        only_writer(root, lock=state / "lock", reporter=reporter),
+        workers_of(executor, jobs, reporter) as workers,
+    ):
+        run = _Run(city=city, root=root, sites=sites, workers=workers, reporter=reporter)
+        taken_up = run.take_up()
+        changed = run.make_hours(taken_up)
+        run.close(changed)
+        _write_record(run)
+    return CityRun(city=city, root=Path(root), sites=sites)
+
+
+def _line(name: str, failure: Failure) -> Text:
+    """Return a failure of a site in one line."""
+    what, error = failure
+    if what == name:
+        return Text("{}: {}", name, error.message)
+    return Text("{}: {}: {}", name, what, error.message)
+
+
+def _task(root: Path, city: CityFile, name: str) -> SiteTask:
+    file = next(each.file for each in city.site if each.name == name)
+    return SiteTask(root=root, name=name, file=file.absolute())
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Run:
+    """A run at work."""
+
+    city: CityFile
+    root: Path
+    sites: dict[str, SiteOutcome]
+    workers: Workers
+    reporter: Reporter
+
+    def take_up(self) -> list[str]:
+        """Take up all sites; return those with a dataset."""
+        tasks = {name: (take_up, _task(self.root, self.city, name)) for name in self.sites}
+        found = dict(self._each(tasks, Text("taking up sites")))
+        there = [name for name in found if Manifest.is_there(self._dataset(name))]
+        for name in self.sites.keys() - {*there}:
+            if not self.sites[name].failures:
+                self._fail(name, name, InputError("{}: has no recording with a pose", name))
+        return sorted(there)
+
+    def make_hours(self, names: Sequence[str]) -> list[str]:
+        """Make the hours of sites, oldest first; return the sites that have new ones."""
+        with ExitStack() as stack:
+            opened: dict[str, OpenHours] = {}
+            for name in names:
+                try:
+                    opened[name] = stack.enter_context(
+                        open_hours(self._dataset(name), self.reporter)
+                    )
+                except GisRadarError as error:
+                    self._fail(name, name, error)
+            for name, hours in opened.items():
+                for hour, reason in hours.refused.items():
+                    self._fail(name, hour_text(hour), reason)
+            order = [(h // 24, name, h) for name, each in opened.items() for h in each.missing]
+            share = max(self.workers.count // max(len(order), 1), 1)
+            calls = {
+                (name, hour): (make_hour, self._dataset(name), hour, share)
+                for _, name, hour in sorted(order)
+            }
+            with self._noting(opened) as note:
+                for name, hour in self._made(calls):
+                    opened[name].made.append(hour)
+                    self.sites[name].hours += 1
+                    note(name)
+            return [name for name, each in opened.items() if each.made]
+
+    def close(self, names: Sequence[str]) -> None:
+        """Bring tables of dates, heat maps and reports of sites up to date."""
+        tasks = {name: (close_site, _task(self.root, self.city, name), self.city) for name in names}
+        for _ in self._each(tasks, Text("closing sites")):
+            pass
+
+    def _dataset(self, name: str) -> Path:
+        return _task(self.root, self.city, name).dataset
+
+    def _each(
+        self, tasks: Mapping[str, Sequence[Any]], stage: Text
+    ) -> Iterator[tuple[str, SiteTask]]:
+        """Carry out a task a site; keep what it says, and yield those that have ended."""
+        self.reporter.progress(stage, 0, len(tasks))
+        for done, (name, found) in enumerate(self.workers.results(tasks), start=1):
+            if isinstance(found, GisRadarError):
+                self._fail(name, name, found)
+            else:
+                for what, error in found.failures:
+                    self._fail(name, what, error)
+                for message in found.warnings:
+                    self.sites[name].warnings.append(message)
+                    self.reporter.warn("{}: {}", name, message)
+                yield name, found
+            self.reporter.progress(stage, done, len(tasks))
+
+    def _made(self, calls: Mapping[tuple[str, int], Sequence[Any]]) -> Iterator[tuple[str, int]]:
+        self.reporter.progress(HOURS, 0, len(calls))
+        for done, ((name, hour), found) in enumerate(self.workers.results(calls), start=1):
+            if isinstance(found, OutputError):
+                raise found  # no other hour could be written either
+            if isinstance(found, GisRadarError):
+                self._fail(name, hour_text(hour), found)
+            else:
+                yield name, hour
+            self.reporter.progress(HOURS, done, len(calls))
+
+    def _fail(self, name: str, what: str, error: GisRadarError) -> None:
+        self.sites[name].failures.append((what, error))
+        self.reporter.warn("{}", _line(name, (what, error)))
+
+    @contextmanager
+    def _noting(self, opened: Mapping[str, OpenHours]) -> Iterator[Any]:
+        """Record from time to time which hours are made, and at the end, also of a broken run."""
+        noted = dict.fromkeys(opened, time.monotonic())
+
+        def note(name: str) -> None:
+            if time.monotonic() - noted[name] > NOTED_EVERY_S:
+                opened[name].note()
+                noted[name] = time.monotonic()
+
+        try:
+            yield note
+        finally:
+            for each in opened.values():
+                if each.made:
+                    each.note()
+
+
+def _write_record(run: _Run) -> None:
+    """Write `run.json`; it holds no times, so that a resumed run writes the same as any other."""
+    document = {
+        "title": run.city.title,
+        "timezone": run.city.timezone,
+        "language": run.city.language,
+        "software": software(),
+        "sites": {
+            name: {
+                "failures": [
+                    {"what": what, "message": error.message, "hint": error.hint}
+                    for what, error in each.failures
+                ],
+                "warnings": each.warnings,
+            }
+            for name, each in sorted(run.sites.items())
+        },
+    }
+    with atomic_write(run.root / "run.json") as part:
+        part.write_text(json_text(with_texts(document), indent=1) + "\n", encoding="utf-8")

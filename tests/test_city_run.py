@@ -1,0 +1,321 @@
+"""A city's run: what is missing is made, by processes or a cluster; no site stops another."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+from small_site import write_site
+
+import gis_radar as gr
+from gis_radar.base import InputError, OutputError, Reporter, UsageError, only_writer
+from gis_radar.city.executors import OtherSoftwareError, carry_out, workers_of
+from gis_radar.site import software
+
+HOURS = 4
+SENSOR = "guess = [{east:.1f}, {north:.1f}]\ncompass = 130.0\n"
+
+
+class Said(Reporter):
+    def __init__(self):
+        self.warnings, self.stages = [], []
+
+    def log(self, message, level="info"):
+        if level == "warning":
+            self.warnings.append(str(message))
+
+    def progress(self, stage, done, total):
+        self.stages.append((str(stage), done, total))
+
+
+def shifted(source, path, hours):
+    rows = pq.read_table(source)
+    place = rows.schema.get_field_index("time")
+    rows = rows.set_column(place, "time", pc.add(rows["time"], 3600.0 * hours))
+    pq.write_table(rows.slice(3 * hours), path)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Make a site of one radar whose pose is given, with a recording in each of some hours."""
+    folder = tmp_path_factory.mktemp("site")
+    _, poses = write_site(folder)
+    poses["R1"].write(folder / "R1.json")
+    text = (folder / "SITE.toml").read_text(encoding="utf-8")
+    head = text.partition("[[sensor]]")[0]
+    text = head + '[[sensor]]\nname = "R1"\nrecordings = ["R1_*.parquet"]\npose = "R1.json"\n'
+    (folder / "SITE.toml").write_text(text + "\n[vehicles]\nfollow = false\n", encoding="utf-8")
+    for hour in range(HOURS):
+        shifted(folder / "R1.parquet", folder / f"R1_{hour}.parquet", hour)
+    return folder
+
+
+def copied(site, folder, hours=HOURS):
+    folder.mkdir(parents=True)
+    for path in site.iterdir():
+        if not path.name.startswith("R1_") or int(path.stem[3:]) < hours:
+            os.link(path, folder / path.name)
+    text = (folder / "SITE.toml").read_text(encoding="utf-8")
+    (folder / "SITE.toml").unlink()
+    (folder / "SITE.toml").write_text(text, encoding="utf-8")
+    return folder / "SITE.toml"
+
+
+def city_file(folder, **sites):
+    lines = ['title = "A city"', 'timezone = "Europe/Berlin"', "reports = false"]
+    for name, file in sites.items():
+        lines += ["[[site]]", f'name = "{name}"', f"file = {json.dumps(str(file))}"]
+    (folder / "CITY.toml").write_text("\n".join(lines), encoding="utf-8")
+    return folder / "CITY.toml"
+
+
+def bytes_of(dataset):
+    return {
+        path.relative_to(dataset).as_posix(): path.read_bytes()
+        for path in sorted(dataset.rglob("*"))
+        # the one names the files, the other holds what was checked
+        if path.is_file() and path.name not in {"recordings.parquet", "dataset.json"}
+    }
+
+
+@pytest.fixture(scope="module")
+def whole(site, tmp_path_factory):
+    """Make the dataset of the site by `measure`, in one piece."""
+    folder = tmp_path_factory.mktemp("whole")
+    gr.run_city(city_file(folder, one=copied(site, folder / "one")), folder / "root", jobs=1)
+    recordings = sorted((folder / "one").glob("R1_*.parquet"))[::-1]
+    tiles = gr.read_tiles(folder / "root" / "results" / "one" / "tiles.gpkg")
+    pose = gr.read_pose(folder / "root" / "results" / "one" / "sensors" / "R1" / "pose.json")
+    scans = sorted((folder / "one").glob("scan*.laz"))
+    gr.measure(
+        recordings, [pose] * len(recordings), tiles, folder / "one" / "map.osm",
+        folder / "measured", scans=scans, hits_only=True, timezone="Europe/Berlin",
+        filters=gr.Filters(clearance=(-0.5, 4.5), elevation_error_deg=0.5), check=False,
+    )  # fmt: skip
+    return folder
+
+
+def test_a_run_makes_what_measuring_in_one_piece_makes(whole):
+    made, wanted = (bytes_of(whole / name) for name in ("root/site=one", "measured"))
+    assert len(made) > 3 * HOURS
+    assert made.keys() == wanted.keys()
+    assert [name for name in made if made[name] != wanted[name]] == []
+
+
+def test_only_new_hours_are_made(site, whole, tmp_path):
+    file = copied(site, tmp_path / "one", hours=2)
+    city = city_file(tmp_path, one=file)
+    assert gr.run_city(city, tmp_path / "root", jobs=2).sites["one"].hours == 2
+    dataset = tmp_path / "root" / "site=one"
+    before = {path: path.stat().st_mtime_ns for path in dataset.glob("h*/**/*.*")}
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
+    for hour in range(2, HOURS):
+        os.link(site / f"R1_{hour}.parquet", tmp_path / "one" / f"R1_{hour}.parquet")
+    said = Said()
+    assert gr.run_city(city, tmp_path / "root", jobs=1, reporter=said).sites["one"].hours == 2
+    assert ("hours", 2, 2) in said.stages
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    made, wanted = bytes_of(dataset), bytes_of(whole / "root" / "site=one")
+    assert [name for name in wanted if made[name] != wanted[name]] == []
+
+
+def test_hours_of_an_earlier_method_are_made_again(site, whole, tmp_path):
+    city = city_file(tmp_path, one=copied(site, tmp_path / "one", hours=2))
+    gr.run_city(city, tmp_path / "root", jobs=1)
+    dataset = tmp_path / "root" / "site=one"
+    record = min((dataset / "hours").rglob("*.json"))
+    now = record.read_bytes()
+    record.write_text(json.dumps(json.loads(now) | {"method": 1}), encoding="utf-8")
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 1
+    assert record.read_bytes() == now
+
+
+def test_a_bad_site_stops_no_other(site, tmp_path):
+    damaged = copied(site, tmp_path / "damaged", hours=1)
+    path = tmp_path / "damaged" / "R1_0.parquet"
+    held = path.read_bytes()
+    path.unlink()
+    path.write_bytes(held[: len(held) // 2])
+    good = copied(site, tmp_path / "good", hours=1)
+    city = city_file(tmp_path, damaged=damaged, gone=tmp_path / "gone.toml", good=good)
+    said = Said()
+    run = gr.run_city(city, tmp_path / "root", jobs=2, reporter=said)
+    assert run.sites["good"].hours == 1
+    assert not run.sites["good"].failures
+    assert isinstance(run.failure, InputError)
+    assert len(run.failure.parts) == 2
+    assert run.failure.message.startswith("2 of 3 sites lack a result: damaged: ")
+    assert any("gone.toml: cannot be read" in each for each in said.warnings)
+    record = json.loads((tmp_path / "root" / "run.json").read_text(encoding="utf-8"))
+    assert [bool(each["failures"]) for each in record["sites"].values()] == [True, True, False]
+    assert gr.open_city(tmp_path / "root").sites.keys() == {"good"}
+
+
+def test_a_recording_that_is_gone_leaves_its_hour_as_it_is(site, tmp_path):
+    city = city_file(tmp_path, one=copied(site, tmp_path / "one", hours=2))
+    gr.run_city(city, tmp_path / "root", jobs=1)
+    dataset = tmp_path / "root" / "site=one"
+    min((dataset / "hits").rglob("*.parquet")).unlink()
+    (tmp_path / "one" / "R1_0.parquet").unlink()
+    run = gr.run_city(city, tmp_path / "root", jobs=1)
+    assert "R1_0.parquet: is not there" in run.failure.message
+
+
+def test_poses_that_were_found_are_kept(site, tmp_path):
+    file = copied(site, tmp_path / "one", hours=1)
+    text = file.read_text(encoding="utf-8")
+    pose = gr.read_pose(tmp_path / "one" / "R1.json")
+    guess = SENSOR.format(east=pose.easting + 900.0, north=pose.northing)  # a search would fail
+    file.write_text(text.replace('pose = "R1.json"\n', guess), encoding="utf-8")
+    kept = tmp_path / "root" / "poses" / "one" / "R1.json"
+    kept.parent.mkdir(parents=True)
+    pose.write(kept)
+    run = gr.run_city(city_file(tmp_path, one=file), tmp_path / "root", jobs=1)
+    assert run.failure is None
+    assert run.sites["one"].hours == 1
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ('title = "x"\n', "lacks site"),
+        ('title = "x"\n[[site]]\nname = "a"\nfile = "a"\n[[site]]\nname = "A"\nfile = "b"\n',
+         "two sites are called 'A'"),
+        ('title = "x"\nspeed = 3\n[[site]]\nname = "a"\nfile = "a"\n', "speed"),
+    ],
+)  # fmt: skip
+def test_a_bad_city_file_is_refused(tmp_path, lines, message):
+    path = tmp_path / "CITY.toml"
+    path.write_text(lines, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        gr.run_city(path, tmp_path / "root")
+
+
+def test_two_runs_do_not_work_in_one_folder(site, tmp_path):
+    city = city_file(tmp_path, one=tmp_path / "none.toml")
+    root = tmp_path / "root"
+    (root / ".gis-radar").mkdir(parents=True)
+    locked = only_writer(root, lock=root / ".gis-radar" / "lock")
+    with locked, pytest.raises(OutputError, match="another run"):
+        gr.run_city(city, root)
+
+
+def end_once(marker):
+    """End the process of the worker, the first time."""
+    if not Path(marker).exists():
+        Path(marker).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "done"
+
+
+def end_always():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_process_is_replaced(tmp_path):
+    said = Said()
+    calls = {"killed": (end_once, tmp_path / "marker"), "other": (os.path.basename, "a/b")}
+    with workers_of(None, 2, said) as workers:
+        assert dict(workers.results(calls)) == {"killed": "done", "other": "b"}
+    assert said.warnings == ["workers were lost: what they had not finished is done again"]
+
+
+def test_a_task_that_always_ends_its_worker_ends_the_run():
+    with pytest.raises(OutputError, match="lost 3 times"), workers_of(None, 1, Said()) as workers:
+        list(workers.results({"bad": (end_always,)}))
+
+
+def test_a_worker_with_other_packages_is_refused():
+    with pytest.raises(OtherSoftwareError, match=r"a worker has numpy .*, the run 1\.0"):
+        carry_out(software() | {"numpy": "1.0"}, os.getpid)
+
+
+def test_jobs_and_executor_exclude_each_other():
+    with pytest.raises(UsageError), workers_of("tcp://127.0.0.1:1", 2, Said()):
+        pass
+
+
+# A cluster: scheduler and workers as processes on this machine.
+
+
+def dask(*words):
+    program = Path(sys.executable).with_name("dask")
+    return subprocess.Popen(
+        [program, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        env={**os.environ, "OMP_NUM_THREADS": "1"}, start_new_session=True,
+    )  # fmt: skip
+
+
+class SmallCluster:
+    def __init__(self):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.address, self.running = f"tcp://127.0.0.1:{self.port}", []
+
+    def begin(self):
+        words = ("--host", "127.0.0.1", "--no-dashboard")
+        self.scheduler = dask("scheduler", "--port", str(self.port), *words)
+        self.running.append(self.scheduler)
+        self.workers = [
+            dask("worker", self.address, "--nthreads", "1", "--no-nanny", "--memory-limit", "0",
+                 "--death-timeout", "60", *words)
+            for _ in range(2)
+        ]  # fmt: skip
+        self.running += self.workers
+
+    def end(self):
+        for each in self.running:
+            with suppress(ProcessLookupError):
+                os.killpg(each.pid, signal.SIGKILL)
+            each.wait()
+
+
+@contextmanager
+def started():
+    cluster = SmallCluster()
+    cluster.begin()
+    try:
+        yield cluster
+    finally:
+        cluster.end()
+
+
+def test_a_cluster_makes_the_same_bytes(site, whole, tmp_path):
+    city = city_file(tmp_path, one=copied(site, tmp_path / "one"))
+    with started() as cluster:
+        run = gr.run_city(city, tmp_path / "root", executor=cluster.address)
+    assert run.sites["one"].hours == HOURS
+    made, wanted = (bytes_of(each / "root" / "site=one") for each in (tmp_path, whole))
+    assert made == wanted
+
+
+def test_a_run_goes_on_where_a_worker_is_killed_and_the_scheduler_restarted(tmp_path):
+    said, done = Said(), []
+    calls = dict.fromkeys(range(24), (time.sleep, 0.3))
+    with started() as cluster, workers_of(cluster.address, None, said) as workers:
+        for number, _ in workers.results(calls):
+            done.append(number)
+            if len(done) == 3:
+                cluster.workers[0].kill()
+            if len(done) == 8:
+                cluster.scheduler.kill()
+                cluster.begin()
+    assert sorted(done) == sorted(calls)
+    assert "workers were lost: what they had not finished is done again" in said.warnings
+
+
+def test_a_cluster_that_is_not_there_is_named():
+    named = pytest.raises(OutputError, match=r"tcp://127\.0\.0\.1:9: no scheduler answers")
+    with named, workers_of("tcp://127.0.0.1:9", None, Said()):
+        pass
