@@ -1,3 +1,4 @@
+from .asked_time import day_numbers
 from .csv_rows import csv_rows, stated_moment, text_in
 from .dataset import Dataset, open_dataset
 from .day_tables import STEPS_PER_QUARTER
@@ -48,6 +49,7 @@ __all__ = [
     "count_spans",
     "create_dataset",
     "csv_rows",
+    "day_numbers",
     "footprint_style",
     "hour_of_step",
     "hour_text",

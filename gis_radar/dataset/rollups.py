@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,7 +22,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gis_radar.base import Booleans, Floats, InputError, Integers, UsageError, zone_of
+from gis_radar.base import Booleans, Floats, InputError, Integers, zone_of
+from gis_radar.dataset.asked_time import QUARTER_S, AskedTime, month_edges
 from gis_radar.dataset.day_tables import QUARTERS, Day
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.parts import (
@@ -42,7 +42,6 @@ from gis_radar.dataset.tile_counts import count_keys, read_counts
 from gis_radar.measures import SPEED_CLASSES
 
 DAYS_PER_WEEK = 7
-QUARTER_S = 900.0
 _DATES = "dates"  # entry of the metadata with the key of each date
 _HIGHEST = "queue_max_m"  # the one column that is no sum
 _LANE_COLUMNS = (
@@ -228,7 +227,10 @@ class RollUps:
                     write_part(table, path, rows, self._metadata(table, month) | stated)
                     rename_whole(unfinished(path), path)
 
-    def read(self, table: TableSchema, month: str, known: Mapping[int, HourRecord]) -> pa.Table:
+    def read(
+        self, table: TableSchema, month: str, known: Mapping[int, HourRecord],
+        columns: Sequence[str] | None = None,
+    ) -> pa.Table:  # fmt: skip
         """Read the roll-up of a month; what is missing or not up to date is summed now.
 
         Parameters
@@ -239,11 +241,14 @@ class RollUps:
             Such as `2026-10`.
         known : mapping
             The records of complete hours, those of the month among them.
+        columns : sequence of str, optional
+            Names of the columns; by default all.
         """
+        names = list(columns or table.names)
         keys = self._keys(table, month, known)
         if keys and self._made(table, month) == keys:
-            return self._written(table, month)
-        return self._sums(table, month, keys, known).rows()
+            return self._written(table, month, names)
+        return self._sums(table, month, keys, known).rows().select(names)
 
     def whole_path(
         self, table: TableSchema, month: str, known: Mapping[int, HourRecord]
@@ -252,24 +257,33 @@ class RollUps:
         keys = self._keys(table, month, known)
         return self.path(table, month) if keys and self._made(table, month) == keys else None
 
-    def summed(
-        self, table: TableSchema, known: Mapping[int, HourRecord], wanted: Mapping[int, Booleans]
-    ) -> pa.Table:
-        """Sum some quarters of hours from the tables of dates, as a roll-up of them alone.
+    def asked(
+        self, table: TableSchema, time: AskedTime, known: Mapping[int, HourRecord],
+        columns: Sequence[str],
+    ) -> Iterator[tuple[str, pa.Table]]:  # fmt: skip
+        """Yield sums of the asked time month by month, with the rows and columns of a roll-up.
+
+        Months of which only some days are asked for are summed from the tables of dates.
 
         Parameters
         ----------
         table : TableSchema
-            `LANE_MONTHS` or `TILE_MONTHS`.
+            `LANE_MONTHS`, or `TILE_MONTHS` where all days of the week are asked for.
+        time : AskedTime
+            The time.
         known : mapping
-            The records of complete hours.
-        wanted : mapping
-            By the first hour of a UTC date, which of its 96 quarters are summed.
+            The records of complete hours, those of the time among them.
+        columns : sequence of str
+            Names of the columns.
         """
-        sums = Sums(table)
-        for day, quarters in sorted(wanted.items()):
-            self._add_day(sums, day, known, quarters)
-        return sums.rows()
+        for month, whole in time.months():
+            if whole:
+                yield month, self.read(table, month, known, columns)
+                continue
+            sums = Sums(table)
+            for day, quarters in time.masks(month).items():
+                self._add_day(sums, day, known, quarters)
+            yield month, sums.rows().select(list(columns))
 
     def months(self, hours: Iterable[int]) -> list[str]:
         """Return the months, such as `2026-10`, in which hours since 1970 lie, ascending."""
@@ -285,16 +299,10 @@ class RollUps:
         UsageError
             If it is no month.
         """
-        first, after = (each.tz_convert("UTC").timestamp() for each in self.edges(month))
+        first, after = (
+            each.tz_convert("UTC").timestamp() for each in month_edges(month, self.timezone)
+        )
         return days_of(range(int(first // 3600), int(-(-after // 3600))))
-
-    def edges(self, month: str) -> tuple[pd.Timestamp, pd.Timestamp]:
-        """Return the begin of a month and that of the next, by the clocks of the site."""
-        if not re.fullmatch(r"\d{4}-(0[1-9]|1[0-2])", month):
-            raise UsageError("{} is no month", repr(month), hint="such as 2026-10")
-        begin = pd.Timestamp(f"{month}-01")
-        zone, after = zone_of(self.timezone), begin + pd.DateOffset(months=1)
-        return begin.tz_localize(zone), after.tz_localize(zone)
 
     def clock(self, day: int) -> pd.DatetimeIndex:
         """Return the begins of the quarters of a UTC date, by the clocks of the site."""
@@ -394,9 +402,11 @@ class RollUps:
             return {int(day): key for day, key in stated.items()}
         return {}
 
-    def _written(self, table: TableSchema, month: str) -> pa.Table:
+    def _written(
+        self, table: TableSchema, month: str, columns: Sequence[str] | None = None
+    ) -> pa.Table:
         with self._opened(table, month) as file:
-            return file.read(columns=table.names)
+            return file.read(columns=list(columns or table.names))
 
     def _opened(self, table: TableSchema, month: str) -> AbstractContextManager[pq.ParquetFile]:
         return opened_part(table, self.path(table, month), self._metadata(table, month))

@@ -17,7 +17,7 @@ from .lane_measures import (
     VehicleTable,
     measure_lanes,
 )
-from .lane_names import TURN_WORDS, bound_name, lane_names, place_on, turn_lines
+from .lane_names import TURN_WORDS, bound_name, lane_directions, lane_names, place_on, turn_lines
 from .lane_network import LaneNetwork
 from .placing import PoseNumbers
 from .pose_sights import (
@@ -78,6 +78,7 @@ __all__ = [
     "frame_columns",
     "headways",
     "holm_corrected",
+    "lane_directions",
     "lane_names",
     "measure_lanes",
     "observed_runs",
