@@ -174,18 +174,26 @@ def publish(
     help="Take a recording out, and make its hours again without it; repeatable.",
 )  # fmt: skip
 @click.option(
+    "--withdraw-sensor", "sensor", metavar="SENSOR", help="Take all recordings of a sensor out."
+)
+@click.option(
+    "--withdraw-day", "day", metavar="DATE",
+    help="Take all recordings of a day out, such as 2026-10-05; with a sensor, only its own.",
+)  # fmt: skip
+@click.option(
     "--relink", metavar="FOLDER", type=FILE, help="Find recordings that were moved, by content."
 )
 def dataset(
-    *, folder: Path, check: bool, withdraw: tuple[str, ...], relink: Path | None,
-    reporter: Reporter,
+    *, folder: Path, check: bool, withdraw: tuple[str, ...], sensor: str | None, day: str | None,
+    relink: Path | None, reporter: Reporter,
 ) -> Result:  # fmt: skip
     """Say what a dataset holds: recordings, hours, rows by table."""
-    found, moved = gr.open_dataset(folder, reporter=reporter), {}
+    found, done = gr.open_dataset(folder, reporter=reporter), dict[str, Any]()
     if relink is not None:
-        moved = {"recordings_found": found.relink(relink, reporter=reporter)}
-    if withdraw:
-        found.withdraw(withdraw, reporter=reporter)
+        done["recordings_found"] = found.relink(relink, reporter=reporter)
+    if withdraw or sensor or day:
+        gone = found.withdraw(withdraw, sensor=sensor, day=day, reporter=reporter)
+        done["withdrawn"] = [Path(each).name for each in gone]
     if check:
         found.check(reporter)
-    return Result(outputs=[], summary=moved | found.figures(), timezone=found.manifest.timezone)
+    return Result(outputs=[], summary=done | found.figures(), timezone=found.manifest.timezone)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -323,8 +324,9 @@ class Dataset(TrafficTables, VehicleTables, SqlQueries):
         check_counts(self.folder, self.manifest.fingerprint, records)
 
     def withdraw(
-        self, recordings: Sequence[str | Path], *, processes: int = 1, reporter: Reporter = QUIET
-    ) -> None:
+        self, recordings: Sequence[str | Path] = (), *, sensor: str | None = None,
+        day: date | str | None = None, processes: int = 1, reporter: Reporter = QUIET,
+    ) -> list[str]:  # fmt: skip
         """Withdraw recordings; the hours that they reach into are made again.
 
         Parameters
@@ -332,22 +334,36 @@ class Dataset(TrafficTables, VehicleTables, SqlQueries):
         recordings : sequence of paths
             Paths, or file names where these are unique. The files may be gone; those of all other
             recordings of the same hours must be there.
+        sensor : str, optional
+            In place of `recordings`: all those of a sensor.
+        day : date or str, optional
+            In place of `recordings`: all those of a day by the clocks of the site, such as
+            2026-10-05; with `sensor`, only that sensor's. They must lie in the day, to a second.
         processes : int
             Number of hours, or of blocks of an hour, made in parallel.
         reporter : Reporter
             Receives progress.
 
+        Returns
+        -------
+        list of str
+            Paths of the recordings that were withdrawn.
+
         Raises
         ------
+        UsageError
+            If nothing is named, or recordings and a sensor or day.
         InputError
-            If there is no such recording, or another needed one is missing or changed.
+            If there is no such recording, one reaches out of the day, another needed one is missing
+            or changed, or exact tables of their hours were deleted.
         """
-        from gis_radar.dataset.upkeep import withdraw  # noqa: PLC0415 - the tracker, 0.6 s
+        from gis_radar.dataset.upkeep import Withdrawal, withdraw  # noqa: PLC0415 - 0.6 s
 
-        tiles, fingerprint = self.tiles(), self.manifest.fingerprint
-        withdraw(
-            self.folder, recordings, tiles, fingerprint, processes=processes, reporter=reporter
-        )
+        wanted = Withdrawal(recordings=recordings, sensor=sensor, day=day)
+        return withdraw(
+            self.folder, wanted, self.tiles(), self.manifest.fingerprint, processes=processes,
+            reporter=reporter,
+        )  # fmt: skip
 
     def relink(self, search: str | Path, *, reporter: Reporter = QUIET) -> int:
         """Find recordings whose files were moved, by their contents, and return how many.
