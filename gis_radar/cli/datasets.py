@@ -24,6 +24,7 @@ TOO_SHORT = Text(
     "no interval was visible for a fifth of its length, which a volume needs: "
     "take a shorter --interval"
 )
+DAY_S = 86_400.0
 names_of_lanes = click.option(
     "--site", type=FILE, help="SITE.toml with names and free speeds of lanes."
 )
@@ -143,6 +144,7 @@ def query(
 ) -> Result:  # fmt: skip
     """Ask a dataset in SQL (DuckDB): one SELECT over its tables; no files, no network."""
     dataset = gr.open_dataset(folder, reporter=reporter)
+    options |= {"reporter": reporter}
     if output is None:
         rows, total = dataset.first_rows(sql, limit, **options)
         return Result(outputs=[], summary={"total": total}, rows=rows)
@@ -181,11 +183,15 @@ def publish(
     help="Take all recordings of a day out, such as 2026-10-05; with a sensor, only its own.",
 )  # fmt: skip
 @click.option(
+    "--keep", "keep_s", type=DURATION, metavar="TIME",
+    help="Delete the exact tables of hours longer ago, such as 30d; counts and traffic stay.",
+)  # fmt: skip
+@click.option(
     "--relink", metavar="FOLDER", type=FILE, help="Find recordings that were moved, by content."
 )
 def dataset(
     *, folder: Path, check: bool, withdraw: tuple[str, ...], sensor: str | None, day: str | None,
-    relink: Path | None, reporter: Reporter,
+    keep_s: float | None, relink: Path | None, reporter: Reporter,
 ) -> Result:  # fmt: skip
     """Say what a dataset holds: recordings, hours, rows by table."""
     found, done = gr.open_dataset(folder, reporter=reporter), dict[str, Any]()
@@ -194,6 +200,8 @@ def dataset(
     if withdraw or sensor or day:
         gone = found.withdraw(withdraw, sensor=sensor, day=day, reporter=reporter)
         done["withdrawn"] = [Path(each).name for each in gone]
+    if keep_s is not None:
+        done["hours_deleted"] = len(found.keep(keep_s / DAY_S, reporter=reporter))
     if check:
         found.check(reporter)
     return Result(outputs=[], summary=done | found.figures(), timezone=found.manifest.timezone)

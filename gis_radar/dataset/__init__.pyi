@@ -17,6 +17,7 @@ from .parts import (
     unfinished,
     write_whole,
 )
+from .reading import read_rows
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes
@@ -56,6 +57,7 @@ __all__ = [
     "part_path",
     "read_hour",
     "read_hours",
+    "read_rows",
     "record_path",
     "rename_whole",
     "require_same_settings",

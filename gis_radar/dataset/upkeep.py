@@ -1,21 +1,25 @@
-"""Withdraw recordings from a dataset, or find recordings whose files were moved."""
+"""Withdraw recordings from a dataset, find moved ones, delete old exact tables."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date, datetime, time, timedelta
 from pathlib import Path
+from time import time as clock
 from zoneinfo import ZoneInfo
 
 import geopandas as gpd
 
-from gis_radar.base import InputError, Reporter, Text, UsageError, zone_of
+from gis_radar.base import InputError, Reporter, Text, UsageError, output_errors, zone_of
 from gis_radar.dataset.hour_job import HourSite, MeasureSettings
+from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.making import change, writing
 from gis_radar.dataset.manifest import MANIFEST, MAP, Manifest
-from gis_radar.dataset.parts import hour_text
-from gis_radar.dataset.records import read_hours
+from gis_radar.dataset.parts import days_of, hour_text, part_path
+from gis_radar.dataset.records import HourRecord, read_hours, write_record
 from gis_radar.dataset.registry import (
     RecordingEntry,
     Registry,
@@ -23,10 +27,13 @@ from gis_radar.dataset.registry import (
     touched_hours,
     validity_by_sensor,
 )
+from gis_radar.dataset.tables import FRAMES, HITS, OBSERVED, OCCUPIED, TABLES, TRACKS, VISIBLE
+from gis_radar.dataset.tile_counts import check_counts, update_counts
 from gis_radar.hdmap import lane_graph
 from gis_radar.tracking import map_of_tiles
 
-
+EXACT = (FRAMES, HITS, OBSERVED, VISIBLE, OCCUPIED, TRACKS)
+"""Tables that are deleted after their time: they tell of single steps, and are nearly all room."""
 OVER_S = 1.0
 """How far a recording of a day may reach out of it: loggers and clocks are no more exact."""
 
@@ -215,3 +222,40 @@ def _named(registry: Registry, recording: str | Path) -> RecordingEntry:
     raise InputError(
         "{}: {} {}", registry.folder, what, recording, hint=Text("name one of {}", names)
     )
+
+
+def keep(folder: Path, days: float, fingerprint: str, *, reporter: Reporter) -> list[str]:
+    """Delete the exact tables of old hours; see :meth:`gis_radar.Dataset.keep`."""
+    if not 0.0 <= days < math.inf:
+        raise UsageError("{} days are no time to keep exact tables", days)
+    with writing(folder, reporter):
+        settings = _settings(Manifest.read(folder), folder)
+        unmade = set(Registry.read(folder, fingerprint).missing_hours(settings.margin))
+        records = read_hours(folder)
+        over = (clock() - 86_400 * days) // 3600
+        # vehicles go on from an hour in the next one, which may be made again
+        old = [h for h in records if h + 1 < over and unmade.isdisjoint((h, h + 1))]
+        dropped = {hour: _without_exact(records[hour]) for hour in old}
+        fresh = [hour for hour in old if dropped[hour] != records[hour]]
+        traffic = LaneTraffic(folder=folder, fingerprint=fingerprint)
+        for day in days_of(fresh):
+            update_counts(folder, fingerprint, day, records)
+            traffic.update(day, records)
+        check_counts(folder, fingerprint, fresh)
+        for done, (hour, record) in enumerate(dropped.items()):
+            if hour in fresh:
+                write_record(folder, record)  # whoever reads then knows that the parts go
+            for name in record.dropped:  # those of a killed run, too
+                path = part_path(folder, TABLES[name], hour)
+                with output_errors(path):
+                    path.unlink(missing_ok=True)
+                with suppress(OSError):  # other hours of the date
+                    path.parent.rmdir()
+            reporter.progress("deleting exact tables", done + 1, len(dropped))
+    return [hour_text(hour) for hour in fresh]
+
+
+def _without_exact(record: HourRecord) -> HourRecord:
+    names = {table.name for table in EXACT} & record.parts.keys()
+    gone = [name for name in TABLES if name in names.union(record.dropped)]
+    return replace(record, dropped=tuple(gone))
