@@ -16,6 +16,7 @@ from .calibration import (
 )
 from .dataset import (
     Dataset,
+    match_lanes,
     measure,
     open_dataset,
 )
@@ -82,6 +83,7 @@ __all__ = [
     "make_tiles",
     "make_traffic",
     "mask_road",
+    "match_lanes",
     "measure",
     "measure_clocks",
     "measure_quality",

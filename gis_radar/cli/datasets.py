@@ -189,11 +189,19 @@ def publish(
 @click.option(
     "--relink", metavar="FOLDER", type=FILE, help="Find recordings that were moved, by content."
 )
+@click.option(
+    "--match-lanes", "new_map", metavar="NEW", type=FILE,
+    help="Match its lanes to those of a new map (a dataset or tiles.gpkg); write the table to -o.",
+)  # fmt: skip
+@click.option("-o", "--output", type=FILE, help="The table of matched lanes (CSV).")
 def dataset(
     *, folder: Path, check: bool, withdraw: tuple[str, ...], sensor: str | None, day: str | None,
-    keep_s: float | None, relink: Path | None, reporter: Reporter,
+    keep_s: float | None, relink: Path | None, new_map: Path | None, output: Path | None,
+    reporter: Reporter,
 ) -> Result:  # fmt: skip
     """Say what a dataset holds: recordings, hours, rows by table."""
+    if (new_map is None) != (output is None):
+        raise UsageError("{} and {} go together", "--match-lanes NEW", "-o FILE")
     found, done = gr.open_dataset(folder, reporter=reporter), dict[str, Any]()
     if relink is not None:
         done["recordings_found"] = found.relink(relink, reporter=reporter)
@@ -204,4 +212,21 @@ def dataset(
         done["hours_deleted"] = len(found.keep(keep_s / DAY_S, reporter=reporter))
     if check:
         found.check(reporter)
-    return Result(outputs=[], summary=done | found.figures(), timezone=found.manifest.timezone)
+    if new_map is not None and output is not None:
+        done |= _matched(found, new_map, output)
+    outputs = [] if output is None else [output]
+    return Result(outputs=outputs, summary=done | found.figures(), timezone=found.timezone)
+
+
+def _matched(old: gr.Dataset, new: Path, output: Path) -> dict[str, int]:
+    from gis_radar.dataset import write_lane_matches  # noqa: PLC0415 - --help needs no NumPy
+
+    table = gr.match_lanes(old, new)
+    write_lane_matches(table, output)
+    same = table["same"]
+    gone, fresh = (int(table[side].isna().sum()) for side in ("new_lane", "old_lane"))
+    changed = table.loc[~same & table["new_lane"].notna(), "old_lane"].nunique()
+    return {
+        "lanes_the_same": int(same.sum()), "lanes_changed": int(changed), "lanes_gone": gone,
+        "lanes_new": fresh,
+    }  # fmt: skip

@@ -3,6 +3,7 @@ from .dataset import Dataset, open_dataset
 from .day_tables import STEPS_PER_QUARTER
 from .footprints import FOOTPRINTS, SHOWN_S, footprint_style
 from .hour_job import MeasureSettings
+from .lane_matching import match_lanes, write_lane_matches
 from .lane_measures import LaneTraffic
 from .manifest import Manifest, create_dataset, require_same_settings, require_same_site
 from .measuring import manifest_of, measure
@@ -52,6 +53,7 @@ __all__ = [
     "hour_text",
     "lanes_beside",
     "manifest_of",
+    "match_lanes",
     "measure",
     "open_dataset",
     "part_path",
@@ -71,6 +73,7 @@ __all__ = [
     "text_in",
     "unfinished",
     "update_counts",
+    "write_lane_matches",
     "write_record",
     "write_whole",
 ]

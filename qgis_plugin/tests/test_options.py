@@ -44,7 +44,11 @@ LEFT_OUT = {
         "signals": "for cycles",
         "service": "a table for engineers; a run's report has the levels",
     },
-    "dataset": {"keep": "an administrator's, every night"},
+    "dataset": {
+        "keep": "an administrator's, every night",
+        "match_lanes": "a table for a new version of the map; the command has it",
+        "output": "of matched lanes",
+    },
     "compare": {"site": "QGIS renames lanes in the layer"},
     "run": {"template": "the site wizard writes the file"},
 }
