@@ -17,6 +17,7 @@ from .calibration import (
 from .city import City, CityRun, open_city, run_city
 from .dataset import (
     Dataset,
+    match_lanes,
     measure,
     open_dataset,
 )
@@ -85,6 +86,7 @@ __all__ = [
     "make_tiles",
     "make_traffic",
     "mask_road",
+    "match_lanes",
     "measure",
     "measure_clocks",
     "measure_quality",

@@ -24,6 +24,7 @@ TOO_SHORT = Text(
     "no interval was visible for a fifth of its length, which a volume needs: "
     "take a shorter --interval"
 )
+DAY_S = 86_400.0
 names_of_lanes = click.option(
     "--site", type=FILE, help="SITE.toml with names and free speeds of lanes."
 )
@@ -143,6 +144,7 @@ def query(
 ) -> Result:  # fmt: skip
     """Ask a dataset in SQL (DuckDB): one SELECT over its tables; no files, no network."""
     dataset = gr.open_dataset(folder, reporter=reporter)
+    options |= {"reporter": reporter}
     if output is None:
         rows, total = dataset.first_rows(sql, limit, **options)
         return Result(outputs=[], summary={"total": total}, rows=rows)
@@ -174,18 +176,57 @@ def publish(
     help="Take a recording out, and make its hours again without it; repeatable.",
 )  # fmt: skip
 @click.option(
+    "--withdraw-sensor", "sensor", metavar="SENSOR", help="Take all recordings of a sensor out."
+)
+@click.option(
+    "--withdraw-day", "day", metavar="DATE",
+    help="Take all recordings of a day out, such as 2026-10-05; with a sensor, only its own.",
+)  # fmt: skip
+@click.option(
+    "--keep", "keep_s", type=DURATION, metavar="TIME",
+    help="Delete the exact tables of hours longer ago, such as 30d; counts and traffic stay.",
+)  # fmt: skip
+@click.option(
     "--relink", metavar="FOLDER", type=FILE, help="Find recordings that were moved, by content."
 )
+@click.option(
+    "--match-lanes", "new_map", metavar="NEW", type=FILE,
+    help="Match its lanes to those of a new map (a dataset or tiles.gpkg); write the table to -o.",
+)  # fmt: skip
+@click.option("-o", "--output", type=FILE, help="The table of matched lanes (CSV).")
 def dataset(
-    *, folder: Path, check: bool, withdraw: tuple[str, ...], relink: Path | None,
+    *, folder: Path, check: bool, withdraw: tuple[str, ...], sensor: str | None, day: str | None,
+    keep_s: float | None, relink: Path | None, new_map: Path | None, output: Path | None,
     reporter: Reporter,
 ) -> Result:  # fmt: skip
     """Say what a dataset holds: recordings, hours, rows by table."""
-    found, moved = gr.open_dataset(folder, reporter=reporter), {}
+    if (new_map is None) != (output is None):
+        raise UsageError("{} and {} go together", "--match-lanes NEW", "-o FILE")
+    found, done = gr.open_dataset(folder, reporter=reporter), dict[str, Any]()
     if relink is not None:
-        moved = {"recordings_found": found.relink(relink, reporter=reporter)}
-    if withdraw:
-        found.withdraw(withdraw, reporter=reporter)
+        done["recordings_found"] = found.relink(relink, reporter=reporter)
+    if withdraw or sensor or day:
+        gone = found.withdraw(withdraw, sensor=sensor, day=day, reporter=reporter)
+        done["withdrawn"] = [Path(each).name for each in gone]
+    if keep_s is not None:
+        done["hours_deleted"] = len(found.keep(keep_s / DAY_S, reporter=reporter))
     if check:
         found.check(reporter)
-    return Result(outputs=[], summary=moved | found.figures(), timezone=found.manifest.timezone)
+    if new_map is not None and output is not None:
+        done |= _matched(found, new_map, output)
+    outputs = [] if output is None else [output]
+    return Result(outputs=outputs, summary=done | found.figures(), timezone=found.timezone)
+
+
+def _matched(old: gr.Dataset, new: Path, output: Path) -> dict[str, int]:
+    from gis_radar.dataset import write_lane_matches  # noqa: PLC0415 - --help needs no NumPy
+
+    table = gr.match_lanes(old, new)
+    write_lane_matches(table, output)
+    same = table["same"]
+    gone, fresh = (int(table[side].isna().sum()) for side in ("new_lane", "old_lane"))
+    changed = table.loc[~same & table["new_lane"].notna(), "old_lane"].nunique()
+    return {
+        "lanes_the_same": int(same.sum()), "lanes_changed": int(changed), "lanes_gone": gone,
+        "lanes_new": fresh,
+    }  # fmt: skip

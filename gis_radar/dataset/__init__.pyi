@@ -4,6 +4,7 @@ from .dataset import Dataset, open_dataset
 from .day_tables import STEPS_PER_QUARTER
 from .footprints import FOOTPRINTS, SHOWN_S, footprint_style
 from .hour_job import MeasureSettings
+from .lane_matching import match_lanes, write_lane_matches
 from .lane_measures import LaneTraffic
 from .making import OpenHours, open_hours, update_days
 from .manifest import Manifest, create_dataset, require_same_settings, require_same_site
@@ -19,6 +20,7 @@ from .parts import (
     unfinished,
     write_whole,
 )
+from .reading import read_rows
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
 from .registered import make_registered
 from .rollups import RollUps
@@ -59,12 +61,14 @@ __all__ = [
     "lanes_beside",
     "make_registered",
     "manifest_of",
+    "match_lanes",
     "measure",
     "open_dataset",
     "open_hours",
     "part_path",
     "read_hour",
     "read_hours",
+    "read_rows",
     "record_path",
     "rename_whole",
     "require_same_settings",
@@ -79,6 +83,7 @@ __all__ = [
     "unfinished",
     "update_counts",
     "update_days",
+    "write_lane_matches",
     "write_record",
     "write_whole",
 ]

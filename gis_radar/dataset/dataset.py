@@ -11,7 +11,6 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyogrio
 
 from gis_radar.base import (
@@ -25,6 +24,8 @@ from gis_radar.base import (
     step_at,
     zone_of,
 )
+from gis_radar.dataset.changes import Upkeep
+from gis_radar.dataset.frame_times import frame_steps
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import TILES, Manifest
 from gis_radar.dataset.parts import MEASURE_AGAIN, hour_begin, hour_of_step, hour_text, whole_table
@@ -60,13 +61,13 @@ from gis_radar.dataset.traffic_tables import TrafficTables
 from gis_radar.dataset.units import for_people
 from gis_radar.dataset.vehicle_tables import VehicleTables
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER, fingerprint, read_tiles
-from gis_radar.measures import LONGEST_VALID_STEPS, Runs, union_of_runs
+from gis_radar.measures import Runs
 
 _LAST_STEP = 1 << 62
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Dataset(TrafficTables, VehicleTables, SqlQueries, Questions):
+class Dataset(TrafficTables, VehicleTables, SqlQueries, Questions, Upkeep):
     """Dataset of a site: tables by hour, read when they are asked for.
 
     Tables come in metres, degrees, m/s and UTC timestamps; `begin` is included, `end` is not.
@@ -179,6 +180,9 @@ class Dataset(TrafficTables, VehicleTables, SqlQueries, Questions):
     def frame_steps(self, sensor: str | None = None, *, valid: bool = True) -> Runs:
         """Return the steps in which a frame is valid, or into which one falls.
 
+        Hours whose frames were deleted are taken as recorded without a gap, from the first to the
+        last frame of each recording.
+
         Parameters
         ----------
         sensor : str, optional
@@ -191,24 +195,7 @@ class Dataset(TrafficTables, VehicleTables, SqlQueries, Questions):
         InputError
             If there is no such sensor.
         """
-        parts = []
-        for rows in self.batches(FRAMES, columns=["sensor", "first_step", "last_step"]):
-            if sensor is not None:
-                rows = rows.filter(pc.equal(rows["sensor"], sensor))  # noqa: PLW2901
-            first, last = (rows[name].to_numpy() for name in ("first_step", "last_step"))
-            if len(last) and np.max(last - first) > LONGEST_VALID_STEPS:
-                raise InputError(
-                    "{}: frames are valid for too long", self.folder, hint=MEASURE_AGAIN
-                )
-            parts.append(union_of_runs([Runs(first=first, last=last if valid else first)]))
-        found = union_of_runs(parts) if parts else None
-        if found is None or not len(found):
-            raise InputError(
-                "{}: holds no frame",
-                self.folder,
-                hint="measuring was interrupted, or recordings are empty",
-            )
-        return found
+        return frame_steps(self, sensor, valid=valid)
 
     def tiles(self) -> gpd.GeoDataFrame:
         """Read the tiles.
@@ -324,53 +311,6 @@ class Dataset(TrafficTables, VehicleTables, SqlQueries, Questions):
         check_counts(self.folder, self.manifest.fingerprint, records)
         roll_ups(self).check()
 
-    def withdraw(
-        self, recordings: Sequence[str | Path], *, processes: int = 1, reporter: Reporter = QUIET
-    ) -> None:
-        """Withdraw recordings; the hours that they reach into are made again.
-
-        Parameters
-        ----------
-        recordings : sequence of paths
-            Paths, or file names where these are unique. The files may be gone; those of all other
-            recordings of the same hours must be there.
-        processes : int
-            Number of hours, or of blocks of an hour, made in parallel.
-        reporter : Reporter
-            Receives progress.
-
-        Raises
-        ------
-        InputError
-            If there is no such recording, or another needed one is missing or changed.
-        """
-        from gis_radar.dataset.upkeep import withdraw  # noqa: PLC0415 - the tracker, 0.6 s
-
-        tiles, fingerprint = self.tiles(), self.manifest.fingerprint
-        withdraw(
-            self.folder, recordings, tiles, fingerprint, processes=processes, reporter=reporter
-        )
-
-    def relink(self, search: str | Path, *, reporter: Reporter = QUIET) -> int:
-        """Find recordings whose files were moved, by their contents, and return how many.
-
-        Parameters
-        ----------
-        search : str or Path
-            A folder; in it and in the folders below, all files with the suffix of a missing
-            recording are compared.
-        reporter : Reporter
-            Receives progress, and a warning for each recording that is not found.
-
-        Raises
-        ------
-        InputError
-            If there is no such folder.
-        """
-        from gis_radar.dataset.upkeep import relink  # noqa: PLC0415 - the tracker, 0.6 s
-
-        return relink(self.folder, search, self.manifest.fingerprint, reporter)
-
     def figures(self) -> dict[str, Any]:
         """Return sensors, recordings, time span, hours and numbers of rows of the tables."""
         records = self.records()
@@ -384,6 +324,9 @@ class Dataset(TrafficTables, VehicleTables, SqlQueries, Questions):
             parts = [r.parts[table.name] for r in records.values() if table.name in r.parts]
             if parts:
                 known[table.name] = sum(part.rows for part in parts)
+        if gone := [hour for hour, each in records.items() if each.dropped]:
+            known["hours_without_exact_tables"] = len(gone)
+            known["exact_tables_from"] = hour_text(max(gone) + 1)
         if len(self.methods) > 1:
             known["methods"] = self.methods
         if self.doubts:

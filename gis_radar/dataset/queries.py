@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import duckdb
 import pyarrow as pa
 
-from gis_radar.base import InputError, UsageError, first_line
+from gis_radar.base import QUIET, InputError, Reporter, UsageError, first_line
 from gis_radar.dataset.parts import MEASURE_AGAIN
 from gis_radar.dataset.records import HOURS
 from gis_radar.dataset.source import Source
@@ -34,7 +34,9 @@ _CONFIG = {
 
 
 @contextmanager
-def run_query(dataset: Source, sql: str, *, timeout_s: float, memory: str) -> Iterator[Answer]:
+def run_query(
+    dataset: Source, sql: str, *, timeout_s: float, memory: str, reporter: Reporter = QUIET
+) -> Iterator[Answer]:
     """Run an SQL query, and read the answer in batches.
 
     The tables have the columns of the files, and `time`, `begin`, `end`, `easting`, `northing`,
@@ -51,6 +53,8 @@ def run_query(dataset: Source, sql: str, *, timeout_s: float, memory: str) -> It
         Time limit, seconds.
     memory : str
         Memory limit, such as `2GB`.
+    reporter : Reporter
+        Receives a warning where parts of a table were deleted.
 
     Yields
     ------
@@ -67,7 +71,7 @@ def run_query(dataset: Source, sql: str, *, timeout_s: float, memory: str) -> It
     with closing(_connected(memory)) as asked:
         names = tables_of(asked, sql)
         before = _states(dataset.folder)
-        _lock(asked, make_views(dataset, asked, names), dataset.manifest.timezone)
+        _lock(asked, make_views(dataset, asked, names, reporter), dataset.manifest.timezone)
         with ThreadPoolExecutor(1) as thread:
             work = _Work(asked, thread, dataset.folder, timeout_s)
             answer = work.done(lambda: asked.sql(sql).to_arrow_reader(_ROWS_AT_ONCE))

@@ -57,6 +57,10 @@ class HourRecord:
     parts: Mapping[str, PartDigest]
     dropped: tuple[str, ...] = ()
 
+    def has(self, table: TableSchema) -> bool:
+        """Return whether the hour has the part of a table, which was not deleted."""
+        return table.name in self.parts and table.name not in self.dropped
+
     @contextmanager
     def opened(self, folder: Path, table: TableSchema) -> Iterator[pq.ParquetFile]:
         """Open the part of a table, checked against this record.
@@ -71,7 +75,7 @@ class HourRecord:
             raise InputError(
                 "{}: was deleted after the time to keep exact tables",
                 path,
-                hint="only tile_counts of that time are left, as they were counted then",
+                hint="ask for a later time; of that one counts, traffic and passages are left",
             )
         if table.name not in self.parts:
             raise InputError(

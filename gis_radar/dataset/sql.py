@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
+from gis_radar.base import QUIET, Reporter
 from gis_radar.dataset.source import Source
 
 TIMEOUT_S, MEMORY = 60.0, "2GB"  # default limits of a query
@@ -19,8 +20,9 @@ class SqlQueries:
     """Methods of a dataset that answer SQL queries."""
 
     def query(
-        self: Source, sql: str, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
-    ) -> pd.DataFrame:
+        self: Source, sql: str, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY,
+        reporter: Reporter = QUIET,
+    ) -> pd.DataFrame:  # fmt: skip
         """Run an SQL query (DuckDB): one SELECT over the tables of all complete hours.
 
         Columns are those of the files, and those that the other methods return. In the query, times
@@ -34,6 +36,8 @@ class SqlQueries:
             Time limit, seconds.
         memory : str
             Memory limit, such as `2GB`.
+        reporter : Reporter
+            Receives a warning where parts of a table were deleted, and are left out.
 
         Raises
         ------
@@ -42,7 +46,7 @@ class SqlQueries:
         """
         from gis_radar.dataset.answers import plain  # noqa: PLC0415 - as below
 
-        with _answer(self, sql, timeout_s, memory) as (schema, batches):
+        with _answer(self, sql, timeout_s, memory, reporter) as (schema, batches):
             rows: pd.DataFrame = plain(pa.Table.from_batches(batches, schema)).to_pandas()
         return rows
 
@@ -53,6 +57,7 @@ class SqlQueries:
         *,
         timeout_s: float = TIMEOUT_S,
         memory: str = MEMORY,
+        reporter: Reporter = QUIET,
     ) -> int:
         """Write the answer of :meth:`query` as `.csv` or `.parquet`, and return its row count.
 
@@ -63,25 +68,26 @@ class SqlQueries:
         """
         from gis_radar.dataset.answers import write_answer  # noqa: PLC0415 - as below
 
-        with _answer(self, sql, timeout_s, memory) as answer:
+        with _answer(self, sql, timeout_s, memory, reporter) as answer:
             return write_answer(*answer, Path(path))
 
     def first_rows(
-        self: Source, sql: str, most: int, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
-    ) -> tuple[list[dict[str, Any]], int]:
+        self: Source, sql: str, most: int, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY,
+        reporter: Reporter = QUIET,
+    ) -> tuple[list[dict[str, Any]], int]:  # fmt: skip
         """Return the first rows of the answer of :meth:`query`, and the number of all its rows.
 
         Values are types of JSON, times are text.
         """
         from gis_radar.dataset.answers import first_rows  # noqa: PLC0415 - as below
 
-        with _answer(self, sql, timeout_s, memory) as (_, batches):
+        with _answer(self, sql, timeout_s, memory, reporter) as (_, batches):
             return first_rows(batches, most)
 
 
 def _answer(
-    dataset: Source, sql: str, timeout_s: float, memory: str
+    dataset: Source, sql: str, timeout_s: float, memory: str, reporter: Reporter
 ) -> AbstractContextManager[tuple[pa.Schema, Iterator[pa.RecordBatch]]]:
     from gis_radar.dataset.queries import run_query  # noqa: PLC0415 - DuckDB, 0.2 s
 
-    return run_query(dataset, sql, timeout_s=timeout_s, memory=memory)
+    return run_query(dataset, sql, timeout_s=timeout_s, memory=memory, reporter=reporter)

@@ -8,10 +8,10 @@ from pathlib import Path
 import duckdb
 import pyarrow as pa
 
-from gis_radar.base import STEPS_PER_SECOND
+from gis_radar.base import STEPS_PER_SECOND, Reporter
 from gis_radar.dataset.day_tables import STEPS_PER_QUARTER, days_with
 from gis_radar.dataset.lane_measures import LaneTraffic
-from gis_radar.dataset.parts import part_path
+from gis_radar.dataset.parts import hour_text, part_path
 from gis_radar.dataset.profiles import roll_ups
 from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.source import Source
@@ -32,7 +32,9 @@ from gis_radar.dataset.units import UNITS
 _BEGIN = f"epoch(date)::BIGINT * {STEPS_PER_SECOND} + interval * {STEPS_PER_QUARTER}::BIGINT"
 
 
-def make_views(dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str]) -> list[Path]:
+def make_views(
+    dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str], reporter: Reporter
+) -> list[Path]:
     """Make the views of some tables.
 
     Parameters
@@ -43,6 +45,8 @@ def make_views(dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str
         Connection in which the views are made.
     names : set of str
         Names of the tables.
+    reporter : Reporter
+        Receives a warning where parts of a table were deleted; they are left out.
 
     Returns
     -------
@@ -59,7 +63,13 @@ def make_views(dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str
     paths = []
     for table in HOUR_TABLES:
         if table.name in names:
-            paths += views.hours(table, records)
+            there = {hour: each for hour, each in records.items() if table.name not in each.dropped}
+            if gone := records.keys() - there.keys():
+                reporter.warn(
+                    "{} up to {} were deleted, and are left out of the answer",
+                    table.name, hour_text(max(gone) + 1),
+                )  # fmt: skip
+            paths += views.hours(table, there)
     for table in DAY_TABLES:
         if table.name in names:
             paths += views.days(table, records)

@@ -44,6 +44,11 @@ LEFT_OUT = {
         "signals": "for cycles",
         "service": "a table for engineers; a run's report has the levels",
     },
+    "dataset": {
+        "keep": "an administrator's, every night",
+        "match_lanes": "a table for a new version of the map; the command has it",
+        "output": "of matched lanes",
+    },
     "compare": {"site": "QGIS renames lanes in the layer"},
     "run": {"template": "the site wizard writes the file"},
 }
@@ -177,8 +182,10 @@ WORDS = {
     ),
     "quality": ({"DATASET": "d"}, ["quality", "d", "--csv-locale", "en", "-o", "OUT"]),
     "dataset": (
-        {"DATASET": "d", "RELINK": "here", "WITHDRAW": R1, "CHECK": True},
-        ["dataset", "d", "--relink", "here", "--withdraw", R1, "--check"],
+        {"DATASET": "d", "RELINK": "here", "WITHDRAW": R1, "WITHDRAW_SENSOR": "R1",
+         "WITHDRAW_DAY": "2026-10-05", "CHECK": True},
+        ["dataset", "d", "--relink", "here", "--withdraw", R1, "--withdraw-sensor", "R1",
+         "--withdraw-day", "2026-10-05", "--check"],
     ),
     "runsite": (
         {"SITE": "site.toml", "FRESH": True}, ["run", "site.toml", "--fresh", "-o", "OUT"]

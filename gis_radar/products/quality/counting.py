@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.base import LONGEST_CYCLE_S, Integers, Reporter
-from gis_radar.dataset import FRAMES, Dataset
+from gis_radar.dataset import FRAMES, Dataset, read_rows
 from gis_radar.measures import FrameTimes
 
 HOUR_S = 3600
@@ -97,7 +97,8 @@ COLUMNS = (
 def _frames(dataset: Dataset) -> Iterator[tuple[int, Columns]]:
     """Yield the frames hour by hour and sensor by sensor, with the sensor's number."""
     numbers = {name: number for number, name in enumerate(dataset.sensors)}
-    for rows in dataset.batches(FRAMES, columns=["sensor", *COLUMNS]):
+    records = {hour: each for hour, each in dataset.records().items() if each.has(FRAMES)}
+    for rows in read_rows(dataset.folder, FRAMES, records, columns=["sensor", *COLUMNS]):
         sensors = rows["sensor"].to_pandas()
         for name, places in sensors.groupby(sensors, sort=True).indices.items():
             part = slice(int(places[0]), int(places[-1]) + 1)

@@ -32,7 +32,7 @@ from gis_radar.base import (
     write_csv,
     zone_of,
 )
-from gis_radar.dataset import Dataset, open_dataset
+from gis_radar.dataset import FRAMES, Dataset, hour_text, open_dataset
 from gis_radar.products.quality.counting import HIGH, HOUR_S, Count, count_frames, frame_times
 
 GOOD = "good"
@@ -244,12 +244,14 @@ def measure_quality(
     zone = zone_of(timezone)
     dataset = open_dataset(dataset, reporter=reporter)
     times = frame_times(dataset)
+    gone = [hour for hour, each in dataset.records().items() if FRAMES.name in each.dropped]
+    why = Text("measuring was interrupted, or recordings are empty")
+    if gone:
+        why = Text("frames up to {} were deleted after the time to keep", hour_text(max(gone) + 1))
     if not times:
-        raise InputError(
-            "{}: holds no frame",
-            dataset.folder,
-            hint="measuring was interrupted, or recordings are empty",
-        )
+        raise InputError("{}: holds no frame", dataset.folder, hint=why)
+    if gone:
+        reporter.warn("{}: {}, and are not judged", dataset.folder, why)
     counts = count_frames(dataset, times, zone, reporter)
     poses = _poses(dataset.poses())
     hours = sorted({hour for _, hour in counts})

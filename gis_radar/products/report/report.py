@@ -34,6 +34,7 @@ from gis_radar.base import (
     tr,
     zone_of,
 )
+from gis_radar.dataset import FRAMES
 from gis_radar.hdmap import lanes_of
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.quality.quality import Quality, measure_quality
@@ -240,9 +241,13 @@ def _clock(heat: HeatMap, timezone: str) -> Clock:
 
 
 def _quality(results: Results, timezone: str, reporter: Reporter) -> Quality | None:
-    if results.dataset is None:
+    dataset = results.dataset
+    if dataset is None:
         return None
-    return measure_quality(results.dataset, timezone=timezone, reporter=reporter)
+    records = dataset.records().values()
+    if records and all(FRAMES.name in each.dropped for each in records):
+        return None
+    return measure_quality(dataset, timezone=timezone, reporter=reporter)
 
 
 def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -> list[Path]:

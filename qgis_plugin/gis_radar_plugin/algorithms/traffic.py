@@ -383,6 +383,8 @@ class KeepDataset(WorkerAlgorithm):
             "The dataset is then as if it had never been measured.", optional=True, advanced=True,
             kinds="Recordings (*.parquet *.csv)",
         ),
+        Text("WITHDRAW_SENSOR", "Sensor to withdraw", "All of its recordings."),
+        Text("WITHDRAW_DAY", "Day to withdraw", "By the site's clocks, such as 2026-10-05."),
         Switch("CHECK", "Check all files", "Whether each file is as it was written."),
         Result("OUTPUT", "Dataset", kind=QgsProcessingOutputFolder),
     )  # fmt: skip

@@ -1,0 +1,180 @@
+"""Lanes of an old map matched to those of a new one, so that their series can go on."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyogrio
+import shapely
+from scipy.spatial import cKDTree
+
+from gis_radar.base import Floats, InputError, Integers, atomic_write, opened_package, write_csv
+from gis_radar.dataset.dataset import Dataset, open_dataset
+from gis_radar.hdmap import LANES_LAYER
+
+SPACING_M = 0.5  # between the points at which lanes are compared
+ASIDE_M = 1.5  # largest offset: maps are drawn anew to some decimetres, lanes are 2.5 m and wider
+TURNED_RAD = math.radians(30.0)  # largest angle between two lanes
+SAME_SHARE = 0.9  # of both lanes that follows the other, where they are the same
+LEAST_SHARE = 0.1  # of either that is worth a row
+COLUMNS = ("old_lane", "new_lane", "share_of_old", "share_of_new", "offset_m", "same")
+
+
+class _Points(NamedTuple):
+    """Points along lanes, every `SPACING_M`.
+
+    Parameters
+    ----------
+    lane : (n,) int64 array
+        Position of the lane.
+    xy, along : (n, 2) float64 arrays
+        Place, metres, and direction of the lane there, of length 1.
+    """
+
+    lane: Integers
+    xy: Floats
+    along: Floats
+
+    @classmethod
+    def of(cls, lanes: gpd.GeoDataFrame) -> _Points:
+        lines = np.asarray(lanes.geometry.force_2d())
+        count = np.maximum(np.ceil(shapely.length(lines) / SPACING_M).astype(np.int64), 1)
+        lane = np.repeat(np.arange(len(lines)), count)
+        number = np.arange(len(lane)) - np.repeat(np.cumsum(count) - count, count)
+        share = (number + 0.5) / count[lane]
+        half = 0.5 / count[lane]
+        place, before, after = (
+            shapely.get_coordinates(
+                shapely.line_interpolate_point(lines[lane], at, normalized=True)
+            )
+            for at in (share, share - half, share + half)
+        )
+        along = after - before
+        length = np.maximum(np.hypot(*along.T), 1e-9)
+        return cls(lane=lane, xy=place, along=along / length[:, None])
+
+
+def match_lanes(
+    old: Dataset | gpd.GeoDataFrame | str | Path, new: Dataset | gpd.GeoDataFrame | str | Path
+) -> pd.DataFrame:
+    """Match the lanes of an old map to those of a new one, by where they lie and lead.
+
+    Two lanes follow each other where they lie within 1.5 m and lead the same way, to 30 degrees.
+    They are the same where 90 % of both do; each lane is the same as one at most. Lanes without
+    such a partner are listed with all that they share a tenth or more with: parts, where a lane was
+    split, wholes, where lanes were merged.
+
+    Parameters
+    ----------
+    old, new : Dataset, GeoDataFrame, str or Path
+        A dataset or its folder, a file of tiles with the layer `lanes`, or such a layer.
+
+    Returns
+    -------
+    DataFrame
+        `old_lane`, null for a new lane that follows none; `new_lane`, null for a lane that is gone;
+        `share_of_old`, `share_of_new`, how much of each follows the other; `offset_m`, the mean
+        distance there; `same`.
+
+    Raises
+    ------
+    InputError
+        If there are no lanes.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> lanes = gr.read_map(gr.sample_folder() / "junction.osm").lanes()
+    >>> bool(gr.match_lanes(lanes, lanes)["same"].all())
+    True
+    """
+    before, after = _lanes(old), _lanes(new)
+    if before.crs != after.crs:
+        after = after.to_crs(before.crs)
+    pairs = _pairs(_Points.of(before), _Points.of(after), len(before), len(after))
+    numbers = [np.asarray(each["lane"], np.int64) for each in (before, after)]
+    same = _same(pairs, *numbers)
+    taken = pairs[same]
+    free = ~(pairs["old"].isin(taken["old"]) | pairs["new"].isin(taken["new"]))
+    worth = pairs[["share_of_old", "share_of_new"]].max(axis=1) >= LEAST_SHARE
+    rows = pairs.assign(same=same)[same | (free & worth)]
+    whole = [
+        pd.DataFrame({side: np.setdiff1d(np.arange(len(ids)), rows[side])})
+        for side, ids in zip(("old", "new"), numbers, strict=True)
+    ]
+    rows = pd.concat([rows, *whole], ignore_index=True).sort_values(["old", "new"])
+    for side, ids in zip(("old", "new"), numbers, strict=True):
+        at = rows[side].astype("Int64")
+        rows[f"{side}_lane"] = at.map(dict(enumerate(ids.tolist()))).astype("Int64")
+    rows = rows.assign(same=rows["same"].eq(True))
+    shares = ["share_of_old", "share_of_new"]
+    rows[shares] = rows[shares].fillna(0.0).round(3)
+    rows["offset_m"] = rows["offset_m"].round(2)
+    return rows.reset_index(drop=True)[[*COLUMNS]]
+
+
+def write_lane_matches(table: pd.DataFrame, path: Path) -> None:
+    """Write the table of :func:`match_lanes` as CSV."""
+    shown = table.astype(object).where(table.notna(), None)
+    with atomic_write(path) as part:
+        write_csv(part, [*COLUMNS], shown.itertuples(index=False, name=None))
+
+
+def _lanes(source: Any) -> gpd.GeoDataFrame:
+    if isinstance(source, gpd.GeoDataFrame):
+        return source
+    try:
+        if isinstance(source, Dataset) or Path(source).is_dir():
+            lanes = open_dataset(source).lanes()
+        else:
+            with opened_package(source, what="tiles with their lanes") as place:
+                lanes = pyogrio.read_dataframe(place, layer=LANES_LAYER, use_arrow=True)
+    except InputError as error:
+        if LANES_LAYER not in str(error.message):
+            raise
+        lanes = gpd.GeoDataFrame()
+    if not len(lanes):
+        place = source.folder if isinstance(source, Dataset) else source
+        raise InputError("{}: holds no lanes", place, hint="it was measured without a map")
+    return lanes
+
+
+def _pairs(old: _Points, new: _Points, olds: int, news: int) -> pd.DataFrame:
+    """Return how much of two lanes follows the other, for all that lie near each other."""
+    reach = math.hypot(ASIDE_M, SPACING_M)
+    near = cKDTree(old.xy).sparse_distance_matrix(cKDTree(new.xy), reach, output_type="ndarray")
+    i, j = near["i"], near["j"]
+    along = np.einsum("ij,ij->i", old.along[i], new.along[j])
+    across = new.xy[j] - old.xy[i]
+    offset = np.abs(across[:, 0] * old.along[i, 1] - across[:, 1] * old.along[i, 0])
+    kept = (along >= math.cos(TURNED_RAD)) & (offset <= ASIDE_M)
+    i, j, offset = i[kept], j[kept], offset[kept]
+    pair = old.lane[i] * news + new.lane[j]
+    found = pd.DataFrame({"pair": pair, "i": i, "j": j, "offset_m": offset}).groupby("pair")
+    rows = found.agg(i=("i", "nunique"), j=("j", "nunique"), offset_m=("offset_m", "mean"))
+    rows = rows.reset_index()
+    rows["old"], rows["new"] = rows["pair"] // news, rows["pair"] % news
+    rows["share_of_old"] = rows["i"] / np.bincount(old.lane, minlength=olds)[rows["old"]]
+    rows["share_of_new"] = rows["j"] / np.bincount(new.lane, minlength=news)[rows["new"]]
+    return rows
+
+
+def _same(pairs: pd.DataFrame, old: Integers, new: Integers) -> pd.Series:
+    """Return which pairs are one lane: the nearest first, each lane once."""
+    alike = pairs[pairs[["share_of_old", "share_of_new"]].min(axis=1) >= SAME_SHARE]
+    other = old[alike["old"]] != new[alike["new"]]  # of two on one place the one of that number
+    order = alike.assign(offset=alike["offset_m"].round(1), other=other)
+    order = order.sort_values(["offset", "other", "old", "new"])
+    taken: tuple[set[int], set[int]] = (set(), set())
+    same = pd.Series(False, pairs.index)
+    for row, before, after in order[["old", "new"]].itertuples():
+        if before not in taken[0] and after not in taken[1]:
+            taken[0].add(before)
+            taken[1].add(after)
+            same[row] = True
+    return same
