@@ -146,7 +146,7 @@ class DayDrawer:
         registry = Registry.read(folder, manifest.fingerprint)
         entries = [entry for day in days for entry in self._entries(registry, *day)]
         known = replace(registry, entries=(*registry.entries, *entries))
-        known.with_hours(drawn, margin).write_recordings()
+        known.with_hours({*drawn, *self.dataset.records()}, margin).write_recordings()
         return open_dataset(folder)
 
     def _draw_day(self, span: tuple[datetime, datetime]) -> list[int]:
