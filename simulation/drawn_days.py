@@ -159,25 +159,26 @@ class DayDrawer:
         }
         records = {hour: self._record(hour) for hour, sensors in heard.items() if sensors}
         times = self._times(midnight)
+        made = dict[frozenset[str], tuple[pa.Table, pa.Table, pa.Table]]()
+        for sensors in {heard[hour] for hour in records}:
+            hours = np.array([hour - first for hour in records if heard[hour] == sensors])
+            quarters = (hours[:, None] * QUARTERS + np.arange(QUARTERS)).ravel()
+            made[sensors] = self.parts[sensors].rows(times[sensors][quarters], quarters)
+
+        def rows(hour: int, tables: slice) -> list[pa.Table]:
+            """Return the rows of an hour: of tile counts, lane measures and turns."""
+            found = made[heard[hour]][tables]
+            hours = [table["interval"].to_numpy() // QUARTERS for table in found]
+            return [
+                table.filter(each == hour - first) for table, each in zip(found, hours, strict=True)
+            ]
+
         fingerprint = self.dataset.manifest.fingerprint
         day = Day(folder=self.dataset.folder, fingerprint=fingerprint, first_hour=first)
-
-        def made(hour: int) -> tuple[MeasuredParts, Floats, Integers]:
-            quarters = np.arange(QUARTERS) + (hour - first) * QUARTERS
-            return self.parts[heard[hour]], times[heard[hour]][quarters], quarters
-
-        def tiles(hour: int) -> tuple[pa.Table]:
-            parts, often, quarters = made(hour)
-            return (parts.tile_rows(often, quarters),)
-
-        def traffic(hour: int) -> tuple[pa.Table, pa.Table]:
-            parts, often, quarters = made(hour)
-            return parts.lane_rows(often, quarters), parts.turn_rows(often, quarters)
-
         keys = count_keys(records)
-        day.update((TILE_COUNTS,), keys, tiles)
+        day.update((TILE_COUNTS,), keys, lambda hour: rows(hour, slice(0, 1)))
         of_traffic = {hour: [METHOD, *key, *key] for hour, key in keys.items()}
-        day.update(TRAFFIC_TABLES, of_traffic, traffic)
+        day.update(TRAFFIC_TABLES, of_traffic, lambda hour: rows(hour, slice(1, 3)))
         for record in records.values():
             write_record(self.dataset.folder, record)
         return [*records]

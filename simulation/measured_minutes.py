@@ -111,8 +111,8 @@ class MeasuredParts:
             turns=turns,
         )  # fmt: skip
 
-    def tile_rows(self, times: Floats, interval: Integers) -> pa.Table:
-        """Return rows of `tile_counts`: quarters that sum each part so many times, (quarters, n).
+    def rows(self, times: Floats, interval: Integers) -> tuple[pa.Table, pa.Table, pa.Table]:
+        """Return rows of `tile_counts`, `lane_measures` and `turns` of quarters that sum parts.
 
         Parameters
         ----------
@@ -121,14 +121,19 @@ class MeasuredParts:
         interval : (q,) array
             Numbers of the quarters.
         """
+        return (
+            self._tile_rows(times, interval), self._lane_rows(times, interval),
+            self._turn_rows(times, interval),
+        )  # fmt: skip
+
+    def _tile_rows(self, times: Floats, interval: Integers) -> pa.Table:
         sums = {name: (times @ values).T for name, values in self.tiles.items()}
         tile, quarter = np.nonzero(sums["observed_steps"])
         keys = {"tile_id": self.tile_id[tile], "interval": interval[quarter]}
         found = {name: each[tile, quarter] for name, each in sums.items()}
         return TILE_COUNTS.to_arrow(keys | found)
 
-    def lane_rows(self, times: Floats, interval: Integers) -> pa.Table:
-        """Return rows of `lane_measures`; parameters as for :meth:`tile_rows`."""
+    def _lane_rows(self, times: Floats, interval: Integers) -> pa.Table:
         of = self.lanes
         found = _volumes(times, of)
         found |= {name: _total(times, of[name]) for name in _SUMS}
@@ -153,8 +158,7 @@ class MeasuredParts:
         rows["speed_counts"] = _lists(np.moveaxis(classes, 1, 0)[rows.pop("seen")], rows["counted"])
         return LANE_MEASURES.to_arrow(rows)
 
-    def turn_rows(self, times: Floats, interval: Integers) -> pa.Table:
-        """Return rows of `turns`; parameters as for :meth:`tile_rows`."""
+    def _turn_rows(self, times: Floats, interval: Integers) -> pa.Table:
         keys = {"from_lane": self.turn[:, 0], "to_lane": self.turn[:, 1]}
         rows = _rows(_volumes(times, self.turns), keys, interval)
         rows.pop("seen")
