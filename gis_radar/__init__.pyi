@@ -14,6 +14,7 @@ from .calibration import (
     read_clocks,
     track,
 )
+from .city import City, open_city
 from .dataset import (
     Dataset,
     measure,
@@ -58,6 +59,7 @@ from .scans import (
 from .site import Site, check_site, read_site, run_site
 
 __all__ = [
+    "City",
     "CrsError",
     "Dataset",
     "Filters",
@@ -85,6 +87,7 @@ __all__ = [
     "measure",
     "measure_clocks",
     "measure_quality",
+    "open_city",
     "open_dataset",
     "open_recording",
     "project",

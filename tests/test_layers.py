@@ -25,6 +25,7 @@ ROWS = """
     products
     site
     live
+    city
     demo
     gis_radar
     cli

@@ -1,3 +1,4 @@
+from .asked_time import day_numbers
 from .csv_rows import csv_rows, stated_moment, text_in
 from .dataset import Dataset, open_dataset
 from .day_tables import STEPS_PER_QUARTER
@@ -18,6 +19,7 @@ from .parts import (
     write_whole,
 )
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
+from .rollups import RollUps
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes
 from .states import states_of
@@ -39,6 +41,7 @@ __all__ = [
     "Manifest",
     "MeasureSettings",
     "Origin",
+    "RollUps",
     "Shifts",
     "TableSchema",
     "chance_of_others",
@@ -46,6 +49,7 @@ __all__ = [
     "count_spans",
     "create_dataset",
     "csv_rows",
+    "day_numbers",
     "footprint_style",
     "hour_of_step",
     "hour_text",

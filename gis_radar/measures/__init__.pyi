@@ -11,12 +11,13 @@ from .lane_fronts import FrontStates, StepGrid, VisibleRuns
 from .lane_measures import (
     LEAST_SHARE,
     SPEED_CLASS_KMH,
+    SPEED_CLASSES,
     Measured,
     TileSteps,
     VehicleTable,
     measure_lanes,
 )
-from .lane_names import TURN_WORDS, bound_name, lane_names, place_on, turn_lines
+from .lane_names import TURN_WORDS, bound_name, lane_directions, lane_names, place_on, turn_lines
 from .lane_network import LaneNetwork
 from .placing import PoseNumbers
 from .pose_sights import (
@@ -41,6 +42,7 @@ __all__ = [
     "LONGEST_VALID_STEPS",
     "MARGIN_STEPS",
     "NO_FURTHER",
+    "SPEED_CLASSES",
     "SPEED_CLASS_KMH",
     "TURN_WORDS",
     "Cycle",
@@ -76,6 +78,7 @@ __all__ = [
     "frame_columns",
     "headways",
     "holm_corrected",
+    "lane_directions",
     "lane_names",
     "measure_lanes",
     "observed_runs",

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import shapely
 import shapely.ops
 
@@ -48,12 +49,8 @@ def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
     network : LaneNetwork
         Network of the site.
     """
-    known = lanes.set_index("lane").loc[network.lane.tolist()]
-    lines = list(known.geometry.array)
-    stop = np.where(network.has_stop_line, network.line_m - BEFORE_M, network.line_m)
-    at = [float(np.clip(m, 0.0, line.length)) for m, line in zip(stop, lines, strict=True)]
-    points, ways = (np.array(each) for each in zip(*map(place_on, lines, at), strict=True))
-    connector = network.connector
+    known, points, ways = _counting_places(lanes, network)
+    lines, connector = list(known.geometry.array), network.connector
     beside = [line for line, inside in zip(lines, connector, strict=True) if not inside]
     kerb = _kerb_side(points[~connector], ways[~connector], beside)
     names = []
@@ -66,13 +63,46 @@ def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
         else:
             way = ways[k]
             place = tr("lane {number}", number=_number(points[k], way, beside, kerb))
-        street = street_label(row["street"], row.get("street_part")) or tr("Road")
-        name = f"{street} {bound_name(way)}, {place}"
+        name = f"{_direction(row, way)}, {place}"
         leads = connector[k] or network.has_stop_line[k] or connector[[*network.after[k]]].any()
         turns = str(row["turn"]).split(";") if leads and isinstance(row["turn"], str) else []
         words = listed([tr(TURN_WORDS[each]) for each in turns if each in TURN_WORDS])
         names.append(f"{name} ({words})" if words else name)
     return _made_unique(names, points, ways)
+
+
+def lane_directions(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
+    """Return street and direction of each lane of a network, as they begin its name.
+
+    Connectors lie in a junction, and have none: an empty text.
+
+    Parameters
+    ----------
+    lanes, network
+        As for :func:`lane_names`.
+    """
+    known, _, ways = _counting_places(lanes, network)
+    return [
+        "" if inside else _direction(row, way)
+        for (_, row), way, inside in zip(known.iterrows(), ways, network.connector, strict=True)
+    ]
+
+
+def _counting_places(
+    lanes: gpd.GeoDataFrame, network: LaneNetwork
+) -> tuple[gpd.GeoDataFrame, Floats, Floats]:
+    """Return the rows of lanes, the places at which they are named, and the directions there."""
+    known = lanes.set_index("lane").loc[network.lane.tolist()]
+    lines = list(known.geometry.array)
+    stop = np.where(network.has_stop_line, network.line_m - BEFORE_M, network.line_m)
+    at = [float(np.clip(m, 0.0, line.length)) for m, line in zip(stop, lines, strict=True)]
+    points, ways = (np.array(each) for each in zip(*map(place_on, lines, at), strict=True))
+    return known, points, ways
+
+
+def _direction(row: pd.Series, way: Floats) -> str:
+    street = street_label(row["street"], row.get("street_part")) or tr("Road")
+    return f"{street} {bound_name(way)}"
 
 
 def bound_name(way: Floats) -> str:

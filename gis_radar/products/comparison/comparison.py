@@ -20,12 +20,11 @@ from gis_radar.base import (
     speaking,
     tr,
 )
-from gis_radar.dataset import Dataset, open_dataset
+from gis_radar.dataset import Dataset, day_numbers, open_dataset
 from gis_radar.products.comparison.result import Comparison, Period
 from gis_radar.products.comparison.rows import AlikeRows, compared_rows
 from gis_radar.products.comparison.sights import LaneSights, lane_sights, seen_alike, shown_names
 
-DAY_NAMES = ("Mo", "Tu", "We", "Th", "Fr", "Sa", "Su")  # as in opening hours of OpenStreetMap
 INTERVAL, FINER = "15min", "1min"
 FEW_HOURS = 12  # periods up to so long have too few quarters of an hour: `FINER` is used
 
@@ -77,7 +76,7 @@ def compare(
         _require_apart(dataset, before, after)
     sources = ((dataset, before), (other, after))
     options = {"language": language or current_language()}
-    rows = _rows(sources, _day_numbers(days), options)
+    rows = _rows(sources, day_numbers(days), options)
     sights = [lane_sights(source, table) for (source, _), table in zip(sources, rows, strict=True)]
     with speaking(options["language"]):
         together = tr("All stop lines together")
@@ -123,20 +122,6 @@ def _require_apart(dataset: Dataset, before: Period, after: Period) -> None:
         raise UsageError(
             "the periods before and after overlap", hint="name two that have no time in common"
         )
-
-
-def _day_numbers(days: str | None) -> set[int]:
-    """Return the days of the week in a text such as `Mo-Fr,Su`, Monday as 0."""
-    found: set[int] = set()
-    for part in (days or "Mo-Su").split(","):
-        ends = [each.strip().capitalize() for each in part.split("-")]
-        if not set(ends) <= set(DAY_NAMES) or len(ends) > 2:
-            raise UsageError(
-                "{} names no days of the week", repr(days), hint="such as Mo-Fr or Sa,Su"
-            )
-        first, last = DAY_NAMES.index(ends[0]), DAY_NAMES.index(ends[-1])
-        found |= {(first + k) % 7 for k in range((last - first) % 7 + 1)}
-    return found
 
 
 def _rows(

@@ -1,0 +1,70 @@
+"""A city: a folder that holds a dataset a site, as `ROOT/site=NAME/`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from gis_radar.base import InputError
+from gis_radar.dataset import Dataset, Manifest, open_dataset
+
+SITE = "site="
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class City:
+    """City: the datasets of its sites.
+
+    Parameters
+    ----------
+    root : Path
+        Its folder.
+    sites : mapping
+        The dataset of each site, by its name, ascending.
+    """
+
+    root: Path
+    sites: Mapping[str, Dataset]
+
+    def __repr__(self) -> str:
+        return f"City({str(self.root)!r}: {', '.join(self.sites)})"
+
+
+def open_city(root: str | Path | City) -> City:
+    """Open a city; the tables of its sites are read when they are asked for.
+
+    Parameters
+    ----------
+    root : str, Path or City
+        A folder with a dataset a site, `ROOT/site=NAME/`; an open city stays as it is.
+
+    Raises
+    ------
+    InputError
+        If it is no such folder, two names of sites differ by case only, or a dataset is damaged or
+        of a newer schema.
+    """
+    if isinstance(root, City):
+        return root
+    root = Path(root)
+    if not root.is_dir():
+        raise InputError("{}: is no folder", root)
+    places = {
+        each.name.removeprefix(SITE): each
+        for each in sorted(root.glob(f"{SITE}?*"))
+        if Manifest.is_there(each)
+    }
+    if not places:
+        raise InputError(
+            "{}: is no city: has no dataset {}", root, f"{SITE}NAME/",
+            hint="name the folder that holds the datasets of the sites",
+        )  # fmt: skip
+    known: dict[str, str] = {}
+    for name in places:
+        if (other := known.setdefault(name.casefold(), name)) != name:
+            raise InputError(
+                "{}: two sites have one name: {} and {}", root, other, name,
+                hint="rename the folder of one",
+            )  # fmt: skip
+    return City(root=root, sites={name: open_dataset(place) for name, place in places.items()})

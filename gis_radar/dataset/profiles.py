@@ -1,0 +1,150 @@
+"""Questions to a dataset over months: roll-ups, profiles of streets, the map of a month."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from typing import get_args
+
+import pandas as pd
+import pyarrow as pa
+
+from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError, speaking
+from gis_radar.dataset.asked_time import AskedTime, Holidays, day_numbers, month_edges
+from gis_radar.dataset.reading import Span
+from gis_radar.dataset.records import HourRecord
+from gis_radar.dataset.rollups import RollUps
+from gis_radar.dataset.source import Moment, Source, require_vehicles
+from gis_radar.dataset.street_profile import SUMMED, By, StreetLanes, street_profile
+from gis_radar.dataset.table_schema import TableSchema
+from gis_radar.dataset.tables import LANE_MONTHS, TILE_MONTHS
+from gis_radar.dataset.units import for_people
+from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
+
+
+class Questions:
+    """Methods of a dataset that answer questions over months."""
+
+    def lane_months(self: Source, *, month: str | None = None) -> pd.DataFrame:
+        """Read the sums of lane measures by month, weekday and hour, by the clocks of the site.
+
+        Parameters
+        ----------
+        month : str, optional
+            Such as `2026-10`; by default all.
+
+        Returns
+        -------
+        DataFrame
+            `month`, and the columns of the files.
+        """
+        return _read(self, LANE_MONTHS, month)
+
+    def tile_months(self: Source, *, month: str | None = None) -> pd.DataFrame:
+        """Read the sums of tile counts by month and hour of the day; as :meth:`lane_months`."""
+        return _read(self, TILE_MONTHS, month)
+
+    def profile(
+        self: Source, street: str | None = None, *, by: By = "hour", days: str | None = None,
+        begin: Moment = None, end: Moment = None, month: str | None = None,
+        without: Holidays = None, language: str | None = None,
+    ) -> pd.DataFrame:  # fmt: skip
+        """Return the usual traffic of streets by direction: means over the days of a time.
+
+        Parameters
+        ----------
+        street : str, optional
+            Name of a street; by default all.
+        by : {"hour", "weekday", "month"}
+            A row for each hour of the day, day of the week, or month, by the clocks of the site.
+        days : str, optional
+            Days of the week that count, such as `Mo-Fr` or `Sa,Su`; by default all.
+        begin, end : str, datetime or step, optional
+            Times between which quarters of an hour count; by default all that was measured.
+        month : str, optional
+            A month in place of these, such as `2026-10`.
+        without : str, Path or sequence, optional
+            Holidays that do not count: dates such as `2026-10-03`, periods such as
+            `2026-10-12/2026-10-23` with both their ends, or a CSV file with a column `date`, or
+            columns `begin` and `end`.
+        language : str, optional
+            Language of the directions; by default the current one.
+
+        Returns
+        -------
+        DataFrame
+            `direction` (street and direction, as in names of lanes), the hour, day or month;
+            `volume_veh_h` (vehicles an hour over all lanes, mean along the street) with its
+            standard error `volume_se`, poses as given; `heavy_share`; `speed_kmh` (space mean);
+            `occupancy`, `occupancy_se`; `days` (counted, of the lane counted most; a day of which a
+            half was counted is 0.5), `visible_share` (of the time asked for, mean of the lanes that
+            were observed). Null where nothing is visible. Junctions are left out.
+
+        Raises
+        ------
+        UsageError
+            If there is no such street, day, date or month, or an end lies within a quarter of an
+            hour.
+        InputError
+            If vehicles were not looked for, or nothing was measured in that time.
+        """
+        require_vehicles(self)
+        if by not in get_args(By):
+            raise UsageError("by is {}, expected hour, weekday or month", repr(by))
+        rolled = roll_ups(self)
+        known, span = _asked_hours(self, begin, end, month)
+        time = AskedTime.of(span, self.timezone, days, without)
+        columns = ["lane", "weekday", "hour", *SUMMED]
+        parts = [
+            rows.to_pandas().assign(month=each)
+            for each, rows in rolled.asked(LANE_MONTHS, time, known, columns)
+        ]
+        sums = pd.concat(parts) if parts else LANE_MONTHS.empty().to_pandas().assign(month="")
+        sums = sums[sums["weekday"].isin(day_numbers(days))]
+        with speaking(language) if language else nullcontext():
+            lanes = StreetLanes.of(
+                self.layer(LANES_LAYER), self.layer(TILES_LAYER), rolled.traffic.network, street
+            )
+        return street_profile(sums, time, lanes, by)
+
+
+def _asked_hours(
+    dataset: Source, begin: Moment, end: Moment, month: str | None
+) -> tuple[dict[int, HourRecord], Span]:
+    """Return the records of the hours of a time, and its first and last step."""
+    if month is not None:
+        if (begin, end) != (None, None):
+            raise UsageError("month and begin, end do not go together", hint="give one of them")
+        begin, end = month_edges(month, dataset.timezone)
+    span = dataset.span(begin, end)
+    known = dataset.records(span)
+    if not known:
+        raise InputError(
+            "{}: nothing was measured in that time", dataset.folder,
+            hint="gis-radar dataset shows from when to when it was measured",
+        )  # fmt: skip
+    first, last = min(known) * STEPS_PER_HOUR, (max(known) + 1) * STEPS_PER_HOUR - 1
+    if span is not None:
+        first = first if begin is None else span[0]
+        last = last if end is None else span[1]
+    return known, (first, last)
+
+
+def roll_ups(dataset: Source) -> RollUps:
+    """Return the maker and reader of the roll-ups of a dataset."""
+    manifest = dataset.manifest
+    return RollUps(
+        folder=dataset.folder, fingerprint=manifest.fingerprint, timezone=manifest.timezone
+    )
+
+
+def _read(dataset: Source, table: TableSchema, month: str | None) -> pd.DataFrame:
+    rolled = roll_ups(dataset)
+    span = None if month is None else dataset.span(*month_edges(month, dataset.timezone))
+    known = dataset.records(span)
+    months = rolled.months(known) if month is None else [month]
+    parts = [rolled.read(table, each, known) for each in months]
+    whole = pa.concat_tables([table.empty(), *parts])
+    found = for_people(whole, dataset.manifest.origin)
+    lengths = [len(each) for each in parts]
+    found.insert(0, "month", pd.Series(months, dtype=object).repeat(lengths).to_list())
+    return found
