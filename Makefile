@@ -23,7 +23,7 @@ BENCHES := bench-assignment bench-tiles bench-dataset bench-mask \
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help set-up set-up-dev set-up-bench pdal demo live-demo docs test rules test-qgis lint format types faults live-test soak fuzz test-lowest test-newest bench \
+.PHONY: help set-up set-up-dev set-up-bench pdal demo live-demo city docs test rules test-qgis lint format types faults live-test soak fuzz test-lowest test-newest bench \
 	$(BENCHES) samples wheel plugin-zip constraints clean
 
 help: ## List the targets
@@ -48,6 +48,9 @@ live-demo: set-up-dev ## Run the live system on the sample junction until Ctrl-C
 	@sh tools/get_mosquitto.sh || true
 	-@sh tools/get_maplibre.sh
 	$(BIN)/python tools/live_demo.py out/live-demo
+
+city: set-up-dev ## Make a simulated city in out/city: SITES (20), MONTHS (2) drawn from measured minutes
+	$(ONE_THREAD) $(BIN)/python tools/simulated_city.py out/city --sites $(or $(SITES),20) --months $(or $(MONTHS),2)
 
 docs: set-up-dev ## Build the documentation in out/docs/html, with the notebooks run
 	$(BIN)/python tools/build_docs.py --run-notebooks

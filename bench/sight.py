@@ -31,8 +31,9 @@ from simulation.sight import building_walls
 sys.path.append(str(ROOT / "bench" / "localization"))
 import two_levels
 from places import ORIGIN, UTM
-from street_plans import NO_TURNS
 from town import TERRAIN, masts_of, town_plan
+
+from simulation.street_plans import NO_TURNS
 
 TOWNS, LEVELS = (4, 7), (1, 2, 3)
 DENSE = (Strip(heading_deg=24.0, slant=0.16), Strip(heading_deg=208.0, slant=0.1))

@@ -30,7 +30,6 @@ ROOT = Path(__file__).parents[1]
 sys.path += [str(ROOT), str(ROOT / "bench" / "localization")]
 
 from figures import table  # noqa: E402
-from street_plans import NO_TURNS, StreetPlan, junction  # noqa: E402
 
 from gis_radar.base import STEPS_PER_HOUR, STEPS_PER_SECOND  # noqa: E402
 from gis_radar.measures import (  # noqa: E402
@@ -49,6 +48,7 @@ from gis_radar.products.comparison.rows import AlikeRows, compared_rows  # noqa:
 from simulation.curves import arc_length  # noqa: E402
 from simulation.demand import KINDS, random_flows, run_demand  # noqa: E402
 from simulation.network import RoadNetwork, build_network, read_network  # noqa: E402
+from simulation.street_plans import NO_TURNS, StreetPlan, junction  # noqa: E402
 
 LENGTHS = {kind.name: kind.length_m for kind in KINDS}
 TILE_M = 1.0

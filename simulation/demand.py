@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,8 @@ import numpy as np
 
 from simulation import sumo
 from simulation.network import RoadNetwork
+
+_STOPPED_M = 35.0  # from the begin of an edge to a car that has broken down on it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,6 +147,7 @@ def run_demand(
     trace_from_s: float,
     end_s: float,
     seed: int,
+    blocked: Sequence[str] = (),
 ) -> None:
     """Drive the demand through a SUMO network at 20 Hz.
 
@@ -159,9 +163,12 @@ def run_demand(
         Seconds of simulation from which on to write, and when to stop.
     seed : int
         Of SUMO's random numbers.
+    blocked : sequence of str
+        Edges on whose lanes cars have broken down, a little after their begin.
     """
     routes = trace.with_name(f"{trace.name}.rou.xml")
-    routes.write_text(_routes_xml(flows, kinds, end_s), encoding="utf-8")
+    lanes = _lanes_of(net, blocked)
+    routes.write_text(_routes_xml(flows, kinds, end_s, lanes), encoding="utf-8")
     sumo.run(
         "sumo",
         [
@@ -180,7 +187,19 @@ def run_demand(
     )
 
 
-def _routes_xml(flows: Sequence[Flow], kinds: Sequence[VehicleKind], end_s: float) -> str:
+def _lanes_of(net: Path, edges: Sequence[str]) -> list[tuple[str, int]]:
+    """Return the edge and the number of each lane of some edges."""
+    root = ET.parse(net).getroot() if edges else ET.Element("net")  # noqa: S314
+    found = [edge for edge in root.iter("edge") if edge.attrib["id"] in edges]
+    return [(edge.attrib["id"], k) for edge in found for k in range(len(edge.findall("lane")))]
+
+
+def _routes_xml(
+    flows: Sequence[Flow],
+    kinds: Sequence[VehicleKind],
+    end_s: float,
+    blocked: Sequence[tuple[str, int]] = (),
+) -> str:
     types = "".join(
         f'<vType id="{k.name}" vClass="{k.sumo_class}" length="{k.length_m}" '
         f'width="{k.width_m}" height="{k.height_m}" probability="{k.share}"/>'
@@ -192,5 +211,11 @@ def _routes_xml(flows: Sequence[Flow], kinds: Sequence[VehicleKind], end_s: floa
         for i, f in enumerate(flows)
         if f.per_hour > 0.0
     )
+    stopped = "".join(
+        f'<trip id="stopped{k}" type="{kinds[0].name}" depart="0" from="{edge}" to="{edge}" '
+        f'departLane="{lane}" departPos="{_STOPPED_M}" departSpeed="0">'
+        f'<stop lane="{edge}_{lane}" endPos="{_STOPPED_M + 5.0}" duration="{end_s}"/></trip>'
+        for k, (edge, lane) in enumerate(blocked)
+    )
     mix = f'<vTypeDistribution id="mix">{types}</vTypeDistribution>'
-    return f"<routes>{mix}{rows}</routes>"
+    return f"<routes>{mix}{stopped}{rows}</routes>"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -130,6 +131,7 @@ def write_lanelets(
     terrain: Terrain,
     crs: CRS,
     crosswalks: tuple[Crosswalk, ...] = (),
+    streets: Mapping[str, str] | None = None,
 ) -> None:
     """Write a network as a Lanelet2 map in WGS84.
 
@@ -148,14 +150,18 @@ def write_lanelets(
         The map frame.
     crosswalks : tuple of Crosswalk
         Drawn as lanelets for pedestrians.
+    streets : mapping, optional
+        Names of streets by edge.
     """
+    names = streets or {}
     drawing = _Drawing(terrain=terrain)
     lights = _draw_lights(network, drawing)
     for lane in network.lanes.values():
         lines = _lane_lines(lane, network)
-        _draw_lanelet(lane, lines, drawing, lights.get(lane.edge))
+        street = {"street_name": names[lane.edge]} if lane.edge in names else {}
+        _draw_lanelet(lane, lines, drawing, lights.get(lane.edge), street)
     for turn in network.turns.values():
-        _draw_lanelet(turn, _turn_lines(turn, network), drawing, None)
+        _draw_lanelet(turn, _turn_lines(turn, network), drawing, None, {})
     for walk in crosswalks:
         sides = (("left", walk.left), ("right", walk.right))
         drawing.relation([("way", s, drawing.way(p, "zebra")) for s, p in sides], _WALK)
@@ -201,14 +207,18 @@ def _turn_lines(turn: Turn, network: RoadNetwork) -> tuple[str, str]:
 
 
 def _draw_lanelet(
-    band: Lane | Turn, lines: tuple[str, str], drawing: _Drawing, light: int | None
+    band: Lane | Turn,
+    lines: tuple[str, str],
+    drawing: _Drawing,
+    light: int | None,
+    street: Mapping[str, str],
 ) -> None:
     left, right = drawing.way(band.left, lines[0]), drawing.way(band.right, lines[1])
     members = [("way", "left", left), ("way", "right", right)]
     if light is not None:
         members.append(("relation", "regulatory_element", light))
     limit = str(round(band.speed_limit * 3.6))
-    drawing.relation(members, _ROAD | {"speed_limit": limit})
+    drawing.relation(members, _ROAD | {"speed_limit": limit, **street})
 
 
 def _xml(drawing: _Drawing, crs: CRS) -> str:

@@ -33,6 +33,7 @@ def simulate_traffic(
     warm_up_s: float = 240.0,
     seed: int,
     keeping: LaneKeeping | None = None,
+    blocked: Sequence[str] = (),
 ) -> Traffic:
     """Simulate traffic with SUMO and lay it on the network's smooth lanes.
 
@@ -52,6 +53,8 @@ def simulate_traffic(
         Same seed, same traffic.
     keeping : LaneKeeping, optional
         Where in their lanes drivers keep.
+    blocked : sequence of str
+        Edges that cars have broken down on.
     """
     keeping = keeping or LaneKeeping()
     with tempfile.TemporaryDirectory() as folder:
@@ -64,6 +67,7 @@ def simulate_traffic(
             trace_from_s=max(0.0, warm_up_s - _RUN_UP_S),
             end_s=warm_up_s + duration_s + 2 * STEP_S,
             seed=seed,
+            blocked=blocked,
         )
         runs = _read_trace(trace, seed, keeping)
     steps = round(duration_s / STEP_S) + 1

@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 import shapely
 from pyproj import CRS
-from street_plans import NO_TURNS, StreetPlan
 
 import gis_radar as gr
 from gis_radar.base import Floats
@@ -29,6 +28,7 @@ from simulation.recording import frame_times, simulate_recording
 from simulation.roadside import Roadside, furnish
 from simulation.scan import fly, write_scan
 from simulation.scene import Scene
+from simulation.street_plans import NO_TURNS, StreetPlan
 from simulation.terrain import Terrain
 from simulation.traffic import simulate_traffic
 

@@ -24,7 +24,6 @@ from places import (
     roadside_stand,
     write_moving,
 )
-from street_plans import PLANS
 from trials import NEAR_M, Trial, in_workers
 
 import gis_radar as gr
@@ -32,6 +31,7 @@ from simulation.demand import KINDS
 from simulation.driving import LaneKeeping
 from simulation.roadside import Roadside
 from simulation.scene import Scene
+from simulation.street_plans import PLANS
 from simulation.terrain import Terrain
 
 COUNT, QUICK_COUNT = 120, 10
@@ -59,7 +59,7 @@ def random_place(drawn: tuple[int, str]) -> Path:
     def make() -> None:
         _make(number, folder, conditions)
 
-    return made(folder, make, "random_places", "places", "conditions", "street_plans")
+    return made(folder, make, "random_places", "places", "conditions")
 
 
 def _make(number: int, folder: Path, conditions: str) -> None:

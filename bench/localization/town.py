@@ -17,11 +17,11 @@ import shapely
 from conditions import CONDITIONS, TEXTBOOK
 from places import ORIGIN, OUT, UTM, WINDOW_S, made, make_place, write_moving
 from scipy.interpolate import CubicSpline
-from street_plans import StreetPlan
 
 import gis_radar as gr
 from gis_radar.base import Floats
 from simulation.scene import Scene
+from simulation.street_plans import StreetPlan
 from simulation.terrain import Terrain
 
 SETS = ("DY", "DO")
@@ -182,4 +182,4 @@ def town_folder(conditions: str = TEXTBOOK) -> Path:
                 pose.write(folder / f"{set_name}_{pose.sensor}.json")
         place.write_ground(folder, seed=SEED)
 
-    return made(folder, make, "town", "places", "conditions", "street_plans")
+    return made(folder, make, "town", "places", "conditions")

@@ -36,7 +36,6 @@ from places import (  # noqa: E402
 )
 from simulated import true_pose  # noqa: E402
 from standing import in_sight, write_standing  # noqa: E402
-from street_plans import PLANS, StreetPlan, axis  # noqa: E402
 from town import MASTS, TERRAIN, masts_of, town_plan  # noqa: E402
 from true_occupancy import Sensor, TrueOccupancy, true_occupancy  # noqa: E402
 from true_traffic import TrueTraffic, read_traffic  # noqa: E402
@@ -49,6 +48,7 @@ from simulation.presets import TEXTBOOK  # noqa: E402
 from simulation.radar import RadarModel  # noqa: E402
 from simulation.roadside import Roadside  # noqa: E402
 from simulation.scan import fly, write_scan  # noqa: E402
+from simulation.street_plans import PLANS, StreetPlan, axis  # noqa: E402
 
 OUT = ROOT / "out" / "bench-vehicles"
 SHARED = ("town01", "town02", "town04")

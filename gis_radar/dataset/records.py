@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 
 from gis_radar.base import InputError, output_errors, read_json, writing_errors
 from gis_radar.dataset.parts import (
+    HOURS_PER_DAY,
     MEASURE_AGAIN,
     Origin,
     PartDigest,
@@ -127,7 +128,11 @@ def read_hours(
     """
     found = (
         _read(path)
-        for path in sorted((folder / HOURS).glob("????-??-??/??.json"))
+        for date in sorted((folder / HOURS).glob("????-??-??"))
+        if (midnight := _hour_of_path(date / "00.json")) is not None
+        and (first is None or first < midnight + HOURS_PER_DAY)
+        and (last is None or midnight <= last)
+        for path in sorted(date.glob("??.json"))
         if (hour := _hour_of_path(path)) is not None
         and (first is None or first <= hour)
         and (last is None or hour <= last)
@@ -179,11 +184,11 @@ def _read(path: Path) -> HourRecord | None:
 
 def _origin(document: dict[str, Any]) -> Origin:
     """Return the origin in a record; an entry of another type is damage."""
-    found = Origin(**{name: document[name] for name in Origin.__annotations__})
-    for name, value in asdict(found).items():
+    found = {name: document[name] for name in Origin.__annotations__}
+    for name, value in found.items():
         if not isinstance(value, int if name == "method" else str):
             raise TypeError(name)
-    return found
+    return Origin(**found)
 
 
 def write_record(folder: Path, record: HourRecord) -> None:

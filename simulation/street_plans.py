@@ -75,6 +75,14 @@ class StreetPlan:
         self.one_way(f"{at}_{name}", (at, f"{name}_out"), out, lanes[0], rank)
         self.one_way(f"{name}_{at}", (f"{name}_in", at), back, lanes[1], rank)
 
+    def ring(self, headings_rad: Floats, radius_m: float) -> None:
+        """Add the lane around a roundabout, through its nodes `R0`, `R1`, ... at these headings."""
+        for k, begin in enumerate(headings_rad):
+            after = (k + 1) % len(headings_rad)
+            turn = np.linspace(begin, begin + (headings_rad[after] - begin) % (2.0 * np.pi), 24)
+            line = radius_m * np.column_stack([np.cos(turn), np.sin(turn)])
+            self.one_way(f"ring{k}", (f"R{k}", f"R{after}"), line, 1, rank=9)
+
     @property
     def nodes_xml(self) -> str:
         """The nodes."""
@@ -187,11 +195,7 @@ def roundabout(rng: np.random.Generator) -> StreetPlan:
         place = radius * np.array([np.cos(heading), np.sin(heading)])
         plan.node(f"R{k}", place, radius_m=5.0)
         plan.arm(f"A{k}", f"R{k}", _bent(rng, float(np.degrees(heading)), place))
-    for k, begin in enumerate(headings):
-        end = headings[(k + 1) % arms]
-        turn = np.linspace(begin, begin + (end - begin) % (2.0 * np.pi), 24)
-        ring = radius * np.column_stack([np.cos(turn), np.sin(turn)])
-        plan.one_way(f"ring{k}", (f"R{k}", f"R{(k + 1) % arms}"), ring, 1, rank=9)
+    plan.ring(headings, radius)
     return plan
 
 

@@ -1,0 +1,259 @@
+"""Days of a dataset that nobody measured: their counts are drawn from measured parts of minutes.
+
+Each quarter of an hour is a sum of measured parts, drawn from the levels of demand next to the one
+that is wanted. The hours are as `keep` leaves them: without exact tables.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from datetime import UTC, date, datetime, timedelta
+from functools import cached_property
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from gis_radar.base import STEP_S, Floats, Integers
+from gis_radar.calibration import Finding
+from gis_radar.dataset import (
+    TILE_COUNTS,
+    Dataset,
+    MeasureSettings,
+    Origin,
+    hour_text,
+    open_dataset,
+    write_record,
+)
+from gis_radar.dataset.day_tables import QUARTERS, Day
+from gis_radar.dataset.lane_measures import METHOD, TRAFFIC_TABLES
+from gis_radar.dataset.parts import HOURS_PER_DAY, PartDigest
+from gis_radar.dataset.records import HourRecord
+from gis_radar.dataset.registry import RecordingEntry, Registry
+from gis_radar.dataset.tables import HOUR_TABLES
+from gis_radar.dataset.tile_counts import count_keys
+from simulation.measured_minutes import PARTS, MeasuredParts
+
+DRAWN = "drawn"
+"""Entry of a dataset's settings, and folder of its recordings, that say what was drawn."""
+_QUARTERS_A_DAY = HOURS_PER_DAY * QUARTERS
+_NIGHT = 0.06
+_PEAKS = {True: ((7.7, 1.1, 0.8), (13.0, 3.2, 0.45), (17.1, 1.6, 0.8)), False: ((14.5, 3.6, 0.55),)}
+"""On workdays and on others: hour by the clocks, width in hours, share of the busiest demand."""
+_SATURDAY, _SUNDAY = 5, 6
+_AT_ONCE = 4
+_DAY = timedelta(days=1)
+_DAYS_DIFFER, _QUARTERS_DIFFER = 0.05, 0.08
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnEvents:
+    """What happens at a site on the days that are drawn.
+
+    Parameters
+    ----------
+    jam : (datetime, datetime), optional
+        Begin and end of an incident: quarters are drawn from the last level of demand.
+    silent : mapping
+        By sensor, begin and end of the time in which it delivers nothing.
+    shares : mapping
+        By first day, demand as a share of the usual.
+    """
+
+    jam: tuple[datetime, datetime] | None = None
+    silent: Mapping[str, tuple[datetime, datetime]] = field(default_factory=dict)
+    shares: Mapping[date, float] = field(default_factory=dict)
+
+    def share(self, day: date) -> float:
+        """Return the demand of a day as a share of the usual."""
+        begun = [share for first, share in sorted(self.shares.items()) if first <= day]
+        return begun[-1] if begun else 1.0
+
+    def heard(self, sensors: Sequence[str], hour: datetime) -> frozenset[str]:
+        """Return the sensors that deliver frames in an hour."""
+        gone = {name for name, (begin, end) in self.silent.items() if begin <= hour < end}
+        return frozenset(sensors) - gone
+
+
+def demand_at(begin: pd.DatetimeIndex) -> Floats:
+    """Return the usual demand at local times, as a share of the busiest: two peaks on workdays."""
+    hour = np.asarray(begin.hour + begin.minute / 60.0, np.float64)
+    weekday = np.asarray(begin.day_of_week)
+    found = np.full(len(begin), _NIGHT)
+    for workday, peaks in _PEAKS.items():
+        mine = (weekday < _SATURDAY) == workday
+        for middle, width, share in peaks:
+            found[mine] += share * np.exp(-0.5 * ((hour[mine] - middle) / width) ** 2)
+    return np.asarray(np.minimum(found * np.where(weekday == _SUNDAY, 0.75, 1.0), 1.0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DayDrawer:
+    """Drawer of the days of a dataset.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        With the measured hours; the days are added to it.
+    parts : dict
+        Measured parts by the sensors that were heard in them.
+    demands : sequence of float
+        Demand of each level, ascending; beyond those up to 1 the last is a jam.
+    events : DrawnEvents
+        What happens.
+    seed : int
+        Same seed, same days.
+    """
+
+    dataset: Dataset
+    parts: Mapping[frozenset[str], MeasuredParts]
+    demands: Sequence[float]
+    events: DrawnEvents = field(default_factory=DrawnEvents)
+    seed: int = 1
+
+    @cached_property
+    def _sensors(self) -> list[str]:
+        return self.dataset.sensors
+
+    @cached_property
+    def _method(self) -> int:
+        return max(self.dataset.methods)
+
+    def draw(self, begin: datetime, end: datetime, *, remark: str) -> Dataset:
+        """Draw the hours of a time, and write them.
+
+        Parameters
+        ----------
+        begin, end : datetime
+            Whole hours.
+        remark : str
+            What the settings say about them.
+        """
+        folder, manifest = self.dataset.folder, self.dataset.manifest
+        replace(manifest, settings=manifest.settings | {DRAWN: remark}).write(folder)
+        days = [
+            (max(day, begin), min(day + _DAY, end))
+            for k in range((end.date() - begin.date()).days + 1)
+            if (day := _midnight(begin) + k * _DAY) < end
+        ]
+        with ThreadPoolExecutor(_AT_ONCE) as pool:  # each waits for the disk most of the time
+            drawn = [hour for hours in pool.map(self._draw_day, days) for hour in hours]
+        margin = MeasureSettings.from_dict(manifest.settings).margin
+        registry = Registry.read(folder, manifest.fingerprint)
+        entries = [entry for day in days for entry in self._entries(registry, *day)]
+        known = replace(registry, entries=(*registry.entries, *entries))
+        known.with_hours({*drawn, *self.dataset.records()}, margin).write_recordings()
+        return open_dataset(folder)
+
+    def _draw_day(self, span: tuple[datetime, datetime]) -> list[int]:
+        """Write tables and records of a day; return its hours in which a sensor was heard."""
+        midnight = _midnight(span[0])
+        first = _hour(midnight)
+        heard = {
+            hour: self.events.heard(self._sensors, midnight + timedelta(hours=hour - first))
+            for hour in range(_hour(span[0]), _hour(span[1]))
+        }
+        records = {hour: self._record(hour) for hour, sensors in heard.items() if sensors}
+        times = self._times(midnight)
+        made = dict[frozenset[str], tuple[pa.Table, pa.Table, pa.Table]]()
+        for sensors in {heard[hour] for hour in records}:
+            hours = np.array([hour - first for hour in records if heard[hour] == sensors])
+            quarters = (hours[:, None] * QUARTERS + np.arange(QUARTERS)).ravel()
+            made[sensors] = self.parts[sensors].rows(times[sensors][quarters], quarters)
+
+        def rows(hour: int, tables: slice) -> list[pa.Table]:
+            """Return the rows of an hour: of tile counts, lane measures and turns."""
+            found = made[heard[hour]][tables]
+            hours = [table["interval"].to_numpy() // QUARTERS for table in found]
+            return [
+                table.filter(each == hour - first) for table, each in zip(found, hours, strict=True)
+            ]
+
+        fingerprint = self.dataset.manifest.fingerprint
+        day = Day(folder=self.dataset.folder, fingerprint=fingerprint, first_hour=first)
+        keys = count_keys(records)
+        day.update((TILE_COUNTS,), keys, lambda hour: rows(hour, slice(0, 1)))
+        of_traffic = {hour: [METHOD, *key, *key] for hour, key in keys.items()}
+        day.update(TRAFFIC_TABLES, of_traffic, lambda hour: rows(hour, slice(1, 3)))
+        for record in records.values():
+            write_record(self.dataset.folder, record)
+        return [*records]
+
+    def _times(self, begin: datetime) -> dict[frozenset[str], Floats]:
+        """Return by sensors how often each measured part is drawn for each quarter of a day."""
+        rng = np.random.default_rng([self.seed, begin.toordinal()])
+        quarters = pd.date_range(begin, periods=_QUARTERS_A_DAY, freq="15min")
+        demand = demand_at(quarters.tz_convert(ZoneInfo(self.dataset.timezone)))
+        demand *= self.events.share(begin.date()) * np.exp(rng.normal(0.0, _DAYS_DIFFER))
+        demand *= np.exp(rng.normal(0.0, _QUARTERS_DIFFER, len(demand)))
+        usual = np.array([each for each in self.demands if each <= 1.0])
+        place = np.interp(demand, usual, np.arange(len(usual)))[:, None]
+        level = np.floor(place + rng.random((len(demand), PARTS))).astype(np.int64)
+        if self.events.jam is not None:
+            since, until = map(pd.Timestamp, self.events.jam)
+            level[np.asarray((quarters >= since) & (quarters < until))] = len(self.demands) - 1
+        share = rng.random(level.shape)
+        return {sensors: _times_of(parts, level, share) for sensors, parts in self.parts.items()}
+
+    def _record(self, hour: int) -> HourRecord:
+        manifest = self.dataset.manifest
+        text = f"{DRAWN} {self.seed} {hour_text(hour)} of {self._sensors}"
+        origin = Origin(
+            fingerprint=manifest.fingerprint, method=self._method,
+            inputs=hashlib.sha256(text.encode()).hexdigest(),
+        )  # fmt: skip
+        names = tuple(table.name for table in HOUR_TABLES)
+        none = PartDigest(rows=0, size=0, sha256=hashlib.sha256(b"").hexdigest())
+        return HourRecord(hour=hour, origin=origin, parts=dict.fromkeys(names, none), dropped=names)
+
+    def _entries(self, registry: Registry, begin: datetime, end: datetime) -> list[RecordingEntry]:
+        """Return the recordings of a day that there would be: one a sensor, two where it failed."""
+        found = list[RecordingEntry]()
+        for each in {entry.sensor: entry for entry in registry.entries}.values():
+            spans = [(begin, end)]
+            if each.sensor in self.events.silent:
+                since, until = self.events.silent[each.sensor]
+                pairs = [(begin, min(end, since)), (max(begin, until), end)]
+                spans = [(a, b) for a, b in pairs if a < b]
+                spans = spans if since < end and begin < until else [(begin, end)]
+            for first, last in spans:
+                path = f"{DRAWN}/{each.sensor}_{first:%Y%m%dT%H%M}Z.parquet"
+                found.append(
+                    replace(
+                        each, path=path, digest=hashlib.sha256(path.encode()).hexdigest(),
+                        first_time=first.timestamp(), last_time=last.timestamp() - STEP_S,
+                        rows=0, hours=frozenset(),
+                    )
+                )  # fmt: skip
+        return found
+
+
+def _midnight(time: datetime) -> datetime:
+    """Return the begin of the UTC date of a time."""
+    return datetime.combine(time.astimezone(UTC).date(), datetime.min.time(), tzinfo=UTC)
+
+
+def _hour(time: datetime) -> int:
+    """Return the hour since 1970 of a time."""
+    return int(time.timestamp()) // 3600
+
+
+def _times_of(parts: MeasuredParts, level: Integers, share: Floats) -> Floats:
+    """Return how often each part is drawn for each quarter."""
+    count = np.bincount(parts.level)
+    first = np.cumsum(count) - count
+    part = first[level] + np.floor(share * count[level]).astype(np.int64)
+    found = np.zeros((len(level), len(parts.level)))
+    np.add.at(found, (np.arange(len(level))[:, None], part), 1.0)
+    return found
+
+
+def doubt(dataset: Dataset, finding: Finding) -> None:
+    """Add a finding about a sensor to the manifest of a dataset."""
+    manifest = dataset.manifest
+    checks = manifest.checks | {finding.sensor: finding.record}
+    replace(manifest, checks=checks).write(dataset.folder)
