@@ -14,7 +14,7 @@ from .calibration import (
     read_clocks,
     track,
 )
-from .city import City, open_city
+from .city import City, fleet_health, open_city, write_month_page
 from .dataset import (
     Dataset,
     measure,
@@ -79,6 +79,7 @@ __all__ = [
     "compare",
     "convert",
     "find_sight",
+    "fleet_health",
     "localize",
     "make_heatmap",
     "make_tiles",
@@ -106,6 +107,7 @@ __all__ = [
     "run_site",
     "sample_folder",
     "track",
+    "write_month_page",
     "write_qgis_project",
     "write_report",
     "write_tiles",

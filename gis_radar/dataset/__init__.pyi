@@ -17,18 +17,20 @@ from .parts import (
     unfinished,
     write_whole,
 )
-from .records import HourWriter, read_hour, read_hours, record_path, write_record
+from .records import HourWriter, listed_hours, read_hour, read_hours, record_path, write_record
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes
 from .states import states_of
 from .table_schema import TableSchema
-from .tables import FRAMES, PASSAGES, TILE_COUNTS
+from .tables import FRAMES, PASSAGES, POSES, RECORDINGS, TILE_COUNTS
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
 
 __all__ = [
     "FOOTPRINTS",
     "FRAMES",
     "PASSAGES",
+    "POSES",
+    "RECORDINGS",
     "SHOWN_S",
     "STEPS_PER_QUARTER",
     "TILE_COUNTS",
@@ -50,6 +52,7 @@ __all__ = [
     "hour_of_step",
     "hour_text",
     "lanes_beside",
+    "listed_hours",
     "manifest_of",
     "measure",
     "open_dataset",

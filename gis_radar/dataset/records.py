@@ -122,13 +122,17 @@ def read_hours(
         If one is damaged or of a newer schema.
     """
     found = (
-        _read(path)
-        for path in sorted((folder / HOURS).glob("????-??-??/??.json"))
-        if (hour := _hour_of_path(path)) is not None
-        and (first is None or first <= hour)
-        and (last is None or hour <= last)
+        _read(record_path(folder, hour))
+        for hour in listed_hours(folder)
+        if (first is None or first <= hour) and (last is None or hour <= last)
     )
     return {record.hour: record for record in found if record is not None}
+
+
+def listed_hours(folder: Path) -> list[int]:
+    """List the hours since 1970 that have a record, ascending; no record is read."""
+    paths = sorted((folder / HOURS).glob("????-??-??/??.json"))
+    return [hour for path in paths if (hour := _hour_of_path(path)) is not None]
 
 
 def _hour_of_path(path: Path) -> int | None:
