@@ -15,6 +15,7 @@ from maps import EAST, NORTH, UTM
 from shapely import LineString
 
 from gis_radar.measures import (
+    SPEED_CLASSES,
     FrontStates,
     LaneNetwork,
     StepGrid,
@@ -24,7 +25,6 @@ from gis_radar.measures import (
     lane_names,
     measure_lanes,
 )
-from gis_radar.measures.lane_measures import SPEED_CLASSES
 from gis_radar.measures.lane_network import Turn
 from gis_radar.measures.queues import standing_states
 

@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[1]
 PERIODS = {
     "hour": "a file an hour, `{}/date=YYYY-MM-DD/HH.parquet`",
     "day": "a file a day, `{}/date=YYYY-MM-DD/day.parquet`",
+    "month": "a file a month, `{}/month=YYYY-MM/month.parquet`",
     "dataset": "one file, `{}.parquet`",
 }
 

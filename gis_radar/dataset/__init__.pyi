@@ -18,6 +18,7 @@ from .parts import (
     write_whole,
 )
 from .records import HourWriter, listed_hours, read_hour, read_hours, record_path, write_record
+from .rollups import RollUps
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes
 from .states import states_of
@@ -41,6 +42,7 @@ __all__ = [
     "Manifest",
     "MeasureSettings",
     "Origin",
+    "RollUps",
     "Shifts",
     "TableSchema",
     "chance_of_others",

@@ -28,6 +28,7 @@ from gis_radar.base import (
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import TILES, Manifest
 from gis_radar.dataset.parts import MEASURE_AGAIN, hour_begin, hour_of_step, hour_text, whole_table
+from gis_radar.dataset.profiles import Questions, roll_ups
 from gis_radar.dataset.reading import Span, read_rows
 from gis_radar.dataset.records import HourRecord, read_hours
 from gis_radar.dataset.source import Moment
@@ -65,7 +66,7 @@ _LAST_STEP = 1 << 62
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Dataset(TrafficTables, VehicleTables, SqlQueries):
+class Dataset(TrafficTables, VehicleTables, SqlQueries, Questions):
     """Dataset of a site: tables by hour, read when they are asked for.
 
     Tables come in metres, degrees, m/s and UTC timestamps; `begin` is included, `end` is not.
@@ -321,6 +322,7 @@ class Dataset(TrafficTables, VehicleTables, SqlQueries):
                 record.check_bytes(self.folder, TABLES[name])
             reporter.progress("checking parts", done + 1, len(records))
         check_counts(self.folder, self.manifest.fingerprint, records)
+        roll_ups(self).check()
 
     def withdraw(
         self, recordings: Sequence[str | Path], *, processes: int = 1, reporter: Reporter = QUIET

@@ -156,6 +156,7 @@ class LaneTraffic:
         :func:`gis_radar.dataset.tile_counts.read_counts`.
         """
         place = TRAFFIC_TABLES.index(table)
+        self._before.update(_with_tracks(records))
         for day, hours in days_with(self.folder, self.fingerprint, list(records)):
             keys = self.keys(day, {hour: records[hour] for hour in sorted(hours)})
             rows = day.rows(TRAFFIC_TABLES, keys, lambda hour: self._quarters(records[hour]))

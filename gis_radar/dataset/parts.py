@@ -333,6 +333,8 @@ def _remedy(table: TableSchema) -> str:
     hint = MEASURE_AGAIN
     if table.period == "day":
         hint = Text("remove it: the next run counts that day again")
+    if table.period == "month":
+        hint = Text("remove it: the next run sums that month again")
     if table.period == "dataset":
         hint = Text("bring it back, or measure into a new folder")
     return hint

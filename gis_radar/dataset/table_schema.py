@@ -69,8 +69,8 @@ class TableSchema:
         rows have no steps.
     runs : bool
         Whether rows are disjoint runs of steps of a tile, which may be cut.
-    period : {"hour", "day", "dataset"}
-        Period of one file.
+    period : {"hour", "day", "month", "dataset"}
+        Period of one file; months are those of the site's clocks.
     """
 
     name: str
@@ -79,7 +79,7 @@ class TableSchema:
     order: tuple[str, ...]
     span: tuple[str, str] | None = None
     runs: bool = False
-    period: Literal["hour", "day", "dataset"] = "hour"
+    period: Literal["hour", "day", "month", "dataset"] = "hour"
 
     @property
     def names(self) -> list[str]:

@@ -222,6 +222,55 @@ TURNS = TableSchema(
     period="day",
 )  # fmt: skip
 
+_WEEKDAY = TableColumn("weekday", _SHORT, "day of the week by the site's clocks, 0: Monday")
+_HOUR = TableColumn("hour", _SHORT, "hour of the day by the site's clocks, 0 to 23")
+
+LANE_MONTHS = TableSchema(
+    name="lane_months",
+    means="a lane in an hour of the day, on one day of the week, of a month: sums of quarters",
+    columns=(
+        TableColumn("lane", _LONG, "number of the lane, as in the layer `lanes`"),
+        _WEEKDAY,
+        _HOUR,
+        TableColumn("quarters", _SHORT, "quarters of an hour of which the volume is known"),
+        TableColumn("visible_s", _DOUBLE, "seconds in which the counting line was visible"),
+        TableColumn("counted", _LONG, "fronts over the stop line, else over the middle"),
+        TableColumn("volume", _DOUBLE, "vehicles in `quarters`, estimated"),
+        TableColumn("volume_variance", _DOUBLE, "of volume, poses as given"),
+        TableColumn("heavy", _DOUBLE, "buses and trucks among `counted`"),
+        TableColumn("speed_counts", pa.list_(_LONG), "of `counted`, by 5 km/h; the last from 195"),
+        TableColumn("visible_km_h", _DOUBLE, "km of lane x hours visible"),
+        TableColumn("occupied_km_h", _DOUBLE, "occupancy x visible_km_h"),
+        TableColumn("occupied_variance", _DOUBLE, "of occupied_km_h, poses as given"),
+        TableColumn("vehicle_km", _DOUBLE, "flow x visible_km_h: driven where visible"),
+        TableColumn("vehicle_h", _DOUBLE, "density x visible_km_h: spent where visible"),
+        TableColumn("delay_h", _DOUBLE, "delay x volume, hours"),
+        TableColumn("queue_m_s", _DOUBLE, "mean back of the queue x seconds visible"),
+        TableColumn("queue_max_m", _DOUBLE, "farthest back of a queue from the stop line", True),
+        TableColumn("stops", _LONG, "vehicles that came to stand"),
+    ),
+    order=("lane", "weekday", "hour"),
+    period="month",
+)
+
+TILE_MONTHS = TableSchema(
+    name="tile_months",
+    means="a tile in an hour of the day of a month: sums of `tile_counts`",
+    columns=(
+        TILE,
+        _HOUR,
+        TableColumn("hit_steps", _LONG, "steps both hit and observed"),
+        TableColumn("observed_steps", _LONG, "steps observed"),
+        TableColumn("occupied_steps", _LONG, "steps both occupied and visible"),
+        TableColumn("visible_steps", _LONG, "steps visible"),
+        TableColumn("hidden_steps", _LONG, "steps observed and not visible"),
+        TableColumn("occupied_variance", _DOUBLE, "of occupied_steps by the tracks, steps^2"),
+        TableColumn("inferred_steps", _LONG, "steps visible while hidden by vehicles"),
+    ),
+    order=("tile_id", "hour"),
+    period="month",
+)
+
 RECORDINGS = TableSchema(
     name="recordings",
     means="a recording and the hours that were made with it",
@@ -279,4 +328,8 @@ VEHICLE_TABLES = (VISIBLE, OCCUPIED, TRACKS, VEHICLES, CONTINUED, PASSAGES)
 
 HOUR_TABLES = (*HIT_TABLES, *VEHICLE_TABLES)
 DAY_TABLES = (TILE_COUNTS, LANE_MEASURES, TURNS)
-TABLES = {table.name: table for table in (*HOUR_TABLES, *DAY_TABLES, RECORDINGS, POSES, SIGHTS)}
+MONTH_TABLES = (LANE_MONTHS, TILE_MONTHS)
+TABLES = {
+    table.name: table
+    for table in (*HOUR_TABLES, *DAY_TABLES, *MONTH_TABLES, RECORDINGS, POSES, SIGHTS)
+}

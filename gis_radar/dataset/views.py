@@ -12,6 +12,7 @@ from gis_radar.base import STEPS_PER_SECOND
 from gis_radar.dataset.day_tables import STEPS_PER_QUARTER, days_with
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.parts import part_path
+from gis_radar.dataset.profiles import roll_ups
 from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.source import Source
 from gis_radar.dataset.statement import LAYERS
@@ -19,6 +20,7 @@ from gis_radar.dataset.table_schema import TableSchema
 from gis_radar.dataset.tables import (
     DAY_TABLES,
     HOUR_TABLES,
+    MONTH_TABLES,
     POSES,
     RECORDINGS,
     SIGHTS,
@@ -61,6 +63,9 @@ def make_views(dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str
     for table in DAY_TABLES:
         if table.name in names:
             paths += views.days(table, records)
+    for table in MONTH_TABLES:
+        if table.name in names:
+            paths += views.months(table, records)
     for table in (RECORDINGS, POSES, SIGHTS):
         if table.name in names:
             views.held(table, dataset.whole(table))
@@ -111,6 +116,26 @@ class _Views:
             files = f"read_parquet([{_list(paths)}], hive_types = {{'date': DATE}})"
             begins = [*table.names, f"{_BEGIN} AS first_step"]
             source = f"{source} UNION ALL {_select(begins, files)}"
+        self._view(table.name, names, f"({source})")
+        return paths
+
+    def months(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
+        """Make the view of a roll-up; months that are not up to date are summed first."""
+        rolled, paths = roll_ups(self._dataset), []
+        made = [table.empty().append_column("month", pa.array([], pa.string()))]
+        for month in rolled.months(records):
+            if (path := rolled.whole_path(table, month, records)) is not None:
+                paths.append(path)
+            else:
+                rows = rolled.read(table, month, records)
+                made.append(rows.append_column("month", pa.array([month] * len(rows), pa.string())))
+        names = [*table.names, "month"]
+        held = f"_made_{table.name}"
+        self._connection.register(held, pa.concat_tables(made))
+        source = _select(names, held)
+        if paths:
+            files = f"read_parquet([{_list(paths)}], hive_types = {{'month': VARCHAR}})"
+            source = f"{source} UNION ALL {_select(names, files)}"
         self._view(table.name, names, f"({source})")
         return paths
 

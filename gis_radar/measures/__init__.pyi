@@ -11,6 +11,7 @@ from .lane_fronts import FrontStates, StepGrid, VisibleRuns
 from .lane_measures import (
     LEAST_SHARE,
     SPEED_CLASS_KMH,
+    SPEED_CLASSES,
     Measured,
     TileSteps,
     VehicleTable,
@@ -41,6 +42,7 @@ __all__ = [
     "LONGEST_VALID_STEPS",
     "MARGIN_STEPS",
     "NO_FURTHER",
+    "SPEED_CLASSES",
     "SPEED_CLASS_KMH",
     "TURN_WORDS",
     "Cycle",
