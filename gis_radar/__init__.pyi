@@ -14,7 +14,7 @@ from .calibration import (
     read_clocks,
     track,
 )
-from .city import City, CityRun, open_city, run_city
+from .city import City, CityRun, fleet_health, open_city, run_city, write_month_page
 from .dataset import (
     Dataset,
     match_lanes,
@@ -81,6 +81,7 @@ __all__ = [
     "compare",
     "convert",
     "find_sight",
+    "fleet_health",
     "localize",
     "make_heatmap",
     "make_tiles",
@@ -110,6 +111,7 @@ __all__ = [
     "run_site",
     "sample_folder",
     "track",
+    "write_month_page",
     "write_qgis_project",
     "write_report",
     "write_tiles",

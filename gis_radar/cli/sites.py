@@ -117,15 +117,30 @@ def check(*, site: Path, reporter: Reporter) -> Result:
     "--no-ways", "ways", is_flag=True, flag_value=False, default=True,
     help="Without the ways of single vehicles in the diagrams of queues.",
 )  # fmt: skip
-def report(*, folder: Path, reporter: Reporter, **options: Any) -> Result:
+@click.option("--month", help="Of a city, DIR with a dataset a site: one page of a month, 2026-10.")
+def report(*, folder: Path, month: str | None, reporter: Reporter, **options: Any) -> Result:
     """Write a report for people without QGIS: HTML, PDF, and tables (CSV).
 
-    DIR holds the results of gis-radar run or demo, or a heat map.
+    DIR holds the results of gis-radar run or demo, or a heat map. With --month it is a city, and
+    month.html shows all of its sites and the health of its sensors.
     """
-    made = gr.write_report(folder, reporter=reporter, **options)
+    if month is not None or any(folder.glob("site=*/dataset.json")):
+        made = gr.write_month_page(folder, month, reporter=reporter, **_of_a_month(options))
+    else:
+        made = gr.write_report(folder, reporter=reporter, **options)
     return Result(
         outputs=list(made.outputs), summary=made.summary, timezone=made.summary["timezone"]
     )
+
+
+def _of_a_month(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of a month's page; refuse those of a site's report."""
+    others = {"csv_locale": ("--csv-locale", "en"), "dataset": ("--dataset", None),
+              "ways": ("--no-ways", True)}  # fmt: skip
+    for name, (option, usual) in others.items():
+        if options.pop(name) != usual:
+            raise UsageError("{} is of the report of a site, not of a month", option)
+    return options
 
 
 @command(example="gis-radar qgis map/ --sensors sensors.gpkg -o site.qgz")

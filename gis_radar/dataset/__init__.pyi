@@ -21,20 +21,22 @@ from .parts import (
     write_whole,
 )
 from .reading import read_rows
-from .records import HourWriter, read_hour, read_hours, record_path, write_record
+from .records import HourWriter, listed_hours, read_hour, read_hours, record_path, write_record
 from .registered import make_registered
 from .rollups import RollUps
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes
 from .states import states_of
 from .table_schema import TableSchema
-from .tables import FRAMES, PASSAGES, TILE_COUNTS
+from .tables import FRAMES, PASSAGES, POSES, RECORDINGS, TILE_COUNTS
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
 
 __all__ = [
     "FOOTPRINTS",
     "FRAMES",
     "PASSAGES",
+    "POSES",
+    "RECORDINGS",
     "SHOWN_S",
     "STEPS_PER_QUARTER",
     "TILE_COUNTS",
@@ -59,6 +61,7 @@ __all__ = [
     "hour_of_step",
     "hour_text",
     "lanes_beside",
+    "listed_hours",
     "make_registered",
     "manifest_of",
     "match_lanes",

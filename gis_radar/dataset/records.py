@@ -140,6 +140,12 @@ def read_hours(
     return {record.hour: record for record in found if record is not None}
 
 
+def listed_hours(folder: Path) -> list[int]:
+    """List the hours since 1970 that have a record, ascending; no record is read."""
+    paths = sorted((folder / HOURS).glob("????-??-??/??.json"))
+    return [hour for path in paths if (hour := _hour_of_path(path)) is not None]
+
+
 def _hour_of_path(path: Path) -> int | None:
     """Return the hour in the name of a record, None for other files."""
     try:

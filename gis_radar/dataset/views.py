@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 
 import duckdb
@@ -61,21 +62,14 @@ def make_views(
     views = _Views(dataset, asked)
     records = dataset.records()
     paths = []
-    for table in HOUR_TABLES:
-        if table.name in names:
-            there = {hour: each for hour, each in records.items() if table.name not in each.dropped}
-            if gone := records.keys() - there.keys():
-                reporter.warn(
-                    "{} up to {} were deleted, and are left out of the answer",
-                    table.name, hour_text(max(gone) + 1),
-                )  # fmt: skip
-            paths += views.hours(table, there)
-    for table in DAY_TABLES:
-        if table.name in names:
-            paths += views.days(table, records)
-    for table in MONTH_TABLES:
-        if table.name in names:
-            paths += views.months(table, records)
+    for tables, view in (
+        (HOUR_TABLES, partial(views.hours, reporter=reporter)),
+        (DAY_TABLES, views.days),
+        (MONTH_TABLES, views.months),
+    ):
+        for table in tables:
+            if table.name in names:
+                paths += view(table, records)
     for table in (RECORDINGS, POSES, SIGHTS):
         if table.name in names:
             views.held(table, dataset.whole(table))
@@ -91,10 +85,18 @@ class _Views:
     def __init__(self, dataset: Source, asked: duckdb.DuckDBPyConnection) -> None:
         self._dataset, self._connection = dataset, asked
 
-    def hours(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
+    def hours(
+        self, table: TableSchema, records: Mapping[int, HourRecord], *, reporter: Reporter
+    ) -> list[Path]:
         """Make the view of a table of hours; return its files, each checked."""
         folder, paths = self._dataset.folder, []
-        for hour, record in records.items():
+        there = {hour: each for hour, each in records.items() if table.name not in each.dropped}
+        if gone := records.keys() - there.keys():
+            reporter.warn(
+                "{} up to {} were deleted, and are left out of the answer",
+                table.name, hour_text(max(gone) + 1),
+            )  # fmt: skip
+        for hour, record in there.items():
             record.check_bytes(folder, table)  # DuckDB, unlike Arrow, checks no checksums
             paths.append(part_path(folder, table, hour))
         if paths:

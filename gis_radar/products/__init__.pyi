@@ -1,5 +1,7 @@
+from .comparison.compared import NOT_TOLD
 from .comparison.comparison import compare
-from .comparison.result import Comparison
+from .comparison.result import Comparison, change_rows
+from .comparison.rows import with_verdicts
 from .heatmap.by_lane import lane_totals, lanes_with_tiles
 from .heatmap.heatmap import HeatMap, make_heatmap, read_heatmap
 from .heatmap.intervals import MapLabels
@@ -9,8 +11,14 @@ from .projection.project import project, write_projection
 from .qgis.project import write_qgis_project, write_site_project
 from .qgis.project_file import was_edited
 from .quality.quality import Quality, measure_quality, require_table_name
-from .report.names import REPORT_FILES
+from .report.chart import strip_of
+from .report.content import Chapter, Column, Fact, Strip, Table, Terms, text_rows
+from .report.names import PAGE, REPORT_FILES
+from .report.pages import render_page
 from .report.report import Report, write_report
+from .report.results import as_stated, lost_sensors, read_run
+from .report.sources import made_by
+from .service_level import service_levels
 from .traffic import Traffic, make_traffic
 
 __all__ = [
@@ -18,26 +26,44 @@ __all__ = [
     "MAP_WORDS",
     "NEVER_HIT",
     "NOT_OBSERVED",
+    "NOT_TOLD",
+    "PAGE",
     "REPORT_FILES",
+    "Chapter",
+    "Column",
     "Comparison",
+    "Fact",
     "HeatMap",
     "MapLabels",
     "Publication",
     "Quality",
     "Report",
+    "Strip",
+    "Table",
+    "Terms",
     "Traffic",
+    "as_stated",
+    "change_rows",
     "colour_classes",
     "compare",
     "lane_totals",
     "lanes_with_tiles",
+    "lost_sensors",
+    "made_by",
     "make_heatmap",
     "make_traffic",
     "measure_quality",
     "project",
     "publish",
     "read_heatmap",
+    "read_run",
+    "render_page",
     "require_table_name",
+    "service_levels",
+    "strip_of",
+    "text_rows",
     "was_edited",
+    "with_verdicts",
     "write_projection",
     "write_qgis_project",
     "write_report",

@@ -226,7 +226,7 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
     template = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     ).from_string(text.read_text(encoding="utf-8"))
-    rows = list(_rows(comparison.table))
+    rows = list(change_rows(comparison.table))
     before, after = (
         whole_span(begin.to_pydatetime(), end.to_pydatetime(), begin.tzinfo)
         for begin, end in (comparison.before, comparison.after)
@@ -265,7 +265,7 @@ def _signed(change: float) -> str:
     return f"{'+' if change > 0.0 else ''}{figure_text(change, 0)}{THIN_SPACE}%"
 
 
-def _rows(table: gpd.GeoDataFrame) -> Iterator[dict[str, Any]]:
+def change_rows(table: pd.DataFrame) -> Iterator[dict[str, Any]]:
     """Yield the rows of the page, those with the surest differences first."""
     for row in table.sort_values(["p_corrected", "lane"]).to_dict("records"):
         of = COMPARED[row["measure"]]

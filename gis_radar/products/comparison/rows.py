@@ -72,7 +72,7 @@ def compared_rows(lanes: Mapping[int, AlikeRows]) -> pd.DataFrame:
             "no measure of any lane is known in both periods",
             hint="compare periods in which more of the lanes is visible",
         )
-    return _with_verdicts(pd.DataFrame(found).astype({"lane": "Int64"}))
+    return with_verdicts(pd.DataFrame(found).astype({"lane": "Int64"}))
 
 
 def _known(rows: gpd.GeoDataFrame) -> dict[str, pd.DataFrame]:
@@ -111,7 +111,7 @@ def _rows(periods: Sequence[Mapping[str, pd.DataFrame]]) -> Iterator[dict[str, A
         }  # fmt: skip
 
 
-def _with_verdicts(table: pd.DataFrame) -> pd.DataFrame:
+def with_verdicts(table: pd.DataFrame) -> pd.DataFrame:
     """Add verdicts: which differences are significant among all lanes and measures."""
     table = table.assign(p_corrected=np.nan, verdict=NOT_TOLD)
     table["p_corrected"] = holm_corrected(table["p"].to_numpy(np.float64))

@@ -9,7 +9,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined, Template
+from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from gis_radar.base import THIN_SPACE, current_language, tr
@@ -31,21 +31,44 @@ def page_of(content: Content) -> str:
         for name, colour, _ in legend
         if colour not in hatched
     )
-    css, script = _part("page.css") + classes + _sizes_and_foot(content.map), _part("page.js")
-    return _template().render(
+    return render_page(
+        _part("page.html"),
+        css=classes + _sizes_and_foot(content.map),
+        script=_part("page.js"),
         report=content,
         legend=legend,
         legend_title=tr(named.title),
         legend_subtitle=tr(named.subtitle),
         words=WORDS[content.measure],
-        language=current_language(),
-        tr=tr,
-        css=Markup(css),  # noqa: S704 - our own file
-        script=Markup(script),  # noqa: S704 - our own file
-        policy=_policy(css, script),
-        data_uri=_data_uri,
-        share=lambda part: f"{part * 100:.6g}%",
     )
+
+
+def render_page(template: str, *, css: str, script: str = "", **values: Any) -> str:
+    """Return a page in the look of the report, whose policy lets in only what it holds.
+
+    Parameters
+    ----------
+    template : str
+        Jinja template with `css`, `script`, `policy` and `language`; it may take the macros of
+        `parts.html`.
+    css, script : str
+        Rules after those of the report, and the only script.
+    **values
+        Further values of the template; their texts are escaped.
+    """
+    style = _part("page.css") + css
+    page: str = (
+        _environment()
+        .from_string(template)
+        .render(
+            css=Markup(style),  # noqa: S704 - our own file
+            script=Markup(script),  # noqa: S704 - our own file
+            policy=_policy(style, script),
+            language=current_language(),
+            **values,
+        )
+    )
+    return page
 
 
 def _policy(css: str, script: str) -> str:
@@ -78,13 +101,18 @@ def _data_uri(picture: bytes) -> str:
 
 
 @cache
-def _template() -> Template:
-    text = _part("page.html")
+def _environment() -> Environment:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        finalize=bound,
+        finalize=bound, loader=FunctionLoader(_part),
     )  # fmt: skip
-    return environment.from_string(text)
+    environment.globals |= {"tr": tr, "data_uri": _data_uri, "share": _share}
+    return environment
+
+
+def _share(part: float) -> str:
+    """Return a share of a width as SVG takes it."""
+    return f"{part * 100:.6g}%"
 
 
 def bound(value: Any) -> Any:

@@ -110,21 +110,7 @@ class Results:
     @property
     def lost(self) -> dict[str, str]:
         """The sensors of the site that the heat map does not show, and why."""
-        shown = self.run.get("sensors_in_heat_maps") or []
-        errors = {
-            str(stage["name"]).partition(" ")[2]: str(stage["error"])
-            for stage in reversed(self.stages)
-            if stage.get("error")
-        }
-        for stage in self.stages:
-            refused = (stage.get("figures") or {}).get("refused") or {}
-            errors |= {n: Text(why).removeprefix(f"{n}: ") for n, why in refused.items()}
-        names = [str(each["name"]) for each in self.site.get("sensor") or []]
-        return {
-            name: errors.get(name, "see summary.md")
-            for name in names
-            if shown and name not in shown
-        }
+        return lost_sensors(self.run)
 
     @property
     def findings(self) -> dict[str, Finding]:
@@ -157,6 +143,23 @@ class Results:
         return list(dict.fromkeys(named))
 
 
+def lost_sensors(run: Mapping[str, Any]) -> dict[str, str]:
+    """Return the sensors of a site that the heat maps of its run do not show, and why."""
+    shown, stages = run.get("sensors_in_heat_maps") or [], run.get("stages") or []
+    errors = {
+        str(stage["name"]).partition(" ")[2]: str(stage["error"])
+        for stage in reversed(stages)
+        if stage.get("error")
+    }
+    for stage in stages:
+        refused = (stage.get("figures") or {}).get("refused") or {}
+        errors |= {n: Text(why).removeprefix(f"{n}: ") for n, why in refused.items()}
+    names = [str(each["name"]) for each in (run.get("site") or {}).get("sensor") or []]
+    return {
+        name: errors.get(name, "see summary.md") for name in names if shown and name not in shown
+    }
+
+
 def read_results(folder: Path, dataset: Path | None = None) -> Results:
     """Read the results of `gis-radar run`, or of the steps one by one.
 
@@ -172,7 +175,7 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
     InputError
         If there is no heat map, or several, or something is damaged.
     """
-    run, place = _run(folder), _heat_map(folder)
+    run, place = read_run(folder), _heat_map(folder)
     heat = read_heatmap(place)
     measured, missing = _dataset(folder, heat, dataset)
     if measured is None:
@@ -183,7 +186,7 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
     if not run:
         missing.append("The folder is not that of a run: settings are listed only as far as known.")
     if measured is not None and measured.has_vehicles:
-        measured, left_out = _as_stated(measured, run.get("site") or {})
+        measured, left_out = as_stated(measured, run.get("site") or {})
         missing += left_out
     poses = _poses(folder, measured)
     missing += [
@@ -208,7 +211,7 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
     )
 
 
-def _as_stated(dataset: Dataset, site: Mapping[str, Any]) -> tuple[Dataset, list[str]]:
+def as_stated(dataset: Dataset, site: Mapping[str, Any]) -> tuple[Dataset, list[str]]:
     """Return a dataset with the lanes' names and free speeds of a site, and what was left out."""
     known = set(dataset.layer(LANES_LAYER)["lane"].tolist())
     lanes = site.get("lane") or []
@@ -285,7 +288,8 @@ def _poses(folder: Path, dataset: Dataset | None) -> list[Pose]:
     return [found[name] for name in sorted(found)]
 
 
-def _run(folder: Path) -> dict[str, Any]:
+def read_run(folder: Path) -> dict[str, Any]:
+    """Read the `run.json` of `gis-radar run`; empty where there is none."""
     path = folder / RUN
     if not path.is_file():
         return {}

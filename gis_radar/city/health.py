@@ -1,0 +1,230 @@
+"""Health of the fleet in a month: sensors that are silent, moved, doubtful, or have a wrong clock.
+
+It follows from the tables that outlive the exact ones: recordings, poses, the tile counts, and what
+was checked. A sensor's share of the month is how long a tile was observed that no other sensor
+sees; where others see all of its tiles, that of its recordings.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from gis_radar.base import (
+    STEP_S,
+    Floats,
+    Text,
+    figure_text,
+    seconds_text,
+    tr,
+)
+from gis_radar.calibration import FITS, WRONG
+from gis_radar.city.month import CityMonth, month_of
+from gis_radar.city.root import City, open_city
+from gis_radar.dataset import POSES, RECORDINGS, TILE_COUNTS, Dataset
+from gis_radar.products import lost_sensors, read_run
+
+RESULTS = "results"  # folder of a city with the results of each site
+SILENT_S = 3600.0  # without frames up to the end, after which a sensor counts as silent
+LEAST_SHARE_SEEN = 0.95  # least share of the month with data of a sensor that works
+CLOCK_S = 0.025  # half of a step: a clock that is off by more is wrong
+MOVED_M, MOVED_DEG = 0.5, 1.0  # a pose that changes by more is that of a sensor that was moved
+STATES = (
+    Text("no data"), Text("silent"), Text("moved"), Text("pose doubtful"), Text("clock off"),
+    Text("gaps"), Text("pose not confirmed"), Text("works"),
+)  # fmt: skip
+"""States of a sensor, worst first."""
+NO_DATA, SILENT, MOVED, DOUBTFUL, CLOCK_OFF, GAPS, NOT_CONFIRMED, WORKS = STATES
+COLUMNS = (
+    "site", "sensor", "state", "since", "share", "gap_s", "gap_begin", "clock_offset_s", "reasons",
+)  # fmt: skip
+
+
+class _Reason(NamedTuple):
+    """A reason for a state, since when (UNIX seconds), and what is known of it."""
+
+    state: Text
+    since_s: float
+    words: str
+
+
+def fleet_health(root: str | Path | City, month: str) -> pd.DataFrame:
+    """Return the health of all sensors of a city in a month, worst first.
+
+    The month ends with the newest hour of any site.
+
+    Parameters
+    ----------
+    root : str, Path or City
+        The city.
+    month : str
+        The month, such as `2026-10`, by the clocks of each site.
+
+    Returns
+    -------
+    DataFrame
+        A row a sensor: `site`, `sensor`; `state` (`no data`, `silent`, `moved`, `pose doubtful`,
+        `clock off`, `gaps`, `pose not confirmed`, `works`), `since` (UTC); `share` of the month
+        with data; `gap_s` and `gap_begin` of the longest gap; `clock_offset_s` (its clock is ahead
+        by); `reasons` (what is known, in the current language).
+
+    Raises
+    ------
+    UsageError
+        If it is no month.
+    InputError
+        If the folder is no city, or no site has data of the month.
+    """
+    city = open_city(root)
+    return health_of(month_of(city, month), city.sites)
+
+
+def health_of(month: CityMonth, sites: Iterable[str]) -> pd.DataFrame:
+    """Return the health of the sensors of some sites, as :func:`fleet_health` does."""
+    rows = [row for name in sites for row in _site_rows(name, month)]
+    table = pd.DataFrame(rows, columns=list(COLUMNS))
+    for name in ("since", "gap_begin"):
+        table[name] = pd.to_datetime(table[name].astype(float).round(), unit="s", utc=True)
+    return worst_first(table)
+
+
+def worst_first(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of :func:`fleet_health` in its order."""
+    rank = table["state"].map({state: place for place, state in enumerate(STATES)})
+    order = table.assign(rank=rank).sort_values(["rank", "share", "site", "sensor"])
+    return table.loc[order.index].reset_index(drop=True)
+
+
+def _site_rows(site: str, month: CityMonth) -> Iterator[dict[str, Any]]:
+    """Yield the rows of the sensors of a site."""
+    dataset = month.city.sites[site]
+    lost = lost_sensors(read_run(month.city.root / RESULTS / site))
+    first, last = month.span(dataset)
+    last = min(last, month.last_step)
+    begin_s, end_s = first * STEP_S, (last + 1) * STEP_S
+    recordings = dataset.whole(RECORDINGS).to_pandas()
+    poses = _poses(dataset, recordings)
+    observed = _observed_s(dataset, (first, last))
+    earlier_s = month.before.span(dataset)[0] * STEP_S
+    for sensor, mine in recordings.groupby("sensor"):
+        name = str(sensor)
+        if not ((mine["last_time"] >= earlier_s) & (mine["first_time"] < end_s)).any():
+            continue  # taken down long ago, or put up later
+        gaps = _gaps(mine, begin_s, end_s)
+        recorded_s = end_s - begin_s - gaps[:, 1].sum()
+        share = min(observed.get(name, recorded_s) / (end_s - begin_s), 1.0)
+        its_poses = poses[poses["sensor"] == name]
+        reasons = [
+            *_silence(mine, begin_s, end_s), *_moves(its_poses, begin_s, end_s),
+            *_doubts(dataset, name), *_clocks(mine, begin_s, end_s), *_missing(gaps, share),
+        ]  # fmt: skip
+        yield _row(site, name, reasons, share=share, gaps=gaps, recordings=mine)
+    for name in sorted(lost.keys() - set(recordings["sensor"])):
+        yield _row(site, name, [_Reason(NO_DATA, np.nan, tr(lost[name]))], share=0.0)
+
+
+def _row(
+    site: str, sensor: str, reasons: list[_Reason], *, share: float, gaps: Floats | None = None,
+    recordings: pd.DataFrame | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    worst = min(reasons, key=lambda each: STATES.index(each.state), default=None)
+    longest = (np.nan, np.nan) if gaps is None or not len(gaps) else gaps[gaps[:, 1].argmax()]
+    offset = np.nan if recordings is None else recordings["clock_offset"].iloc[-1]
+    return {
+        "site": site, "sensor": sensor, "state": worst.state if worst else WORKS,
+        "since": worst.since_s if worst else np.nan, "share": share, "gap_begin": longest[0],
+        "gap_s": longest[1], "clock_offset_s": offset,
+        "reasons": "; ".join(each.words for each in reasons if each.words),
+    }  # fmt: skip
+
+
+def _gaps(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Floats:
+    """Return begin and length of the gaps between recordings, within a time."""
+    runs = recordings[["first_time", "last_time"]].clip(begin_s, end_s).to_numpy(np.float64)
+    runs = runs[runs[:, 0].argsort()]
+    known = np.maximum.accumulate(np.concatenate([[begin_s], runs[:, 1]]))
+    length = np.concatenate([runs[:, 0], [end_s]]) - known
+    gaps = np.column_stack([known, length])
+    return np.asarray(gaps[length > 1.0], np.float64)
+
+
+def _observed_s(dataset: Dataset, span: tuple[int, int]) -> dict[str, float]:
+    """Return by sensor how long a tile was observed that no other sensor sees."""
+    poses = dataset.whole(POSES).to_pandas()[["sensor", "sight"]].drop_duplicates()
+    pairs = poses.merge(dataset.sights(), left_on="sight", right_on="pose")
+    watchers = pairs.groupby("tile_id")["sensor"].transform("nunique")
+    own = pairs[watchers == 1].groupby(["sensor", "sight"], as_index=False)["tile_id"].first()
+    if own.empty:
+        return {}
+    wanted = pa.array(own["tile_id"].unique())
+    columns = ["tile_id", "first_step", "observed_steps"]
+    parts = [
+        rows.filter(pc.is_in(rows["tile_id"], wanted)).to_pandas()
+        for rows in dataset.batches(TILE_COUNTS, span, columns)
+    ]
+    counts = pd.concat([pd.DataFrame(columns=columns), *parts]).astype(np.int64)
+    of_sensor = own[["sensor", "tile_id"]].drop_duplicates().merge(counts, on="tile_id", how="left")
+    # A sensor that was moved has a tile of each pose, and is in one of them at a time.
+    most = of_sensor.groupby(["sensor", "first_step"], dropna=False)["observed_steps"].max()
+    return {str(n): float(v) for n, v in (most.groupby("sensor").sum() * STEP_S).items()}
+
+
+def _silence(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:
+    last_s = float(recordings["last_time"].max())
+    if end_s - last_s > SILENT_S:
+        text = tr("silent all month") if last_s < begin_s else tr("silent up to the end")
+        yield _Reason(SILENT, last_s, f"{text} ({seconds_text(end_s - max(last_s, begin_s))})")
+
+
+def _poses(dataset: Dataset, recordings: pd.DataFrame) -> pd.DataFrame:
+    """Return the poses with `begin_s`, from when on each holds; single ones from their data on."""
+    poses = dataset.whole(POSES).to_pandas()
+    first = recordings.groupby("pose")["first_time"].min()
+    begin = poses["since"].astype(float).fillna(poses["track"].map(first))
+    event = [json.loads(each).get("event", "") for each in poses["document"]]
+    return poses.assign(begin_s=begin, event=event).sort_values("begin_s")
+
+
+def _moves(poses: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:
+    """Yield where a pose track says so, or a pose is another one than before."""
+    place = poses[["easting", "northing", "height"]].astype(float).diff().pow(2).sum(axis=1) ** 0.5
+    turn = poses[["yaw", "pitch", "roll"]].astype(float).diff().abs() % 360.0
+    turn = turn.where(turn <= 180.0, 360.0 - turn).max(axis=1)
+    moved = (poses["event"] == "moved") | (place > MOVED_M) | (turn > MOVED_DEG)
+    inside = (poses["begin_s"] > begin_s) & (poses["begin_s"] < end_s)
+    for k in poses.index[moved & inside]:
+        words = tr("moved by {m} m and {deg}°", m=figure_text(place[k], 1),
+                   deg=figure_text(turn[k], 1))  # fmt: skip
+        yield _Reason(MOVED, float(poses.loc[k, "begin_s"]), words)
+
+
+def _doubts(dataset: Dataset, sensor: str) -> Iterator[_Reason]:
+    """Yield what the check of pose and recordings found."""
+    found = dataset.manifest.findings.get(sensor)
+    if found is None or not found.doubt:
+        return
+    state = DOUBTFUL if found.verdict in (WRONG, FITS) else NOT_CONFIRMED
+    yield _Reason(CLOCK_OFF if found.is_of_clocks else state, np.nan, tr(found.text))
+
+
+def _clocks(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:
+    """Yield the clock that its recordings were corrected by."""
+    inside = (recordings["last_time"] >= begin_s) & (recordings["first_time"] < end_s)
+    off = recordings[inside & (recordings["clock_offset"].abs() > CLOCK_S)]
+    if len(off):
+        most = off.loc[off["clock_offset"].abs().idxmax(), "clock_offset"]
+        words = tr("clock ahead by {s} s, corrected", s=figure_text(most, 3))
+        yield _Reason(CLOCK_OFF, float(off["first_time"].min()), words)
+
+
+def _missing(gaps: Floats, share: float) -> Iterator[_Reason]:
+    if share < LEAST_SHARE_SEEN:
+        begin_s = gaps[gaps[:, 1].argmax(), 0] if len(gaps) else np.nan
+        yield _Reason(GAPS, float(begin_s), "")

@@ -1,0 +1,185 @@
+"""The map of a city's month: a mark a site, by occupancy and volume, as SVG on the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from gis_radar.base import Floats, percent, tr, with_error
+from gis_radar.city.site_month import SiteMonth
+from gis_radar.products import NOT_OBSERVED, colour_classes
+
+WIDTH, MARGIN = 1000.0, 70.0  # units of the map, some pixels on a wide page
+TALLEST, FLATTEST = 0.9, 0.35  # height as a share of the width
+RADIUS = (9.0, 24.0)  # of the mark without vehicles, and of the site with most
+UNKNOWN_RADIUS = 9.0
+LETTER, LINE = 8.2, 17.0  # width of a letter of a label, height of its line
+MOST_LABEL = 26  # letters
+FINEST = 1.0  # lanes are drawn so fine
+METRES_PER_DEGREE = 111_195.0
+BAR_SHARE = 0.25  # longest scale bar, of the width
+
+
+class Mark(NamedTuple):
+    """A site on the map.
+
+    Parameters
+    ----------
+    x, y, radius : float
+        Its place and size, units of the map, y downwards.
+    colour : str
+        Of its class of occupancy; empty where none is known.
+    label : (x, y, anchor, text) or None
+        Its name beside it, where there is room.
+    title : str
+        What is known of it, in a line.
+    link : str
+        Its report; empty where there is none.
+    is_ill : bool
+        Whether one of its sensors is not well.
+    """
+
+    x: float
+    y: float
+    radius: float
+    colour: str
+    label: tuple[float, float, str, str] | None
+    title: str
+    link: str
+    is_ill: bool
+
+
+class CityMap(NamedTuple):
+    """The map of a city: its size, the lanes as a path, its marks, the scale bar and the classes.
+
+    Parameters
+    ----------
+    width, height : float
+        Its size, units.
+    lanes : str
+        The path of all lanes.
+    marks : sequence of Mark
+        The sites.
+    bar : (length, text)
+        The scale bar, units.
+    classes : sequence of (name, colour, text)
+        The legend, lowest class first.
+    """
+
+    width: float
+    height: float
+    lanes: str
+    marks: Sequence[Mark]
+    bar: tuple[float, str]
+    classes: Sequence[tuple[str, str, str]]
+
+
+def draw_city(
+    sites: Sequence[SiteMonth], ill: Mapping[str, int], legend: Sequence[tuple[str, str]]
+) -> CityMap:
+    """Draw the sites of a city.
+
+    Parameters
+    ----------
+    sites : sequence of SiteMonth
+        All sites.
+    ill : mapping
+        By site, how many of its sensors are not well.
+    legend : sequence of (colour, text)
+        Classes of occupancy.
+    """
+    middle = np.mean([each.place for each in sites], axis=0)
+    metres = np.array([np.cos(np.radians(middle[1])), 1.0]) * METRES_PER_DEGREE
+    places = np.array([(each.place - middle) * metres for each in sites]) * [1.0, -1.0]
+    size = np.maximum(np.ptp(places, axis=0), 300.0)
+    inner = WIDTH - 2 * MARGIN
+    scale = min(inner / size[0], (WIDTH * TALLEST - 2 * MARGIN) / size[1])
+    height = max(size[1] * scale + 2 * MARGIN, WIDTH * FLATTEST)
+    corner = (places.min(axis=0) + places.max(axis=0)) / 2.0 - np.array([WIDTH, height]) / 2 / scale
+    at = (places - corner) * scale
+    volumes = np.array([each.volume[0] for each in sites])
+    most = np.nanmax(volumes, initial=1.0)
+    radius = np.where(
+        np.isfinite(volumes),
+        RADIUS[0] + (RADIUS[1] - RADIUS[0]) * np.sqrt(np.nan_to_num(volumes) / most),
+        UNKNOWN_RADIUS,
+    )
+    labels = _labels([each.title for each in sites], at, radius, height)
+    marks = [
+        Mark(*map(float, np.round(at[k], 1)), round(float(radius[k]), 1), _colour(site), labels[k],
+             _words(site, ill.get(site.name, 0)), site.link, bool(ill.get(site.name)))
+        for k, site in enumerate(sites)
+    ]  # fmt: skip
+    lanes = "".join(
+        _path(((way - middle) * metres * [1.0, -1.0] - corner) * scale)
+        for each in sites for way in each.ways
+    )  # fmt: skip
+    return CityMap(WIDTH, round(float(height)), lanes, marks, _bar(scale), _classes(legend))
+
+
+def _colour(site: SiteMonth) -> str:
+    share = site.occupancy[0]
+    if not np.isfinite(share):
+        return ""
+    return next(each.colour for each in colour_classes("occupancy") if share <= each.upper)
+
+
+def _words(site: SiteMonth, ill: int) -> str:
+    if site.lanes is None:
+        known = tr("no data in this month")
+    else:
+        (share, off), (volume, error) = site.occupancy, site.volume
+        known = tr("mean occupancy {share}", share=percent(share, off=off))
+        if np.isfinite(volume):
+            known += ", " + tr("{n} vehicles an hour", n=with_error(volume, error))
+    fault = "; " + tr("sensors not well: {n}", n=ill) if ill else ""
+    return f"{site.title}: {known}{fault}"
+
+
+def _labels(
+    names: Sequence[str], at: Floats, radius: Floats, height: float
+) -> list[tuple[float, float, str, str] | None]:
+    """Return where names stand: beside their marks, none over another; None without room."""
+    bounds = shapely.box(0.0, 0.0, WIDTH, height)
+    taken = [shapely.Point(*p).buffer(r) for p, r in zip(at, radius, strict=True)]
+    found: list[tuple[float, float, str, str] | None] = []
+    for name, (x, y), r in zip(names, at, radius, strict=True):
+        text = name if len(name) <= MOST_LABEL else name[: MOST_LABEL - 1] + "\u2026"
+        wide, best = LETTER * len(text), None
+        for dx, dy, anchor in (
+            (r + 5, 0, "start"), (-r - 5, 0, "end"), (0, -r - LINE / 2, "middle"),
+            (0, r + LINE / 2 + 2, "middle"),
+        ):  # fmt: skip
+            left = x + dx - wide * {"start": 0.0, "middle": 0.5, "end": 1.0}[anchor]
+            box = shapely.box(left, y + dy - LINE / 2, left + wide, y + dy + LINE / 2)
+            if bounds.contains(box) and not any(shapely.intersects(taken, box)):
+                best = round(float(x + dx), 1), round(float(y + dy + LINE * 0.3), 1), anchor, text
+                taken.append(box)
+                break
+        found.append(best)
+    return found
+
+
+def _path(points: Floats) -> str:
+    """Return a line as a path of whole units, no finer than can be seen."""
+    kept = shapely.get_coordinates(shapely.simplify(shapely.LineString(points), FINEST))
+    return "M" + " ".join(f"{x:.0f} {y:.0f}" for x, y in kept)
+
+
+def _bar(scale: float) -> tuple[float, str]:
+    longest = WIDTH * BAR_SHARE / scale
+    power = 10.0 ** np.floor(np.log10(longest))
+    metres = max(each for each in (power, 2 * power, 5 * power) if each <= longest)
+    text = f"{metres / 1000:g} km" if metres >= 1000 else f"{metres:g} m"
+    return round(float(metres * scale), 1), text
+
+
+def _classes(legend: Sequence[tuple[str, str]]) -> list[tuple[str, str, str]]:
+    return [
+        ("unseen" if colour == NOT_OBSERVED else f"class-{colour[1:]}", colour, text)
+        for colour, text in legend
+        if colour.startswith("#")
+    ]

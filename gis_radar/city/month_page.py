@@ -1,0 +1,302 @@
+"""The page of a city's month: one file of all sites, their lanes, and the health of the fleet."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.base import (
+    QUIET,
+    Clock,
+    Floats,
+    GisRadarError,
+    InputError,
+    Reporter,
+    UsageError,
+    atomic_write,
+    class_label,
+    current_language,
+    figure_text,
+    folder_to_fill,
+    known_language,
+    percent,
+    speaking,
+    step_begin,
+    tr,
+    zone_of,
+)
+from gis_radar.city.health import RESULTS, WORKS, health_of, worst_first
+from gis_radar.city.month import CityMonth, month_of
+from gis_radar.city.month_map import draw_city
+from gis_radar.city.month_tables import (
+    change_table,
+    changes_of,
+    gaps_said,
+    health_table,
+    lane_rows,
+    site_table,
+    worst_lanes,
+)
+from gis_radar.city.root import City, open_city
+from gis_radar.city.site_month import SiteMonth, site_month
+from gis_radar.products import (
+    NOT_TOLD,
+    Fact,
+    Report,
+    Strip,
+    colour_classes,
+    made_by,
+    read_run,
+    render_page,
+    strip_of,
+)
+
+MONTH_PAGE = "month.html"
+PROFILES = 12  # sites whose profiles are drawn
+HOURS = 24
+TOPS = (50, 100, 200, 300, 500, 750, 1000, 1500, 2000, 3000, 5000, 7500, 10_000)
+
+
+class Profile(NamedTuple):
+    """The volume of a site by the hour of the day, as the page draws it.
+
+    Parameters
+    ----------
+    name : str
+        The site.
+    top : str
+        The highest value of its scale.
+    weekdays, weekend : Strip
+        Lines and bands.
+    words : str
+        The same in words.
+    """
+
+    name: str
+    top: str
+    weekdays: Strip
+    weekend: Strip
+    words: str
+
+
+def write_month_page(
+    root: str | Path | City,
+    month: str | None = None,
+    *,
+    output: str | Path | None = None,
+    title: str | None = None,
+    timezone: str | None = None,
+    language: str | None = None,
+    reporter: Reporter = QUIET,
+) -> Report:
+    """Write the page of a city's month, `month.html`: one file that opens without a network.
+
+    Parameters
+    ----------
+    root : str, Path or City
+        The city.
+    month : str
+        The month, such as `2026-10`, by the clocks of each site.
+    output : str or Path, optional
+        Folder that the page goes to; by default that of the city.
+    title : str, optional
+        Name of the city; by default that of its folder.
+    timezone : str, optional
+        Whose clocks the page's times follow; by default those of most sites.
+    language : str, optional
+        `en` or `de`; by default that of most sites' results, else `en`.
+    reporter : Reporter
+        Receives progress, and a warning for each site that is left out.
+
+    Returns
+    -------
+    Report
+        The file and figures.
+
+    Raises
+    ------
+    UsageError
+        If there is no such month, time zone or language.
+    InputError
+        If the folder is no city, or no site has data of the month.
+    OutputError
+        If the page cannot be written.
+    """
+    city = open_city(root)
+    chosen = month_of(city, month)
+    if title is not None and not title.strip():
+        raise UsageError("the title is empty", hint="leave it out, or give the name of the city")
+    zones = Counter(each.timezone for each in city.sites.values())
+    zone = timezone or zones.most_common(1)[0][0]
+    place = city.root if output is None else Path(output)
+    with speaking(known_language(language or _language_of(city))):
+        first, last = chosen.span(next(iter(city.sites.values())))
+        end = min(last, chosen.last_step) + 1
+        clock = Clock(
+            zone=zone_of(zone), first=step_begin(first), last=step_begin(end), to_seconds=False
+        )
+        sites, health, left_out = _sites(chosen, place, reporter)
+        page, summary = _page(
+            chosen, sites, health, clock, title or city.root.resolve().name, left_out
+        )
+    with folder_to_fill(place), atomic_write(place / MONTH_PAGE) as private:
+        private.write_text(page, encoding="utf-8", newline="\n")
+    return Report(outputs=[place / MONTH_PAGE], summary=summary)
+
+
+def _language_of(city: City) -> str:
+    """Return the language of most sites' results."""
+    runs = (read_run(city.root / RESULTS / name).get("site") or {} for name in city.sites)
+    known = Counter(str(each["language"]) for each in runs if each.get("language"))
+    return known.most_common(1)[0][0] if known else "en"
+
+
+def _sites(
+    month: CityMonth, place: Path, reporter: Reporter
+) -> tuple[list[SiteMonth], pd.DataFrame, dict[str, str]]:
+    """Gather the sites and the health of the fleet; a site that cannot be read is left out."""
+    found, health, left_out = [], [], dict[str, str]()
+    for done, name in enumerate(month.city.sites, start=1):
+        try:
+            site = site_month(month, name, place)
+            health.append(health_of(month, [name]))
+            found.append(site)
+        except GisRadarError as error:
+            left_out[name] = str(error)
+            reporter.warn("site {} is left out: {}", name, error)
+        reporter.progress("reading the sites", done, len(month.city.sites))
+    if not found:
+        why = next(iter(left_out.values()))
+        raise InputError("{}: no site can be read: {}", month.city.root, why)
+    return found, worst_first(pd.concat(health, ignore_index=True)), left_out
+
+
+def _page(
+    month: CityMonth, sites: Sequence[SiteMonth], health: pd.DataFrame, clock: Clock, title: str,
+    left_out: dict[str, str],
+) -> tuple[str, dict[str, Any]]:  # fmt: skip
+    """Return the page, and its figures for the command line."""
+    worst, changes = worst_lanes(sites), changes_of(sites)
+    ill = health[health["state"] != WORKS].groupby("site").size().to_dict()
+    facts = _facts(sites, health, worst)
+    legend = [(each.colour, class_label(each.label, current_language()))
+              for each in colour_classes("occupancy")]  # fmt: skip
+    remarks = [
+        *(tr("Site {name} is left out: {why}", name=name, why=tr(why))
+          for name, why in left_out.items()),
+        *_ends_early(month, sites, clock), *gaps_said(health),
+    ]  # fmt: skip
+    text = files("gis_radar.city").joinpath("month_page.html.jinja").read_text(encoding="utf-8")
+    city_map = draw_city(sites, ill, legend)
+    css = _rules(legend)
+    page = render_page(
+        text, css=css, title=title, subtitle=clock.whole(clock.first, clock.last),
+        zone=clock.name, facts=facts, remarks=remarks, map=city_map,
+        sites=site_table(sites, health), worst=lane_rows(worst) if len(worst) else None,
+        profiles=_profiles(sites), changes=change_table(changes, sites),
+        health=health_table(health, sites, clock), made_by=made_by(),
+    )  # fmt: skip
+    told = changes[changes["verdict"] != NOT_TOLD] if len(changes) else changes
+    return page, {
+        "title": title, "month": month.month, "timezone": str(clock.zone),
+        "sites": len(sites), "sites_without_data": sum(each.lanes is None for each in sites),
+        "sites_left_out": left_out, "sensors": len(health),
+        "sensors_by_state": {str(n): int(v) for n, v in health["state"].value_counts().items()},
+        "lanes_with_a_change": int(told["lane"].notna().sum()) if len(told) else 0,
+        "facts": {fact.name: f"{fact.value} ({fact.rests})" for fact in facts},
+        "remarks": remarks,
+    }  # fmt: skip
+
+
+def _ends_early(month: CityMonth, sites: Sequence[SiteMonth], clock: Clock) -> list[str]:
+    """Return whether the data end before the month, and how many sites have none."""
+    found = []
+    if month.last_step < month.span(next(iter(month.city.sites.values())))[1]:
+        found.append(tr("The newest data are of {time}: all is of the month up to then.",
+                        time=clock.stamp(clock.last)))  # fmt: skip
+    without = [each.title for each in sites if each.lanes is None]
+    if without:
+        found.append(tr("No data of this month: {names}", names=", ".join(without)))
+    return found
+
+
+def _facts(sites: Sequence[SiteMonth], health: pd.DataFrame, worst: pd.DataFrame) -> list[Fact]:
+    """Return the figures at the top."""
+    with_data = sum(each.lanes is not None for each in sites)
+    works = int((health["state"] == WORKS).sum())
+    lanes = sum(int(each.lanes["volume"].notna().sum()) for each in sites if each.lanes is not None)
+    facts = [
+        Fact(tr("Sites with data"), tr("{n} of {all}", n=with_data, all=len(sites)),
+             tr("{n} lanes with a volume", n=figure_text(lanes))),
+        Fact(tr("Sensors that work"), tr("{n} of {all}", n=works, all=len(health)),
+             tr("with data for {share} of the month on average",
+                share=percent(float(health["share"].mean()), 0))),
+    ]  # fmt: skip
+    if (mean := _city_occupancy(sites)) is not None:
+        text = tr("mean of the sites' lanes, by time and length visible")
+        facts.append(Fact(tr("Mean occupancy"), percent(mean[0], off=mean[1]), text))
+    if len(worst):
+        row = worst.iloc[0]
+        value = figure_text(float(row["delay_s"])) + " s" if pd.notna(row["delay_s"]) else (
+            figure_text(float(row["queue_max_m"])) + " m")  # fmt: skip
+        what = tr("delay a vehicle") if pd.notna(row["delay_s"]) else tr("longest queue")
+        facts.append(Fact(tr("Most time lost"), value, f"{what}; {row['site']}: {row['name']}"))
+    return facts
+
+
+def _city_occupancy(sites: Sequence[SiteMonth]) -> tuple[float, float] | None:
+    """Return the mean occupancy of all lanes of the city with its standard error."""
+    parts = [each.lanes.dropna(subset=["occupancy"]) for each in sites if each.lanes is not None]
+    if not parts:
+        return None
+    table = pd.concat(parts)
+    weight = (table["length_m"] * table["visible_share"]).to_numpy(np.float64)
+    share, error = (table[n].to_numpy(np.float64) for n in ("occupancy", "occupancy_se"))
+    if not weight.sum() > 0.0:
+        return None
+    off = float(np.sqrt(np.nansum((weight * error) ** 2)) / weight.sum())
+    return float((weight * share).sum() / weight.sum()), off
+
+
+def _profiles(sites: Sequence[SiteMonth]) -> list[Profile]:
+    """Return the profiles of the sites with most vehicles, all on one scale."""
+    known = [each for each in sites if each.profile is not None
+             and each.profile["volume"].notna().any()]  # fmt: skip
+    known = sorted(known, key=lambda each: -np.nan_to_num(each.volume[0]))[:PROFILES]
+    tables = [each.profile for each in known if each.profile is not None]
+    high = max((float((t["volume"] + t["volume_se"]).max()) for t in tables), default=0.0)
+    top = next((each for each in TOPS if each >= high), high)
+    edges = np.linspace(0.0, 1.0, HOURS + 1)
+    found = []
+    for site, table in zip(known, tables, strict=True):
+        strips, words = [], []
+        for is_weekend, name in ((False, tr("Monday to Friday")), (True, tr("Saturday, Sunday"))):
+            mine = table[table["is_weekend"] == is_weekend].sort_values("hour")
+            volume, error = (mine[n].to_numpy(np.float64) for n in ("volume", "volume_se"))
+            strips.append(strip_of(name, edges, volume / top, error / top))
+            words.append(f"{name}: {_peak(volume)}")
+        words_of_all = f"{site.title}; " + "; ".join(words)
+        found.append(Profile(site.title, figure_text(top), strips[0], strips[1], words_of_all))
+    return found
+
+
+def _peak(volume: Floats) -> str:
+    if not np.isfinite(volume).any():
+        return tr("not known")
+    hour = int(np.nanargmax(volume))
+    return tr("most from {begin} to {end} h, {n} vehicles an hour", begin=hour, end=hour + 1,
+              n=figure_text(float(volume[hour])))  # fmt: skip
+
+
+def _rules(legend: Sequence[tuple[str, str]]) -> str:
+    """Return the page's own rules, and those of the classes' colours."""
+    own = files("gis_radar.city").joinpath("month_page.css").read_text(encoding="utf-8")
+    return own + "".join(
+        f".class-{colour[1:]} {{ background: {colour}; fill: {colour}; }}\n" for colour, _ in legend
+    )

@@ -1,0 +1,261 @@
+"""Tables of a city's month: sites, the worst lanes, what changed, the health of the fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+
+from gis_radar.base import (
+    NO_FIGURE,
+    Clock,
+    figure_text,
+    percent,
+    plural,
+    seconds_text,
+    tr,
+    with_error,
+)
+from gis_radar.city.health import GAPS, WORKS
+from gis_radar.city.site_month import SiteMonth
+from gis_radar.products import (
+    NOT_TOLD,
+    Column,
+    Table,
+    change_rows,
+    text_rows,
+    with_verdicts,
+)
+
+WORST_LANES = 20
+MOST_CHANGES = 30
+LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it
+
+
+def site_table(sites: Sequence[SiteMonth], health: pd.DataFrame) -> Table:
+    """Return what each site saw, those with the largest gaps first."""
+    seen = health.groupby("site")["share"].min()
+    ordered = sorted(sites, key=lambda each: (seen.get(each.name, 0.0), each.name))
+    ill = health[health["state"] != WORKS].groupby("site").size()
+    count = health.groupby("site").size()
+
+    def sensors(site: SiteMonth) -> str:
+        bad, of = int(ill.get(site.name, 0)), int(count.get(site.name, 0))
+        return tr("{n} of {all}", n=of - bad, all=of)
+
+    def day(site: SiteMonth, *, is_weekend: bool) -> str:
+        volume, error = site.day_volume(is_weekend=is_weekend)
+        return with_error(volume, error) if np.isfinite(volume) else NO_FIGURE
+
+    def hourly(site: SiteMonth) -> str:
+        volume, error = site.volume
+        return with_error(volume, error) if np.isfinite(volume) else NO_FIGURE
+
+    columns = [
+        Column(tr("Site"), "", _site_link, False),
+        Column(tr("Time with data"), tr("of the worst sensor"),
+               lambda site: percent(float(seen.get(site.name, 0.0)), 0)),
+        Column(tr("Sensors"), tr("that work"), sensors),
+        Column(tr("Lanes"), tr("visible"), _lanes_seen),
+        Column(tr("Mean occupancy"), tr("of visible time"),
+               lambda site: percent(site.occupancy[0], off=site.occupancy[1])),
+        Column(tr("Volume"), tr("veh/h, time with data"), hourly),
+        Column(tr("Monday to Friday"), tr("veh a day"), lambda site: day(site, is_weekend=False)),
+        Column(tr("Saturday, Sunday"), tr("veh a day"), lambda site: day(site, is_weekend=True)),
+    ]  # fmt: skip
+    notes = [
+        tr("Vehicles are counted once each: at the stop lines, else where lanes begin. ± is the "
+           "standard error; it holds what was not visible, no other month. A dash: not known, "
+           "which is not 0; vehicles a day need all 24 hours."),
+    ]  # fmt: skip
+    return Table(
+        name="sites", caption=tr("Sites, those with the largest gaps first"), columns=columns,
+        rows=text_rows(ordered, columns), note=" ".join(notes),
+    )  # fmt: skip
+
+
+def _site_link(site: SiteMonth) -> str:
+    if not site.link:
+        return site.title
+    return Markup('<a href="{}">{}</a>').format(site.link, site.title)
+
+
+def _lanes_seen(site: SiteMonth) -> str:
+    if site.lanes is None:
+        return NO_FIGURE
+    return f"{int((site.lanes['visible_share'] > 0.0).sum())}"
+
+
+def worst_lanes(sites: Sequence[SiteMonth]) -> pd.DataFrame:
+    """Return the lanes on which most time is lost, and where that is not known those that queue."""
+    parts = [
+        each.lanes[~each.lanes["is_inside"]].assign(site=each.title)
+        for each in sites
+        if each.lanes is not None
+    ]
+    if not parts:
+        return pd.DataFrame()
+    table = pd.concat(parts, ignore_index=True)
+    lost = table["delay_s"].astype(float) * table["volume_veh_h"].astype(float) / 3600.0
+    table = table.assign(lost_h=lost)
+    slow = (lost > 0.0) | (table["queue_max_m"].astype(float) >= LEAST_QUEUE_M)
+    order = ["lost_h", "queue_mean_m", "occupancy"]
+    return table[slow].sort_values(order, ascending=False, na_position="last").head(WORST_LANES)
+
+
+def lane_rows(worst: pd.DataFrame) -> Table:
+    """Return the worst lanes as they are read."""
+
+    def off(name: str, error: str, digits: int) -> object:
+        return lambda row: _with_error(row[name], row[error], digits)
+
+    columns = [
+        Column(tr("Lane"), "", lambda row: f"{row['site']}: {row['name']}", False),
+        Column(tr("Time lost"), tr("vehicle hours an hour"),
+               lambda row: figure_text(float(row["lost_h"]), 1)),
+        Column(tr("Delay"), tr("s a vehicle"), off("delay_s", "delay_se", 0)),
+        Column(tr("Level of service"), "HCM",
+               lambda row: row["level"] if isinstance(row["level"], str) else NO_FIGURE),
+        Column(tr("Mean queue"), "m", off("queue_mean_m", "queue_se", 1)),
+        Column(tr("Longest queue"), "m", _longest),
+        Column(tr("Mean occupancy"), tr("of visible time"),
+               lambda row: percent(row["occupancy"], off=row["occupancy_se"])),
+        Column(tr("Volume"), tr("veh/h"), _volume),
+    ]  # fmt: skip
+    return Table(
+        name="worst", caption=tr("Lanes on which most time is lost"), columns=columns,
+        rows=text_rows((row for _, row in worst.iterrows()), columns),
+        note=tr(
+            "Time lost is the delay times the volume. ± is the standard error: of delays and "
+            "queues by how the days of the month differ, none of less than three days; of the "
+            "others by what was not seen. Delays count from the free speed as stated, so an error "
+            "of that is in all of them. Nothing follows about why vehicles wait."
+        ),
+    )  # fmt: skip
+
+
+def _with_error(value: float, error: float, digits: int) -> str:
+    text = figure_text(float(value), digits)
+    known = pd.notna(value) and pd.notna(error)
+    return f"{text}\u202f±\u202f{figure_text(float(error), digits)}" if known else text
+
+
+def _longest(row: pd.Series) -> str:
+    if pd.isna(row["queue_max_m"]):
+        return NO_FIGURE
+    text = figure_text(float(row["queue_max_m"]))
+    at_the_end = row["queue_max_m"] >= row["sight_m"] - 10.0 and row["queue_max_m"] > 0.0
+    return tr("at least {m}", m=text) if at_the_end else text
+
+
+def _volume(row: pd.Series) -> str:
+    if pd.isna(row["volume_veh_h"]):
+        return NO_FIGURE
+    relative = row["volume_se"] / row["volume"] if row["volume"] > 0.0 else 0.0
+    return with_error(row["volume_veh_h"], row["volume_veh_h"] * relative)
+
+
+def changes_of(sites: Sequence[SiteMonth]) -> pd.DataFrame:
+    """Return all comparisons with the month before; verdicts hold for the whole city together."""
+    parts = [each.changes for each in sites if each.changes is not None]
+    return with_verdicts(pd.concat(parts, ignore_index=True)) if parts else pd.DataFrame()
+
+
+def change_table(changes: pd.DataFrame, sites: Sequence[SiteMonth]) -> Table:
+    """Return what changed against the month before: whole sites first, then by certainty."""
+    titles = {each.name: each.title for each in sites}
+    told = changes[changes["verdict"] != NOT_TOLD] if len(changes) else changes
+    rows = []
+    if len(told):
+        told = told.assign(
+            name=told["site"].map(titles) + ": " + told["name"], is_lane=told["lane"].notna()
+        )
+        told = told.sort_values(["is_lane", "p_corrected"], kind="stable")
+        rows = [*change_rows(told[~told["is_lane"]]), *change_rows(told[told["is_lane"]])]
+    columns = [
+        Column(tr("Lane"), "", lambda row: row["name"], False),
+        Column(tr("Measure"), "", lambda row: row["measure"], False),
+        Column(tr("Month before"), "", lambda row: row["before"]),
+        Column(tr("This month"), "", lambda row: row["after"]),
+        Column(tr("Difference"), tr("95 % within"), lambda row: row["difference"]),
+        Column(tr("What it means"), "", lambda row: row["words"], False),
+        Column(tr("Rests on"), "", lambda row: row["units"], False),
+    ]
+    return Table(
+        name="changes", caption=tr("What changed against the month before"), columns=columns,
+        rows=text_rows(rows[:MOST_CHANGES], columns),
+        note=" ".join(_change_notes(changes, sites, len(rows))),
+    )  # fmt: skip
+
+
+def _change_notes(changes: pd.DataFrame, sites: Sequence[SiteMonth], told: int) -> list[str]:
+    with_both = sum(each.changes is not None for each in sites)
+    if not with_both:
+        return [tr("No site has enough data in both months that the same sensors saw alike.")]
+    lanes = changes[["site", "lane"]].dropna().drop_duplicates()
+    notes = [
+        tr("Only what the same sensors saw alike in both months: {lanes} lanes of {sites} sites. A "
+           "difference is told where chance gives one in the whole city in less than 5 % of "
+           "months.", lanes=figure_text(len(lanes)), sites=figure_text(with_both)),
+    ]  # fmt: skip
+    if not told:
+        notes.insert(0, tr("No difference is told."))
+    if told > MOST_CHANGES:
+        notes.append(tr("Here are {part} of {all} differences.", part=MOST_CHANGES, all=told))
+    if left_out := sum(each.not_alike for each in sites):
+        notes.append(
+            plural(left_out, "{n} lane was not seen alike.", "{n} lanes were not seen alike.")
+        )
+    return notes
+
+
+def health_table(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock) -> Table:
+    """Return the sensors as they are read, worst first."""
+    titles = {each.name: each.title for each in sites}
+
+    def when(moment: pd.Timestamp) -> str:
+        return NO_FIGURE if pd.isna(moment) else clock.stamp(moment.to_pydatetime())
+
+    def gap(row: pd.Series) -> str:
+        if pd.isna(row["gap_s"]):
+            return NO_FIGURE
+        return tr(
+            "{time} from {begin}", time=seconds_text(row["gap_s"]), begin=when(row["gap_begin"])
+        )
+
+    columns = [
+        Column(tr("Sensor"), "", lambda row: f"{titles[row['site']]}: {row['sensor']}", False),
+        Column(tr("State"), "", lambda row: tr(row["state"]), False),
+        Column(tr("Since"), "", lambda row: when(row["since"]), False),
+        Column(tr("Time with data"), tr("of the month"), lambda row: percent(row["share"], 0)),
+        Column(tr("Longest gap"), "", gap, False),
+        Column(tr("What is known"), "", lambda row: row["reasons"] or NO_FIGURE, False),
+    ]
+    works = int((health["state"] == WORKS).sum())
+    return Table(
+        name="health", caption=tr("Sensors, worst first"), columns=columns,
+        rows=text_rows((row for _, row in health.iterrows()), columns),
+        note=tr(
+            "{n} of {all} sensors work: with data for 95 % of the month or more, at one place, "
+            "with a pose and a clock that fit.", n=works, all=len(health),
+        ),
+    )  # fmt: skip
+
+
+def gaps_said(health: pd.DataFrame) -> list[str]:
+    """Return in sentences what is wrong with sensors, worst first."""
+    states = health.groupby("state", sort=False).size()
+    return [
+        f"{tr(state)}: {listed_sensors(health[health['state'] == state])}"
+        for state in states.index
+        if state not in (WORKS, GAPS)
+    ]
+
+
+def listed_sensors(rows: pd.DataFrame, most: int = 6) -> str:
+    """Return the sensors of rows in a sentence."""
+    names = [f"{row.site} {row.sensor}" for row in rows.itertuples()]
+    more = tr(" and {n} more", n=len(names) - most) if len(names) > most else ""
+    return ", ".join(names[:most]) + more

@@ -1,0 +1,217 @@
+"""A site's month for the page of its city: its lanes with errors, its profile, what changed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from pyproj import CRS
+
+from gis_radar.base import Floats, InputError, NoAnswerError, metric_crs, transformer
+from gis_radar.city.month import CityMonth
+from gis_radar.dataset import Dataset, LaneTraffic
+from gis_radar.hdmap import LANES_LAYER
+from gis_radar.measures import LaneNetwork
+from gis_radar.products import PAGE, as_stated, compare, read_run, service_levels
+
+RESULTS = "results"  # folder of a city with the results of each site
+LEAST_DAYS = 3  # of the error of a mean over days
+WEEKEND = 5  # Saturday, Monday as 0
+GEOGRAPHIC = CRS.from_epsg(4326)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SiteMonth:
+    """A site's month.
+
+    Parameters
+    ----------
+    name, title : str
+        Its name in the city, and that of its site file, else the same.
+    link : str
+        Its report, from the folder of the page; empty where there is none.
+    ways : sequence of (n, 2) arrays
+        Its lanes, degrees east and north.
+    hours : int
+        Complete hours in the month.
+    lanes : DataFrame or None
+        Its lanes over the month, as of :meth:`gis_radar.Dataset.traffic`, with `delay_se`,
+        `queue_se` (from day to day), `level`, `length_m`, `is_inside` (a turn in the junction) and
+        `is_entry` (where the site's vehicles are counted, once each); None where nothing is known.
+    profile : DataFrame or None
+        By `is_weekend` and `hour` of the site's clocks: `volume` and `volume_se` of an hour over
+        all entries; null where one is not known.
+    changes : DataFrame or None
+        Against the month before, as :attr:`gis_radar.products.Comparison.table`; None where
+        nothing compares.
+    not_alike : int
+        Lanes that were not seen alike in both months.
+    """
+
+    name: str
+    title: str
+    link: str
+    ways: Sequence[Floats]
+    hours: int
+    lanes: pd.DataFrame | None = None
+    profile: pd.DataFrame | None = None
+    changes: pd.DataFrame | None = None
+    not_alike: int = 0
+
+    @property
+    def place(self) -> Floats:
+        """Middle of the site, degrees east and north."""
+        return np.concatenate(self.ways).mean(axis=0)
+
+    @property
+    def occupancy(self) -> tuple[float, float]:
+        """Mean occupancy of its lanes by the time and length visible, and the standard error."""
+        if self.lanes is None:
+            return np.nan, np.nan
+        known = self.lanes.dropna(subset=["occupancy"])
+        weight = (known["length_m"] * known["visible_share"]).to_numpy(np.float64)
+        if not weight.sum() > 0.0:
+            return np.nan, np.nan
+        share, error = (known[n].to_numpy(np.float64) for n in ("occupancy", "occupancy_se"))
+        mean = float((weight * share).sum() / weight.sum())
+        return mean, float(np.sqrt(np.nansum((weight * error) ** 2)) / weight.sum())
+
+    @property
+    def volume(self) -> tuple[float, float]:
+        """Vehicles an hour over the time with data at all known entries, and standard error."""
+        if self.lanes is None:
+            return np.nan, np.nan
+        known = self.lanes[self.lanes["is_entry"]].dropna(subset=["volume_veh_h"])
+        if known.empty:
+            return np.nan, np.nan
+        hours = known["volume"] / known["volume_veh_h"].where(known["volume"] > 0.0)
+        error = (known["volume_se"] / hours.fillna(hours.median())).to_numpy(np.float64)
+        return float(known["volume_veh_h"].sum()), float(np.sqrt(np.nansum(error**2)))
+
+    def day_volume(self, *, is_weekend: bool) -> tuple[float, float]:
+        """Vehicles a day, and the standard error; NaN where an hour of the day is not known."""
+        if self.profile is None:
+            return np.nan, np.nan
+        mine = self.profile[self.profile["is_weekend"] == is_weekend]
+        if mine["volume"].notna().sum() < 24:
+            return np.nan, np.nan
+        return float(mine["volume"].sum()), float(np.sqrt((mine["volume_se"] ** 2).sum()))
+
+
+def site_month(month: CityMonth, name: str, folder: Path) -> SiteMonth:
+    """Gather a site's month.
+
+    Parameters
+    ----------
+    month : CityMonth
+        The month.
+    name : str
+        The site.
+    folder : Path
+        Where the page goes, from which its links lead.
+    """
+    dataset, place = month.city.sites[name], month.city.root / RESULTS / name
+    site = read_run(place).get("site") or {}
+    if dataset.has_vehicles:
+        dataset, _ = as_stated(dataset, site)
+    known: dict[str, Any] = {
+        "name": name, "title": str(site.get("title") or name), "ways": _ways(dataset),
+        "link": _link(place / PAGE, folder), "hours": len(month.hours[name].get(month.month, [])),
+    }  # fmt: skip
+    if not (dataset.has_vehicles and month.has_data(name)):
+        return SiteMonth(**known)
+    network = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint).network
+    lanes = _lanes(dataset, month, network)
+    if lanes.empty:
+        return SiteMonth(**known)
+    changes, not_alike = _changes(dataset, name, month)
+    return SiteMonth(
+        **known, lanes=lanes, profile=_profile(dataset, month, lanes), changes=changes,
+        not_alike=not_alike,
+    )  # fmt: skip
+
+
+def _link(page: Path, folder: Path) -> str:
+    if not page.is_file():
+        return ""
+    try:
+        return Path(os.path.relpath(page, folder)).as_posix()
+    except ValueError:  # on another drive
+        return page.resolve().as_uri()
+
+
+def _ways(dataset: Dataset) -> list[Floats]:
+    """Return the lanes, degrees; of datasets without lanes the tiles' box."""
+    if dataset.has_vehicles:
+        lines = list(dataset.layer(LANES_LAYER).geometry)
+    else:
+        lines = [shapely.box(*dataset.tiles().total_bounds).exterior]
+    there = transformer(metric_crs(dataset.crs, what="CRS of a dataset"), GEOGRAPHIC)
+    return [np.column_stack(there.transform(*shapely.get_coordinates(each).T)) for each in lines]
+
+
+def _lanes(dataset: Dataset, month: CityMonth, network: LaneNetwork) -> pd.DataFrame:
+    """Return the lanes over the month, with the errors of delays and queues from day to day."""
+    begin, end = month.period
+    lanes = dataset.traffic(begin=begin, end=end, whole=True)
+    days = dataset.traffic("24h", begin=begin, end=end).groupby("lane")
+    at = np.searchsorted(network.lane, lanes["lane"].to_numpy(np.int64))
+    entry = network.has_stop_line if network.has_stop_line.any() else _begins(network)
+    found: gpd.GeoDataFrame = lanes.assign(
+        level=service_levels(lanes, "hcm"), length_m=network.length_m[at],
+        is_inside=network.connector[at], is_entry=entry[at],
+        **{name: lanes["lane"].map(_error(days[of]))
+           for name, of in (("delay_se", "delay_s"), ("queue_se", "queue_mean_m"))},
+    )  # fmt: skip
+    return pd.DataFrame(found.drop(columns="geometry"))
+
+
+def _begins(network: LaneNetwork) -> Any:
+    return np.array([not each for each in network.before], np.bool_)
+
+
+def _error(days: Any) -> pd.Series:
+    """Return the standard error of a mean over days, by lane; null of too few."""
+    count = days.count()
+    error: pd.Series = (days.std() / np.sqrt(count)).where(count >= LEAST_DAYS)
+    return error
+
+
+def _profile(dataset: Dataset, month: CityMonth, lanes: pd.DataFrame) -> pd.DataFrame:
+    """Return the mean volume of an hour at all entries, by weekdays and weekends and by hour."""
+    begin, end = month.period
+    entries = lanes.loc[lanes["is_entry"] & lanes["volume"].notna(), "lane"]
+    rows = dataset.traffic("1h", begin=begin, end=end)
+    rows = pd.DataFrame(rows[rows["lane"].isin(entries) & rows["volume"].notna()])
+    keys = {
+        "is_weekend": rows["begin"].dt.day_of_week >= WEEKEND, "hour": rows["begin"].dt.hour,
+    }  # fmt: skip
+    rows = rows.assign(**keys, variance=rows["volume_se"].astype(np.float64) ** 2)
+    by_lane = rows.groupby([*keys, "lane"]).agg(
+        volume=("volume", "mean"), variance=("variance", "sum"), days=("volume", "size")
+    )
+    by_lane["variance"] /= by_lane["days"] ** 2
+    groups = by_lane.groupby(level=[0, 1])
+    found = groups[["volume", "variance"]].sum().assign(known=groups.size() == len(entries))
+    index = pd.MultiIndex.from_product([[False, True], range(24)], names=[*keys])
+    found = found[found["known"]].reindex(index)
+    return found.assign(volume_se=np.sqrt(found["variance"].astype(np.float64))).reset_index()
+
+
+def _changes(dataset: Dataset, name: str, month: CityMonth) -> tuple[pd.DataFrame | None, int]:
+    """Compare with the month before what the same sensors saw alike in both."""
+    if not month.before.has_data(name):
+        return None, 0
+    try:
+        found = compare(dataset, before=month.before.period, after=month.period)
+    except (InputError, NoAnswerError):  # of other methods, or nothing was seen alike
+        return None, 0
+    table = pd.DataFrame(found.table.drop(columns="geometry")).assign(site=name)
+    return table, len(found.left_out)
