@@ -27,11 +27,10 @@ from gis_radar.base import (
 )
 from gis_radar.calibration import FITS, WRONG
 from gis_radar.city.month import CityMonth, month_of
-from gis_radar.city.root import City, open_city
+from gis_radar.city.root import RESULTS, City, open_city
 from gis_radar.dataset import POSES, RECORDINGS, TILE_COUNTS, Dataset
 from gis_radar.products import lost_sensors, read_run
 
-RESULTS = "results"  # folder of a city with the results of each site
 SILENT_S = 3600.0  # without frames up to the end, after which a sensor counts as silent
 LEAST_SHARE_SEEN = 0.95  # least share of the month with data of a sensor that works
 CLOCK_S = 0.025  # half of a step: a clock that is off by more is wrong

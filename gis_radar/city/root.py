@@ -10,6 +10,8 @@ from gis_radar.base import InputError
 from gis_radar.dataset import Dataset, Manifest, open_dataset
 
 SITE = "site="
+RESULTS = "results"
+"""Folder of a city with the results of each site."""
 
 
 def site_folder(root: Path, name: str) -> Path:

@@ -27,11 +27,20 @@ from gis_radar.base import (
     only_writer,
     output_errors,
     with_texts,
+    zone_of,
 )
 from gis_radar.city.executors import Workers, workers_of
+from gis_radar.city.month_page import MONTH_PAGE, write_month_page
 from gis_radar.city.settings import CityFile, read_city_file
 from gis_radar.city.tasks import Failure, SiteTask, close_site, make_hour, take_up
-from gis_radar.dataset import Manifest, OpenHours, hour_text, open_hours
+from gis_radar.dataset import (
+    Manifest,
+    OpenHours,
+    hour_begin,
+    hour_text,
+    listed_hours,
+    open_hours,
+)
 from gis_radar.site import software
 
 STATE = ".gis-radar"
@@ -81,6 +90,7 @@ class CityRun:
         """Datasets and results that exist now."""
         tasks = [_task(self.root, self.city, each.name) for each in self.city.site]
         made = [each.dataset for each in tasks if Manifest.is_there(each.dataset)]
+        made += [path for path in [self.root / MONTH_PAGE] if path.exists()]
         return [*made, self.root / "run.json"]
 
     @property
@@ -169,8 +179,8 @@ def run_city(
     ):
         run = _Run(city=city, root=root, sites=sites, workers=workers, reporter=reporter)
         taken_up = run.take_up()
-        changed = run.make_hours(taken_up)
-        run.close(changed)
+        run.close(run.make_hours(taken_up))
+        run.write_page()
         _write_record(run)
     return CityRun(city=city, root=Path(root), sites=sites)
 
@@ -209,7 +219,7 @@ class _Run:
         return sorted(there)
 
     def make_hours(self, names: Sequence[str]) -> list[str]:
-        """Make the hours of sites, oldest first; return the sites that have new ones."""
+        """Make the hours of sites, oldest first; return the sites whose datasets can be written."""
         with ExitStack() as stack:
             opened: dict[str, OpenHours] = {}
             for name in names:
@@ -233,13 +243,29 @@ class _Run:
                     opened[name].made.append(hour)
                     self.sites[name].hours += 1
                     note(name)
-            return [name for name, each in opened.items() if each.made]
+        return [*opened]
 
     def close(self, names: Sequence[str]) -> None:
         """Bring tables of dates, heat maps and reports of sites up to date."""
         tasks = {name: (close_site, _task(self.root, self.city, name), self.city) for name in names}
         for _ in self._each(tasks, Text("closing sites")):
             pass
+
+    def write_page(self) -> None:
+        """Write the page of the city's last month with measured hours."""
+        hours = [listed_hours(self._dataset(name))[-1:] for name in self.sites]
+        last = max((each[0] for each in hours if each), default=None)
+        made = sum(each.hours for each in self.sites.values())
+        if last is None or (not made and (self.root / MONTH_PAGE).exists()):
+            return
+        begin = hour_begin(last).astimezone(zone_of(self.city.timezone))
+        try:
+            write_month_page(
+                self.root, f"{begin:%Y-%m}", title=self.city.title, timezone=self.city.timezone,
+                language=self.city.language, reporter=self.reporter,
+            )  # fmt: skip
+        except InputError as error:  # a site that is damaged; its own line says so, too
+            self.reporter.warn("there is no page of the month: {}", error.message)
 
     def _dataset(self, name: str) -> Path:
         return _task(self.root, self.city, name).dataset

@@ -16,12 +16,12 @@ from pyproj import CRS
 
 from gis_radar.base import Floats, InputError, NoAnswerError, metric_crs, transformer
 from gis_radar.city.month import CityMonth
+from gis_radar.city.root import RESULTS
 from gis_radar.dataset import Dataset, LaneTraffic
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork
 from gis_radar.products import PAGE, as_stated, compare, read_run, service_levels
 
-RESULTS = "results"  # folder of a city with the results of each site
 LEAST_DAYS = 3  # of the error of a mean over days
 WEEKEND = 5  # Saturday, Monday as 0
 GEOGRAPHIC = CRS.from_epsg(4326)

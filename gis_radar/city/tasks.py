@@ -13,13 +13,13 @@ from pathlib import Path
 import pandas as pd
 
 from gis_radar.base import GisRadarError, InputError, Reporter, atomic_write
-from gis_radar.city.root import site_folder
+from gis_radar.city.root import RESULTS, site_folder
 from gis_radar.city.settings import CityFile
 from gis_radar.dataset import Manifest, make_registered, open_dataset, update_days
 from gis_radar.site import Sensor, Site, prepare_site, read_site, stages_of
 from gis_radar.site.stages import convert_stage, measure_stage
 
-POSES, RESULTS = "poses", "results"  # folders of a city beside those of its datasets
+POSES = "poses"  # folder of a city with the poses that were found
 
 Failure = tuple[str, GisRadarError]
 """What has no result, and why."""
@@ -172,10 +172,12 @@ def make_hour(dataset: Path, hour: int, processes: int) -> int:
     return make_registered(dataset, hour, processes).vehicles
 
 
-def close_site(task: SiteTask, city: CityFile) -> SiteTask:
-    """Bring the tables of dates up to date, and make heat map and report of the last month."""
+def close_site(task: SiteTask, city: CityFile, new_hours: int) -> SiteTask:
+    """Bring the tables of dates up to date, delete old exact tables, report on the last month."""
     update_days(task.dataset)
-    if city.reports:
+    if city.keep is not None:
+        open_dataset(task.dataset).keep(city.keep / 86_400.0, reporter=task)
+    if city.reports and (new_hours or not (task.results / "report.html").exists()):
         _report(task, city.timezone)
     return task
 

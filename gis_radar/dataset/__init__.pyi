@@ -12,6 +12,7 @@ from .measuring import manifest_of, measure
 from .parts import (
     Origin,
     clear_unfinished,
+    hour_begin,
     hour_of_step,
     hour_text,
     part_path,
@@ -58,6 +59,7 @@ __all__ = [
     "csv_rows",
     "day_numbers",
     "footprint_style",
+    "hour_begin",
     "hour_of_step",
     "hour_text",
     "lanes_beside",

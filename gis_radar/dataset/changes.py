@@ -8,7 +8,6 @@ from pathlib import Path
 
 from gis_radar.base import QUIET, Reporter
 from gis_radar.dataset.source import Source
-from gis_radar.hdmap import TILES_LAYER
 
 
 class Upkeep:
@@ -52,8 +51,7 @@ class Upkeep:
 
         wanted = Withdrawal(recordings=recordings, sensor=sensor, day=day)
         return withdraw(
-            self.folder, wanted, self.layer(TILES_LAYER), self.manifest.fingerprint,
-            processes=processes, reporter=reporter,
+            self.folder, wanted, self.manifest.fingerprint, processes=processes, reporter=reporter
         )  # fmt: skip
 
     def keep(self: Source, days: float, *, reporter: Reporter = QUIET) -> list[str]:

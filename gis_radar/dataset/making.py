@@ -29,7 +29,7 @@ from gis_radar.dataset.hour_job import HourSite, MadeHour, make_hour, read_senso
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import clear_unfinished, days_of, hour_text, part_path
-from gis_radar.dataset.records import HourRecord, read_hours, remove_record
+from gis_radar.dataset.records import HourRecord, read_hour, read_hours, remove_record
 from gis_radar.dataset.registered import (
     hours_to_make,
     is_whole,
@@ -46,6 +46,7 @@ from gis_radar.dataset.registry import (
     touched_hours,
     validity_by_sensor,
 )
+from gis_radar.dataset.rollups import RollUps
 from gis_radar.dataset.tables import HOUR_TABLES
 from gis_radar.dataset.tile_counts import update_counts
 from gis_radar.measures import HourWindow
@@ -137,9 +138,10 @@ def change(
         after.write_poses(both)
     if after.entries != before.entries:
         after.write_recordings()
-    for hour in {*missing, *(records.keys() - set(after.hours))}:
+    gone = records.keys() - set(after.hours)
+    for hour in {*missing, *gone}:
         remove_record(site.folder, hour)
-    _remove_parts(site.folder, records.keys() - set(after.hours))
+    _remove_parts(site.folder, gone)
     made = _made_and_noted(site, before, after, placings, validity_s, processes, reporter)
     if missing:
         after = after.with_hours(missing, margin)
@@ -147,7 +149,14 @@ def change(
     poses = after.poses.of(each.pose for each in after.entries)
     if poses.tracks.keys() != both.tracks.keys():
         after.write_poses(poses)
-    _count(after.folder, after.fingerprint, {*after.hours, *records})
+    if made or gone:
+        changed = {*missing, *gone}
+        left = {hour: each for hour, each in records.items() if hour not in changed}
+        now = {each.hour: read_hour(site.folder, each.hour) for each in made}
+        found = left | {hour: each for hour, each in now.items() if each is not None}
+        _count(site.folder, changed | {*list(left)[-1:]}, dict(sorted(found.items())))
+    else:
+        update_days(site.folder)  # where an earlier run was killed before it
     return sorted(made, key=lambda each: each.hour)
 
 
@@ -236,16 +245,20 @@ def _undo(folder: Path, before: Registry, made: Sequence[int]) -> None:
 
 def update_days(folder: Path) -> None:
     """Bring the tables of all dates of a dataset up to date; the caller is its only writer."""
-    _count(folder, Manifest.read(folder).fingerprint, read_hours(folder))
-
-
-def _count(folder: Path, fingerprint: str, hours: Iterable[int]) -> None:
-    """Update the tables of the dates of some hours."""
-    traffic = LaneTraffic(folder=folder, fingerprint=fingerprint)
     records = read_hours(folder)
-    for day in days_of(hours):
-        update_counts(folder, fingerprint, day, records)
+    _count(folder, records, records)
+
+
+def _count(folder: Path, hours: Iterable[int], records: Mapping[int, HourRecord]) -> None:
+    """Update the tables of the dates and months of some hours, and of the hour after each."""
+    manifest = Manifest.read(folder)
+    touched = {later for hour in hours for later in (hour, hour + 1)}
+    traffic = LaneTraffic(folder=folder, fingerprint=manifest.fingerprint)
+    for day in days_of(touched):
+        update_counts(folder, manifest.fingerprint, day, records)
         traffic.update(day, records)
+    rolled = RollUps(folder=folder, fingerprint=manifest.fingerprint, timezone=manifest.timezone)
+    rolled.update(touched, records)
 
 
 @dataclass(kw_only=True)

@@ -11,15 +11,13 @@ from pathlib import Path
 from time import time as clock
 from zoneinfo import ZoneInfo
 
-import geopandas as gpd
-
 from gis_radar.base import InputError, Reporter, Text, UsageError, output_errors, zone_of
-from gis_radar.dataset.hour_job import HourSite, MeasureSettings
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.making import change, writing
-from gis_radar.dataset.manifest import MANIFEST, MAP, Manifest
+from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import days_of, hour_text, part_path
 from gis_radar.dataset.records import HourRecord, read_hours, write_record
+from gis_radar.dataset.registered import settings_of, site_of
 from gis_radar.dataset.registry import (
     RecordingEntry,
     Registry,
@@ -28,8 +26,6 @@ from gis_radar.dataset.registry import (
 )
 from gis_radar.dataset.tables import FRAMES, HITS, OBSERVED, OCCUPIED, TABLES, TRACKS, VISIBLE
 from gis_radar.dataset.tile_counts import check_counts, update_counts
-from gis_radar.hdmap import lane_graph
-from gis_radar.tracking import map_of_tiles
 
 EXACT = (FRAMES, HITS, OBSERVED, VISIBLE, OCCUPIED, TRACKS)
 """Tables that are deleted after their time: they tell of single steps, and are nearly all room."""
@@ -124,13 +120,12 @@ def _of_day(
 
 
 def withdraw(
-    folder: Path, wanted: Withdrawal, tiles: gpd.GeoDataFrame, fingerprint: str, *,
-    processes: int, reporter: Reporter,
-) -> list[str]:  # fmt: skip
+    folder: Path, wanted: Withdrawal, fingerprint: str, *, processes: int, reporter: Reporter
+) -> list[str]:
     """Withdraw recordings from a dataset; see :meth:`gis_radar.Dataset.withdraw`."""
     with writing(folder, reporter):
         manifest = Manifest.read(folder)  # others may have written since it was opened
-        settings = _settings(manifest, folder)
+        settings = settings_of(manifest, folder)
         before = Registry.read(folder, fingerprint)
         gone = wanted.chosen(before, zone_of(manifest.timezone))
         kept = tuple(each for each in before.entries if each not in gone)
@@ -138,15 +133,7 @@ def withdraw(
         _refuse_dropped(folder, hours)
         poses = before.poses.of(each.pose for each in kept)
         after = replace(before, entries=kept, poses=poses).without_hours(hours)
-        tiles = tiles.sort_values("tile_id", ignore_index=True)
-        graph = None
-        if settings.vehicles:
-            graph = lane_graph(map_of_tiles(folder / MAP, tiles, reporter)[0].lanelets)
-        site = HourSite(
-            folder=folder, tiles=tiles, graph=graph, origin=manifest.origin,
-            settings=settings,
-        )  # fmt: skip
-        change(site, before, after, processes=processes, reporter=reporter)
+        change(site_of(folder, manifest), before, after, processes=processes, reporter=reporter)
         sensors = {each.sensor for each in kept}
         checks = {name: of for name, of in manifest.checks.items() if name in sensors}
         if checks != manifest.checks:
@@ -165,13 +152,6 @@ def _refuse_dropped(folder: Path, hours: Sequence[int]) -> None:
                 hour_text(record.hour),
                 hint="withdraw only recordings of later hours",
             )
-
-
-def _settings(manifest: Manifest, folder: Path) -> MeasureSettings:
-    try:
-        return MeasureSettings.from_dict(manifest.settings)
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError("{}: damaged: {}", folder / MANIFEST, f"{error!r:.200}") from error
 
 
 def relink(folder: Path, search: str | Path, fingerprint: str, reporter: Reporter) -> int:
@@ -227,7 +207,7 @@ def keep(folder: Path, days: float, fingerprint: str, *, reporter: Reporter) -> 
     if not 0.0 <= days < math.inf:
         raise UsageError("{} days are no time to keep exact tables", days)
     with writing(folder, reporter):
-        settings = _settings(Manifest.read(folder), folder)
+        settings = settings_of(Manifest.read(folder), folder)
         unmade = set(Registry.read(folder, fingerprint).missing_hours(settings.margin))
         records = read_hours(folder)
         over = (clock() - 86_400 * days) // 3600
