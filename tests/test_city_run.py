@@ -19,7 +19,7 @@ from small_site import write_site
 
 import gis_radar as gr
 from gis_radar.base import InputError, OutputError, Reporter, UsageError, only_writer
-from gis_radar.city.executors import OtherSoftwareError, carry_out, workers_of
+from gis_radar.city.executors import OtherSoftwareError, run_task, workers_of
 from gis_radar.site import software
 
 HOURS = 4
@@ -237,7 +237,7 @@ def test_a_task_that_always_ends_its_worker_ends_the_run():
 
 def test_a_worker_with_other_packages_is_refused():
     with pytest.raises(OtherSoftwareError, match=r"a worker has numpy .*, the run 1\.0"):
-        carry_out(software() | {"numpy": "1.0"}, os.getpid)
+        run_task(software() | {"numpy": "1.0"}, os.getpid)
 
 
 def test_jobs_and_executor_exclude_each_other():

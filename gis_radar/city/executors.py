@@ -118,7 +118,7 @@ class Workers(ABC):
             running: dict[Future[Any], Key] = {}
             try:
                 for key, call in left.items():
-                    running[self._executor.submit(carry_out, software(), *call)] = key
+                    running[self._executor.submit(run_task, software(), *call)] = key
                 for future in as_completed(running):
                     found = _result(future)
                     key = running[future]
@@ -158,7 +158,7 @@ def _result(future: Future[Any]) -> Any:
         )
 
 
-def carry_out(expected: Mapping[str, str], work: Callable[..., Any], *arguments: Any) -> Any:
+def run_task(expected: Mapping[str, str], work: Callable[..., Any], *arguments: Any) -> Any:
     """Carry out a task in a worker.
 
     Parameters

@@ -32,7 +32,7 @@ from gis_radar.base import (
 from gis_radar.city.executors import Workers, workers_of
 from gis_radar.city.month_page import MONTH_PAGE, write_month_page
 from gis_radar.city.settings import CityFile, read_city_file
-from gis_radar.city.tasks import Failure, SiteTask, close_site, make_hour, take_up
+from gis_radar.city.tasks import Failure, SiteTask, add_recordings, close_site, make_site_hour
 from gis_radar.dataset import (
     Manifest,
     OpenHours,
@@ -210,7 +210,7 @@ class _Run:
 
     def take_up(self) -> list[str]:
         """Take up all sites; return those with a dataset."""
-        tasks = {name: (take_up, _task(self.root, self.city, name)) for name in self.sites}
+        tasks = {name: (add_recordings, _task(self.root, self.city, name)) for name in self.sites}
         found = dict(self._each(tasks, Text("taking up sites")))
         there = [name for name in found if Manifest.is_there(self._dataset(name))]
         for name in self.sites.keys() - {*there}:
@@ -235,7 +235,7 @@ class _Run:
             order = [(h // 24, name, h) for name, each in opened.items() for h in each.missing]
             share = max(self.workers.count // max(len(order), 1), 1)
             calls = {
-                (name, hour): (make_hour, self._dataset(name), hour, share)
+                (name, hour): (make_site_hour, self._dataset(name), hour, share)
                 for _, name, hour in sorted(order)
             }
             with self._noting(opened) as note:
@@ -247,7 +247,10 @@ class _Run:
 
     def close(self, names: Sequence[str]) -> None:
         """Bring tables of dates, heat maps and reports of sites up to date."""
-        tasks = {name: (close_site, _task(self.root, self.city, name), self.city) for name in names}
+        tasks = {
+            name: (close_site, _task(self.root, self.city, name), self.city, self.sites[name].hours)
+            for name in names
+        }
         for _ in self._each(tasks, Text("closing sites")):
             pass
 

@@ -16,8 +16,15 @@ from gis_radar.base import GisRadarError, InputError, Reporter, atomic_write
 from gis_radar.city.root import RESULTS, site_folder
 from gis_radar.city.settings import CityFile
 from gis_radar.dataset import Manifest, make_registered, open_dataset, update_days
-from gis_radar.site import Sensor, Site, prepare_site, read_site, stages_of
-from gis_radar.site.stages import convert_stage, measure_stage
+from gis_radar.site import (
+    Sensor,
+    Site,
+    convert_stage,
+    measure_stage,
+    prepare_site,
+    read_site,
+    stages_of,
+)
 
 POSES = "poses"  # folder of a city with the poses that were found
 
@@ -65,7 +72,7 @@ class SiteTask(Reporter):
             self.warnings.append(message)
 
 
-def take_up(task: SiteTask) -> SiteTask:
+def add_recordings(task: SiteTask) -> SiteTask:
     """Prepare a site, and register its new recordings in its dataset; no hour is made yet.
 
     Poses are found once, from the first recordings, and kept in the city's folder `poses`:
@@ -167,7 +174,7 @@ def _register(site: Site, task: SiteTask) -> None:
         task.failures.append((name, InputError("{}", message, hint=figures["hints"][name])))
 
 
-def make_hour(dataset: Path, hour: int, processes: int) -> int:
+def make_site_hour(dataset: Path, hour: int, processes: int) -> int:
     """Make an hour of a dataset from its registered recordings; return its number of vehicles."""
     return make_registered(dataset, hour, processes).vehicles
 

@@ -35,7 +35,7 @@ from gis_radar.dataset.registered import (
     is_whole,
     keep_site,
     make_registered,
-    settings_of,
+    measure_settings_of,
 )
 from gis_radar.dataset.registry import (
     Placing,
@@ -303,7 +303,7 @@ def open_hours(folder: Path, reporter: Reporter) -> Iterator[OpenHours]:
     """
     with writing(folder, reporter):
         manifest = Manifest.read(folder)
-        margin = settings_of(manifest, folder).margin
+        margin = measure_settings_of(manifest, folder).margin
         registry, records = Registry.read(folder, manifest.fingerprint), read_hours(folder)
         missing = hours_to_make(registry, records, margin, registry.hours)
         there = {each.path for each in registry.entries if Path(each.path).is_file()}

@@ -31,7 +31,7 @@ _MOST_SITES = 8  # kept by a process, tens of MB each: hours of few sites follow
 _sites: dict[str, HourSite] = {}  # of this process, by all that they follow from
 
 
-def settings_of(manifest: Manifest, folder: Path) -> MeasureSettings:
+def measure_settings_of(manifest: Manifest, folder: Path) -> MeasureSettings:
     """Return the settings of a dataset.
 
     Raises
@@ -57,7 +57,7 @@ def site_of(folder: Path, manifest: Manifest) -> HourSite:
     """
     key = _key(folder, manifest)
     if key not in _sites:
-        settings = settings_of(manifest, folder)
+        settings = measure_settings_of(manifest, folder)
         tiles = read_tiles(folder / TILES).sort_values("tile_id", ignore_index=True)
         graph = None
         if settings.vehicles:
@@ -132,7 +132,7 @@ def make_registered(folder: Path, hour: int, processes: int = 1) -> MadeHour:
         As :func:`~gis_radar.dataset.hour_job.make_hour`.
     """
     manifest = Manifest.read(folder)
-    margin = settings_of(manifest, folder).margin
+    margin = measure_settings_of(manifest, folder).margin
     registry = Registry.read(folder, manifest.fingerprint, hour=hour, margin=margin)
     site, validity_s = site_of(folder, manifest), validity_by_sensor(registry.entries)
     remove_record(folder, hour)

@@ -17,7 +17,7 @@ from gis_radar.dataset.making import change, writing
 from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import days_of, hour_text, part_path
 from gis_radar.dataset.records import HourRecord, read_hours, write_record
-from gis_radar.dataset.registered import settings_of, site_of
+from gis_radar.dataset.registered import measure_settings_of, site_of
 from gis_radar.dataset.registry import (
     RecordingEntry,
     Registry,
@@ -125,7 +125,7 @@ def withdraw(
     """Withdraw recordings from a dataset; see :meth:`gis_radar.Dataset.withdraw`."""
     with writing(folder, reporter):
         manifest = Manifest.read(folder)  # others may have written since it was opened
-        settings = settings_of(manifest, folder)
+        settings = measure_settings_of(manifest, folder)
         before = Registry.read(folder, fingerprint)
         gone = wanted.chosen(before, zone_of(manifest.timezone))
         kept = tuple(each for each in before.entries if each not in gone)
@@ -207,7 +207,7 @@ def keep(folder: Path, days: float, fingerprint: str, *, reporter: Reporter) -> 
     if not 0.0 <= days < math.inf:
         raise UsageError("{} days are no time to keep exact tables", days)
     with writing(folder, reporter):
-        settings = settings_of(Manifest.read(folder), folder)
+        settings = measure_settings_of(Manifest.read(folder), folder)
         unmade = set(Registry.read(folder, fingerprint).missing_hours(settings.margin))
         records = read_hours(folder)
         over = (clock() - 86_400 * days) // 3600

@@ -2,9 +2,10 @@ from .check import SiteCheck, check_site
 from .execution import RunState
 from .live_table import BrokerTable, Duration, LiveTable, PageTable, SensorThingsTable, TopicWord
 from .plan import Stage, stages_of
-from .recipes import mask_scans, measure_recordings, measure_site, see_tiles, split_map
+from .recipes import mask_scans, measure_recordings, see_tiles, split_map
 from .run import SiteRun, prepare_site, run_site
 from .settings import MapTable, Sensor, Site, ViewTable, read_site, site_template
+from .stages import convert_stage, measure_stage
 from .toml_file import read_toml, toml_reference, toml_template
 from .values import (
     CompassBearing,
@@ -55,10 +56,11 @@ __all__ = [
     "WorkerContext",
     "Zone",
     "check_site",
+    "convert_stage",
     "key",
     "mask_scans",
     "measure_recordings",
-    "measure_site",
+    "measure_stage",
     "prepare_site",
     "process_pool",
     "read_site",
