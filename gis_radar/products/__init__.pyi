@@ -5,6 +5,7 @@ from .heatmap.heatmap import HeatMap, make_heatmap, read_heatmap
 from .heatmap.intervals import MapLabels
 from .heatmap.style import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_classes
 from .postgis import Publication, publish
+from .postgis_city import CityPublication, is_city, publish_city
 from .projection.project import project, write_projection
 from .qgis.project import write_qgis_project, write_site_project
 from .qgis.project_file import was_edited
@@ -19,6 +20,7 @@ __all__ = [
     "NEVER_HIT",
     "NOT_OBSERVED",
     "REPORT_FILES",
+    "CityPublication",
     "Comparison",
     "HeatMap",
     "MapLabels",
@@ -28,6 +30,7 @@ __all__ = [
     "Traffic",
     "colour_classes",
     "compare",
+    "is_city",
     "lane_totals",
     "lanes_with_tiles",
     "make_heatmap",
@@ -35,6 +38,7 @@ __all__ = [
     "measure_quality",
     "project",
     "publish",
+    "publish_city",
     "read_heatmap",
     "require_table_name",
     "was_edited",
