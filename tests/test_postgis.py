@@ -1,5 +1,7 @@
 """A dataset in PostGIS: the same figures, only what changed, and never half of it."""
 
+import shutil
+
 import geopandas as gpd
 import numpy as np
 import pandas as pd
@@ -14,6 +16,7 @@ from shapely import LineString
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
+from gis_radar.products.postgis import VERSION
 
 psycopg = pytest.importorskip("psycopg")
 pytestmark = needs_postgis
@@ -65,7 +68,9 @@ def asked(database):
     """Ask the database, which is empty again afterwards."""
     with psycopg.connect(database, autocommit=True) as connection:
         yield lambda sql: connection.execute(sql).fetchall()
-        connection.execute("DROP SCHEMA IF EXISTS gis_radar, a CASCADE")
+        names = "SELECT nspname FROM pg_namespace WHERE nspname ~ '^(gis_radar|a$)'"
+        for (name,) in connection.execute(names).fetchall():
+            connection.execute(f'DROP SCHEMA "{name}" CASCADE')
 
 
 @pytest.fixture(scope="module")
@@ -117,12 +122,19 @@ def test_only_what_changed_is_sent(database, asked, two_days, tmp_path):
     again = gr.publish(two_days, database)
     assert (again.sent, again.kept) == (0, 2)
     whole = asked("SELECT * FROM gis_radar.tile_counts ORDER BY 1, 2")
+    shares = asked("SELECT * FROM gis_radar.tile_sums ORDER BY 1")
     withdrawn = gr.publish(days(tmp_path / "later", [HOUR + 2]), database)
     assert (withdrawn.sent, withdrawn.removed) == (1, 1)
     ((left,),) = asked("SELECT count(*) FROM gis_radar.tile_counts")
     assert 0 < left < len(whole)
+    counted = (
+        "SELECT tile_id, count(*), sum(occupied_steps)::bigint, sum(visible_steps)::bigint "
+        "FROM gis_radar.tile_counts GROUP BY 1 ORDER BY 1"
+    )
+    assert asked("SELECT * FROM gis_radar.tile_sums ORDER BY 1") == asked(counted)
     gr.publish(two_days, database)
     assert asked("SELECT * FROM gis_radar.tile_counts ORDER BY 1, 2") == whole
+    assert asked("SELECT * FROM gis_radar.tile_sums ORDER BY 1") == shares == asked(counted)
 
 
 def test_what_ends_midway_changes_nothing(database, asked, two_days, tmp_path):
@@ -228,3 +240,98 @@ def test_a_database_that_is_not_there_is_one_line(run, two_days, url, code, said
 def test_a_name_of_a_schema_that_is_none_is_refused(two_days):
     with pytest.raises(gr.UsageError, match="is no name"):
         gr.publish(two_days, "postgresql:///x", schema='a"; DROP TABLE b; --')
+
+
+@pytest.fixture
+def city(two_days, tmp_path):
+    """A city of two sites; one of them saw one day."""
+    days(tmp_path / "city" / "site=ost", [HOUR])
+    shutil.copytree(two_days.folder, tmp_path / "city" / "site=Münchner Ring")
+    return tmp_path / "city"
+
+
+def test_a_city_has_a_schema_a_site_and_views_of_all(database, asked, city, two_days):
+    done = gr.publish_city(city, database)
+    assert {name: each.sent for name, each in done.sites.items()} == {"Münchner Ring": 2, "ost": 1}
+    for table in ("tile_counts", "lane_measures", "occupancy", "tiles", "latest_traffic"):
+        counted = "SELECT count(*) FROM "
+        own = [asked(f"{counted} gis_radar_{each}.{table}") for each in ("munchner_ring", "ost")]
+        both = [asked(f"{counted} gis_radar.{table} WHERE site = '{site}'") for site in done.sites]
+        assert both == own
+        assert own[0][0][0] >= own[1][0][0] > 0
+    kinds = "SELECT Find_SRID('gis_radar', 'occupancy', 'geometry')"
+    assert asked(kinds) == [(25832,)]
+    again = gr.publish_city(city, database)
+    assert {each.sent for each in again.sites.values()} == {0}
+    assert again.figures()["dates_kept"] == 3
+
+
+def test_sites_in_two_zones_lie_in_the_coordinate_system_of_most(database, asked, city):
+    shutil.copytree(city / "site=ost", city / "site=west")
+    shutil.rmtree(city / "site=ost")
+    rows = {"tile_id": np.array([3]), "step": np.array([HOUR * STEPS_PER_HOUR])}
+    write_dataset(city / "site=ost", {"hits": rows}, tiles=TILES, vehicles=False, lanes=LANES)
+    manifest = city / "site=ost" / "dataset.json"
+    manifest.write_text(manifest.read_text().replace("EPSG:25832", "EPSG:25833"))
+    gr.publish_city(city, database)
+    east = (
+        "SELECT site, avg(ST_X(ST_Centroid(geometry))) FROM gis_radar.tiles GROUP BY 1 ORDER BY 1"
+    )
+    (_, first), (_, moved), (_, last) = asked(east)
+    assert first == pytest.approx(last)
+    assert abs(moved - first) > 100_000
+    assert asked("SELECT DISTINCT ST_SRID(geometry) FROM gis_radar.tiles") == [(25832,)]
+    assert asked("SELECT count(DISTINCT site) FROM gis_radar.occupancy") == [(2,)]
+
+
+def test_a_site_that_fails_stops_no_other(database, asked, city, run):
+    gr.publish_city(city, database)
+    before = asked("SELECT count(*) FROM gis_radar_ost.tile_counts")
+    days(city.parent / "more", [HOUR, HOUR + 30])
+    shutil.rmtree(city / "site=Münchner Ring")
+    shutil.copytree(city.parent / "more", city / "site=Münchner Ring")
+    (city / "site=ost" / "recordings.parquet").write_bytes(b"no table")
+    record = next((city / "site=ost" / "hours").rglob("*.json"))
+    record.write_text("{}")
+    code, _, err = run("publish", city, database)
+    assert code == 3
+    assert "1 of 2 sites were not published: ost" in err
+    assert "warning: site ost: " in err
+    assert asked("SELECT count(*) FROM gis_radar_ost.tile_counts") == before
+    days_of = "SELECT count(*) FROM gis_radar.publication WHERE site = 'Münchner Ring'"
+    assert asked(days_of) == [(3,)]
+    assert asked("SELECT count(*) FROM gis_radar.tile_counts WHERE site = 'ost'") == before
+
+
+def test_a_city_whose_schema_is_another_sends_nothing(database, asked, city, two_days):
+    gr.publish(two_days, database)
+    with pytest.raises(gr.OutputError, match="schema gis_radar holds something else"):
+        gr.publish_city(city, database)
+    assert asked("SELECT count(*) FROM pg_namespace WHERE nspname ~ '^gis_radar_'") == [(0,)]
+    (city / "site=OST").mkdir()
+    shutil.copy(city / "site=ost" / "dataset.json", city / "site=OST")
+    with pytest.raises(gr.InputError, match="site ost would be in schema a_ost"):
+        gr.publish_city(city, database, schema="a")
+
+
+def test_tables_of_an_older_version_are_named_and_left(database, asked, two_days):
+    gr.publish(two_days, database)
+    asked_for = "SELECT obj_description('gis_radar'::regnamespace, 'pg_namespace')"
+    ((told,),) = asked(asked_for)
+    older = told.replace(f"version {VERSION}", "version 1")
+    with psycopg.connect(database, autocommit=True) as connection:
+        connection.execute(f"COMMENT ON SCHEMA gis_radar IS '{older}'")
+    with pytest.raises(gr.OutputError, match="tables of version 1") as caught:
+        gr.publish(two_days, database)
+    assert "drop gis_radar and publish again" in str(caught.value.hint)
+    assert asked(asked_for) == [(older,)]
+
+
+def test_listeners_hear_of_a_city_once_it_is_there(database, asked, city):
+    with psycopg.connect(database, autocommit=True) as listener:
+        listener.execute("LISTEN qgis")
+        gr.publish_city(city, database)
+        heard = [each.payload for each in listener.notifies(timeout=5.0, stop_after=3)]
+    assert heard == [
+        "gis_radar gis_radar_munchner_ring", "gis_radar gis_radar_ost", "gis_radar gis_radar"
+    ]  # fmt: skip

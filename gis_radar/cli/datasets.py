@@ -156,15 +156,17 @@ def query(
 @click.argument("url", metavar="DATABASE")
 @click.option(
     "--schema", default="gis_radar", show_default=True,
-    help="Schema that holds the tables: one for each site.",
+    help="Schema that holds the tables: one for each site. Of a city, the one of all sites.",
 )  # fmt: skip
 @click.option("--reader", metavar="ROLE", help="A role that may read the tables, nothing more.")
 def publish(
     *, folder: Path, url: str, schema: str, reader: str | None, reporter: Reporter
 ) -> Result:  # fmt: skip
-    """Publish a dataset in PostGIS: tiles, lanes, sensors, traffic; only what changed is sent."""
-    dataset = gr.open_dataset(folder, reporter=reporter)
-    done = gr.publish(dataset, url, schema=schema, reader=reader, reporter=reporter)
+    """Publish a dataset, or all of a city's, in PostGIS; only what changed is sent."""
+    from gis_radar.products import is_city  # noqa: PLC0415 - --help needs no NumPy
+
+    verb = gr.publish_city if is_city(folder) else gr.publish
+    done = verb(folder, url, schema=schema, reader=reader, reporter=reporter)
     return Result(outputs=[], summary=done.figures())
 
 

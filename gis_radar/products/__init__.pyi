@@ -7,6 +7,7 @@ from .heatmap.heatmap import HeatMap, make_heatmap, read_heatmap
 from .heatmap.intervals import MapLabels
 from .heatmap.style import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_classes
 from .postgis import Publication, publish
+from .postgis_city import CityPublication, is_city, publish_city
 from .projection.project import project, write_projection
 from .qgis.project import write_qgis_project, write_site_project
 from .qgis.project_file import was_edited
@@ -30,6 +31,7 @@ __all__ = [
     "PAGE",
     "REPORT_FILES",
     "Chapter",
+    "CityPublication",
     "Column",
     "Comparison",
     "Fact",
@@ -46,6 +48,7 @@ __all__ = [
     "change_rows",
     "colour_classes",
     "compare",
+    "is_city",
     "lane_totals",
     "lanes_with_tiles",
     "lost_sensors",
@@ -55,6 +58,7 @@ __all__ = [
     "measure_quality",
     "project",
     "publish",
+    "publish_city",
     "read_heatmap",
     "read_run",
     "render_page",

@@ -42,8 +42,8 @@ from gis_radar.products.traffic import TITLES
 if TYPE_CHECKING:
     from psycopg import Connection, Cursor
 
-VERSION = 1  # of the tables; raised when they change
-_MARK = "gis_radar,"  # begin of the comment on a schema of ours
+VERSION = 2  # of the tables; raised when they change
+MARK = "gis_radar,"  # begin of the comment on a schema of ours
 CHANNEL = "qgis"  # channel on which QGIS listens for "Refresh layer on notification"
 CONNECT_S = 10  # longest wait for a server's answer, seconds
 _STEPS_PER_DAY = 24 * STEPS_PER_HOUR
@@ -73,10 +73,30 @@ _OCCUPANCY = """
     CREATE OR REPLACE VIEW {schema}.occupancy AS
     SELECT t.*, c.occupied_steps / 20.0 AS occupied_s, c.visible_steps / 20.0 AS visible_s,
         c.occupied_steps::float8 / nullif(c.visible_steps, 0) AS occupancy
-    FROM {schema}.tiles t JOIN (
-        SELECT tile_id, sum(occupied_steps) AS occupied_steps, sum(visible_steps) AS visible_steps
-        FROM {schema}.tile_counts GROUP BY tile_id
-    ) c USING (tile_id)
+    FROM {schema}.tiles t JOIN {schema}.tile_sums c USING (tile_id)
+"""
+# One row a tile, so that a map is drawn at once however many dates there are.
+_SUMS = """
+    CREATE TABLE {schema}.tile_sums (tile_id bigint PRIMARY KEY, intervals bigint NOT NULL,
+        occupied_steps bigint NOT NULL, visible_steps bigint NOT NULL)
+"""
+_ADD_SUMS = """
+    INSERT INTO {schema}.tile_sums AS s
+    SELECT tile_id, count(*), sum(occupied_steps), sum(visible_steps) FROM {schema}.tile_counts
+    WHERE begin_time >= %s AND begin_time < %s GROUP BY tile_id
+    ON CONFLICT (tile_id) DO UPDATE SET intervals = s.intervals + excluded.intervals,
+        occupied_steps = s.occupied_steps + excluded.occupied_steps,
+        visible_steps = s.visible_steps + excluded.visible_steps
+"""
+_SUBTRACT_SUMS = """
+    UPDATE {schema}.tile_sums s SET intervals = s.intervals - c.intervals,
+        occupied_steps = s.occupied_steps - c.occupied_steps,
+        visible_steps = s.visible_steps - c.visible_steps
+    FROM (
+        SELECT tile_id, count(*) AS intervals, sum(occupied_steps) AS occupied_steps,
+            sum(visible_steps) AS visible_steps
+        FROM {schema}.tile_counts WHERE begin_time >= %s AND begin_time < %s GROUP BY tile_id
+    ) c WHERE c.tile_id = s.tile_id
 """
 _LATEST = """
     CREATE OR REPLACE VIEW {schema}.latest_traffic AS
@@ -119,7 +139,7 @@ class Publication:
 
 def publish(
     dataset: Dataset | str | Path, url: str, *, schema: str = "gis_radar",
-    reader: str | None = None, reporter: Reporter = QUIET,
+    reader: str | None = None, notify: bool = True, reporter: Reporter = QUIET,
 ) -> Publication:  # fmt: skip
     """Make a schema of a PostGIS database equal to a dataset, in one transaction.
 
@@ -138,6 +158,8 @@ def publish(
         Schema of the tables; one for each site.
     reader : str, optional
         A role that may read the tables and nothing more.
+    notify : bool
+        Whether listeners on the channel `qgis` are notified.
     reporter : Reporter
         Receives the progress.
 
@@ -156,14 +178,13 @@ def publish(
         If the database cannot be reached or written, lacks PostGIS, or the schema holds another
         site or tables of another version; the database is then as it was.
     """
-    if not _NAME.fullmatch(schema):
-        raise UsageError("schema {} is no name of small letters, digits and _", schema)
+    require_name(schema)
     dataset = open_dataset(dataset, reporter=reporter)
     code = CRS.from_user_input(dataset.crs).to_epsg()
     if code is None:
         raise CrsError("{}: {} has no EPSG code, which PostGIS needs", dataset.folder, dataset.crs)
-    with _connected(url, schema) as (connection, place):
-        session = _Session(cursor=connection.cursor(), schema=schema, place=place, srid=code)
+    with connected(url, schema) as (connection, place):
+        session = Session(cursor=connection.cursor(), schema=schema, place=place, srid=code)
         session.prepare(dataset.manifest.fingerprint)
         known, days = session.published(), _digests(dataset)
         changed = [day for day in days if days[day] != known.get(day)]
@@ -174,11 +195,26 @@ def publish(
             reporter.progress("publishing", done, len(changed))
             session.send_day(dataset, day, days[day])
         reporter.progress("publishing", len(changed), len(changed))
-        session.finish(reader)
+        session.make_views()
+        session.grant(reader)
+        if notify:
+            session.notify(schema)
     return Publication(
         place=f"{place}, schema {schema}", sent=len(changed), kept=len(days) - len(changed),
         removed=len(gone), rows=session.rows,
     )  # fmt: skip
+
+
+def require_name(schema: str) -> None:
+    """Refuse a name of a schema that would have to be quoted.
+
+    Raises
+    ------
+    UsageError
+        If it is one.
+    """
+    if not _NAME.fullmatch(schema):
+        raise UsageError("schema {} is no name of small letters, digits and _", schema)
 
 
 def _digests(dataset: Dataset) -> dict[date, str]:
@@ -197,7 +233,7 @@ def _digests(dataset: Dataset) -> dict[date, str]:
 
 
 @contextmanager
-def _connected(url: str, schema: str) -> Iterator[tuple[Connection, str]]:
+def connected(url: str, schema: str) -> Iterator[tuple[Connection, str]]:
     """Open a connection whose changes are committed if nothing is raised."""
     try:
         import psycopg  # noqa: PLC0415 - an extra
@@ -233,7 +269,7 @@ def _hint(reason: str) -> Text:
     return Text("the database is as it was")
 
 
-class _Session:
+class Session:
     """Transaction in which a schema is updated."""
 
     def __init__(self, *, cursor: Cursor, schema: str, place: str, srid: int) -> None:
@@ -255,18 +291,39 @@ class _Session:
         row = self.cursor.fetchone()
         return None if row is None else row[0]
 
+    def quoted(self, template: str, *, text: str = "", **names: str) -> str:
+        """Return a part of a statement: a quoted `{text}`, names for the other holes."""
+        from psycopg.sql import SQL, Identifier, Literal  # noqa: PLC0415 - an extra
+
+        held = {hole: Identifier(name) for hole, name in names.items()}
+        return SQL(template).format(text=Literal(text), **held).as_string(self.cursor)
+
+    def columns(self, schema: str, table: str) -> dict[str, str]:
+        """Return the columns of a table or view with their types; none if it is missing."""
+        self.run(
+            "SELECT attname, format_type(atttypid, atttypmod) FROM pg_attribute "
+            "WHERE attrelid = to_regclass(%s) AND attnum > 0 AND NOT attisdropped ORDER BY attnum",
+            f"{schema}.{table}",
+        )
+        return dict(self.cursor.fetchall())
+
     def prepare(self, tiles: str) -> None:
         """Make the schema if it is missing; refuse one of another version or other tiles."""
         self.run("CREATE EXTENSION IF NOT EXISTS postgis")
+        self.prepare_schema(f"{MARK} tables of version {VERSION}, tiles {tiles}")
+        if self.is_new:
+            self._prepare_tables()
+
+    def prepare_schema(self, mine: str) -> None:
+        """Make the schema if it is missing, with a comment; refuse one with another comment."""
         there = self.ask("SELECT to_regnamespace(%s) IS NOT NULL", self.schema)
         if not there:  # else no right to make one is needed
             self.run("CREATE SCHEMA {schema}")
         told = self.ask("SELECT obj_description(to_regnamespace(%s), 'pg_namespace')", self.schema)
-        mine = f"{_MARK} tables of version {VERSION}, tiles {tiles}"
         self.is_new = not told
         if told != mine and (told or (there and self._holds_anything())):
             hint = Text("name another --schema")
-            if told and told.startswith(_MARK):  # what others keep is not ours to have dropped
+            if told and told.startswith(MARK):  # what others keep is not ours to have dropped
                 hint = Text("name another --schema, or drop {} and publish again", self.schema)
             raise OutputError(
                 "{}: schema {} holds something else ({})", self.place, self.schema,
@@ -274,13 +331,17 @@ class _Session:
             )  # fmt: skip
         if self.is_new:
             self.run("COMMENT ON SCHEMA {schema} IS {text}", text=mine)
-            self.run(
-                "CREATE TABLE {schema}.publication "
-                "(day date PRIMARY KEY, digest text NOT NULL, published timestamptz DEFAULT now())"
-            )
-            self.run(
-                "COMMENT ON TABLE {schema}.publication IS 'Dates that are published, with a digest'"
-            )
+
+    def _prepare_tables(self) -> None:
+        self.run(
+            "CREATE TABLE {schema}.publication "
+            "(day date PRIMARY KEY, digest text NOT NULL, published timestamptz DEFAULT now())"
+        )
+        self.run(
+            "COMMENT ON TABLE {schema}.publication IS 'Dates that are published, with a digest'"
+        )
+        self.run(_SUMS)
+        self.run("COMMENT ON TABLE {schema}.tile_sums IS 'Sums of a tile over all dates'")
 
     def _holds_anything(self) -> bool:
         asked = "SELECT EXISTS (SELECT FROM pg_class WHERE relnamespace = to_regnamespace(%s))"
@@ -295,12 +356,16 @@ class _Session:
         """Remove dates from all tables."""
         for day in days:
             begin = datetime.combine(day, datetime.min.time(), UTC)
-            for table in filter(self._is_there, _BY_DAY):
+            if self.is_there("tile_counts"):
+                self.run(_SUBTRACT_SUMS, begin, begin + timedelta(days=1))
+            for table in filter(self.is_there, _BY_DAY):
                 self.run(
                     "DELETE FROM {schema}.{table} WHERE begin_time >= %s AND begin_time < %s",
                     begin, begin + timedelta(days=1), table=table,
                 )  # fmt: skip
             self.run("DELETE FROM {schema}.publication WHERE day = %s", day)
+        if days:
+            self.run("DELETE FROM {schema}.tile_sums WHERE intervals = 0")
 
     def replace_layers(self, dataset: Dataset) -> None:
         """Send lanes and sensors anew, as names and poses may have changed, and tiles once."""
@@ -334,24 +399,32 @@ class _Session:
         for name, table in tables.items():
             self._create(name, table)
             self._copy(name, table)
+        since = datetime.combine(day, datetime.min.time(), UTC)
+        self.run(_ADD_SUMS, since, since + timedelta(days=1))
         self.run("INSERT INTO {schema}.publication VALUES (%s, %s)", day, digest)
 
-    def finish(self, reader: str | None) -> None:
-        """Make the views, give the reader its rights, and notify listeners."""
+    def make_views(self) -> None:
+        """Make the views."""
         for name, (statement, comment) in _VIEWS.items():
-            if self._is_there("lane_measures"):
+            if self.is_there("lane_measures"):
                 self.run(statement)
                 self.run("COMMENT ON VIEW {schema}.{view} IS {text}", text=comment, view=name)
+
+    def grant(self, reader: str | None) -> None:
+        """Give the reader its rights."""
         if reader is not None:
             self.run("GRANT USAGE ON SCHEMA {schema} TO {role}", role=reader)
             self.run("GRANT SELECT ON ALL TABLES IN SCHEMA {schema} TO {role}", role=reader)
             later = "ALTER DEFAULT PRIVILEGES IN SCHEMA {schema} GRANT SELECT ON TABLES TO {role}"
             self.run(later, role=reader)
-        self.run("SELECT pg_notify(%s, %s)", CHANNEL, f"gis_radar {self.schema}")
+
+    def notify(self, schema: str) -> None:
+        """Notify listeners that a schema has changed; they hear it once this is committed."""
+        self.run("SELECT pg_notify(%s, %s)", CHANNEL, f"gis_radar {schema}")
 
     def _create(self, name: str, table: pd.DataFrame) -> None:
         """Make a table if it is missing, with key, indexes and comments."""
-        if self._is_there(name):
+        if self.is_there(name):
             return
         types = {_TIMES.get(str(c), str(c)): self._type_of(table, str(c)) for c in table}
         columns = ", ".join(f'"{column}" {kind}' for column, kind in types.items())
@@ -374,7 +447,8 @@ class _Session:
         kind = str(table[column].dtype).lower()
         return next((sql for start, sql in _TYPES.items() if kind.startswith(start)), "text")
 
-    def _is_there(self, name: str) -> bool:
+    def is_there(self, name: str) -> bool:
+        """Return whether the schema has a table or view."""
         return self.ask("SELECT to_regclass(%s)", f"{self.schema}.{name}") is not None
 
     def _copy(self, name: str, table: pd.DataFrame) -> None:
