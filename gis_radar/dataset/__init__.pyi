@@ -18,7 +18,7 @@ from .parts import (
     unfinished,
     write_whole,
 )
-from .records import HourWriter, read_hour, read_hours, record_path, write_record
+from .records import HourRecord, HourWriter, read_hour, read_hours, record_path, write_record
 from .rollups import RollUps
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes
@@ -35,6 +35,7 @@ __all__ = [
     "STEPS_PER_QUARTER",
     "TILE_COUNTS",
     "Dataset",
+    "HourRecord",
     "HourSpans",
     "HourWriter",
     "LaneTraffic",
