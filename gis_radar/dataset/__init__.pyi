@@ -21,9 +21,13 @@ from .parts import (
     unfinished,
     write_whole,
 )
+<<<<<<< HEAD
 from .reading import read_rows
 from .records import HourWriter, listed_hours, read_hour, read_hours, record_path, write_record
 from .registered import make_registered
+=======
+from .records import HourRecord, HourWriter, read_hour, read_hours, record_path, write_record
+>>>>>>> a5741c932adca393b40ac19cd31b812ff67edb96
 from .rollups import RollUps
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes
@@ -42,6 +46,7 @@ __all__ = [
     "STEPS_PER_QUARTER",
     "TILE_COUNTS",
     "Dataset",
+    "HourRecord",
     "HourSpans",
     "HourWriter",
     "LaneTraffic",

@@ -79,10 +79,13 @@ class Dataset(TrafficTables, VehicleTables, SqlQueries, Questions, Upkeep):
         The dataset's folder.
     manifest : Manifest
         Its map, tiles, coordinate system and settings.
+    found : dict
+        Filled with what questions found and need again.
     """
 
     folder: Path
     manifest: Manifest
+    found: dict[Any, Any] = field(default_factory=dict, repr=False)
     _layers: dict[str, gpd.GeoDataFrame] = field(default_factory=dict, repr=False)
 
     @property
@@ -372,7 +375,7 @@ class Dataset(TrafficTables, VehicleTables, SqlQueries, Questions, Upkeep):
         if not lanes and speed_kmh is None:
             return self
         layer = stated_lanes(self.layer(LANES_LAYER), lanes, speed_kmh, self.folder)
-        return replace(self, _layers={**self._layers, LANES_LAYER: layer})
+        return replace(self, found={}, _layers={**self._layers, LANES_LAYER: layer})
 
     def _tiles(self) -> gpd.GeoDataFrame:
         tiles = read_tiles(self.folder / TILES)

@@ -132,26 +132,44 @@ class Day:
             write_part(table, self.path(table), rows, self._metadata(table) | stated)
             rename_whole(unfinished(self.path(table)), self.path(table))
 
-    def rows(self, tables: Sequence[TableSchema], keys: Keys, make: Maker) -> list[pa.Table]:
-        """Return the rows of hours, as written if they are up to date, else made now."""
+    def rows(
+        self, tables: Sequence[TableSchema], keys: Keys, make: Maker, *,
+        only: TableSchema | None = None, columns: Sequence[str] | None = None,
+    ) -> list[pa.Table]:  # fmt: skip
+        """Return the rows of hours, as written if they are up to date, else made now.
+
+        Parameters
+        ----------
+        tables, keys, make
+            As for :meth:`update`.
+        only : TableSchema, optional
+            The one of the tables to read; the others come without rows.
+        columns : sequence of str, optional
+            Its columns; by default all.
+        """
         known = [self.made(table) for table in tables]
         kept = {hour for hour, key in keys.items() if all(of.get(hour) == key for of in known)}
         made = [make(hour) for hour in sorted(keys.keys() - kept)]
         return [
-            self._joined(table, kept, len(known[k]), [each[k] for each in made])
+            self._joined(table, kept, len(known[k]), [each[k] for each in made], columns)
+            if only in (None, table)
+            else table.empty()
             for k, table in enumerate(tables)
         ]
 
     def _joined(
-        self, table: TableSchema, kept: set[int], written: int, made: list[pa.Table]
-    ) -> pa.Table:
+        self, table: TableSchema, kept: set[int], written: int, made: list[pa.Table],
+        columns: Sequence[str] | None,
+    ) -> pa.Table:  # fmt: skip
         """Join the rows of hours that are kept with those that were made."""
-        parts = [table.empty(), *made]
+        needed = {*(columns or table.names), *table.order}
+        names = [name for name in table.names if name in needed]
+        parts = [each.select(names) for each in (table.empty(), *made)]
         if kept:
             with self.opened(table) as file:
-                rows = file.read(columns=table.names)
+                rows = file.read(columns=names)
             if len(kept) == written and not made:
-                return pa.concat_tables([table.empty(), rows], promote_options="default")
+                return pa.concat_tables([*parts, rows], promote_options="default")
             hours = pa.array(sorted(each - self.first_hour for each in kept), pa.int32())
             hour = pc.divide(rows["interval"], pa.scalar(QUARTERS, pa.int32()))
             parts.append(rows.filter(pc.is_in(hour, hours)))

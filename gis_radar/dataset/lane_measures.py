@@ -114,9 +114,13 @@ class LaneTraffic:
         """
         day = Day.of(self.folder, self.fingerprint, hour)
         records = day.records(known)
-        self._before.update(_with_tracks(known or {}))
+        self.note(known or {})
         keys = self.keys(day, records)
         day.update(TRAFFIC_TABLES, keys, lambda each: self._quarters(records[each]))
+
+    def note(self, records: Mapping[int, HourRecord]) -> None:
+        """Keep records that were read, as the hours before others."""
+        self._before.update(_with_tracks(records))
 
     def keys(self, day: Day, records: Mapping[int, HourRecord]) -> Keys:
         """Return the keys of the hours of a date: what the rows of each follow from.
@@ -124,7 +128,7 @@ class LaneTraffic:
         Hours without vehicles have none. Where exact tables were deleted, the rows stay as they
         were made, if they were.
         """
-        keys = {hour: self._key(each) for hour, each in _with_tracks(records).items()}
+        keys = {hour: self.key(each) for hour, each in _with_tracks(records).items()}
         gone = {hour for hour in keys if TRACKS.name in records[hour].dropped}
         known = day.made(LANE_MEASURES) if gone and day.made(TURNS) else {}
         return {
@@ -133,7 +137,8 @@ class LaneTraffic:
             if hour not in gone or hour in known
         }
 
-    def _key(self, record: HourRecord) -> list[str | int]:
+    def key(self, record: HourRecord) -> list[str | int]:
+        """Return what the rows of an hour follow from; the first entry is `METHOD`."""
         before = self._hour_before(record.hour)
         inputs, method = ("", 0) if before is None else (before.origin.inputs, before.origin.method)
         return [METHOD, record.origin.method, record.origin.inputs, method, inputs]
@@ -156,10 +161,13 @@ class LaneTraffic:
         :func:`gis_radar.dataset.tile_counts.read_counts`.
         """
         place = TRAFFIC_TABLES.index(table)
-        self._before.update(_with_tracks(records))
+        self.note(records)
         for day, hours in days_with(self.folder, self.fingerprint, list(records)):
             keys = self.keys(day, {hour: records[hour] for hour in sorted(hours)})
-            rows = day.rows(TRAFFIC_TABLES, keys, lambda hour: self._quarters(records[hour]))
+            rows = day.rows(
+                TRAFFIC_TABLES, keys, lambda hour: self._quarters(records[hour]), only=table,
+                columns=columns,
+            )  # fmt: skip
             yield day.timed(rows[place], span, columns)
 
     def finer(self, record: HourRecord, steps: int) -> tuple[pa.Table, pa.Table]:

@@ -8,10 +8,11 @@ from typing import get_args
 import pandas as pd
 import pyarrow as pa
 
-from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError, speaking
+from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError, current_language, speaking
 from gis_radar.dataset.asked_time import AskedTime, Holidays, day_numbers, month_edges
+from gis_radar.dataset.parts import hour_of_step
 from gis_radar.dataset.reading import Span
-from gis_radar.dataset.records import HourRecord
+from gis_radar.dataset.records import hour_bounds
 from gis_radar.dataset.rollups import RollUps
 from gis_radar.dataset.source import Moment, Source, require_vehicles
 from gis_radar.dataset.street_profile import SUMMED, By, StreetLanes, street_profile
@@ -90,61 +91,68 @@ class Questions:
         require_vehicles(self)
         if by not in get_args(By):
             raise UsageError("by is {}, expected hour, weekday or month", repr(by))
-        rolled = roll_ups(self)
-        known, span = _asked_hours(self, begin, end, month)
-        time = AskedTime.of(span, self.timezone, days, without)
+        asked = AskedTime.of(_asked_span(self, begin, end, month), self.timezone, days, without)
         columns = ["lane", "weekday", "hour", *SUMMED]
+        rolled, wanted = roll_ups(self), day_numbers(days)
         parts = [
             rows.to_pandas().assign(month=each)
-            for each, rows in rolled.asked(LANE_MONTHS, time, known, columns)
+            for each, rows in rolled.sums_of(LANE_MONTHS, asked, columns)
         ]
         sums = pd.concat(parts) if parts else LANE_MONTHS.empty().to_pandas().assign(month="")
-        sums = sums[sums["weekday"].isin(day_numbers(days))]
+        sums = sums[sums["weekday"].isin(wanted)]
+        return street_profile(sums, asked, _street_lanes(self, rolled, street, language), by)
+
+
+def _street_lanes(
+    dataset: Source, rolled: RollUps, street: str | None, language: str | None
+) -> StreetLanes:
+    """Return the lanes of a street, which are found once."""
+    key = ("street", street, language or current_language())
+    if key not in dataset.found:
+        layers = dataset.layer(LANES_LAYER), dataset.layer(TILES_LAYER)
         with speaking(language) if language else nullcontext():
-            lanes = StreetLanes.of(
-                self.layer(LANES_LAYER), self.layer(TILES_LAYER), rolled.traffic.network, street
-            )
-        return street_profile(sums, time, lanes, by)
+            dataset.found[key] = StreetLanes.of(*layers, rolled.traffic.network, street)
+    lanes: StreetLanes = dataset.found[key]
+    return lanes
 
 
-def _asked_hours(
-    dataset: Source, begin: Moment, end: Moment, month: str | None
-) -> tuple[dict[int, HourRecord], Span]:
-    """Return the records of the hours of a time, and its first and last step."""
+def _asked_span(dataset: Source, begin: Moment, end: Moment, month: str | None) -> Span:
+    """Return the first and the last step of a time; an open end is that of what was measured."""
     if month is not None:
         if (begin, end) != (None, None):
             raise UsageError("month and begin, end do not go together", hint="give one of them")
         begin, end = month_edges(month, dataset.timezone)
     span = dataset.span(begin, end)
-    known = dataset.records(span)
-    if not known:
+    hours = (None, None) if span is None else map(hour_of_step, span)
+    if (bounds := hour_bounds(dataset.folder, *hours)) is None:
         raise InputError(
             "{}: nothing was measured in that time", dataset.folder,
             hint="gis-radar dataset shows from when to when it was measured",
         )  # fmt: skip
-    first, last = min(known) * STEPS_PER_HOUR, (max(known) + 1) * STEPS_PER_HOUR - 1
+    first, last = bounds[0] * STEPS_PER_HOUR, (bounds[1] + 1) * STEPS_PER_HOUR - 1
     if span is not None:
         first = first if begin is None else span[0]
         last = last if end is None else span[1]
-    return known, (first, last)
+    return first, last
 
 
 def roll_ups(dataset: Source) -> RollUps:
     """Return the maker and reader of the roll-ups of a dataset."""
-    manifest = dataset.manifest
     return RollUps(
-        folder=dataset.folder, fingerprint=manifest.fingerprint, timezone=manifest.timezone
-    )
+        folder=dataset.folder, fingerprint=dataset.manifest.fingerprint, timezone=dataset.timezone,
+        whole=dataset.found.setdefault("whole months", {}),
+    )  # fmt: skip
 
 
 def _read(dataset: Source, table: TableSchema, month: str | None) -> pd.DataFrame:
-    rolled = roll_ups(dataset)
-    span = None if month is None else dataset.span(*month_edges(month, dataset.timezone))
-    known = dataset.records(span)
-    months = rolled.months(known) if month is None else [month]
-    parts = [rolled.read(table, each, known) for each in months]
+    rolled, bounds = roll_ups(dataset), hour_bounds(dataset.folder)
+    asked = [] if bounds is None else rolled.months(range(bounds[0], bounds[1] + 1))
+    if month is not None:
+        month_edges(month, dataset.timezone)  # refuses what is none
+        asked = [month]
+    parts = [rolled.read(table, each) for each in asked]
     whole = pa.concat_tables([table.empty(), *parts])
     found = for_people(whole, dataset.manifest.origin)
     lengths = [len(each) for each in parts]
-    found.insert(0, "month", pd.Series(months, dtype=object).repeat(lengths).to_list())
+    found.insert(0, "month", pd.Series(asked, dtype=object).repeat(lengths).to_list())
     return found

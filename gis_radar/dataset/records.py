@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
@@ -35,6 +36,7 @@ from gis_radar.dataset.table_schema import TableSchema
 from gis_radar.dataset.tables import HOUR_TABLES, SCHEMA, TABLES
 
 HOURS = "hours"
+_LAST_HOUR = 70_000_000  # of a year with four digits: what is open ends later
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,6 +128,7 @@ def read_hours(
     InputError
         If one is damaged or of a newer schema.
     """
+<<<<<<< HEAD
     found = (
         _read(path)
         for date in sorted((folder / HOURS).glob("????-??-??"))
@@ -138,6 +141,52 @@ def read_hours(
         and (last is None or hour <= last)
     )
     return {record.hour: record for record in found if record is not None}
+=======
+    found = (_read(path) for date in _dates(folder, first, last) for path in _hours(date))
+    return {
+        record.hour: record
+        for record in found
+        if record is not None
+        and (first is None or first <= record.hour)
+        and (last is None or record.hour <= last)
+    }
+
+
+def _dates(folder: Path, first: int | None, last: int | None) -> list[Path]:
+    """Return the folders of the records of the dates of some hours, ascending."""
+    low, high = (str(date_of(min(hour, _LAST_HOUR))) for hour in (first or 0, last or _LAST_HOUR))
+    dates = sorted(path.name for path in (folder / HOURS).glob("????-??-??"))
+    return [folder / HOURS / name for name in dates if low <= name <= high]
+
+
+def _hours(date: Path) -> list[Path]:
+    """Return the records of a date, ascending."""
+    names = sorted(path.name for path in date.glob("??.json"))
+    return [path for name in names if _hour_of_path(path := date / name) is not None]
+
+
+def hour_bounds(
+    folder: Path, first: int | None = None, last: int | None = None
+) -> tuple[int, int] | None:
+    """Return the first and the last complete hour, by the names of records; None without any.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    first, last : int, optional
+        Only hours from `first` to `last`, inclusive.
+    """
+    low, high = -math.inf if first is None else first, math.inf if last is None else last
+    dates, found = _dates(folder, first, last), list[int]()
+    for way in (1, -1):
+        for date in dates[::way]:
+            hours = (_hour_of_path(path) for path in _hours(date))
+            if inside := [hour for hour in hours if hour is not None and low <= hour <= high]:
+                found += inside
+                break
+    return (min(found), max(found)) if found else None
+>>>>>>> a5741c932adca393b40ac19cd31b812ff67edb96
 
 
 def listed_hours(folder: Path) -> list[int]:

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -24,8 +25,8 @@ import pyarrow.parquet as pq
 
 from gis_radar.base import Booleans, Floats, InputError, Integers, zone_of
 from gis_radar.dataset.asked_time import QUARTER_S, AskedTime, month_edges
-from gis_radar.dataset.day_tables import QUARTERS, Day
-from gis_radar.dataset.lane_measures import LaneTraffic
+from gis_radar.dataset.day_tables import QUARTERS
+from gis_radar.dataset.lane_measures import METHOD, LaneTraffic
 from gis_radar.dataset.parts import (
     HOURS_PER_DAY,
     days_of,
@@ -35,20 +36,30 @@ from gis_radar.dataset.parts import (
     whole_metadata,
     write_part,
 )
-from gis_radar.dataset.records import HourRecord
+from gis_radar.dataset.records import HourRecord, read_hours, record_path
 from gis_radar.dataset.table_schema import TableSchema
-from gis_radar.dataset.tables import LANE_MEASURES, MONTH_TABLES, TILE_MONTHS
+from gis_radar.dataset.tables import LANE_MEASURES, MONTH_TABLES, TILE_MONTHS, TRACKS
 from gis_radar.dataset.tile_counts import count_keys, read_counts
 from gis_radar.measures import SPEED_CLASSES
 
 DAYS_PER_WEEK = 7
 _DATES = "dates"  # entry of the metadata with the key of each date
 _HIGHEST = "queue_max_m"  # the one column that is no sum
-_LANE_COLUMNS = (
-    "lane", "interval", "visible_share", "counted", "volume", "volume_se", "heavy", "speed_counts",
-    "occupancy", "occupancy_se", "density", "flow", "delay_s", "queue_max_m", "queue_mean_m",
-    "stops", "visible_km_h",
-)  # fmt: skip
+# What the sums of lanes need of `lane_measures`.
+_SOURCES = {
+    "quarters": ("volume",),
+    "visible_s": ("visible_share",),
+    "volume_variance": ("volume_se",),
+    "visible_km_h": ("visible_km_h", "occupancy"),
+    "occupied_km_h": ("visible_km_h", "occupancy"),
+    "occupied_variance": ("visible_km_h", "occupancy_se"),
+    "vehicle_km": ("visible_km_h", "flow"),
+    "vehicle_h": ("visible_km_h", "density"),
+    "delay_h": ("delay_s", "volume"),
+    "queue_m_s": ("queue_mean_m", "visible_share"),
+}
+_Keys: TypeAlias = dict[int, list[str | int]]
+_SETTLED_S = 2.0  # after which a folder's time of writing tells whether it was written since
 
 
 class Sums:
@@ -58,10 +69,14 @@ class Sums:
     ----------
     table : TableSchema
         The roll-up.
+    columns : sequence of str, optional
+        Its columns that are summed; by default all. The others are missing.
     """
 
-    def __init__(self, table: TableSchema) -> None:
+    def __init__(self, table: TableSchema, columns: Sequence[str] | None = None) -> None:
         self.table = table
+        needed = {*table.names} if columns is None else {*columns, *_WEIGHTS}
+        self.names = [name for name in table.names if name in needed - {*table.order}]
         self._id, *cells = table.order
         self._cells = HOURS_PER_DAY * (DAYS_PER_WEEK if len(cells) > 1 else 1)
         self._ids: Integers = np.empty(0, np.int64)
@@ -93,7 +108,9 @@ class Sums:
             if name == _HIGHEST:
                 np.fmax.at(mine, at, values)
             elif values.ndim > 1:
-                np.add.at(mine, at, values)
+                cells = at[:, None] * values.shape[1] + np.arange(values.shape[1])
+                more = np.bincount(cells.ravel(), values.ravel(), mine.size)
+                mine += more.reshape(mine.shape)
             else:
                 mine += np.bincount(at, values, len(mine))
 
@@ -111,25 +128,24 @@ class Sums:
         cell = rows["hour"].to_numpy().astype(np.int64)
         if "weekday" in rows.column_names:
             cell += HOURS_PER_DAY * rows["weekday"].to_numpy().astype(np.int64)
-        keys = self.table.order
-        names = [name for name in self.table.names if name not in keys]
-        self.add(rows[self._id].to_numpy(), cell, ((name, _numbers(rows, name)) for name in names))
+        values = ((name, _numbers(rows, name)) for name in self.names)
+        self.add(rows[self._id].to_numpy(), cell, values)
 
     def rows(self) -> pa.Table:
         """Return the sums as rows of the roll-up: those of which something is known."""
-        if not len(self._ids):
-            return self.table.empty()
-        weights = [name for name in self._values if name in _WEIGHTS]
-        row = np.flatnonzero(np.any([self._values[name] > 0.0 for name in weights], axis=0))
+        schema = pa.schema([self.table.schema.field(n) for n in (*self.table.order, *self.names)])
+        if not self._values:
+            return schema.empty_table()
+        weights = [values for name, values in self._values.items() if name in _WEIGHTS]
+        row = np.flatnonzero(np.any([each > 0.0 for each in weights], axis=0))
         place, cell = np.divmod(row, self._cells)
         found: dict[str, Any] = {
             self._id: self._ids[place],
             "weekday": cell // HOURS_PER_DAY, "hour": cell % HOURS_PER_DAY,
         }  # fmt: skip
-        for column in self.table.columns:
-            if column.name in self._values:
-                found[column.name] = _typed(self._values[column.name][row], column.type)
-        return self.table.to_arrow(found)
+        found |= {name: each[row] for name, each in self._values.items()}
+        columns = [_typed(found[field.name], field.type) for field in schema]
+        return pa.Table.from_arrays(columns, schema=schema)
 
 
 _WEIGHTS = {"quarters", "visible_s", "visible_km_h", "observed_steps"}
@@ -138,8 +154,8 @@ _WEIGHTS = {"quarters", "visible_s", "visible_km_h", "observed_steps"}
 def _typed(values: Floats, kind: pa.DataType) -> Any:
     if pa.types.is_list(kind):
         whole = pa.array(values.astype(np.int64).ravel())
-        return pa.FixedSizeListArray.from_arrays(whole, values.shape[1])
-    return values.astype(np.int64) if pa.types.is_integer(kind) else values
+        return pa.FixedSizeListArray.from_arrays(whole, values.shape[1]).cast(kind)
+    return pa.array(values, from_pandas=True).cast(kind)
 
 
 def _numbers(rows: pa.Table, name: str) -> Any:
@@ -153,30 +169,32 @@ def _numbers(rows: pa.Table, name: str) -> Any:
     return found
 
 
-def _lane_values(rows: pa.Table) -> dict[str, Floats]:
-    """Return what is summed of rows of `lane_measures`."""
-    of = {name: _numbers(rows, name) for name in _LANE_COLUMNS[2:]}
-    share, area = of["visible_share"], of["visible_km_h"]
-    found = {
-        "quarters": np.isfinite(of["volume"]).astype(np.float64),
-        "visible_s": share * QUARTER_S,
-        "counted": of["counted"],
-        "volume": of["volume"],
-        "volume_variance": of["volume_se"] ** 2,
-        "heavy": of["heavy"],
-        "speed_counts": of["speed_counts"],
-        "visible_km_h": np.where(np.isfinite(of["occupancy"]), area, 0.0),
-        "occupied_km_h": of["occupancy"] * area,
-        "occupied_variance": (of["occupancy_se"] * area) ** 2,
-        "vehicle_km": of["flow"] * area,
-        "vehicle_h": of["density"] * area,
-        "delay_h": of["delay_s"] * of["volume"] / 3600.0,
-        "queue_m_s": of["queue_mean_m"] * share * QUARTER_S,
-        "stops": of["stops"],
-    }
-    return {name: np.nan_to_num(each) for name, each in found.items()} | {
-        "queue_max_m": of["queue_max_m"]
-    }
+def _sources(names: Iterable[str]) -> list[str]:
+    return [each for name in names for each in _SOURCES.get(name, (name,))]
+
+
+def _lane_values(rows: pa.Table, names: Iterable[str]) -> Iterator[tuple[str, Any]]:
+    """Yield what is summed of rows of `lane_measures`."""
+    for name in names:
+        of = [_numbers(rows, each) for each in _SOURCES.get(name, (name,))]
+        of = [each.astype(np.float64) if each.ndim == 1 else each for each in of]
+        if name in _SUMMANDS:
+            of = [_SUMMANDS[name](*of)]
+        yield name, of[0] if name == _HIGHEST else np.nan_to_num(of[0])
+
+
+_SUMMANDS: dict[str, Callable[..., Floats]] = {
+    "quarters": lambda volume: np.isfinite(volume).astype(np.float64),
+    "visible_s": lambda share: share * QUARTER_S,
+    "volume_variance": lambda error: error**2,
+    "visible_km_h": lambda area, occupancy: np.where(np.isfinite(occupancy), area, 0.0),
+    "occupied_km_h": lambda area, occupancy: occupancy * area,
+    "occupied_variance": lambda area, error: (error * area) ** 2,
+    "vehicle_km": lambda area, flow: flow * area,
+    "vehicle_h": lambda area, density: density * area,
+    "delay_h": lambda delay_s, volume: delay_s * volume / 3600.0,
+    "queue_m_s": lambda back_m, share: back_m * share * QUARTER_S,
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -191,11 +209,15 @@ class RollUps:
         Fingerprint of its tiles.
     timezone : str
         Time zone of the site.
+    whole : dict
+        Filled with what is found of files that hold all of their month, and taken while the folders
+        of its hours are not written.
     """
 
     folder: Path
     fingerprint: str
     timezone: str
+    whole: dict[tuple[str, str], list[int]] = field(default_factory=dict, repr=False)
     _clocks: dict[int, pd.DatetimeIndex] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -221,16 +243,15 @@ class RollUps:
                 path = self.path(table, month)
                 if not keys:
                     path.unlink(missing_ok=True)
-                elif self._made(table, month) != keys:
+                elif not self._is_made(table, month, keys):
                     stated = {_DATES: json.dumps(keys)}
                     rows = self._sums(table, month, keys, known).rows()
                     write_part(table, path, rows, self._metadata(table, month) | stated)
                     rename_whole(unfinished(path), path)
 
     def read(
-        self, table: TableSchema, month: str, known: Mapping[int, HourRecord],
-        columns: Sequence[str] | None = None,
-    ) -> pa.Table:  # fmt: skip
+        self, table: TableSchema, month: str, columns: Sequence[str] | None = None
+    ) -> pa.Table:
         """Read the roll-up of a month; what is missing or not up to date is summed now.
 
         Parameters
@@ -239,28 +260,37 @@ class RollUps:
             `LANE_MONTHS` or `TILE_MONTHS`.
         month : str
             Such as `2026-10`.
-        known : mapping
-            The records of complete hours, those of the month among them.
         columns : sequence of str, optional
             Names of the columns; by default all.
         """
-        names = list(columns or table.names)
-        keys = self._keys(table, month, known)
-        if keys and self._made(table, month) == keys:
-            return self._written(table, month, names)
-        return self._sums(table, month, keys, known).rows().select(names)
+        odd = self._unless_whole(table, month)
+        if odd is None:
+            return self._written(table, month, columns)
+        rows = self._sums(table, month, *odd, columns).rows()
+        return rows.select(list(columns or table.names))
 
-    def whole_path(
-        self, table: TableSchema, month: str, known: Mapping[int, HourRecord]
-    ) -> Path | None:
-        """Return the file of a month if it holds all of it."""
-        keys = self._keys(table, month, known)
-        return self.path(table, month) if keys and self._made(table, month) == keys else None
+    def is_whole(self, table: TableSchema, month: str) -> bool:
+        """Return whether the file of a month holds all of it."""
+        return self._unless_whole(table, month) is None
 
-    def asked(
-        self, table: TableSchema, time: AskedTime, known: Mapping[int, HourRecord],
-        columns: Sequence[str],
-    ) -> Iterator[tuple[str, pa.Table]]:  # fmt: skip
+    def _unless_whole(
+        self, table: TableSchema, month: str
+    ) -> tuple[_Keys, dict[int, HourRecord]] | None:
+        """Return the keys of the dates of a month, and its records, unless its file holds all."""
+        state = self._state(table, month)
+        if state and self.whole.get((table.name, month)) == state:
+            return None
+        known = self._records(self.days(month))
+        keys = self._keys(table, month, known)
+        if not keys or not self._is_made(table, month, keys):
+            return keys, known
+        if state:
+            self.whole[table.name, month] = state
+        return None
+
+    def sums_of(
+        self, table: TableSchema, asked: AskedTime, columns: Sequence[str]
+    ) -> Iterator[tuple[str, pa.Table]]:
         """Yield sums of the asked time month by month, with the rows and columns of a roll-up.
 
         Months of which only some days are asked for are summed from the tables of dates.
@@ -269,19 +299,18 @@ class RollUps:
         ----------
         table : TableSchema
             `LANE_MONTHS`, or `TILE_MONTHS` where all days of the week are asked for.
-        time : AskedTime
+        asked : AskedTime
             The time.
-        known : mapping
-            The records of complete hours, those of the time among them.
         columns : sequence of str
             Names of the columns.
         """
-        for month, whole in time.months():
+        for month, whole in asked.months():
             if whole:
-                yield month, self.read(table, month, known, columns)
+                yield month, self.read(table, month, columns)
                 continue
-            sums = Sums(table)
-            for day, quarters in time.masks(month).items():
+            masks, sums = asked.masks(month), Sums(table, columns)
+            known = self._records(list(masks))
+            for day, quarters in masks.items():
                 self._add_day(sums, day, known, quarters)
             yield month, sums.rows().select(list(columns))
 
@@ -329,26 +358,53 @@ class RollUps:
                 self._written(table, path.parent.name.removeprefix("month="))
 
     def _in_month(self, day: int, month: str) -> Booleans:
-        clock = self.clock(day)
-        year, number = map(int, month.split("-"))
-        return np.asarray((clock.year == year) & (clock.month == number))
+        """Return which quarters of a UTC date lie in a month."""
+        first, after = (each.timestamp() for each in month_edges(month, self.timezone))
+        begins = day * 3600.0 + QUARTER_S * np.arange(HOURS_PER_DAY * QUARTERS)
+        return (begins >= first) & (begins < after)
 
-    def _keys(
-        self, table: TableSchema, month: str, known: Mapping[int, HourRecord]
-    ) -> dict[int, str]:
-        """Return the digest of what the sums of each date follow from, by its first hour."""
-        found = {}
+    def _records(self, days: Sequence[int]) -> dict[int, HourRecord]:
+        """Read the records of the complete hours from a UTC date to another."""
+        found = read_hours(self.folder, days[0], days[-1] + HOURS_PER_DAY - 1)
+        self.traffic.note(found)
+        return found
+
+    def _state(self, table: TableSchema, month: str) -> list[int]:
+        """Return when the file of a month and the folders of its hours were written.
+
+        Empty if one was written just now: a second time would not be told from the first.
+        """
+        places = [self.path(table, month)]
+        places += [record_path(self.folder, day).parent for day in self.days(month)]
+        state = [path.stat().st_mtime_ns if path.exists() else 0 for path in places]
+        return state if max(state) < time.time_ns() - _SETTLED_S * 1e9 else []
+
+    def _keys(self, table: TableSchema, month: str, known: Mapping[int, HourRecord]) -> _Keys:
+        """Return what the sums of each date follow from: a digest and a number of method.
+
+        By the first hour of the date. The number is 0 where all exact tables were deleted: then the
+        measures stay as the version that made them counted.
+        """
+        self.traffic.note(known)
+        found: _Keys = {}
         for day in self.days(month):
             hours = self._hours(day, self._in_month(day, month), known)
             if table is TILE_MONTHS:
-                keys = count_keys(hours)
+                keys, method = count_keys(hours), 0
             else:
-                date = Day(folder=self.folder, fingerprint=self.fingerprint, first_hour=day)
-                keys = self.traffic.keys(date, hours)
+                hours = {hour: each for hour, each in hours.items() if TRACKS.name in each.parts}
+                keys = {hour: self.traffic.key(each)[1:] for hour, each in hours.items()}
+                gone = all(TRACKS.name in each.dropped for each in hours.values())
+                method = 0 if gone else METHOD
             if keys:
                 text = json.dumps({hour: keys[hour] for hour in sorted(keys)})
-                found[day] = hashlib.sha256(text.encode()).hexdigest()
+                found[day] = [hashlib.sha256(text.encode()).hexdigest(), method]
         return found
+
+    def _is_made(self, table: TableSchema, month: str, keys: _Keys) -> bool:
+        """Return whether a file was made of dates with these keys, and no others."""
+        made = self._made(table, month)
+        return made.keys() == keys.keys() and all(map(_are_same, made.values(), keys.values()))
 
     def _hours(
         self, day: int, wanted: Booleans, known: Mapping[int, HourRecord]
@@ -358,14 +414,15 @@ class RollUps:
         return {hour: known[hour] for hour in hours.tolist() if hour in known}
 
     def _sums(
-        self, table: TableSchema, month: str, keys: Mapping[int, str],
-        known: Mapping[int, HourRecord],
+        self, table: TableSchema, month: str, keys: _Keys,
+        known: Mapping[int, HourRecord], columns: Sequence[str] | None = None,
     ) -> Sums:  # fmt: skip
         """Sum a month; the file is taken if its dates are the first ones, with the same keys."""
-        sums, written = Sums(table), self._made(table, month)
-        begun = list(written.items()) == list(keys.items())[: len(written)]
-        if begun and written:
-            sums.add_written(self._written(table, month))
+        sums, written = Sums(table, columns), self._made(table, month)
+        first = {day: keys[day] for day in list(keys)[: len(written)]}
+        begun = bool(written) and self._is_made(table, month, first)
+        if begun:
+            sums.add_written(self._written(table, month, [*table.order, *sums.names]))
         for day in keys:
             if not (begun and day in written):
                 self._add_day(sums, day, known, self._in_month(day, month))
@@ -378,24 +435,26 @@ class RollUps:
         hours, clock = self._hours(day, wanted, known), self.clock(day)
         if not hours:
             return
-        if sums.table is TILE_MONTHS:
-            columns = [name for name in TILE_MONTHS.names if name != "hour"]
-            (rows,) = read_counts(
-                self.folder, self.fingerprint, hours, None, [*columns, "interval"]
-            )
+        is_of_tiles, id_name = sums.table is TILE_MONTHS, sums.table.order[0]
+        sources = sums.names if is_of_tiles else _sources(sums.names)
+        columns = list(dict.fromkeys([id_name, "interval", *sources]))
+        if is_of_tiles:
+            (rows,) = read_counts(self.folder, self.fingerprint, hours, None, columns)
             cells = np.asarray(clock.hour, np.int64)
         else:
-            (rows,) = self.traffic.read(LANE_MEASURES, hours, None, _LANE_COLUMNS)
+            (rows,) = self.traffic.read(LANE_MEASURES, hours, None, columns)
             cells = np.asarray(clock.day_of_week * HOURS_PER_DAY + clock.hour, np.int64)
         quarter = rows["interval"].to_numpy()
         if not wanted.all():
             rows, quarter = rows.filter(pa.array(wanted[quarter])), quarter[wanted[quarter]]
-        ids = rows[sums.table.order[0]].to_numpy()
-        tile_values = ((name, _numbers(rows, name)) for name in TILE_MONTHS.names[2:])
-        values = tile_values if sums.table is TILE_MONTHS else _lane_values(rows).items()
-        sums.add(ids, cells[quarter], values)
+        values = (
+            ((name, _numbers(rows, name)) for name in sums.names)
+            if is_of_tiles
+            else _lane_values(rows, sums.names)
+        )
+        sums.add(rows[id_name].to_numpy(), cells[quarter], values)
 
-    def _made(self, table: TableSchema, month: str) -> dict[int, str]:
+    def _made(self, table: TableSchema, month: str) -> _Keys:
         """Read the keys of the dates in a file; none if it is damaged."""
         with suppress(InputError, ValueError, KeyError), self._opened(table, month) as file:
             stated = json.loads(file.metadata.metadata[_DATES.encode()])
@@ -414,3 +473,8 @@ class RollUps:
     def _metadata(self, table: TableSchema, month: str) -> dict[str, str]:
         clocks = {"month": month, "timezone": self.timezone}
         return whole_metadata(table, self.fingerprint) | clocks
+
+
+def _are_same(made: Sequence[str | int], key: Sequence[str | int]) -> bool:
+    """Return whether a date was summed of the same; where exact tables are gone, by any method."""
+    return made[0] == key[0] and (key[1] in (0, made[1]))

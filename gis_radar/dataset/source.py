@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import geopandas as gpd
 import pandas as pd
@@ -27,6 +27,10 @@ class Source(Protocol):
     @property
     def folder(self) -> Path:
         """The dataset's folder."""
+
+    @property
+    def found(self) -> dict[Any, Any]:
+        """What questions found and need again."""
 
     @property
     def crs(self) -> str:

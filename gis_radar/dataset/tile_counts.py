@@ -328,5 +328,5 @@ def read_counts(
     """
     for day, hours in days_with(folder, fingerprint, list(records)):
         keys = count_keys({hour: records[hour] for hour in hours})
-        (rows,) = day.rows((TILE_COUNTS,), keys, _maker(folder, records))
+        (rows,) = day.rows((TILE_COUNTS,), keys, _maker(folder, records), columns=columns)
         yield day.timed(rows, span, columns)

@@ -136,10 +136,10 @@ class _Views:
         rolled, paths = roll_ups(self._dataset), []
         made = [table.empty().append_column("month", pa.array([], pa.string()))]
         for month in rolled.months(records):
-            if (path := rolled.whole_path(table, month, records)) is not None:
-                paths.append(path)
+            if rolled.is_whole(table, month):
+                paths.append(rolled.path(table, month))
             else:
-                rows = rolled.read(table, month, records)
+                rows = rolled.read(table, month)
                 made.append(rows.append_column("month", pa.array([month] * len(rows), pa.string())))
         names = [*table.names, "month"]
         held = f"_made_{table.name}"
