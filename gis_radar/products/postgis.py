@@ -7,7 +7,6 @@ sent, dates that the dataset no longer has are removed, all others stay as they 
 from __future__ import annotations
 
 import hashlib
-import io
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -19,8 +18,6 @@ from typing import TYPE_CHECKING, Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.csv
 import shapely
 from pyproj import CRS
 
@@ -37,6 +34,7 @@ from gis_radar.base import (
 from gis_radar.dataset import TILE_COUNTS, Dataset, LaneTraffic, open_dataset
 from gis_radar.hdmap import TILE_FIELDS
 from gis_radar.measures import lane_names
+from gis_radar.products.postgis_rows import binary_rows_of, csv_rows_of
 from gis_radar.products.traffic import TITLES
 
 if TYPE_CHECKING:
@@ -50,8 +48,8 @@ _STEPS_PER_DAY = 24 * STEPS_PER_HOUR
 _EPOCH = date(1970, 1, 1)
 _NAME = re.compile(r"[a-z_][a-z0-9_]{0,62}")
 _TYPES = {
-    "int": "bigint", "uint": "bigint", "flo": "double precision", "bool": "boolean",
-    "dat": "timestamptz",
+    "int32": "integer", "int": "bigint", "uint": "bigint", "flo": "double precision",
+    "bool": "boolean", "dat": "timestamptz",
 }  # fmt: skip
 """Types of PostgreSQL by the beginning of those of pandas; all others are text."""
 _TIMES = {"begin": "begin_time", "end": "end_time"}  # END is a word of SQL
@@ -458,16 +456,17 @@ class Session:
         if isinstance(table, gpd.GeoDataFrame):
             placed = shapely.set_srid(np.asarray(table.geometry), self.srid)
             shown["geometry"] = shapely.to_wkb(placed, hex=True, include_srid=True)
-        text = io.BytesIO()
-        without_titles = pyarrow.csv.WriteOptions(include_header=False)
-        pyarrow.csv.write_csv(
-            pa.Table.from_pandas(shown, preserve_index=False), text, without_titles
+        # rows of tiles are most by far, have no nulls, and are sent three times as fast
+        rows, form = (
+            (binary_rows_of(shown), "binary")
+            if name == "tile_counts"
+            else (csv_rows_of(shown), "csv")
         )
         columns = SQL(", ").join([Identifier(str(column)) for column in shown])
         place = Identifier(self.schema, name)
-        copy = SQL("COPY {} ({}) FROM STDIN (FORMAT csv)").format(place, columns)
+        copy = SQL("COPY {} ({}) FROM STDIN (FORMAT {})").format(place, columns, SQL(form))
         with self.cursor.copy(copy) as target:
-            target.write(text.getbuffer())
+            target.write(rows)
         self.rows[name] = self.rows.get(name, 0) + len(shown)
 
 
