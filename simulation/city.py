@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
 from pyproj import CRS
 
 from gis_radar.base import atomic_write
@@ -26,7 +25,7 @@ from simulation.network import RoadNetwork, build_network, read_network
 from simulation.presets import AS_RECORDED, DRIVERS_AS_RECORDED
 from simulation.radar import place_radar
 from simulation.recording import frame_times, simulate_recording, write_recording
-from simulation.roadside import furnish
+from simulation.roadside import furnish, roadside_stand
 from simulation.scan import fly, write_scan
 from simulation.scene import Scene
 from simulation.street_plans import NO_TURNS
@@ -240,16 +239,11 @@ def _traffic(
 
 def _mast(sensor: str, turn: float, site: CitySite, scene: Scene, rng: np.random.Generator) -> Pose:
     """Return the pose of a radar beside a kerb that looks at the crossing."""
-    houses = [shapely.Polygon(b.outline).buffer(1.0) for b in scene.buildings]
-    taken = shapely.union_all([*houses, scene.road.buffer(1.5)])
-    near = scene.road.buffer(7.0).difference(taken)
-    middle = np.array(site.crossing.place)
-    while True:
-        reach, angle = rng.uniform(14.0, 40.0), 2.0 * np.pi * (turn + rng.uniform(0.0, 0.25))
-        place = middle + reach * np.array([np.cos(angle), np.sin(angle)])
-        if shapely.contains_xy(near, *place):
-            break
-    east, north = middle - place
+    place = roadside_stand(
+        scene, site.crossing.place, rng, within_m=(14.0, 40.0),
+        turns_rad=(2.0 * np.pi * turn, 2.0 * np.pi * (turn + 0.25)),
+    )  # fmt: skip
+    east, north = site.crossing.place - place
     yaw = float(np.degrees(np.arctan2(north, east))) + float(rng.normal(0.0, 15.0))
     fields: dict[str, Any] = {
         "easting": float(place[0]), "northing": float(place[1]),

@@ -34,6 +34,7 @@ from gis_radar.dataset.lane_measures import METHOD, TRAFFIC_TABLES
 from gis_radar.dataset.parts import HOURS_PER_DAY, PartDigest
 from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.registry import RecordingEntry, Registry
+from gis_radar.dataset.rollups import RollUps
 from gis_radar.dataset.tables import HOUR_TABLES
 from gis_radar.dataset.tile_counts import count_keys
 from simulation.measured_minutes import PARTS, MeasuredParts
@@ -146,7 +147,10 @@ class DayDrawer:
         registry = Registry.read(folder, manifest.fingerprint)
         entries = [entry for day in days for entry in self._entries(registry, *day)]
         known = replace(registry, entries=(*registry.entries, *entries))
-        known.with_hours({*drawn, *self.dataset.records()}, margin).write_recordings()
+        records = self.dataset.records()
+        known.with_hours(records, margin).write_recordings()
+        sums = RollUps(folder=folder, fingerprint=manifest.fingerprint, timezone=manifest.timezone)
+        sums.update(drawn, records)
         return open_dataset(folder)
 
     def _draw_day(self, span: tuple[datetime, datetime]) -> list[int]:

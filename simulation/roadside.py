@@ -91,6 +91,40 @@ def furnish(
     )
 
 
+def roadside_stand(
+    scene: Scene,
+    middle: tuple[float, float],
+    rng: np.random.Generator,
+    *,
+    within_m: tuple[float, float],
+    turns_rad: tuple[float, float] = (0.0, 2.0 * np.pi),
+) -> Floats:
+    """Return where a mast may stand: beside a kerb, in no house, some way from a middle.
+
+    Parameters
+    ----------
+    scene : Scene
+        The surroundings.
+    middle : (float, float)
+        Easting and northing.
+    rng : Generator
+        Decides.
+    within_m : tuple of float
+        Least and greatest distance from the middle.
+    turns_rad : tuple of float
+        Least and greatest direction from the middle, counter-clockwise from grid east.
+    """
+    houses = [shapely.Polygon(b.outline).buffer(1.0) for b in scene.buildings]
+    taken = shapely.union_all([*houses, scene.road.buffer(1.5)])
+    near = scene.road.buffer(7.0).difference(taken)
+    shapely.prepare(near)
+    while True:
+        reach, turn = rng.uniform(*within_m), rng.uniform(*turns_rad)
+        place = middle + reach * np.array([np.cos(turn), np.sin(turn)])
+        if shapely.contains_xy(near, *place):
+            return np.asarray(place)
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Places:
     """Places beside the road, away from its open ends."""

@@ -90,4 +90,4 @@ def test_a_notebook_is_stripped_and_needs_the_public_interface_only(path):
 
 
 def test_there_are_notebooks():
-    assert [path.stem.split("_")[0] for path in NOTEBOOKS] == ["1", "2", "3", "4", "5", "6"]
+    assert [path.stem.split("_")[0] for path in NOTEBOOKS] == ["1", "2", "3", "4", "5", "6", "7"]

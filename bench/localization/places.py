@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import shapely
 from pyproj import CRS
 
 import gis_radar as gr
@@ -133,31 +132,6 @@ def make_place(
         simulate_people(network, scene.road, traffic, manners.people, seed=seed)
     )
     return Place(network=network, scene=scene, traffic=traffic)
-
-
-def roadside_stand(
-    scene: Scene, rng: np.random.Generator, *, within_m: tuple[float, float]
-) -> Floats:
-    """Return where a mast may stand: beside a kerb, in no house, some way from the plan's middle.
-
-    Parameters
-    ----------
-    scene : Scene
-        The surroundings.
-    rng : Generator
-        Decides.
-    within_m : tuple of float
-        Least and greatest distance from the middle of the plan.
-    """
-    houses = [shapely.Polygon(b.outline).buffer(1.0) for b in scene.buildings]
-    taken = shapely.union_all([*houses, scene.road.buffer(1.5)])
-    near = scene.road.buffer(7.0).difference(taken)
-    shapely.prepare(near)
-    while True:
-        reach, turn = rng.uniform(*within_m), rng.uniform(0.0, 2.0 * np.pi)
-        place = ORIGIN + reach * np.array([np.cos(turn), np.sin(turn)])
-        if shapely.contains_xy(near, *place):
-            return np.asarray(place)
 
 
 def write_moving(recording: pd.DataFrame, path: Path) -> None:

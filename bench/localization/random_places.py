@@ -21,7 +21,6 @@ from places import (
     made,
     make_place,
     mixed,
-    roadside_stand,
     write_moving,
 )
 from trials import NEAR_M, Trial, in_workers
@@ -29,7 +28,7 @@ from trials import NEAR_M, Trial, in_workers
 import gis_radar as gr
 from simulation.demand import KINDS
 from simulation.driving import LaneKeeping
-from simulation.roadside import Roadside
+from simulation.roadside import Roadside, roadside_stand
 from simulation.scene import Scene
 from simulation.street_plans import PLANS
 from simulation.terrain import Terrain
@@ -110,7 +109,7 @@ def _keeping(rng: np.random.Generator) -> LaneKeeping:
 
 def _sensor(scene: Scene, rng: np.random.Generator) -> gr.Pose:
     """Return a sensor beside a kerb that looks at the middle of the plan, or past it."""
-    stand = roadside_stand(scene, rng, within_m=(12.0, 60.0))
+    stand = roadside_stand(scene, ORIGIN, rng, within_m=(12.0, 60.0))
     towards = np.array(ORIGIN) - stand
     yaw = np.degrees(np.arctan2(towards[1], towards[0])) + rng.normal(0.0, 20.0)
     ground = float(scene.terrain.height(stand))

@@ -31,7 +31,6 @@ from places import (  # noqa: E402
     Manners,
     Place,
     make_place,
-    roadside_stand,
     write_moving,
 )
 from simulated import true_pose  # noqa: E402
@@ -46,7 +45,7 @@ from gis_radar.base import Integers  # noqa: E402
 from simulation.lanelet_writer import write_lanelets  # noqa: E402
 from simulation.presets import TEXTBOOK  # noqa: E402
 from simulation.radar import RadarModel  # noqa: E402
-from simulation.roadside import Roadside  # noqa: E402
+from simulation.roadside import Roadside, roadside_stand  # noqa: E402
 from simulation.scan import fly, write_scan  # noqa: E402
 from simulation.street_plans import PLANS, StreetPlan, axis  # noqa: E402
 
@@ -465,7 +464,7 @@ def _masts(recipe: Recipe, place: Place, rng: np.random.Generator) -> list[gr.Po
         return [all_of_them[TOWN_MASTS[name]] for name in recipe.radars]
     found: list[gr.Pose] = []
     for number in range(1, recipe.radars + 1):
-        stand = roadside_stand(place.scene, rng, within_m=recipe.stand_m)
+        stand = roadside_stand(place.scene, ORIGIN, rng, within_m=recipe.stand_m)
         towards = np.array(ORIGIN) - stand
         yaw = np.degrees(np.arctan2(towards[1], towards[0])) + rng.normal(0.0, recipe.aim_deg)
         ground = float(place.scene.terrain.height(stand))
