@@ -20,7 +20,8 @@ ASKING = {"--timeout", "--memory", "--relink", "--withdraw", "--schema"}  # of a
 TRAFFIC = {"--interval", "--counts", "--sections"}  # of gis-radar traffic
 WITHOUT_MAP = {"--map", "--hits-only"}  # each site file has a map
 OWN = {"--fresh", "--jobs", "--template", "--layer", "--version", "--stdin"}
-OTHERS = IMAGE | ASKING | TRAFFIC | WITHOUT_MAP | OWN
+CITY = {"--city-template", "--executor", "--nthreads"}  # of a city's run, and of its workers
+OTHERS = CITY | IMAGE | ASKING | TRAFFIC | WITHOUT_MAP | OWN
 
 
 def options_named():

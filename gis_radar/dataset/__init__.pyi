@@ -21,13 +21,17 @@ from .parts import (
     unfinished,
     write_whole,
 )
-<<<<<<< HEAD
 from .reading import read_rows
-from .records import HourWriter, listed_hours, read_hour, read_hours, record_path, write_record
+from .records import (
+    HourRecord,
+    HourWriter,
+    listed_hours,
+    read_hour,
+    read_hours,
+    record_path,
+    write_record,
+)
 from .registered import make_registered
-=======
-from .records import HourRecord, HourWriter, read_hour, read_hours, record_path, write_record
->>>>>>> a5741c932adca393b40ac19cd31b812ff67edb96
 from .rollups import RollUps
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes

@@ -31,7 +31,7 @@ from gis_radar.dataset.manifest import TILES, Manifest
 from gis_radar.dataset.parts import MEASURE_AGAIN, hour_begin, hour_of_step, hour_text, whole_table
 from gis_radar.dataset.profiles import Questions, roll_ups
 from gis_radar.dataset.reading import Span, read_rows
-from gis_radar.dataset.records import HourRecord, listed_hours, read_hour, read_hours
+from gis_radar.dataset.records import HourRecord, hour_bounds, read_hour, read_hours
 from gis_radar.dataset.source import Moment
 from gis_radar.dataset.sql import SqlQueries
 from gis_radar.dataset.stated_lanes import stated_lanes
@@ -429,8 +429,7 @@ def open_dataset(path: str | Path | Dataset, *, reporter: Reporter = QUIET) -> D
     if isinstance(path, Dataset):
         return path
     dataset = Dataset(folder=Path(path), manifest=Manifest.read(path))
-    hours = listed_hours(dataset.folder)
-    ends = (read_hour(dataset.folder, hour) for hour in {*hours[:1], *hours[-1:]})
+    ends = (read_hour(dataset.folder, hour) for hour in hour_bounds(dataset.folder) or ())
     methods = sorted({each.origin.method for each in ends if each is not None})
     if len(methods) > 1:  # those of all hours are read where these are
         reporter.warn(

@@ -17,7 +17,6 @@ import pyarrow.parquet as pq
 
 from gis_radar.base import InputError, output_errors, read_json, writing_errors
 from gis_radar.dataset.parts import (
-    HOURS_PER_DAY,
     MEASURE_AGAIN,
     Origin,
     PartDigest,
@@ -128,20 +127,6 @@ def read_hours(
     InputError
         If one is damaged or of a newer schema.
     """
-<<<<<<< HEAD
-    found = (
-        _read(path)
-        for date in sorted((folder / HOURS).glob("????-??-??"))
-        if (midnight := _hour_of_path(date / "00.json")) is not None
-        and (first is None or first < midnight + HOURS_PER_DAY)
-        and (last is None or midnight <= last)
-        for path in sorted(date.glob("??.json"))
-        if (hour := _hour_of_path(path)) is not None
-        and (first is None or first <= hour)
-        and (last is None or hour <= last)
-    )
-    return {record.hour: record for record in found if record is not None}
-=======
     found = (_read(path) for date in _dates(folder, first, last) for path in _hours(date))
     return {
         record.hour: record
@@ -186,12 +171,11 @@ def hour_bounds(
                 found += inside
                 break
     return (min(found), max(found)) if found else None
->>>>>>> a5741c932adca393b40ac19cd31b812ff67edb96
 
 
 def listed_hours(folder: Path) -> list[int]:
     """List the hours since 1970 that have a record, ascending; no record is read."""
-    paths = sorted((folder / HOURS).glob("????-??-??/??.json"))
+    paths = (path for date in _dates(folder, None, None) for path in _hours(date))
     return [hour for path in paths if (hour := _hour_of_path(path)) is not None]
 
 

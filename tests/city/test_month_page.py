@@ -53,7 +53,9 @@ def page(made):
 
 def table(page, first):
     """Give the rows of the table whose first heading is given, by their first cell."""
-    (found,) = (each for each in page.tables if each[0][0].strip() == first[0] and first[1] in each[0][1])
+    (found,) = (
+        each for each in page.tables if each[0][0].strip() == first[0] and first[1] in each[0][1]
+    )
     return {row[0].strip(): row for row in found[1:]}
 
 
@@ -144,9 +146,7 @@ def test_the_command(made, tmp_path):
     ],
 )  # fmt: skip
 def test_what_is_refused(run, made, tmp_path, words, code, said):
-    left, out, _ = run(
-        "report", str(made / "city"), *words, "-o", str(tmp_path / "out"), "--json"
-    )
+    left, out, _ = run("report", str(made / "city"), *words, "-o", str(tmp_path / "out"), "--json")
     error = json.loads(out.splitlines()[-1])
     assert (left, error["event"]) == (code, "error")
     assert said in error["message"]
