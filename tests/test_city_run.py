@@ -138,6 +138,9 @@ def test_hours_of_an_earlier_method_are_made_again(site, whole, tmp_path):
     record.write_text(json.dumps(json.loads(now) | {"method": 1}), encoding="utf-8")
     assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 1
     assert record.read_bytes() == now
+    record.write_text(json.dumps(json.loads(now) | {"method": 1}), encoding="utf-8")
+    (tmp_path / "one" / "R1_0.parquet").unlink()  # what it would be made from
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
 
 
 def test_a_bad_site_stops_no_other(site, tmp_path):
