@@ -91,7 +91,8 @@ class Questions:
         require_vehicles(self)
         if by not in get_args(By):
             raise UsageError("by is {}, expected hour, weekday or month", repr(by))
-        asked = AskedTime.of(_asked_span(self, begin, end, month), self.timezone, days, without)
+        span, measured = _asked_span(self, begin, end, month)
+        asked = AskedTime.of(span, self.timezone, days, without, measured)
         columns = ["lane", "weekday", "hour", *SUMMED]
         rolled, wanted = roll_ups(self), day_numbers(days)
         parts = [
@@ -116,31 +117,37 @@ def _street_lanes(
     return lanes
 
 
-def _asked_span(dataset: Source, begin: Moment, end: Moment, month: str | None) -> Span:
-    """Return the first and the last step of a time; an open end is that of what was measured."""
+def _asked_span(
+    dataset: Source, begin: Moment, end: Moment, month: str | None
+) -> tuple[Span, Span]:
+    """Return the first and the last step of a time, and of all that was measured.
+
+    An end that is not stated is that of what was measured.
+    """
     if month is not None:
         if (begin, end) != (None, None):
             raise UsageError("month and begin, end do not go together", hint="give one of them")
         begin, end = month_edges(month, dataset.timezone)
     span = dataset.span(begin, end)
     hours = (None, None) if span is None else map(hour_of_step, span)
-    if (bounds := hour_bounds(dataset.folder, *hours)) is None:
+    bounds = hour_bounds(dataset.folder)
+    if bounds is None or hour_bounds(dataset.folder, *hours) is None:
         raise InputError(
             "{}: nothing was measured in that time", dataset.folder,
             hint="gis-radar dataset shows from when to when it was measured",
         )  # fmt: skip
-    first, last = bounds[0] * STEPS_PER_HOUR, (bounds[1] + 1) * STEPS_PER_HOUR - 1
+    first, last = measured = bounds[0] * STEPS_PER_HOUR, (bounds[1] + 1) * STEPS_PER_HOUR - 1
     if span is not None:
         first = first if begin is None else span[0]
         last = last if end is None else span[1]
-    return first, last
+    return (first, last), measured
 
 
 def roll_ups(dataset: Source) -> RollUps:
     """Return the maker and reader of the roll-ups of a dataset."""
     return RollUps(
         folder=dataset.folder, fingerprint=dataset.manifest.fingerprint, timezone=dataset.timezone,
-        whole=dataset.found.setdefault("whole months", {}),
+        looked_at=dataset.found.setdefault("months", {}),
     )  # fmt: skip
 
 
