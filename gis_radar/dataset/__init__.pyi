@@ -18,11 +18,14 @@ from .parts import (
     unfinished,
     write_whole,
 )
+from .profiles import NotMeasuredError, measured_span
 from .records import HourRecord, HourWriter, read_hour, read_hours, record_path, write_record
 from .rollups import RollUps
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
+from .sql import SqlQueries
 from .stated_lanes import stated_lanes
 from .states import states_of
+from .street_profile import UnknownStreetError
 from .table_schema import TableSchema
 from .tables import FRAMES, PASSAGES, TILE_COUNTS
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
@@ -41,10 +44,13 @@ __all__ = [
     "LaneTraffic",
     "Manifest",
     "MeasureSettings",
+    "NotMeasuredError",
     "Origin",
     "RollUps",
     "Shifts",
+    "SqlQueries",
     "TableSchema",
+    "UnknownStreetError",
     "chance_of_others",
     "clear_unfinished",
     "count_spans",
@@ -57,6 +63,7 @@ __all__ = [
     "lanes_beside",
     "manifest_of",
     "measure",
+    "measured_span",
     "open_dataset",
     "part_path",
     "read_hour",

@@ -22,6 +22,10 @@ from gis_radar.dataset.units import for_people
 from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 
 
+class NotMeasuredError(InputError):
+    """A time in which a dataset has no complete hour."""
+
+
 class Questions:
     """Methods of a dataset that answer questions over months."""
 
@@ -129,18 +133,38 @@ def _asked_span(
             raise UsageError("month and begin, end do not go together", hint="give one of them")
         begin, end = month_edges(month, dataset.timezone)
     span = dataset.span(begin, end)
-    hours = (None, None) if span is None else map(hour_of_step, span)
-    bounds = hour_bounds(dataset.folder)
-    if bounds is None or hour_bounds(dataset.folder, *hours) is None:
-        raise InputError(
-            "{}: nothing was measured in that time", dataset.folder,
-            hint="gis-radar dataset shows from when to when it was measured",
-        )  # fmt: skip
-    first, last = measured = bounds[0] * STEPS_PER_HOUR, (bounds[1] + 1) * STEPS_PER_HOUR - 1
+    _measured(dataset, span)
+    first, last = measured = _measured(dataset, None)
     if span is not None:
         first = first if begin is None else span[0]
         last = last if end is None else span[1]
     return (first, last), measured
+
+
+def _measured(dataset: Source, span: Span | None) -> Span:
+    """Return the first and the last step of the complete hours that a span touches."""
+    hours = (None, None) if span is None else map(hour_of_step, span)
+    if (bounds := hour_bounds(dataset.folder, *hours)) is None:
+        raise NotMeasuredError(
+            "{}: nothing was measured in that time", dataset.folder,
+            hint="gis-radar dataset shows from when to when it was measured",
+        )  # fmt: skip
+    return bounds[0] * STEPS_PER_HOUR, (bounds[1] + 1) * STEPS_PER_HOUR - 1
+
+
+def measured_span(dataset: Source, month: str) -> Span:
+    """Return the first and the last step of a month in complete hours.
+
+    Raises
+    ------
+    UsageError
+        If it is no month.
+    InputError
+        If nothing was measured in it.
+    """
+    span = dataset.span(*month_edges(month, dataset.timezone))
+    measured = _measured(dataset, span)
+    return (max(measured[0], span[0]), min(measured[1], span[1])) if span else measured
 
 
 def roll_ups(dataset: Source) -> RollUps:
