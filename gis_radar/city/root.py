@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gis_radar.base import InputError
+from gis_radar.city.questions import CityQuestions
 from gis_radar.dataset import Dataset, Manifest, open_dataset
 
 SITE = "site="
@@ -20,7 +21,7 @@ def site_folder(root: Path, name: str) -> Path:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class City:
+class City(CityQuestions):
     """City: the datasets of its sites.
 
     Parameters

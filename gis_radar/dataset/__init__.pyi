@@ -21,6 +21,7 @@ from .parts import (
     unfinished,
     write_whole,
 )
+from .profiles import NotMeasuredError, measured_span
 from .reading import read_rows
 from .records import (
     HourRecord,
@@ -34,8 +35,10 @@ from .records import (
 from .registered import make_registered
 from .rollups import RollUps
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
+from .sql import SqlQueries
 from .stated_lanes import stated_lanes
 from .states import states_of
+from .street_profile import UnknownStreetError
 from .table_schema import TableSchema
 from .tables import FRAMES, PASSAGES, POSES, RECORDINGS, TILE_COUNTS
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
@@ -56,11 +59,14 @@ __all__ = [
     "LaneTraffic",
     "Manifest",
     "MeasureSettings",
+    "NotMeasuredError",
     "OpenHours",
     "Origin",
     "RollUps",
     "Shifts",
+    "SqlQueries",
     "TableSchema",
+    "UnknownStreetError",
     "chance_of_others",
     "clear_unfinished",
     "count_spans",
@@ -77,6 +83,7 @@ __all__ = [
     "manifest_of",
     "match_lanes",
     "measure",
+    "measured_span",
     "open_dataset",
     "open_hours",
     "part_path",

@@ -151,6 +151,8 @@ class AskedTime:
         Whether the quarters lie on the days of the week that are asked for.
     asked : (n,) bool array
         Whether they are asked for.
+    measured : (n,) bool array
+        Whether they lie between the first and the last measured hour.
     """
 
     first: int
@@ -159,9 +161,12 @@ class AskedTime:
     hour: Integers
     on_days: Booleans
     asked: Booleans
+    measured: Booleans
 
     @classmethod
-    def of(cls, span: Span, zone: str, days: str | None, holidays: Holidays) -> Self:
+    def of(
+        cls, span: Span, zone: str, days: str | None, holidays: Holidays, measured: Span
+    ) -> Self:
         """Return the quarters of a span of steps.
 
         Parameters
@@ -174,6 +179,8 @@ class AskedTime:
             Days of the week, such as `Mo-Fr`; by default all.
         holidays : str, Path or sequence, optional
             Dates that are left out, as for :func:`holiday_dates`.
+        measured : (int, int)
+            First and last step of what was measured.
 
         Raises
         ------
@@ -193,25 +200,27 @@ class AskedTime:
         begin, end = begin.tz_convert("UTC").floor("D"), end.tz_convert("UTC").ceil("D")
         clock = pd.date_range(begin, end, freq="15min", inclusive="left").tz_convert(zone)
         first = int(begin.timestamp() / QUARTER_S)
-        quarter = first + np.arange(len(clock))
+        step = (first + np.arange(len(clock))) * STEPS_PER_QUARTER
         date_of = clock.tz_localize(None).to_numpy().astype("datetime64[D]").astype(np.int64)
         weekday = np.asarray(clock.day_of_week, np.int64)
         on_days = np.isin(weekday, sorted(day_numbers(days)))
-        inside = (quarter * STEPS_PER_QUARTER >= ends[0]) & (quarter * STEPS_PER_QUARTER < ends[1])
+        inside = (step >= span[0]) & (step <= span[1])
         return cls(
             first=first, month=np.asarray(clock.year * 12 + clock.month - 1, np.int64),
             weekday=weekday, hour=np.asarray(clock.hour, np.int64), on_days=on_days,
             asked=inside & on_days & ~np.isin(date_of, holiday_dates(holidays)),
+            measured=(step >= measured[0]) & (step <= measured[1]),
         )  # fmt: skip
 
     def months(self) -> Iterator[tuple[str, bool]]:
-        """Yield the months with an asked quarter, and whether all their days of the week are asked.
+        """Yield the months with an asked quarter, and whether they are whole.
 
-        Such a month is the sum of its roll-up over the days of the week.
+        Of a whole month all that was measured on the days of the week is asked for: it is the sum
+        of its roll-up over these days.
         """
         for number in np.unique(self.month[self.asked]).tolist():
             mine = self.month == number
-            whole = bool((self.asked == self.on_days)[mine].all())
+            whole = bool(((self.asked == self.on_days) | ~self.measured)[mine].all())
             yield f"{number // 12}-{number % 12 + 1:02d}", whole
 
     def masks(self, month: str) -> dict[int, Booleans]:

@@ -33,7 +33,7 @@ from gis_radar.dataset.profiles import Questions, roll_ups
 from gis_radar.dataset.reading import Span, read_rows
 from gis_radar.dataset.records import HourRecord, hour_bounds, read_hour, read_hours
 from gis_radar.dataset.source import Moment
-from gis_radar.dataset.sql import SqlQueries
+from gis_radar.dataset.sql import DatasetQueries
 from gis_radar.dataset.stated_lanes import stated_lanes
 from gis_radar.dataset.table_schema import TableSchema
 from gis_radar.dataset.tables import (
@@ -67,7 +67,7 @@ _LAST_STEP = 1 << 62
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Dataset(TrafficTables, VehicleTables, SqlQueries, Questions, Upkeep):
+class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
     """Dataset of a site: tables by hour, read when they are asked for.
 
     Tables come in metres, degrees, m/s and UTC timestamps; `begin` is included, `end` is not.

@@ -22,6 +22,10 @@ from gis_radar.dataset.units import for_people
 from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 
 
+class NotMeasuredError(InputError):
+    """A time in which a dataset has no complete hour."""
+
+
 class Questions:
     """Methods of a dataset that answer questions over months."""
 
@@ -91,7 +95,8 @@ class Questions:
         require_vehicles(self)
         if by not in get_args(By):
             raise UsageError("by is {}, expected hour, weekday or month", repr(by))
-        asked = AskedTime.of(_asked_span(self, begin, end, month), self.timezone, days, without)
+        span, measured = _asked_span(self, begin, end, month)
+        asked = AskedTime.of(span, self.timezone, days, without, measured)
         columns = ["lane", "weekday", "hour", *SUMMED]
         rolled, wanted = roll_ups(self), day_numbers(days)
         parts = [
@@ -116,31 +121,57 @@ def _street_lanes(
     return lanes
 
 
-def _asked_span(dataset: Source, begin: Moment, end: Moment, month: str | None) -> Span:
-    """Return the first and the last step of a time; an open end is that of what was measured."""
+def _asked_span(
+    dataset: Source, begin: Moment, end: Moment, month: str | None
+) -> tuple[Span, Span]:
+    """Return the first and the last step of a time, and of all that was measured.
+
+    An end that is not stated is that of what was measured.
+    """
     if month is not None:
         if (begin, end) != (None, None):
             raise UsageError("month and begin, end do not go together", hint="give one of them")
         begin, end = month_edges(month, dataset.timezone)
     span = dataset.span(begin, end)
-    hours = (None, None) if span is None else map(hour_of_step, span)
-    if (bounds := hour_bounds(dataset.folder, *hours)) is None:
-        raise InputError(
-            "{}: nothing was measured in that time", dataset.folder,
-            hint="gis-radar dataset shows from when to when it was measured",
-        )  # fmt: skip
-    first, last = bounds[0] * STEPS_PER_HOUR, (bounds[1] + 1) * STEPS_PER_HOUR - 1
+    _measured(dataset, span)
+    first, last = measured = _measured(dataset, None)
     if span is not None:
         first = first if begin is None else span[0]
         last = last if end is None else span[1]
-    return first, last
+    return (first, last), measured
+
+
+def _measured(dataset: Source, span: Span | None) -> Span:
+    """Return the first and the last step of the complete hours that a span touches."""
+    hours = (None, None) if span is None else map(hour_of_step, span)
+    if (bounds := hour_bounds(dataset.folder, *hours)) is None:
+        raise NotMeasuredError(
+            "{}: nothing was measured in that time", dataset.folder,
+            hint="gis-radar dataset shows from when to when it was measured",
+        )  # fmt: skip
+    return bounds[0] * STEPS_PER_HOUR, (bounds[1] + 1) * STEPS_PER_HOUR - 1
+
+
+def measured_span(dataset: Source, month: str) -> Span:
+    """Return the first and the last step of a month in complete hours.
+
+    Raises
+    ------
+    UsageError
+        If it is no month.
+    InputError
+        If nothing was measured in it.
+    """
+    span = dataset.span(*month_edges(month, dataset.timezone))
+    measured = _measured(dataset, span)
+    return (max(measured[0], span[0]), min(measured[1], span[1])) if span else measured
 
 
 def roll_ups(dataset: Source) -> RollUps:
     """Return the maker and reader of the roll-ups of a dataset."""
     return RollUps(
         folder=dataset.folder, fingerprint=dataset.manifest.fingerprint, timezone=dataset.timezone,
-        whole=dataset.found.setdefault("whole months", {}),
+        looked_at=dataset.found.setdefault("months", {}),
     )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ from gis_radar.dataset.parts import MEASURE_AGAIN
 from gis_radar.dataset.records import HOURS
 from gis_radar.dataset.source import Source
 from gis_radar.dataset.statement import ASK_ONE, tables_of
-from gis_radar.dataset.views import make_views, quoted
+from gis_radar.dataset.views import quoted, views_of_sites
 
 Answer: TypeAlias = tuple[pa.Schema, Iterator[pa.RecordBatch]]
 """The columns of an answer, and its rows in batches."""
@@ -35,18 +35,28 @@ _CONFIG = {
 
 @contextmanager
 def run_query(
-    dataset: Source, sql: str, *, timeout_s: float, memory: str, reporter: Reporter = QUIET
+    folder: Path,
+    sites: Mapping[str, Source],
+    sql: str,
+    *,
+    timeout_s: float,
+    memory: str,
+    reporter: Reporter = QUIET,
 ) -> Iterator[Answer]:
     """Run an SQL query, and read the answer in batches.
 
     The tables have the columns of the files, and `time`, `begin`, `end`, `easting`, `northing`,
-    `heading`, `speed`, `s_m` and `d_m` as the methods of the dataset return them. Times are by the
-    clocks of the site: `hour(begin)` is an hour there.
+    `heading`, `speed`, `s_m` and `d_m` as the methods of the dataset return them; of several sites,
+    `site` before them. Times are by the clocks of the sites: `hour(begin)` is an hour there; of
+    sites in several time zones, they are UTC.
 
     Parameters
     ----------
-    dataset : Source
-        The dataset, of which complete hours are read.
+    folder : Path
+        What is asked, as errors name it.
+    sites : mapping
+        Datasets, of which complete hours are read, by the names of their sites; one dataset alone
+        by an empty name.
     sql : str
         One SELECT.
     timeout_s : float
@@ -70,15 +80,17 @@ def run_query(
     """
     with closing(_connected(memory)) as asked:
         names = tables_of(asked, sql)
-        before = _states(dataset.folder)
-        _lock(asked, make_views(dataset, asked, names, reporter), dataset.manifest.timezone)
+        before = [_states(each.folder) for each in sites.values()]
+        zones = {each.manifest.timezone for each in sites.values()}
+        zone = zones.pop() if len(zones) == 1 else "UTC"
+        _lock(asked, views_of_sites(sites, asked, names, reporter), zone)
         with ThreadPoolExecutor(1) as thread:
-            work = _Work(asked, thread, dataset.folder, timeout_s)
+            work = _Work(asked, thread, folder, timeout_s)
             answer = work.done(lambda: asked.sql(sql).to_arrow_reader(_ROWS_AT_ONCE))
             _refuse_same_names(answer.schema.names)
             yield answer.schema, work.batches(answer)
-    if _states(dataset.folder) != before:
-        raise InputError("{}: hours were made again meanwhile", dataset.folder, hint="ask again")
+    if [_states(each.folder) for each in sites.values()] != before:
+        raise InputError("{}: hours were made again meanwhile", folder, hint="ask again")
 
 
 @dataclass(frozen=True)

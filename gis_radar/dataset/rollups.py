@@ -59,6 +59,7 @@ _SOURCES = {
     "queue_m_s": ("queue_mean_m", "visible_share"),
 }
 _Keys: TypeAlias = dict[int, list[str | int]]
+_Odd: TypeAlias = tuple[_Keys, dict[int, HourRecord]]
 _SETTLED_S = 2.0  # after which a folder's time of writing tells whether it was written since
 
 
@@ -209,15 +210,17 @@ class RollUps:
         Fingerprint of its tiles.
     timezone : str
         Time zone of the site.
-    whole : dict
-        Filled with what is found of files that hold all of their month, and taken while the folders
-        of its hours are not written.
+    looked_at : dict
+        Filled with what is found of the files of months, and taken until the folders of their hours
+        are written.
     """
 
     folder: Path
     fingerprint: str
     timezone: str
-    whole: dict[tuple[str, str], list[int]] = field(default_factory=dict, repr=False)
+    looked_at: dict[tuple[str, str], tuple[list[int], _Odd | None]] = field(
+        default_factory=dict, repr=False
+    )
     _clocks: dict[int, pd.DatetimeIndex] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -273,20 +276,18 @@ class RollUps:
         """Return whether the file of a month holds all of it."""
         return self._unless_whole(table, month) is None
 
-    def _unless_whole(
-        self, table: TableSchema, month: str
-    ) -> tuple[_Keys, dict[int, HourRecord]] | None:
+    def _unless_whole(self, table: TableSchema, month: str) -> _Odd | None:
         """Return the keys of the dates of a month, and its records, unless its file holds all."""
         state = self._state(table, month)
-        if state and self.whole.get((table.name, month)) == state:
-            return None
+        before, odd = self.looked_at.get((table.name, month), ([], None))
+        if state and before == state:
+            return odd
         known = self._records(self.days(month))
         keys = self._keys(table, month, known)
-        if not keys or not self._is_made(table, month, keys):
-            return keys, known
+        odd = None if keys and self._is_made(table, month, keys) else (keys, known)
         if state:
-            self.whole[table.name, month] = state
-        return None
+            self.looked_at[table.name, month] = state, odd
+        return odd
 
     def sums_of(
         self, table: TableSchema, asked: AskedTime, columns: Sequence[str]
@@ -418,6 +419,7 @@ class RollUps:
         known: Mapping[int, HourRecord], columns: Sequence[str] | None = None,
     ) -> Sums:  # fmt: skip
         """Sum a month; the file is taken if its dates are the first ones, with the same keys."""
+        self.traffic.note(known)
         sums, written = Sums(table, columns), self._made(table, month)
         first = {day: keys[day] for day in list(keys)[: len(written)]}
         begun = bool(written) and self._is_made(table, month, first)

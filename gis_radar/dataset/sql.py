@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,14 @@ TIMEOUT_S, MEMORY = 60.0, "2GB"  # default limits of a query
 
 
 class SqlQueries:
-    """Methods of a dataset that answer SQL queries."""
+    """Methods that answer SQL queries over one dataset or several."""
+
+    def asked_sites(self) -> tuple[Path, Mapping[str, Source]]:
+        """Return the folder, and the datasets that are asked, each with the name of its site."""
+        raise NotImplementedError
 
     def query(
-        self: Source, sql: str, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY,
+        self, sql: str, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY,
         reporter: Reporter = QUIET,
     ) -> pd.DataFrame:  # fmt: skip
         """Run an SQL query (DuckDB): one SELECT over the tables of all complete hours.
@@ -46,12 +50,12 @@ class SqlQueries:
         """
         from gis_radar.dataset.answers import plain  # noqa: PLC0415 - as below
 
-        with _answer(self, sql, timeout_s, memory, reporter) as (schema, batches):
+        with _answer(*self.asked_sites(), sql, timeout_s, memory, reporter) as (schema, batches):
             rows: pd.DataFrame = plain(pa.Table.from_batches(batches, schema)).to_pandas()
         return rows
 
     def write_answer(
-        self: Source,
+        self,
         sql: str,
         path: str | Path,
         *,
@@ -68,11 +72,11 @@ class SqlQueries:
         """
         from gis_radar.dataset.answers import write_answer  # noqa: PLC0415 - as below
 
-        with _answer(self, sql, timeout_s, memory, reporter) as answer:
+        with _answer(*self.asked_sites(), sql, timeout_s, memory, reporter) as answer:
             return write_answer(*answer, Path(path))
 
     def first_rows(
-        self: Source, sql: str, most: int, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY,
+        self, sql: str, most: int, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY,
         reporter: Reporter = QUIET,
     ) -> tuple[list[dict[str, Any]], int]:  # fmt: skip
         """Return the first rows of the answer of :meth:`query`, and the number of all its rows.
@@ -81,13 +85,22 @@ class SqlQueries:
         """
         from gis_radar.dataset.answers import first_rows  # noqa: PLC0415 - as below
 
-        with _answer(self, sql, timeout_s, memory, reporter) as (_, batches):
+        with _answer(*self.asked_sites(), sql, timeout_s, memory, reporter) as (_, batches):
             return first_rows(batches, most)
 
 
+class DatasetQueries(SqlQueries):
+    """Methods of a dataset that answer SQL queries."""
+
+    def asked_sites(self: Source) -> tuple[Path, Mapping[str, Source]]:
+        """Return folder and dataset, under no name."""
+        return self.folder, {"": self}
+
+
 def _answer(
-    dataset: Source, sql: str, timeout_s: float, memory: str, reporter: Reporter
-) -> AbstractContextManager[tuple[pa.Schema, Iterator[pa.RecordBatch]]]:
+    folder: Path, sites: Mapping[str, Source], sql: str, timeout_s: float, memory: str,
+    reporter: Reporter,
+) -> AbstractContextManager[tuple[pa.Schema, Iterator[pa.RecordBatch]]]:  # fmt: skip
     from gis_radar.dataset.queries import run_query  # noqa: PLC0415 - DuckDB, 0.2 s
 
-    return run_query(dataset, sql, timeout_s=timeout_s, memory=memory, reporter=reporter)
+    return run_query(folder, sites, sql, timeout_s=timeout_s, memory=memory, reporter=reporter)

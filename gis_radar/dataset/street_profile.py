@@ -22,6 +22,10 @@ SUMMED = (
 MOST_LANES = 8  # side by side in one direction
 
 
+class UnknownStreetError(UsageError):
+    """A street on which no lane of a dataset is."""
+
+
 class StreetLanes(NamedTuple):
     """Lanes of streets, without connectors in junctions.
 
@@ -60,7 +64,7 @@ class StreetLanes(NamedTuple):
 
         Raises
         ------
-        UsageError
+        UnknownStreetError
             If no lane is on a street of that name.
         """
         direction = np.array(lane_directions(lanes, network), object)

@@ -33,9 +33,42 @@ from gis_radar.dataset.units import UNITS
 _BEGIN = f"epoch(date)::BIGINT * {STEPS_PER_SECOND} + interval * {STEPS_PER_QUARTER}::BIGINT"
 
 
+def views_of_sites(
+    sites: Mapping[str, Source], asked: duckdb.DuckDBPyConnection, names: set[str],
+    reporter: Reporter,
+) -> list[Path]:  # fmt: skip
+    """Make the views of some tables over several sites, with a first column `site`.
+
+    Parameters
+    ----------
+    sites : mapping
+        Datasets by the names of their sites; one alone by an empty name has no such column.
+    asked, names, reporter
+        As for :func:`make_views`.
+
+    Returns
+    -------
+    list of Path
+        The files that the views read.
+    """
+    if list(sites) == [""]:
+        return make_views(sites[""], asked, names, reporter)
+    paths = []
+    for number, dataset in enumerate(sites.values()):
+        paths += make_views(dataset, asked, names, reporter, prefix=f"_{number}_")
+    for name in names:
+        parts = (
+            f"SELECT {quoted(site)} AS site, * FROM _{number}_{name}"  # noqa: S608 - ours
+            for number, site in enumerate(sites)
+        )
+        asked.execute(f"CREATE VIEW {name} AS {' UNION ALL BY NAME '.join(parts)}")
+    return paths
+
+
 def make_views(
-    dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str], reporter: Reporter
-) -> list[Path]:
+    dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str], reporter: Reporter, *,
+    prefix: str = "",
+) -> list[Path]:  # fmt: skip
     """Make the views of some tables.
 
     Parameters
@@ -48,6 +81,8 @@ def make_views(
         Names of the tables.
     reporter : Reporter
         Receives a warning where parts of a table were deleted; they are left out.
+    prefix : str
+        What the names of the views begin with.
 
     Returns
     -------
@@ -59,7 +94,7 @@ def make_views(
     InputError
         If a part is not the one of its hour's record.
     """
-    views = _Views(dataset, asked)
+    views = _Views(dataset, asked, prefix)
     records = dataset.records()
     paths = []
     for tables, view in (
@@ -75,15 +110,15 @@ def make_views(
             views.held(table, dataset.whole(table))
     for layer in names.intersection(LAYERS):
         rows = dataset.layer(layer).drop(columns="geometry")
-        asked.register(layer, pa.Table.from_pandas(rows, preserve_index=False))
+        asked.register(f"{prefix}{layer}", pa.Table.from_pandas(rows, preserve_index=False))
     return paths
 
 
 class _Views:
     """Maker of views of tables."""
 
-    def __init__(self, dataset: Source, asked: duckdb.DuckDBPyConnection) -> None:
-        self._dataset, self._connection = dataset, asked
+    def __init__(self, dataset: Source, asked: duckdb.DuckDBPyConnection, prefix: str) -> None:
+        self._dataset, self._connection, self._prefix = dataset, asked, prefix
 
     def hours(
         self, table: TableSchema, records: Mapping[int, HourRecord], *, reporter: Reporter
@@ -121,7 +156,7 @@ class _Views:
         empty = table.empty().append_column("first_step", pa.array([], pa.int64()))
         counted = table is TILE_COUNTS
         made = read_counts(folder, tiles, odd) if counted else traffic.read(table, odd)
-        held = f"_made_{table.name}"
+        held = f"_made_{self._prefix}{table.name}"
         self._connection.register(held, pa.concat_tables([empty, *made]))
         source = _select(names, held)
         if paths:
@@ -142,7 +177,7 @@ class _Views:
                 rows = rolled.read(table, month)
                 made.append(rows.append_column("month", pa.array([month] * len(rows), pa.string())))
         names = [*table.names, "month"]
-        held = f"_made_{table.name}"
+        held = f"_made_{self._prefix}{table.name}"
         self._connection.register(held, pa.concat_tables(made))
         source = _select(names, held)
         if paths:
@@ -153,14 +188,17 @@ class _Views:
 
     def held(self, table: TableSchema, rows: pa.Table) -> None:
         """Make a view of rows held in memory."""
-        self._connection.register(f"_{table.name}", rows)
-        self._view(table.name, table.names, f"_{table.name}")
+        held = f"_held_{self._prefix}{table.name}"
+        self._connection.register(held, rows)
+        self._view(table.name, table.names, held)
 
     def _view(self, name: str, columns: list[str], source: str) -> None:
         """Make a view of the columns of the files and of the converted ones."""
         origin = self._dataset.manifest.origin
         further = [f'{UNITS[c].sql(c, origin)} AS "{UNITS[c].name}"' for c in columns if c in UNITS]
-        self._connection.execute(f"CREATE VIEW {name} AS {_select([*columns, *further], source)}")
+        self._connection.execute(
+            f"CREATE VIEW {self._prefix}{name} AS {_select([*columns, *further], source)}"
+        )
 
 
 def _select(columns: Iterable[str], source: str) -> str:

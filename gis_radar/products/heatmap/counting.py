@@ -6,7 +6,7 @@ from its exact tables, an hour at a time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple, Self
 from zoneinfo import ZoneInfo
@@ -20,7 +20,6 @@ from pyproj import CRS
 from gis_radar.base import (
     QUIET,
     STEP_US,
-    STEPS_PER_HOUR,
     STEPS_PER_SECOND,
     Booleans,
     Clock,
@@ -34,15 +33,11 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.dataset import (
-    STEPS_PER_QUARTER,
     TILE_COUNTS,
     Dataset,
-    HourSpans,
-    count_spans,
     shifts_of,
 )
 from gis_radar.hdmap import own_columns
-from gis_radar.measures import Runs
 from gis_radar.products.heatmap.intervals import MOST_BANDS, MapLabels, Timeline, When, intervals_at
 from gis_radar.products.heatmap.occupancy import (
     OCCUPANCY_DEFINITIONS,
@@ -51,6 +46,7 @@ from gis_radar.products.heatmap.occupancy import (
     mean_occupancy,
     occupancy_of,
 )
+from gis_radar.products.heatmap.sums import sums_by_interval, sums_of_month
 
 DEFINITIONS = {
     "hit_s": (
@@ -151,7 +147,7 @@ class Tally:
     def count(
         cls, dataset: Dataset, whole: Timeline, timeline: Timeline, *,
         chosen: Integers | None = None, labels: MapLabels | None = None,
-        further: Sequence[str] = (), reporter: Reporter = QUIET,
+        further: Sequence[str] = (), month: str | None = None, reporter: Reporter = QUIET,
     ) -> Self:  # fmt: skip
         """Count the steps in which tiles were hit, observed, occupied and visible.
 
@@ -167,6 +163,8 @@ class Tally:
             Labels of pictures and reports.
         further : sequence of str
             Further columns of `tile_counts` to keep, each a share of another one.
+        month : str, optional
+            The month that the whole time is, whose roll-up is taken.
         reporter : Reporter
             Receives progress.
 
@@ -188,13 +186,10 @@ class Tally:
             )
         if chosen is not None:
             seen = seen[np.isin(seen, chosen)]
-        steps = dataset.frame_steps()
-        of_quarters = _of_quarters(timeline, steps)
-        sums = over = _sums(dataset, ids[seen], timeline, reporter, of_quarters=of_quarters)
-        if dataset.has_vehicles and not of_quarters:
-            cut = whole.cut_at(STEPS_PER_QUARTER)
-            exact = not _of_quarters(cut, steps)
-            over = _sums(dataset, ids[seen], cut, reporter, of_quarters=not exact)
+        if month is None:
+            sums, over = sums_by_interval(dataset, ids[seen], whole, timeline, reporter)
+        else:
+            sums = over = sums_of_month(dataset, ids[seen], month)
         shifts = None
         if dataset.has_vehicles:
             shifts = shifts_of(dataset.poses(), dataset.sights(), tiles)
@@ -428,7 +423,6 @@ def positions(tile_ids: Integers, wanted: Integers) -> Integers:
     return position
 
 
-COUNTED = tuple(name for name in TILE_COUNTS.names if name not in TILE_COUNTS.order)
 SHARES = TILE_COUNTS.shares
 
 
@@ -440,59 +434,3 @@ def _require_share(name: str) -> None:
             repr(name),
             hint=Text("choose one of {}; occupancy is mapped anyway", ", ".join(SHARES)),
         )
-
-
-def _sums(
-    dataset: Dataset, ids: Integers, timeline: Timeline, reporter: Reporter, *, of_quarters: bool
-) -> dict[str, Floats]:
-    """Return the sums of the columns of tile counts: (intervals, tiles) arrays."""
-    sums = {name: np.zeros((len(timeline), len(ids))) for name in COUNTED}
-    source = _by_quarter if of_quarters else _by_step
-    for done, (tile, interval, counts) in enumerate(source(dataset, timeline)):
-        place = np.minimum(np.searchsorted(ids, tile), len(ids) - 1)
-        kept = (interval >= 0) & (ids[place] == tile)
-        cell = interval[kept] * len(ids) + place[kept]
-        for name, total in sums.items():
-            more = np.bincount(cell, counts[name][kept], total.size)
-            sums[name] = total + more.reshape(total.shape)
-        reporter.progress("counting tiles", done + 1, None)
-    return sums
-
-
-_Counted = tuple[Integers, Integers, dict[str, Floats]]  # tiles, intervals, counts
-
-
-def _of_quarters(timeline: Timeline, steps: Runs) -> bool:
-    """Return whether no interval cuts a quarter of an hour in which frames are valid."""
-    begin, end = timeline.begin, timeline.end
-    begins_there = (begin % STEPS_PER_QUARTER == 0) | (begin <= steps.first[0])
-    ends_there = (end % STEPS_PER_QUARTER == 0) | (end > steps.last[-1])
-    return bool((begins_there & ends_there).all())
-
-
-def _by_quarter(dataset: Dataset, timeline: Timeline) -> Iterator[_Counted]:
-    """Yield the tile counts of each date, with the interval of each quarter."""
-    first = timeline.begin // STEPS_PER_QUARTER * STEPS_PER_QUARTER
-    last = -(-timeline.end // STEPS_PER_QUARTER) * STEPS_PER_QUARTER
-    quarters = Timeline(begin=first, end=last)
-    span = int(first[0]), int(last[-1]) - 1
-    for rows in dataset.batches(TILE_COUNTS, span, ["tile_id", "first_step", *COUNTED]):
-        counts = {name: rows[name].to_numpy().astype(np.float64) for name in COUNTED}
-        yield rows["tile_id"].to_numpy(), quarters.find(rows["first_step"].to_numpy()), counts
-
-
-def _by_step(dataset: Dataset, timeline: Timeline) -> Iterator[_Counted]:
-    """Yield the counts of each hour in the intervals that overlap it."""
-    records = dataset.records((int(timeline.begin[0]), int(timeline.end[-1]) - 1))
-    for hour, record in records.items():
-        begin = hour * STEPS_PER_HOUR
-        low = int(np.searchsorted(timeline.end, begin, side="right"))
-        high = int(np.searchsorted(timeline.begin, begin + STEPS_PER_HOUR))
-        if low == high:
-            continue
-        spans = HourSpans(
-            first=np.maximum(timeline.begin[low:high] - begin, 0),
-            last=np.minimum(timeline.end[low:high] - begin, STEPS_PER_HOUR) - 1,
-        )
-        tiles, sums = count_spans(dataset.folder, record, spans)
-        yield np.repeat(tiles, high - low), np.tile(np.arange(low, high), len(tiles)), sums

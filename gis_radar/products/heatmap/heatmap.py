@@ -27,13 +27,13 @@ from gis_radar.base import (
     writing_errors,
     zone_of,
 )
-from gis_radar.dataset import Dataset, open_dataset
+from gis_radar.dataset import Dataset, measured_span, open_dataset
 from gis_radar.hdmap import fingerprint
 from gis_radar.measures import Runs
 from gis_radar.products.heatmap.by_lane import table_by_lane
 from gis_radar.products.heatmap.counting import SHARES, Tally, positions
 from gis_radar.products.heatmap.figure import SMALL_PIXELS, draw, write_figure
-from gis_radar.products.heatmap.intervals import MapLabels, intervals_of, whole_of
+from gis_radar.products.heatmap.intervals import MapLabels, Timeline, intervals_of, whole_of
 from gis_radar.products.heatmap.layers import (
     long_layer,
     read_package,
@@ -142,6 +142,7 @@ def make_heatmap(
     at: str | None = None,
     begin: Any = None,
     end: Any = None,
+    month: str | None = None,
     tile_ids: ArrayLike | None = None,
     timezone: str | None = None,
     labels: MapLabels | None = None,
@@ -164,6 +165,9 @@ def make_heatmap(
     begin, end : str or datetime, optional
         Begin and end of the whole time, such as `2025-06-12 07:30`; without an offset they are by
         the clocks of `timezone`. Intervals are cut at both.
+    month : str, optional
+        A month by the clocks of the site, such as `2026-10`, in place of times and intervals. It is
+        made from the roll-up of the month, exact tables or not.
     tile_ids : array of int, optional
         Ids of the tiles to count; by default all.
     timezone : str, optional
@@ -203,6 +207,8 @@ def make_heatmap(
     """
     if at is not None and (interval, begin, end) != (None, None, None):
         raise UsageError("at and interval, begin, end do not go together", hint="give one of them")
+    if month is not None and (at, interval, begin, end) != (None,) * 4:
+        raise UsageError("month and times or intervals do not go together", hint="give one of them")
     dataset = open_dataset(dataset, reporter=reporter)
     labels = labels or MapLabels(timezone=timezone or dataset.timezone)
     zone = None if timezone is None else zone_of(timezone)
@@ -210,10 +216,12 @@ def make_heatmap(
         None if time is None else step_at(time, zone_of(labels.timezone), what=what)
         for time, what in ((begin, "begin"), (end, "end"))
     ]
-    runs = _within(dataset.frame_steps(), *span)
     ids = np.sort(dataset.tiles()["tile_id"].to_numpy(np.int64))
     chosen = None if tile_ids is None else _chosen(ids, tile_ids)
-    whole = timeline = whole_of(runs, at)
+    if month is not None:
+        whole = timeline = _month(dataset, month)
+    else:
+        whole = timeline = whole_of(_within(dataset.frame_steps(), *span), at)
     if interval is not None:
         counted = len(ids if chosen is None else chosen)
         frames = _within(dataset.frame_steps(valid=False), *span)
@@ -225,8 +233,15 @@ def make_heatmap(
     for doubt in dataset.doubts:
         reporter.warn("{}", doubt)
     return HeatMap.count(
-        dataset, whole, timeline, chosen=chosen, labels=labels, further=further, reporter=reporter
-    )
+        dataset, whole, timeline, chosen=chosen, labels=labels, further=further, month=month,
+        reporter=reporter,
+    )  # fmt: skip
+
+
+def _month(dataset: Dataset, month: str) -> Timeline:
+    """Return the measured hours of a month, as one interval."""
+    first, last = measured_span(dataset, month)
+    return Timeline(begin=np.array([first]), end=np.array([last + 1]))
 
 
 def _write_style(

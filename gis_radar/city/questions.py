@@ -1,0 +1,135 @@
+"""Questions to a city: over the datasets of its sites."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import pandas as pd
+
+from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError
+from gis_radar.dataset import Dataset, NotMeasuredError, SqlQueries, UnknownStreetError
+from gis_radar.products import Comparison, compare, make_heatmap
+
+SITE_COLUMN = "site"
+
+
+class CityQuestions(SqlQueries):
+    """Methods of a city that answer questions over its sites."""
+
+    root: Path
+    sites: Mapping[str, Dataset]
+
+    def asked_sites(self) -> tuple[Path, Mapping[str, Dataset]]:
+        """Return folder and sites, which SQL queries are asked of; see :meth:`query`."""
+        return self.root, self.sites
+
+    def profile(self, street: str | None = None, **asked: Any) -> pd.DataFrame:
+        """Return the usual traffic of streets by site and direction.
+
+        Parameters
+        ----------
+        street : str, optional
+            Name of a street; of the sites that are on it. By default all streets.
+        **asked
+            As for :meth:`gis_radar.Dataset.profile`.
+
+        Returns
+        -------
+        DataFrame
+            `site`, and the columns of :meth:`gis_radar.Dataset.profile`. Sites where nothing was
+            measured in that time have no rows.
+
+        Raises
+        ------
+        UsageError
+            If no site is on such a street, or as :meth:`gis_radar.Dataset.profile`.
+        InputError
+            If no site was measured in that time.
+        """
+        profiles = self._of_sites(lambda dataset: dataset.profile(street, **asked))
+        whole: pd.DataFrame = pd.concat(profiles, ignore_index=True)
+        return whole
+
+    def map(self, month: str, *, crs: Any = None) -> gpd.GeoDataFrame:
+        """Return the tiles of all sites with their occupancy over a month.
+
+        Parameters
+        ----------
+        month : str
+            Such as `2026-10`, by the clocks of each site.
+        crs : optional
+            Coordinate system of the map; needed where the sites lie in several.
+
+        Returns
+        -------
+        GeoDataFrame
+            `site`, and the columns of a heat map's layer.
+
+        Raises
+        ------
+        CrsError
+            If the sites lie in several coordinate systems and none is named.
+        UsageError, InputError
+            If it is no month, or no site was measured in it.
+        """
+        systems = {dataset.crs: name for name, dataset in self.sites.items()}
+        if crs is None and len(systems) > 1:
+            (one, here), (other, there), *_ = systems.items()
+            raise CrsError(
+                "{}: site {} lies in {}, site {} in {}", self.root, here, one, there, other,
+                hint="name the map's coordinate system by crs=",
+            )  # fmt: skip
+        maps = self._of_sites(lambda dataset: make_heatmap(dataset, month=month).wide())
+        maps = [each if crs is None else each.to_crs(crs) for each in maps]
+        return gpd.GeoDataFrame(pd.concat(maps, ignore_index=True))
+
+    def compare(
+        self, *, before: Any, after: Any, days: str | None = None, language: str | None = None
+    ) -> dict[str, Comparison]:
+        """Compare the traffic of two periods at each site.
+
+        Parameters
+        ----------
+        before, after, days, language
+            As for :func:`gis_radar.compare`.
+
+        Returns
+        -------
+        dict
+            The comparison of each site that can be compared.
+
+        Raises
+        ------
+        NoAnswerError, InputError
+            That of the first site, if none can be compared.
+        """
+        found: dict[str, Comparison] = {}
+        refused: list[NoAnswerError | InputError] = []
+        for name, dataset in self.sites.items():
+            try:
+                found[name] = compare(
+                    dataset, before=before, after=after, days=days, language=language
+                )
+            except (NoAnswerError, InputError) as error:
+                refused.append(error)
+        if not found:
+            raise refused[0]
+        return found
+
+    def _of_sites(self, ask: Callable[[Dataset], Any]) -> list[Any]:
+        """Return the answers of the sites that have one, each with the name of its site."""
+        answers, refused = [], list[InputError | UsageError]()
+        for name, dataset in self.sites.items():
+            try:
+                answer = ask(dataset)
+            except (NotMeasuredError, UnknownStreetError) as error:
+                refused.append(error)
+                continue
+            answer.insert(0, SITE_COLUMN, name)
+            answers.append(answer)
+        if not answers:
+            raise refused[0]
+        return answers

@@ -1,0 +1,93 @@
+"""Questions to a city are those to its sites, put together."""
+
+import shutil
+
+import pandas as pd
+import pytest
+from maps import EAST, NORTH
+from months import drawn_months, hour_at, roll_up
+
+import gis_radar as gr
+from gis_radar.base import CrsError, InputError, UsageError
+
+OCTOBER = range(hour_at("2026-10-30T20"), hour_at("2026-10-31T02"))
+NOVEMBER = range(hour_at("2026-11-02T20"), hour_at("2026-11-03T02"))
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory):
+    """Two sites, of which one was measured in October, too."""
+    root = tmp_path_factory.mktemp("it's a") / "city"
+    roll_up(drawn_months(root / "site=east", [*OCTOBER, *NOVEMBER], seed=1))
+    drawn_months(root / "site=west", NOVEMBER, seed=2, at=(EAST + 500.0, NORTH))
+    return gr.open_city(root)
+
+
+def test_a_profile_is_that_of_each_site(city):
+    asked = {"by": "weekday", "month": "2026-11", "days": "Mo-Fr"}
+    found = city.profile("Ring", **asked)
+    assert found.columns[0] == "site"
+    for name, dataset in city.sites.items():
+        mine = found[found["site"] == name].drop(columns="site").reset_index(drop=True)
+        pd.testing.assert_frame_equal(mine, dataset.profile("Ring", **asked))
+    assert city.profile(month="2026-10")["site"].unique().tolist() == ["east"]
+    with pytest.raises(InputError, match="nothing was measured in that time"):
+        city.profile(month="2027-01")
+    with pytest.raises(UsageError, match="there is no street 'Allee'"):
+        city.profile("Allee")
+    with pytest.raises(UsageError, match="names no days of the week"):
+        city.profile(days="Mon")
+
+
+def test_the_map_of_a_month_holds_the_tiles_of_all_sites(city):
+    found = city.map("2026-11")
+    assert found["site"].value_counts().to_dict() == {"east": 60, "west": 60}
+    counts = city.sites["west"].tile_counts(begin="2026-11-01", end="2026-12-01")
+    sums = counts.groupby("tile_id")[["occupied_steps", "visible_steps"]].sum()
+    mine = found[found["site"] == "west"].set_index("tile_id")
+    expected = (sums["occupied_steps"] / sums["visible_steps"]).reindex(mine.index)
+    assert mine["occupancy"].to_numpy() == pytest.approx(expected.to_numpy(), rel=1e-6)
+    assert city.map("2026-10")["site"].unique().tolist() == ["east"]
+
+
+def test_sites_in_two_zones_need_a_system_for_the_map(tmp_path, city):
+    shutil.copytree(city.root / "site=west", tmp_path / "site=west")
+    drawn_months(tmp_path / "site=far", NOVEMBER, crs="EPSG:25833", at=(230_000.0, NORTH))
+    both = gr.open_city(tmp_path)
+    with pytest.raises(CrsError, match="site far lies in EPSG:25833, site west in EPSG:25832"):
+        both.map("2026-11")
+    found = both.map("2026-11", crs="EPSG:25832")
+    assert found.crs == "EPSG:25832"
+    assert len(found) == 120
+
+
+def test_sql_over_all_sites(city):
+    found = city.query("SELECT site, sum(hit_steps) AS hits FROM tile_counts GROUP BY site")
+    hits = dict(zip(found["site"], found["hits"], strict=True))
+    assert hits == {name: of.tile_counts()["hit_steps"].sum() for name, of in city.sites.items()}
+    rows = city.query(
+        "SELECT site, street, sum(volume) AS volume FROM lane_months JOIN lanes USING (site, lane) "
+        "WHERE month = '2026-11' GROUP BY ALL ORDER BY site"
+    )
+    assert rows["site"].tolist() == ["east", "west"]
+    east = city.sites["east"].lane_months(month="2026-11")["volume"].sum()
+    assert rows["volume"].iloc[0] == pytest.approx(east)
+    assert next(iter(city.query("FROM passages"))) == "site"
+
+
+@pytest.mark.parametrize(
+    ("sql", "message"),
+    [
+        ("SELECT * FROM _0_hits", "names '_0_hits', which is no table here"),
+        ("SELECT * FROM read_csv('/etc/passwd')", "calls read_csv"),
+        ("COPY hits TO 'x.csv'", "is no SELECT"),
+    ],
+)
+def test_sql_over_all_sites_has_the_guards_of_one(city, sql, message):
+    with pytest.raises(UsageError, match=message):
+        city.query(sql)
+
+
+def test_two_periods_are_compared_site_by_site(city):
+    with pytest.raises(gr.GisRadarError, match=r"no lane|too few intervals|no whole interval"):
+        city.compare(before="2026-10-30/2026-10-31", after="2026-11-02/2026-11-03")
