@@ -92,7 +92,9 @@ def write_site(root, name, source, hours, *, sensors=None, clock_offset=0.0):
            "digest": f"{sensor}-{first}", "clock_offset": clock_offset}
         for sensor, spans in sorted(sensors.items()) for first, after in spans
     ]  # fmt: skip
-    write_whole(RECORDINGS, folder, {n: [r[n] for r in rows] for n in RECORDINGS.names}, fingerprint)
+    write_whole(
+        RECORDINGS, folder, {n: [r[n] for r in rows] for n in RECORDINGS.names}, fingerprint
+    )
     poses = [pose(sensor=sensor) for sensor in sorted(sensors)]
     write_whole(POSES, folder, pose_rows(poses), fingerprint)
     tiles = source.tiles()["tile_id"].to_numpy()

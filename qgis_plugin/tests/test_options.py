@@ -45,6 +45,7 @@ LEFT_OUT = {
         "service": "a table for engineers; a run's report has the levels",
     },
     "compare": {"site": "QGIS renames lanes in the layer"},
+    "report": {"month": "a page of many sites, for a browser; the command writes it"},
     "run": {"template": "the site wizard writes the file"},
 }
 # Commands without an algorithm, and why.

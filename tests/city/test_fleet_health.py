@@ -29,7 +29,9 @@ def source(tmp_path_factory):
 def states(root):
     """Give the state of each sensor, by site and sensor, and the table."""
     table = gr.fleet_health(root, MONTH)
-    return dict(zip(zip(table["site"], table["sensor"], strict=True), table["state"], strict=True)), table
+    return dict(
+        zip(zip(table["site"], table["sensor"], strict=True), table["state"], strict=True)
+    ), table
 
 
 def test_a_sensor_that_fell_silent_is_first_and_the_time_is_told(tmp_path, source):
@@ -55,7 +57,9 @@ def test_the_share_is_that_of_the_observed_time_where_a_tile_is_a_sensors_own(tm
 
 
 def test_all_its_tiles_seen_by_others_leave_its_recordings(tmp_path, source):
-    dataset = write_site(tmp_path, "a", source, HOURS, sensors={"R1": [(DAY - 13 * 24, HOURS[-1] + 1)]})
+    dataset = write_site(
+        tmp_path, "a", source, HOURS, sensors={"R1": [(DAY - 13 * 24, HOURS[-1] + 1)]}
+    )
     tiles = dataset.tiles()["tile_id"].to_numpy()
     both = {"pose": np.repeat(["R1", "R2"], len(tiles)), "tile_id": np.tile(tiles, 2)}
     write_whole(SIGHTS, dataset.folder, both, dataset.manifest.fingerprint)
@@ -157,4 +161,3 @@ def test_months_that_are_there_are_named(tmp_path, source):
     for wrong in ("2023-13", "November", "2023-1", "23-11"):
         with pytest.raises(gr.UsageError, match="is no month"):
             gr.fleet_health(tmp_path, wrong)
-
