@@ -29,9 +29,10 @@ from gis_radar.calibration import FITS, WRONG
 from gis_radar.city.month import CityMonth, month_of
 from gis_radar.city.root import RESULTS, City, open_city
 from gis_radar.dataset import POSES, RECORDINGS, TILE_COUNTS, Dataset
+from gis_radar.poses import ANGLES, POSITION
 from gis_radar.products import lost_sensors, read_run
 
-SILENT_S = 3600.0  # without frames up to the end, after which a sensor counts as silent
+SILENT_S = 3600.0  # without data, after which a sensor counts as silent, or as one with gaps
 LEAST_SHARE_SEEN = 0.95  # least share of the month with data of a sensor that works
 CLOCK_S = 0.025  # half of a step: a clock that is off by more is wrong
 MOVED_M, MOVED_DEG = 0.5, 1.0  # a pose that changes by more is that of a sensor that was moved
@@ -188,20 +189,21 @@ def _poses(dataset: Dataset, recordings: pd.DataFrame) -> pd.DataFrame:
     first = recordings.groupby("pose")["first_time"].min()
     begin = poses["since"].astype(float).fillna(poses["track"].map(first))
     event = [json.loads(each).get("event", "") for each in poses["document"]]
-    return poses.assign(begin_s=begin, event=event).sort_values("begin_s")
+    held: pd.DataFrame = poses.assign(begin_s=begin, event=event).sort_values("begin_s")
+    return held
 
 
 def _moves(poses: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:
     """Yield where a pose track says so, or a pose is another one than before."""
-    place = poses[["easting", "northing", "height"]].astype(float).diff().pow(2).sum(axis=1) ** 0.5
-    turn = poses[["yaw", "pitch", "roll"]].astype(float).diff().abs() % 360.0
-    turn = turn.where(turn <= 180.0, 360.0 - turn).max(axis=1)
-    moved = (poses["event"] == "moved") | (place > MOVED_M) | (turn > MOVED_DEG)
-    inside = (poses["begin_s"] > begin_s) & (poses["begin_s"] < end_s)
-    for k in poses.index[moved & inside]:
-        words = tr("moved by {m} m and {deg}°", m=figure_text(place[k], 1),
-                   deg=figure_text(turn[k], 1))  # fmt: skip
-        yield _Reason(MOVED, float(poses.loc[k, "begin_s"]), words)
+    place, angles = (poses[list(names)].to_numpy(np.float64) for names in (POSITION, ANGLES))
+    begin = poses["begin_s"].to_numpy(np.float64)
+    step_m = np.linalg.norm(np.diff(place, axis=0), axis=1)
+    turn_deg = np.abs((np.diff(angles, axis=0) + 180.0) % 360.0 - 180.0).max(axis=1)
+    moved = (poses["event"].to_numpy()[1:] == "moved") | (step_m > MOVED_M) | (turn_deg > MOVED_DEG)
+    for k in np.flatnonzero(moved & (begin[1:] > begin_s) & (begin[1:] < end_s)):
+        words = tr("moved by {m} m and {deg}°", m=figure_text(step_m[k], 1),
+                   deg=figure_text(turn_deg[k], 1))  # fmt: skip
+        yield _Reason(MOVED, float(begin[k + 1]), words)
 
 
 def _doubts(dataset: Dataset, sensor: str) -> Iterator[_Reason]:
@@ -218,12 +220,13 @@ def _clocks(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[
     inside = (recordings["last_time"] >= begin_s) & (recordings["first_time"] < end_s)
     off = recordings[inside & (recordings["clock_offset"].abs() > CLOCK_S)]
     if len(off):
-        most = off.loc[off["clock_offset"].abs().idxmax(), "clock_offset"]
+        offsets = off["clock_offset"].to_numpy(np.float64)
+        most = float(offsets[np.abs(offsets).argmax()])
         words = tr("clock ahead by {s} s, corrected", s=figure_text(most, 3))
         yield _Reason(CLOCK_OFF, float(off["first_time"].min()), words)
 
 
 def _missing(gaps: Floats, share: float) -> Iterator[_Reason]:
-    if share < LEAST_SHARE_SEEN:
-        begin_s = gaps[gaps[:, 1].argmax(), 0] if len(gaps) else np.nan
+    begin_s, longest_s = gaps[gaps[:, 1].argmax()] if len(gaps) else (np.nan, 0.0)
+    if share < LEAST_SHARE_SEEN or longest_s > SILENT_S:
         yield _Reason(GAPS, float(begin_s), "")

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from gis_radar.base import Floats, percent, tr, with_error
+from gis_radar.base import Floats, tr
+from gis_radar.city.month_tables import off_by, share_off
 from gis_radar.city.site_month import SiteMonth
 from gis_radar.products import NOT_OBSERVED, colour_classes
 
@@ -18,6 +19,7 @@ RADIUS = (9.0, 24.0)  # of the mark without vehicles, and of the site with most
 UNKNOWN_RADIUS = 9.0
 LETTER, LINE = 8.2, 17.0  # width of a letter of a label, height of its line
 MOST_LABEL = 26  # letters
+DEEP_FROM = 0.02  # occupancy from which its class has a deep colour
 FINEST = 1.0  # lanes are drawn so fine
 METRES_PER_DEGREE = 111_195.0
 BAR_SHARE = 0.25  # longest scale bar, of the width
@@ -28,10 +30,14 @@ class Mark(NamedTuple):
 
     Parameters
     ----------
+    number : int
+        Its number, from 1.
     x, y, radius : float
         Its place and size, units of the map, y downwards.
     colour : str
         Of its class of occupancy; empty where none is known.
+    is_deep : bool
+        Whether its colour is deep, so that the number on it is white.
     label : (x, y, anchor, text) or None
         Its name beside it, where there is room.
     title : str
@@ -42,10 +48,12 @@ class Mark(NamedTuple):
         Whether one of its sensors is not well.
     """
 
+    number: int
     x: float
     y: float
     radius: float
     colour: str
+    is_deep: bool
     label: tuple[float, float, str, str] | None
     title: str
     link: str
@@ -109,8 +117,12 @@ def draw_city(
     )
     labels = _labels([each.title for each in sites], at, radius, height)
     marks = [
-        Mark(*map(float, np.round(at[k], 1)), round(float(radius[k]), 1), _colour(site), labels[k],
-             _words(site, ill.get(site.name, 0)), site.link, bool(ill.get(site.name)))
+        Mark(
+            number=k + 1, x=round(float(at[k, 0]), 1), y=round(float(at[k, 1]), 1),
+            radius=round(float(radius[k]), 1), colour=_colour(site),
+            is_deep=site.occupancy[0] > DEEP_FROM, label=labels[k],
+            title=_words(site, ill.get(site.name, 0)), link=site.link, is_ill=site.name in ill,
+        )
         for k, site in enumerate(sites)
     ]  # fmt: skip
     lanes = "".join(
@@ -132,9 +144,9 @@ def _words(site: SiteMonth, ill: int) -> str:
         known = tr("no data in this month")
     else:
         (share, off), (volume, error) = site.occupancy, site.volume
-        known = tr("mean occupancy {share}", share=percent(share, off=off))
+        known = tr("mean occupancy {share}", share=share_off(share, off))
         if np.isfinite(volume):
-            known += ", " + tr("{n} vehicles an hour", n=with_error(volume, error))
+            known += ", " + tr("{n} vehicles an hour", n=off_by(volume, error))
     fault = "; " + tr("sensors not well: {n}", n=ill) if ill else ""
     return f"{site.title}: {known}{fault}"
 

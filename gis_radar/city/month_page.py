@@ -13,6 +13,7 @@ import pandas as pd
 
 from gis_radar.base import (
     QUIET,
+    THIN_SPACE,
     Clock,
     Floats,
     GisRadarError,
@@ -37,9 +38,10 @@ from gis_radar.city.month_map import draw_city
 from gis_radar.city.month_tables import (
     change_table,
     changes_of,
-    gaps_said,
+    faults_of,
     health_table,
     lane_rows,
+    share_off,
     site_table,
     worst_lanes,
 )
@@ -183,14 +185,15 @@ def _page(
 ) -> tuple[str, dict[str, Any]]:  # fmt: skip
     """Return the page, and its figures for the command line."""
     worst, changes = worst_lanes(sites), changes_of(sites)
-    ill = health[health["state"] != WORKS].groupby("site").size().to_dict()
+    counted = health[health["state"] != WORKS].groupby("site").size()
+    ill = {str(name): int(number) for name, number in counted.items()}
     facts = _facts(sites, health, worst)
     legend = [(each.colour, class_label(each.label, current_language()))
               for each in colour_classes("occupancy")]  # fmt: skip
     remarks = [
         *(tr("Site {name} is left out: {why}", name=name, why=tr(why))
           for name, why in left_out.items()),
-        *_ends_early(month, sites, clock), *gaps_said(health),
+        *_ends_early(month, sites, clock), *faults_of(health, sites, clock),
     ]  # fmt: skip
     text = files("gis_radar.city").joinpath("month_page.html.jinja").read_text(encoding="utf-8")
     city_map = draw_city(sites, ill, legend)
@@ -230,7 +233,8 @@ def _facts(sites: Sequence[SiteMonth], health: pd.DataFrame, worst: pd.DataFrame
     """Return the figures at the top."""
     with_data = sum(each.lanes is not None for each in sites)
     works = int((health["state"] == WORKS).sum())
-    lanes = sum(int(each.lanes["volume"].notna().sum()) for each in sites if each.lanes is not None)
+    known = (each.lanes for each in sites if each.lanes is not None)
+    lanes = sum(int((each["volume"].notna() & ~each["is_inside"]).sum()) for each in known)
     facts = [
         Fact(tr("Sites with data"), tr("{n} of {all}", n=with_data, all=len(sites)),
              tr("{n} lanes with a volume", n=figure_text(lanes))),
@@ -240,13 +244,17 @@ def _facts(sites: Sequence[SiteMonth], health: pd.DataFrame, worst: pd.DataFrame
     ]  # fmt: skip
     if (mean := _city_occupancy(sites)) is not None:
         text = tr("mean of the sites' lanes, by time and length visible")
-        facts.append(Fact(tr("Mean occupancy"), percent(mean[0], off=mean[1]), text))
+        facts.append(Fact(tr("Mean occupancy"), share_off(*mean), text))
     if len(worst):
         row = worst.iloc[0]
-        value = figure_text(float(row["delay_s"])) + " s" if pd.notna(row["delay_s"]) else (
-            figure_text(float(row["queue_max_m"])) + " m")  # fmt: skip
-        what = tr("delay a vehicle") if pd.notna(row["delay_s"]) else tr("longest queue")
-        facts.append(Fact(tr("Most time lost"), value, f"{what}; {row['site']}: {row['name']}"))
+        lane = f"{row['site']}: {row['name']}"
+        if pd.notna(row["lost_h"]):
+            text = tr("vehicle hours an hour, by a delay of {delay} s a vehicle; {lane}",
+                      delay=figure_text(float(row["delay_s"])), lane=lane)  # fmt: skip
+            facts.append(Fact(tr("Most time lost"), figure_text(float(row["lost_h"]), 1), text))
+        else:
+            longest = f"{figure_text(float(row['queue_max_m']))}{THIN_SPACE}m"
+            facts.append(Fact(tr("Longest queue"), longest, lane))
     return facts
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pandas as pd
@@ -10,15 +10,15 @@ from markupsafe import Markup
 
 from gis_radar.base import (
     NO_FIGURE,
+    THIN_SPACE,
     Clock,
     figure_text,
     percent,
     plural,
     seconds_text,
     tr,
-    with_error,
 )
-from gis_radar.city.health import GAPS, WORKS
+from gis_radar.city.health import WORKS
 from gis_radar.city.site_month import SiteMonth
 from gis_radar.products import (
     NOT_TOLD,
@@ -31,6 +31,7 @@ from gis_radar.products import (
 
 WORST_LANES = 20
 MOST_CHANGES = 30
+MOST_NAMED = 6  # sensors of a state in a sentence
 LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it
 
 
@@ -38,6 +39,7 @@ def site_table(sites: Sequence[SiteMonth], health: pd.DataFrame) -> Table:
     """Return what each site saw, those with the largest gaps first."""
     seen = health.groupby("site")["share"].min()
     ordered = sorted(sites, key=lambda each: (seen.get(each.name, 0.0), each.name))
+    number = {each.name: place for place, each in enumerate(sites, start=1)}
     ill = health[health["state"] != WORKS].groupby("site").size()
     count = health.groupby("site").size()
 
@@ -47,28 +49,29 @@ def site_table(sites: Sequence[SiteMonth], health: pd.DataFrame) -> Table:
 
     def day(site: SiteMonth, *, is_weekend: bool) -> str:
         volume, error = site.day_volume(is_weekend=is_weekend)
-        return with_error(volume, error) if np.isfinite(volume) else NO_FIGURE
+        return off_by(volume, error)
 
     def hourly(site: SiteMonth) -> str:
-        volume, error = site.volume
-        return with_error(volume, error) if np.isfinite(volume) else NO_FIGURE
+        return off_by(*site.volume)
 
     columns = [
         Column(tr("Site"), "", _site_link, False),
+        Column(tr("No."), tr("on the map"), lambda site: str(number[site.name])),
         Column(tr("Time with data"), tr("of the worst sensor"),
                lambda site: percent(float(seen.get(site.name, 0.0)), 0)),
         Column(tr("Sensors"), tr("that work"), sensors),
         Column(tr("Lanes"), tr("visible"), _lanes_seen),
         Column(tr("Mean occupancy"), tr("of visible time"),
-               lambda site: percent(site.occupancy[0], off=site.occupancy[1])),
+               lambda site: share_off(*site.occupancy)),
         Column(tr("Volume"), tr("veh/h, time with data"), hourly),
         Column(tr("Monday to Friday"), tr("veh a day"), lambda site: day(site, is_weekend=False)),
         Column(tr("Saturday, Sunday"), tr("veh a day"), lambda site: day(site, is_weekend=True)),
     ]  # fmt: skip
     notes = [
         tr("Vehicles are counted once each: at the stop lines, else where lanes begin. ± is the "
-           "standard error; it holds what was not visible, no other month. A dash: not known, "
-           "which is not 0; vehicles a day need all 24 hours."),
+           "standard error, rounded up; it holds what was not visible, but no error that all days "
+           "share, such as vehicles that are always missed. A dash: not known, which is not 0; "
+           "vehicles a day need all 24 hours."),
     ]  # fmt: skip
     return Table(
         name="sites", caption=tr("Sites, those with the largest gaps first"), columns=columns,
@@ -108,8 +111,8 @@ def worst_lanes(sites: Sequence[SiteMonth]) -> pd.DataFrame:
 def lane_rows(worst: pd.DataFrame) -> Table:
     """Return the worst lanes as they are read."""
 
-    def off(name: str, error: str, digits: int) -> object:
-        return lambda row: _with_error(row[name], row[error], digits)
+    def off(name: str, error: str, digits: int) -> Callable[[pd.Series], str]:
+        return lambda row: off_by(float(row[name]), float(row[error]), digits)
 
     columns = [
         Column(tr("Lane"), "", lambda row: f"{row['site']}: {row['name']}", False),
@@ -118,10 +121,11 @@ def lane_rows(worst: pd.DataFrame) -> Table:
         Column(tr("Delay"), tr("s a vehicle"), off("delay_s", "delay_se", 0)),
         Column(tr("Level of service"), "HCM",
                lambda row: row["level"] if isinstance(row["level"], str) else NO_FIGURE),
+        Column(tr("Worst hour"), tr("Monday to Friday; delay"), _worst_hour),
         Column(tr("Mean queue"), "m", off("queue_mean_m", "queue_se", 1)),
         Column(tr("Longest queue"), "m", _longest),
         Column(tr("Mean occupancy"), tr("of visible time"),
-               lambda row: percent(row["occupancy"], off=row["occupancy_se"])),
+               lambda row: share_off(row["occupancy"], row["occupancy_se"])),
         Column(tr("Volume"), tr("veh/h"), _volume),
     ]  # fmt: skip
     return Table(
@@ -136,10 +140,25 @@ def lane_rows(worst: pd.DataFrame) -> Table:
     )  # fmt: skip
 
 
-def _with_error(value: float, error: float, digits: int) -> str:
-    text = figure_text(float(value), digits)
-    known = pd.notna(value) and pd.notna(error)
-    return f"{text}\u202f±\u202f{figure_text(float(error), digits)}" if known else text
+def _worst_hour(row: pd.Series) -> str:
+    if pd.isna(row["worst_hour"]):
+        return NO_FIGURE
+    hour, delay_s = int(row["worst_hour"]), figure_text(float(row["worst_delay_s"]))
+    return tr("{begin} to {end} h: {delay} s", begin=hour, end=hour + 1, delay=delay_s)
+
+
+def off_by(value: float, error: float, digits: int = 0) -> str:
+    """Return a value with its standard error, rounded up: none is shown as 0 that is not."""
+    text = figure_text(value, digits)
+    if not (np.isfinite(value) and np.isfinite(error)):
+        return text
+    unit = 10.0**-digits
+    return f"{text}{THIN_SPACE}±{THIN_SPACE}{figure_text(np.ceil(error / unit) * unit, digits)}"
+
+
+def share_off(share: float, error: float) -> str:
+    """Return a share as percent with its standard error, rounded up as by :func:`off_by`."""
+    return percent(share, off=np.ceil(error * 1000.0) / 1000.0)
 
 
 def _longest(row: pd.Series) -> str:
@@ -154,7 +173,7 @@ def _volume(row: pd.Series) -> str:
     if pd.isna(row["volume_veh_h"]):
         return NO_FIGURE
     relative = row["volume_se"] / row["volume"] if row["volume"] > 0.0 else 0.0
-    return with_error(row["volume_veh_h"], row["volume_veh_h"] * relative)
+    return off_by(row["volume_veh_h"], row["volume_veh_h"] * relative)
 
 
 def changes_of(sites: Sequence[SiteMonth]) -> pd.DataFrame:
@@ -238,24 +257,25 @@ def health_table(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock)
         name="health", caption=tr("Sensors, worst first"), columns=columns,
         rows=text_rows((row for _, row in health.iterrows()), columns),
         note=tr(
-            "{n} of {all} sensors work: with data for 95 % of the month or more, at one place, "
-            "with a pose and a clock that fit.", n=works, all=len(health),
+            "{n} of {all} sensors work: with data for 95 % of the month or more, without a gap "
+            "over an hour, at one place, with a pose and a clock that fit.",
+            n=works, all=len(health),
         ),
     )  # fmt: skip
 
 
-def gaps_said(health: pd.DataFrame) -> list[str]:
-    """Return in sentences what is wrong with sensors, worst first."""
-    states = health.groupby("state", sort=False).size()
-    return [
-        f"{tr(state)}: {listed_sensors(health[health['state'] == state])}"
-        for state in states.index
-        if state not in (WORKS, GAPS)
-    ]
-
-
-def listed_sensors(rows: pd.DataFrame, most: int = 6) -> str:
-    """Return the sensors of rows in a sentence."""
-    names = [f"{row.site} {row.sensor}" for row in rows.itertuples()]
-    more = tr(" and {n} more", n=len(names) - most) if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+def faults_of(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock) -> list[str]:
+    """Return in a sentence a state which sensors are not well and since when, worst first."""
+    titles = {each.name: each.title for each in sites}
+    found = []
+    for state, rows in health[health["state"] != WORKS].groupby("state", sort=False):
+        names = []
+        for _, row in rows.head(MOST_NAMED).iterrows():
+            name = f"{titles[row['site']]} {row['sensor']}"
+            if pd.notna(row["since"]):
+                time = clock.stamp(row["since"].to_pydatetime())
+                name = tr("{sensor} (since {time})", sensor=name, time=time)
+            names.append(name)
+        more = tr(" and {n} more", n=len(rows) - MOST_NAMED) if len(rows) > MOST_NAMED else ""
+        found.append(f"{tr('Sensors')}, {tr(str(state))}: {', '.join(names)}{more}")
+    return found

@@ -23,6 +23,7 @@ from gis_radar.measures import LaneNetwork
 from gis_radar.products import PAGE, as_stated, compare, read_run, service_levels
 
 LEAST_DAYS = 3  # of the error of a mean over days
+QUARTERS_PER_HOUR = 4
 WEEKEND = 5  # Saturday, Monday as 0
 GEOGRAPHIC = CRS.from_epsg(4326)
 
@@ -43,8 +44,9 @@ class SiteMonth:
         Complete hours in the month.
     lanes : DataFrame or None
         Its lanes over the month, as of :meth:`gis_radar.Dataset.traffic`, with `delay_se`,
-        `queue_se` (from day to day), `level`, `length_m`, `is_inside` (a turn in the junction) and
-        `is_entry` (where the site's vehicles are counted, once each); None where nothing is known.
+        `queue_se` (from day to day), `worst_hour` and `worst_delay_s`, `level`, `length_m`,
+        `is_inside` (a turn in the junction) and `is_entry` (where the site's vehicles are
+        counted, once each); None where nothing is known.
     profile : DataFrame or None
         By `is_weekend` and `hour` of the site's clocks: `volume` and `volume_se` of an hour over
         all entries; null where one is not known.
@@ -68,7 +70,7 @@ class SiteMonth:
     @property
     def place(self) -> Floats:
         """Middle of the site, degrees east and north."""
-        return np.concatenate(self.ways).mean(axis=0)
+        return np.asarray(np.concatenate(self.ways).mean(axis=0), np.float64)
 
     @property
     def occupancy(self) -> tuple[float, float]:
@@ -131,9 +133,11 @@ def site_month(month: CityMonth, name: str, folder: Path) -> SiteMonth:
     lanes = _lanes(dataset, month, network)
     if lanes.empty:
         return SiteMonth(**known)
+    sums = dataset.lane_months(month=month.month)
+    lanes = lanes.join(_worst_hours(sums), on="lane")
     changes, not_alike = _changes(dataset, name, month)
     return SiteMonth(
-        **known, lanes=lanes, profile=_profile(dataset, month, lanes), changes=changes,
+        **known, lanes=lanes, profile=_profile(sums, lanes), changes=changes,
         not_alike=not_alike,
     )  # fmt: skip
 
@@ -184,25 +188,44 @@ def _error(days: Any) -> pd.Series:
     return error
 
 
-def _profile(dataset: Dataset, month: CityMonth, lanes: pd.DataFrame) -> pd.DataFrame:
-    """Return the mean volume of an hour at all entries, by weekdays and weekends and by hour."""
-    begin, end = month.period
+def _profile(sums: pd.DataFrame, lanes: pd.DataFrame) -> pd.DataFrame:
+    """Return the mean volume of an hour at all entries, by weekdays and weekends and by hour.
+
+    Weekdays that are seen more often count no more than others.
+    """
     entries = lanes.loc[lanes["is_entry"] & lanes["volume"].notna(), "lane"]
-    rows = dataset.traffic("1h", begin=begin, end=end)
-    rows = pd.DataFrame(rows[rows["lane"].isin(entries) & rows["volume"].notna()])
-    keys = {
-        "is_weekend": rows["begin"].dt.day_of_week >= WEEKEND, "hour": rows["begin"].dt.hour,
-    }  # fmt: skip
-    rows = rows.assign(**keys, variance=rows["volume_se"].astype(np.float64) ** 2)
-    by_lane = rows.groupby([*keys, "lane"]).agg(
+    known = sums[sums["lane"].isin(entries) & (sums["quarters"] > 0)]
+    hours = known["quarters"] / QUARTERS_PER_HOUR
+    known = known.assign(
+        is_weekend=known["weekday"] >= WEEKEND, volume=known["volume"] / hours,
+        variance=known["volume_variance"] / hours**2,
+    )  # fmt: skip
+    by_lane = known.groupby(["is_weekend", "hour", "lane"]).agg(
         volume=("volume", "mean"), variance=("variance", "sum"), days=("volume", "size")
     )
     by_lane["variance"] /= by_lane["days"] ** 2
     groups = by_lane.groupby(level=[0, 1])
     found = groups[["volume", "variance"]].sum().assign(known=groups.size() == len(entries))
-    index = pd.MultiIndex.from_product([[False, True], range(24)], names=[*keys])
+    index = pd.MultiIndex.from_product([[False, True], range(24)], names=["is_weekend", "hour"])
     found = found[found["known"]].reindex(index)
     return found.assign(volume_se=np.sqrt(found["variance"].astype(np.float64))).reset_index()
+
+
+def _worst_hours(sums: pd.DataFrame) -> pd.DataFrame:
+    """Return by lane the hour of Monday to Friday with most delay: `worst_hour`, `worst_delay_s`.
+
+    Hours in which less is lost than a minute a day do not count: a single car may wait long.
+    """
+    week = (
+        sums[sums["weekday"] < WEEKEND]
+        .groupby(["lane", "hour"], as_index=False)[["delay_h", "volume", "quarters"]]
+        .sum()
+    )
+    days = week["quarters"] / QUARTERS_PER_HOUR
+    week = week[(week["volume"] > 0.0) & (week["delay_h"] * 60.0 > days)]
+    week = week.assign(worst_delay_s=week["delay_h"] / week["volume"] * 3600.0)
+    most = week.loc[week.groupby("lane")["worst_delay_s"].idxmax()]
+    return most.set_index("lane")[["hour", "worst_delay_s"]].rename(columns={"hour": "worst_hour"})
 
 
 def _changes(dataset: Dataset, name: str, month: CityMonth) -> tuple[pd.DataFrame | None, int]:

@@ -21,6 +21,7 @@ from gis_radar.base import (
     STEPS_PER_SECOND,
     Floats,
     InputError,
+    Integers,
     UsageError,
     interval_steps,
     speaking,
@@ -95,7 +96,7 @@ class TrafficReader:
         shown["heavy"] = table["heavy"]
         for name, of in (("speed", "speed_mean"), ("speed_time_mean", "speed_time_mean")):
             shown[f"{name}_kmh"] = table[of] * 3.6
-        shown["speed_85_kmh"] = [_percentile(each, 0.85) for each in table["speed_counts"]]
+        shown["speed_85_kmh"] = _percentiles(table["speed_counts"], 0.85)
         shown = shown.join(table[["occupancy", "occupancy_se"]])
         shown["density_veh_km"], shown["flow_veh_h"] = table["density"], table["flow"]
         shown = shown.join(table[["travel_time_s", "delay_s", "queue_max_m", "queue_mean_m"]])
@@ -329,12 +330,21 @@ def _lane_sums(rows: pd.DataFrame, groups: Any, network: LaneNetwork) -> pd.Data
         found[name] = pd.Series(counts, ends.index).astype("Int64")
     found["heavy"] = total(rows["heavy"])
     found["queue_max_m"] = groups["queue_max_m"].max().to_numpy()
-    found["speed_counts"] = [
-        np.sum(list(each), axis=0) if len(each) else None
-        for each in groups["speed_counts"].apply(lambda lists: lists.dropna().tolist())
-    ]
+    found["speed_counts"] = _summed_lists(rows["speed_counts"], index.to_numpy(), len(ends))
     found |= _times(found, ends, network)
     return pd.DataFrame(found, index=ends.index)
+
+
+def _summed_lists(lists: pd.Series, group: Integers, count: int) -> list[Integers | None]:
+    """Return the sums of the lists of each group, None of a group without any."""
+    known = lists.notna().to_numpy()
+    if not known.any():
+        return [None] * count
+    values = np.stack(lists[known].to_list())
+    sums, has = np.zeros((count, values.shape[1]), np.int64), np.zeros(count, np.bool_)
+    np.add.at(sums, group[known], values)
+    has[group[known]] = True
+    return [row if is_known else None for row, is_known in zip(sums, has, strict=True)]
 
 
 def _hours(index: pd.MultiIndex | pd.Index) -> Floats:
@@ -353,13 +363,17 @@ def _times(found: Mapping[str, Any], ends: pd.DataFrame, network: LaneNetwork) -
     return {"speed_mean": speed, "travel_time_s": travel_s}
 
 
-def _percentile(counts: Any, share: float) -> float:
-    """Return a percentile (km/h) of speeds counted by classes, spread evenly within a class."""
-    if counts is None or not np.sum(counts):
-        return float("nan")
-    below = np.concatenate([[0.0], np.cumsum(counts)])
-    edges = np.arange(len(below)) * SPEED_CLASS_KMH
-    wanted = share * below[-1]
-    k = int(np.searchsorted(below, wanted, side="left"))
-    part = (wanted - below[k - 1]) / (below[k] - below[k - 1])
-    return float(edges[k - 1] + part * SPEED_CLASS_KMH)
+def _percentiles(counts: pd.Series, share: float) -> Floats:
+    """Return percentiles (km/h) of speeds counted by classes, spread evenly within a class."""
+    found = np.full(len(counts), np.nan)
+    known = np.flatnonzero(counts.notna())
+    if not len(known):
+        return found
+    below = np.cumsum(np.stack(counts.iloc[known].to_list()), axis=1).astype(np.float64)
+    known, below = known[below[:, -1] > 0], below[below[:, -1] > 0]
+    wanted = share * below[:, -1]
+    k = (below < wanted[:, None]).sum(axis=1)
+    row = np.arange(len(k))
+    before = np.where(k > 0, below[row, k - 1], 0.0)
+    found[known] = (k + (wanted - before) / (below[row, k] - before)) * SPEED_CLASS_KMH
+    return found

@@ -50,6 +50,7 @@ LEFT_OUT = {
         "output": "of matched lanes",
     },
     "compare": {"site": "QGIS renames lanes in the layer"},
+    "report": {"month": "a page of many sites, for a browser; the command writes it"},
     "run": {"template": "the site wizard writes the file"},
 }
 # Commands without an algorithm, and why.

@@ -5,6 +5,7 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from axe_core_python.selenium import Axe
 from browser import start_chromium, wide
@@ -54,7 +55,9 @@ def page(made):
 def table(page, first):
     """Give the rows of the table whose first heading is given, by their first cell."""
     (found,) = (
-        each for each in page.tables if each[0][0].strip() == first[0] and first[1] in each[0][1]
+        each
+        for each in page.tables
+        if each[0][0].strip() == first[0] and any(first[1] in head for head in each[0])
     )
     return {row[0].strip(): row for row in found[1:]}
 
@@ -63,17 +66,17 @@ def test_each_site_has_a_row_those_with_gaps_first(page):
     rows = table(page, ("Site", "Time with data"))
     assert list(rows)[:2] == ["Buchenplatz", "Eichenhof"]
     assert set(rows) == {"Buchenplatz", "Eichenhof", "Birkenallee", "Ring <b>1</b> & Tor"}
-    assert rows["Buchenplatz"][2:] == ["0 of 1", *["\u2013"] * 5]
+    assert rows["Buchenplatz"][3:] == ["0 of 1", *["\u2013"] * 5]
 
 
 def test_volumes_are_those_of_the_dataset(made, page):
     dataset = gr.open_city(made / "city").sites["Adlerweg"]
     lanes = dataset.traffic(begin="2023-11-01", end="2023-12-01", whole=True)
-    shown = table(page, ("Site", "Time with data"))["Ring <b>1</b> & Tor"][5]
+    shown = table(page, ("Site", "Time with data"))["Ring <b>1</b> & Tor"][6]
     volume, error = (int(part) for part in re.sub(r"[\u202f ]", "", shown).split("±"))
     assert volume == round(lanes["volume_veh_h"][0]) == pytest.approx(358, abs=3)
     hours = lanes["volume"][0] / lanes["volume_veh_h"][0]
-    assert error == round(lanes["volume_se"][0] / hours)
+    assert error == np.ceil(lanes["volume_se"][0] / hours)
 
 
 def test_the_lane_on_which_most_time_is_lost_is_first(page):
