@@ -122,8 +122,10 @@ def publish_city(
         session = Session(cursor=connection.cursor(), schema=schema, place=place, srid=0)
         _make_views(session, schemas)
         session.grant(reader)
-        for each in [*(schemas[name] for name in done), schema]:
-            session.notify(each)
+        session.notify(schema)  # first, as QGIS takes in one message a second
+        for name, sent in done.items():
+            if sent.sent or sent.removed:
+                session.notify(schemas[name])
     if lost:
         raise OutputError(
             "{} of {} sites were not published: {}", len(lost), len(places), ", ".join(lost),
