@@ -25,6 +25,7 @@ from gis_radar.dataset import (
     Dataset,
     MeasureSettings,
     Origin,
+    RollUps,
     hour_text,
     open_dataset,
     write_record,
@@ -34,7 +35,6 @@ from gis_radar.dataset.lane_measures import METHOD, TRAFFIC_TABLES
 from gis_radar.dataset.parts import HOURS_PER_DAY, PartDigest
 from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.registry import RecordingEntry, Registry
-from gis_radar.dataset.rollups import RollUps
 from gis_radar.dataset.tables import HOUR_TABLES
 from gis_radar.dataset.tile_counts import count_keys
 from simulation.measured_minutes import PARTS, MeasuredParts
