@@ -15,7 +15,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
@@ -125,7 +127,7 @@ def _make(way: str, root: Path, most: int) -> None:
         raise errors[0]
 
 
-def _by_dask(calls: dict[int, tuple[object, ...]], count: int) -> dict[int, object]:
+def _by_dask(calls: Mapping[int, Sequence[Any]], count: int) -> dict[int, Any]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])

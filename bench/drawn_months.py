@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -37,7 +38,7 @@ from gis_radar.hdmap import fingerprint
 HOURS, QUARTERS, CLASSES = 24, 96, 40
 FIRST_HOUR = 490_896  # of the first of January 2026, UTC
 LANES_A_STREET, LENGTH_M = 4, 100.0
-ORIGIN = {"method": 1, "inputs": "drawn"}
+ORIGIN: dict[str, Any] = {"method": 1, "inputs": "drawn"}
 GONE = tuple(table.name for table in HOUR_TABLES)
 
 
