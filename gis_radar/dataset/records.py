@@ -75,7 +75,7 @@ class HourRecord:
             raise InputError(
                 "{}: was deleted after the time to keep exact tables",
                 path,
-                hint="ask for a later time; of that one counts, traffic and passages are left",
+                hint="ask for a later time; of that one tile_counts, traffic and passages are left",
             )
         if table.name not in self.parts:
             raise InputError(
