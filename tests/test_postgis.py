@@ -1,6 +1,7 @@
 """A dataset in PostGIS: the same figures, only what changed, and never half of it."""
 
 import shutil
+from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
@@ -16,11 +17,14 @@ from shapely import LineString
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
+from gis_radar.dataset import LaneTraffic, part_path, read_hours, write_record
+from gis_radar.dataset.tables import TABLES
 from gis_radar.products.postgis import VERSION
 
 psycopg = pytest.importorskip("psycopg")
 pytestmark = needs_postgis
 
+EXACT_TABLES = ("frames", "hits", "observed", "visible", "occupied", "tracks")
 HOUR = 472_222  # 2023-11-14, 22 h
 TILES = straight_tiles(120)
 LANES = gpd.GeoDataFrame(
@@ -338,3 +342,21 @@ def test_listeners_hear_of_a_city_once_it_is_there(database, asked, city):
         gr.publish_city(city, database)
         heard = [each.payload for each in listener.notifies(timeout=1.0)]
         assert heard == ["gis_radar gis_radar"]  # nothing else has changed
+
+
+def test_dates_whose_exact_tables_were_deleted_are_not_sent_again(database, asked, tmp_path):
+    dataset = days(tmp_path / "data", [HOUR, HOUR + 1, HOUR + 2])
+    gr.publish(dataset, database)
+    before = asked("SELECT * FROM gis_radar.lane_measures ORDER BY 1, 2")
+    traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
+    for record in read_hours(dataset.folder).values():
+        traffic.update(record.hour)  # as `keep` does before
+    for record in read_hours(dataset.folder).values():
+        write_record(dataset.folder, replace(record, dropped=EXACT_TABLES))
+        for name in EXACT_TABLES:
+            part_path(dataset.folder, TABLES[name], record.hour).unlink()
+    again = gr.publish(gr.open_dataset(dataset.folder), database)
+    assert (again.sent, again.kept) == (0, 2)
+    fresh = gr.publish(gr.open_dataset(dataset.folder), database, schema="a")
+    assert fresh.sent == 2
+    assert asked("SELECT * FROM a.lane_measures ORDER BY 1, 2") == before

@@ -138,7 +138,8 @@ def change(
         after.write_poses(both)
     if after.entries != before.entries:
         after.write_recordings()
-    gone = records.keys() - set(after.hours)
+    # counts of hours whose exact tables were deleted stay
+    gone = {hour for hour in records.keys() - set(after.hours) if not records[hour].dropped}
     for hour in {*missing, *gone}:
         remove_record(site.folder, hour)
     _remove_parts(site.folder, gone)
