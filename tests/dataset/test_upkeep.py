@@ -301,3 +301,14 @@ def test_the_command_keeps_a_month(site, run):
 def test_a_time_to_keep_that_is_none_is_refused(site, days):
     with pytest.raises(gr.UsageError):
         site.keep(days)
+
+
+def test_counts_that_were_kept_stay_where_their_recordings_are_listed_no_more(files, tmp_path):
+    early = cut(tmp_path / "early.parquet", "R1", 2.0, 6.0, edge_s=20.0)
+    late = ("R1", files["R1", DAY])
+    site = site_of(tmp_path / "site", ("R1", early), late)
+    before = site.tile_counts()
+    site.keep(0.0)
+    left = measured(tmp_path / "site", late, hits_only=True, timezone=MIDNIGHT, only=True)
+    assert len(left.recordings()) == 1
+    pd.testing.assert_frame_equal(left.tile_counts(), before)
