@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gis_radar.base import InputError
-from gis_radar.city.questions import CityQuestions
+from gis_radar.city.questions import SITE, CityQuestions
 from gis_radar.dataset import Dataset, Manifest, open_dataset
-
-SITE = "site="
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -29,6 +29,7 @@ from .street_profile import UnknownStreetError
 from .table_schema import TableSchema
 from .tables import FRAMES, PASSAGES, TILE_COUNTS
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
+from .views import catalogue_of
 
 __all__ = [
     "FOOTPRINTS",
@@ -51,6 +52,7 @@ __all__ = [
     "SqlQueries",
     "TableSchema",
     "UnknownStreetError",
+    "catalogue_of",
     "chance_of_others",
     "clear_unfinished",
     "count_spans",

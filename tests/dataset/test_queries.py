@@ -191,9 +191,10 @@ def test_hours_that_are_made_meanwhile_are_said(dataset):
     state = record.stat()
     with (
         pytest.raises(InputError, match="hours were made again meanwhile"),
-        run_query(
-            *dataset.asked_sites(), "SELECT * FROM hits", timeout_s=60.0, memory="1GB"
-        ) as (_, batches),
+        run_query(*dataset.asked_sites(), "SELECT * FROM hits", timeout_s=60.0, memory="1GB") as (
+            _,
+            batches,
+        ),
     ):
         assert sum(len(each) for each in batches) == 3
         os.utime(record, ns=(state.st_atime_ns, state.st_mtime_ns + 1_000_000))
