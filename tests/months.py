@@ -51,10 +51,12 @@ def street_lanes(at=(EAST, NORTH), crs=UTM, street="Ring"):
     )  # fmt: skip
 
 
-def drawn_months(folder, hours, *, seed=0, timezone="Europe/Berlin", at=(EAST, NORTH), crs=UTM):
+def drawn_months(folder, hours, *, seed=0, timezone="Europe/Berlin", at=(EAST, NORTH), crs=UTM,
+    street="Ring",
+):  # fmt: skip
     """Write a dataset of some hours, whose counts and lane measures are drawn."""
     dataset = write_dataset(
-        folder, tiles=street_tiles(at, crs), lanes=street_lanes(at, crs), hours=hours,
+        folder, tiles=street_tiles(at, crs), lanes=street_lanes(at, crs, street), hours=hours,
         timezone=timezone, sights={"pose": ["a"] * 60, "tile_id": np.arange(60)},
     )  # fmt: skip
     draw_days(dataset, seed)

@@ -9,10 +9,17 @@ from typing import Any
 import geopandas as gpd
 import pandas as pd
 
-from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError
-from gis_radar.dataset import Dataset, NotMeasuredError, SqlQueries, UnknownStreetError
+from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError, atomic_write
+from gis_radar.dataset import (
+    Dataset,
+    NotMeasuredError,
+    SqlQueries,
+    UnknownStreetError,
+    catalogue_of,
+)
 from gis_radar.products import Comparison, compare, make_heatmap
 
+SITE = "site="  # with which the names of the folders of sites begin
 SITE_COLUMN = "site"
 
 
@@ -119,6 +126,32 @@ class CityQuestions(SqlQueries):
             raise refused[0]
         return found
 
+    def write_catalogue(self, path: str | Path, *, root: str | None = None) -> None:
+        """Write an SQL file that makes views of the tables of all sites in DuckDB.
+
+        `duckdb -init catalogue.sql` opens it from any folder. The views read the files as they lie
+        there, those of hours that are just being made, too; they have columns `site` and `date` or
+        `month` of the folders, and no columns with other units.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        root : str, optional
+            Where the city is for those who read it, such as `s3://bucket/city`; by default its
+            folder.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
+        place = root or self.root.resolve().as_posix()
+        with atomic_write(Path(path)) as part:
+            folders = [each.folder for each in self.sites.values()]
+            views = catalogue_of(folders, f"{place.rstrip('/')}/{SITE}*")
+            part.write_text(views, encoding="utf-8")
+
     def _of_sites(self, ask: Callable[[Dataset], Any]) -> list[Any]:
         """Return the answers of the sites that have one, each with the name of its site."""
         answers, refused = [], list[InputError | UsageError]()
@@ -130,6 +163,6 @@ class CityQuestions(SqlQueries):
                 continue
             answer.insert(0, SITE_COLUMN, name)
             answers.append(answer)
-        if not answers:
-            raise refused[0]
+        if not answers:  # a street that some site has is told from one that none has
+            raise next((each for each in refused if isinstance(each, NotMeasuredError)), refused[0])
         return answers

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gis_radar.base import InputError
-from gis_radar.city.questions import CityQuestions
+from gis_radar.city.questions import SITE, CityQuestions
 from gis_radar.dataset import Dataset, Manifest, open_dataset
 
-SITE = "site="
 RESULTS = "results"
 """Folder of a city with the results of each site."""
 

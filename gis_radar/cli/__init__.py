@@ -38,7 +38,8 @@ for verb in (
     *(recordings.convert, recordings.measure),
     *(recordings.clocks, recordings.quality),
     *(poses.localize, poses.track, poses.sensors, poses.sight),
-    *(datasets.traffic, datasets.compare, datasets.query, datasets.publish, datasets.dataset),
+    *(datasets.traffic, datasets.compare, datasets.profile, datasets.query),
+    *(datasets.publish, datasets.dataset),
     *(live.edge, live.live),
     *(sites.run, sites.check, sites.report, sites.qgis, sites.sample, sites.demo),
 ):

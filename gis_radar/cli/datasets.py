@@ -41,6 +41,16 @@ def _opened(folder: Path, site: Path | None, reporter: Reporter) -> gr.Dataset:
         return dataset.with_lanes(lanes, stated.map.speed_kmh)
 
 
+several_sites = click.argument("folder", metavar="DATASET|CITY", type=FILE)
+
+
+def _dataset_or_city(folder: Path, reporter: Reporter) -> gr.Dataset | gr.City:
+    """Open a dataset, or a folder with a dataset a site."""
+    if any(folder.glob("site=*")):
+        return gr.open_city(folder)
+    return gr.open_dataset(folder, reporter=reporter)
+
+
 @command(example="gis-radar traffic dataset/ --interval 15min -o traffic/")
 @dataset_argument
 @output
@@ -125,8 +135,12 @@ def compare(
     example='gis-radar query results/dataset "SELECT tile_id, sum(hit_steps) AS hits '
     'FROM tile_counts GROUP BY tile_id ORDER BY hits DESC LIMIT 10"'
 )
-@dataset_argument
-@click.argument("sql", metavar="SELECT")
+@several_sites
+@click.argument("sql", metavar="[SELECT]", required=False)
+@click.option(
+    "--catalogue", type=FILE,
+    help="Of a city: write the views of its tables for DuckDB, which opens them from any folder.",
+)  # fmt: skip
 @click.option("-o", "--output", type=FILE, help="Write the whole answer: .csv or .parquet.")
 @click.option(
     "--limit", type=click.IntRange(min=1), default=1000, show_default=True,
@@ -140,15 +154,61 @@ def compare(
     "--memory", default="2GB", show_default=True, help="How much memory the question may take."
 )
 def query(
-    *, folder: Path, sql: str, output: Path | None, limit: int, reporter: Reporter, **options: Any
+    *, folder: Path, sql: str | None, catalogue: Path | None, output: Path | None, limit: int,
+    reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
-    """Ask a dataset in SQL (DuckDB): one SELECT over its tables; no files, no network."""
-    dataset = gr.open_dataset(folder, reporter=reporter)
+    """Ask a dataset or a city in SQL (DuckDB): one SELECT over its tables; no files, no network."""
+    asked = _dataset_or_city(folder, reporter)
+    if catalogue is not None:
+        if sql is not None or isinstance(asked, gr.Dataset):
+            raise UsageError("--catalogue is of a city, and without a question")
+        asked.write_catalogue(catalogue)
+        return Result(outputs=[catalogue])
+    if sql is None:
+        raise UsageError("the question is missing", hint='such as "FROM lane_measures LIMIT 10"')
     options |= {"reporter": reporter}
     if output is None:
-        rows, total = dataset.first_rows(sql, limit, **options)
+        rows, total = asked.first_rows(sql, limit, **options)
         return Result(outputs=[], summary={"total": total}, rows=rows)
-    return Result(outputs=[output], summary={"total": dataset.write_answer(sql, output, **options)})
+    return Result(outputs=[output], summary={"total": asked.write_answer(sql, output, **options)})
+
+
+@command(
+    example="gis-radar profile city/ --street Ostring --by hour --days Mo-Fr --month 2026-10 "
+    "--without holidays.csv"
+)
+@several_sites
+@click.option("--street", help="Name of a street; by default all.")
+@click.option(
+    "--by", type=click.Choice(["hour", "weekday", "month"]), default="hour", show_default=True,
+    help="What a row is, by the clocks of the site.",
+)  # fmt: skip
+@click.option("--days", help="Only these days of the week, such as Mo-Fr or Sa,Su.")
+@click.option("--month", help="Only this month, such as 2026-10.")
+@begin_end
+@click.option(
+    "--without", metavar="HOLIDAYS",
+    help="Days that do not count: 2026-10-12/2026-10-23,2026-11-01 or a CSV file with a column "
+    "date, or begin and end.",
+)  # fmt: skip
+@click.option("-o", "--output", type=FILE, help="Write the table as .csv.")
+@language("Of the directions.")
+@csv_locale
+def profile(
+    *, folder: Path, output: Path | None, csv_locale: str, reporter: Reporter, **options: Any
+) -> Result:
+    """Return the usual traffic of streets by hour of the day, day of the week, or month."""
+    from gis_radar.base import atomic_write, csv_for, write_csv  # noqa: PLC0415 - --help: no NumPy
+
+    found = _dataset_or_city(folder, reporter).profile(**options)
+    summary, names = {"total": len(found)}, list(map(str, found))
+    if output is not None:
+        with csv_for(csv_locale), atomic_write(output) as part:
+            write_csv(part, names, found.itertuples(index=False))
+        return Result(outputs=[output], summary=summary)
+    values = found.astype(object).where(found.notna(), None).to_numpy().tolist()
+    rows = [dict(zip(names, each, strict=True)) for each in values]
+    return Result(outputs=[], summary=summary, rows=rows)
 
 
 @command(example="gis-radar publish results/dataset postgresql://editor@db.example.org/traffic")

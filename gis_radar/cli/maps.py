@@ -77,6 +77,7 @@ def mask(
 @output
 @click.option("--interval", help="Length of the intervals: 20s, 15min, 1h, ...")
 @begin_end
+@click.option("--month", help="The map of a month, such as 2026-10, from its roll-up.")
 @click.option(
     "--timezone",
     help="Whose hours and days the intervals follow, and whose clock the picture; by default the "

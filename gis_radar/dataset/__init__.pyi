@@ -42,6 +42,7 @@ from .street_profile import UnknownStreetError
 from .table_schema import TableSchema
 from .tables import FRAMES, PASSAGES, POSES, RECORDINGS, TILE_COUNTS
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
+from .views import catalogue_of
 
 __all__ = [
     "FOOTPRINTS",
@@ -67,6 +68,7 @@ __all__ = [
     "SqlQueries",
     "TableSchema",
     "UnknownStreetError",
+    "catalogue_of",
     "chance_of_others",
     "clear_unfinished",
     "count_spans",

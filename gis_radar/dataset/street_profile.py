@@ -80,7 +80,7 @@ class StreetLanes(NamedTuple):
             kept &= np.array([street.casefold() in each for each in names])
             if not kept.any():
                 known_names = ", ".join(sorted({*labels} - {""})) or Text("none")
-                raise UsageError(
+                raise UnknownStreetError(
                     "there is no street {}",
                     repr(street),
                     hint=Text("streets here: {}", known_names),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from gis_radar.dataset.tables import (
     POSES,
     RECORDINGS,
     SIGHTS,
+    TABLES,
     TILE_COUNTS,
 )
 from gis_radar.dataset.tile_counts import count_keys, read_counts
@@ -112,6 +113,28 @@ def make_views(
         rows = dataset.layer(layer).drop(columns="geometry")
         asked.register(f"{prefix}{layer}", pa.Table.from_pandas(rows, preserve_index=False))
     return paths
+
+
+def catalogue_of(folders: Sequence[Path], place: str) -> str:
+    """Return SQL that makes views of the tables of datasets in DuckDB, for those that have files.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        The datasets.
+    place : str
+        Pattern of where they are for who reads the views, such as `s3://bucket/city/site=*`.
+    """
+    lines = []
+    for table in TABLES.values():
+        inner = f"{table.name}/*/*" if table.period != "dataset" else table.name
+        if any(any(folder.glob(f"{inner}.parquet")) for folder in folders):
+            files = quoted(f"{place}/{inner}.parquet")
+            lines.append(
+                f"CREATE OR REPLACE VIEW {table.name} AS FROM read_parquet({files}, "
+                "hive_partitioning = true, hive_types = {'site': VARCHAR}, union_by_name = true);\n"
+            )
+    return "".join(lines)
 
 
 class _Views:

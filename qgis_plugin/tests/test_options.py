@@ -51,11 +51,13 @@ LEFT_OUT = {
     },
     "compare": {"site": "QGIS renames lanes in the layer"},
     "report": {"month": "a page of many sites, for a browser; the command writes it"},
+    "heatmap": {"month": "begin and end of the month do the same in QGIS"},
     "run": {"template": "the site wizard writes the file"},
 }
 # Commands without an algorithm, and why.
 NO_ALGORITHM = {
     "sensors": "'Localize a radar' and a site's run make the layer",
+    "profile": "a table of a street, without lines to show",
     "query": "a language for programs; the tables open in QGIS as they lie",
     "publish": "an administrator fills the database; QGIS opens its tables",
     "edge": "a server at a sensor, which runs for years",

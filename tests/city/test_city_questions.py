@@ -1,6 +1,9 @@
 """Questions to a city are those to its sites, put together."""
 
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -37,6 +40,47 @@ def test_a_profile_is_that_of_each_site(city):
         city.profile("Allee")
     with pytest.raises(UsageError, match="names no days of the week"):
         city.profile(days="Mon")
+
+
+def test_sites_without_a_street_are_left_out(tmp_path, city):
+    shutil.copytree(city.root / "site=east", tmp_path / "site=east")
+    drawn_months(tmp_path / "site=north", NOVEMBER, street="Allee")
+    both = gr.open_city(tmp_path)
+    assert both.profile("Allee", month="2026-11")["site"].unique().tolist() == ["north"]
+    assert both.profile(month="2026-11")["site"].unique().tolist() == ["east", "north"]
+    with pytest.raises(InputError, match="nothing was measured in that time"):
+        both.profile("Allee", month="2026-10")
+
+
+def test_the_catalogue_opens_in_duckdb_from_any_folder(city, tmp_path, run):
+    code, *_ = run("query", city.root, "--catalogue", tmp_path / "catalogue.sql")
+    assert code == 0
+    sql = "SELECT site, count(*) AS rows FROM lane_months WHERE month = '2026-10' GROUP BY ALL"
+    program = shutil.which("duckdb", path=Path(sys.executable).parent)
+    words = [program, "-csv", "-init", tmp_path / "catalogue.sql", "-c", sql]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=tmp_path)
+    rows = len(city.sites["east"].lane_months(month="2026-10"))
+    assert done.stdout.split() == ["site,rows", f"east,{rows}"]
+    code, _, text = run("query", city.root / "site=east", "--catalogue", tmp_path / "c.sql")
+    assert (code, "is of a city" in text) == (2, True)
+
+
+def test_the_command_line_asks_a_city(city, tmp_path, run):
+    code, text, _ = run("query", city.root, "SELECT DISTINCT site FROM lane_measures ORDER BY site")
+    assert code == 0
+    assert text.split()[-3:] == ["site", "east", "west"]
+    asked = ["--by", "weekday", "--days", "Mo-Fr", "--month", "2026-11", "--without", "2026-11-03"]
+    table = tmp_path / "profile.csv"
+    code, *_ = run("profile", city.root, "--street", "Ring", *asked, "-o", table)
+    assert code == 0
+    by_method = city.profile(
+        "Ring", by="weekday", days="Mo-Fr", month="2026-11", without="2026-11-03"
+    )
+    pd.testing.assert_frame_equal(pd.read_csv(table), by_method, check_dtype=False)
+    code, text, _ = run("profile", city.root / "site=west", "--month", "2026-11", "--days", "Mo")
+    assert code == 0
+    assert "Ring westbound" in text
+    assert run("query", city.root)[0] == 2
 
 
 def test_the_map_of_a_month_holds_the_tiles_of_all_sites(city):
