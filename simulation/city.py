@@ -42,7 +42,7 @@ MEASURED_DAY = datetime(2026, 11, 2, tzinfo=UTC)  # a Monday
 KNOCKED_AT = datetime(2026, 10, 19, 4, 20, tzinfo=UTC)
 KNOCKED_DEG = 4.0
 _BUSY_PER_HOUR = {True: 2000.0, False: 1200.0}  # vehicles, where a main street passes and elsewhere
-_RADARS = (2, 1, 2)  # of the first sites, which have an incident, a failure and a knock
+_RADARS = (1, 1, 2, 1, 2)  # of the first sites, in which something happens
 _RADAR_SHARES = {1: 0.45, 2: 0.4, 3: 0.15}
 
 SITE = """\
