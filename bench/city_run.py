@@ -113,7 +113,9 @@ def _run(folder: Path, way: str, hours: int) -> tuple[float, float]:
 def _make(way: str, root: Path, most: int) -> None:
     """Make the first hours of a dataset."""
     with open_hours(root, QUIET) as found:
-        calls = {hour: (make_site_hour, root, hour, 1) for hour in found.missing[:most]}
+        calls: dict[int, Sequence[Any]] = {
+            hour: (make_site_hour, root, hour, 1) for hour in found.missing[:most]
+        }
         if way == "bare":
             for work, *arguments in calls.values():
                 work(*arguments)

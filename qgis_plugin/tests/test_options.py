@@ -52,7 +52,11 @@ LEFT_OUT = {
     "compare": {"site": "QGIS renames lanes in the layer"},
     "report": {"month": "a page of many sites, for a browser; the command writes it"},
     "heatmap": {"month": "begin and end of the month do the same in QGIS"},
-    "run": {"template": "the site wizard writes the file"},
+    "run": {
+        "template": "the site wizard writes the file",
+        "city_template": "a city is run by an administrator, every night",
+        "executor": "of a city",
+    },
 }
 # Commands without an algorithm, and why.
 NO_ALGORITHM = {
