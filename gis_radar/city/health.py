@@ -178,7 +178,7 @@ def _observed_s(dataset: Dataset, span: tuple[int, int]) -> dict[str, float]:
 
 
 def _silence(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:
-    last_s = float(recordings["last_time"].max())
+    last_s = float(recordings.loc[recordings["first_time"] < end_s, "last_time"].max())
     if end_s - last_s > SILENT_S:
         text = tr("silent all month") if last_s < begin_s else tr("silent up to the end")
         yield _Reason(SILENT, last_s, f"{text} ({seconds_text(end_s - max(last_s, begin_s))})")
