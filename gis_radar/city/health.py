@@ -228,6 +228,6 @@ def _clocks(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[
 
 
 def _missing(gaps: Floats, share: float) -> Iterator[_Reason]:
-    begin_s, longest_s = gaps[gaps[:, 1].argmax()] if len(gaps) else (np.nan, 0.0)
+    longest_s = gaps[:, 1].max(initial=0.0)
     if share < LEAST_SHARE_SEEN or longest_s > SILENT_S:
-        yield _Reason(GAPS, float(begin_s), "")
+        yield _Reason(GAPS, np.nan, "")  # the longest gap has columns of its own
