@@ -43,7 +43,7 @@ from gis_radar.measures import (  # noqa: E402
     measure_lanes,
 )
 from gis_radar.measures.cycles import FEW  # noqa: E402
-from gis_radar.products.comparison.compared import NOT_TOLD  # noqa: E402
+from gis_radar.products import NOT_TOLD  # noqa: E402
 from gis_radar.products.comparison.rows import AlikeRows, compared_rows  # noqa: E402
 from simulation.curves import arc_length  # noqa: E402
 from simulation.demand import KINDS, random_flows, run_demand  # noqa: E402

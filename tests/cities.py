@@ -16,6 +16,8 @@ from sites import pose
 
 from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset import (
+    POSES,
+    RECORDINGS,
     HourWriter,
     LaneTraffic,
     listed_hours,
@@ -25,7 +27,7 @@ from gis_radar.dataset import (
     update_counts,
     write_whole,
 )
-from gis_radar.dataset.tables import HOUR_TABLES, POSES, RECORDINGS, SIGHTS
+from gis_radar.dataset.tables import HOUR_TABLES, SIGHTS
 
 HOUR = 472_222  # 2023-11-14, 22 h
 LANES = gpd.GeoDataFrame(

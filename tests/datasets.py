@@ -11,6 +11,8 @@ from shapely import Polygon
 
 from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset import (
+    POSES,
+    RECORDINGS,
     HourWriter,
     Manifest,
     Origin,
@@ -21,7 +23,7 @@ from gis_radar.dataset import (
     update_counts,
     write_whole,
 )
-from gis_radar.dataset.tables import HIT_TABLES, HOUR_TABLES, POSES, RECORDINGS, SIGHTS
+from gis_radar.dataset.tables import HIT_TABLES, HOUR_TABLES, SIGHTS
 from gis_radar.hdmap import fingerprint
 from gis_radar.scans import VIEW_ONLY
 

@@ -32,7 +32,8 @@ from gis_radar.measures import (
     headways,
 )
 from gis_radar.measures.cycles import FEW, HIDDEN, UNEVEN, period_of
-from gis_radar.products.service_level import HANDBOOKS, service_levels
+from gis_radar.products import service_levels
+from gis_radar.products.service_level import HANDBOOKS
 
 BEGIN = HOUR * STEPS_PER_HOUR
 GRID = StepGrid(begin=BEGIN, steps=STEPS_PER_HOUR, count=1)

@@ -15,7 +15,8 @@ from report_site import write_results
 
 import gis_radar as gr
 from gis_radar.base import Clock, OutputError, speaking
-from gis_radar.products.report.content import Chapter, Content, Fact, Figure, MapSeries, Table
+from gis_radar.products import Fact, Table
+from gis_radar.products.report.content import Chapter, Content, Figure, MapSeries
 from gis_radar.products.report.pages import bound
 from gis_radar.products.report.paper import write_pdf
 from gis_radar.products.report.report import lane_columns

@@ -1,11 +1,10 @@
 from .health import fleet_health
-from .month_page import MONTH_PAGE, write_month_page
+from .month_page import write_month_page
 from .root import City, open_city
 from .run import CityRun, run_city
 from .settings import city_template, is_city_file
 
 __all__ = [
-    "MONTH_PAGE",
     "City",
     "CityRun",
     "city_template",

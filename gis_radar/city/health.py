@@ -177,7 +177,7 @@ def _observed_s(dataset: Dataset, span: tuple[int, int]) -> dict[str, float]:
 
 
 def _silence(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:
-    last_s = float(recordings["last_time"].max())
+    last_s = float(recordings.loc[recordings["first_time"] < end_s, "last_time"].max())
     if end_s - last_s > SILENT_S:
         text = tr("silent all month") if last_s < begin_s else tr("silent up to the end")
         yield _Reason(SILENT, last_s, f"{text} ({seconds_text(end_s - max(last_s, begin_s))})")
@@ -227,6 +227,6 @@ def _clocks(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[
 
 
 def _missing(gaps: Floats, share: float) -> Iterator[_Reason]:
-    begin_s, longest_s = gaps[gaps[:, 1].argmax()] if len(gaps) else (np.nan, 0.0)
+    longest_s = gaps[:, 1].max(initial=0.0)
     if share < LEAST_SHARE_SEEN or longest_s > SILENT_S:
-        yield _Reason(GAPS, float(begin_s), "")
+        yield _Reason(GAPS, np.nan, "")  # the longest gap has columns of its own

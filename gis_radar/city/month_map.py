@@ -25,7 +25,7 @@ METRES_PER_DEGREE = 111_195.0
 BAR_SHARE = 0.25  # longest scale bar, of the width
 
 
-class Mark(NamedTuple):
+class SiteMark(NamedTuple):
     """A site on the map.
 
     Parameters
@@ -69,7 +69,7 @@ class CityMap(NamedTuple):
         Its size, units.
     lanes : str
         The path of all lanes.
-    marks : sequence of Mark
+    marks : sequence of SiteMark
         The sites.
     bar : (length, text)
         The scale bar, units.
@@ -80,7 +80,7 @@ class CityMap(NamedTuple):
     width: float
     height: float
     lanes: str
-    marks: Sequence[Mark]
+    marks: Sequence[SiteMark]
     bar: tuple[float, str]
     classes: Sequence[tuple[str, str, str]]
 
@@ -117,7 +117,7 @@ def draw_city(
     )
     labels = _labels([each.title for each in sites], at, radius, height)
     marks = [
-        Mark(
+        SiteMark(
             number=k + 1, x=round(float(at[k, 0]), 1), y=round(float(at[k, 1]), 1),
             radius=round(float(radius[k]), 1), colour=_colour(site),
             is_deep=site.occupancy[0] > DEEP_FROM, label=labels[k],

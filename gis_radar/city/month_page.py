@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,9 +39,9 @@ from gis_radar.city.month_map import draw_city
 from gis_radar.city.month_tables import (
     change_table,
     changes_of,
-    faults_of,
     health_table,
     lane_rows,
+    sensor_faults,
     share_off,
     site_table,
     worst_lanes,
@@ -154,8 +155,11 @@ def write_month_page(
 
 def _language_of(city: City) -> str:
     """Return the language of most sites' results."""
-    runs = (read_run(city.root / RESULTS / name).get("site") or {} for name in city.sites)
-    known = Counter(str(each["language"]) for each in runs if each.get("language"))
+    known = Counter[str]()
+    for name in city.sites:
+        with suppress(GisRadarError):  # its site is left out, and named
+            site = read_run(city.root / RESULTS / name).get("site") or {}
+            known.update([str(site["language"])] if site.get("language") else [])
     return known.most_common(1)[0][0] if known else "en"
 
 
@@ -193,7 +197,7 @@ def _page(
     remarks = [
         *(tr("Site {name} is left out: {why}", name=name, why=tr(why))
           for name, why in left_out.items()),
-        *_ends_early(month, sites, clock), *faults_of(health, sites, clock),
+        *_ends_early(month, sites, clock), *sensor_faults(health, sites, clock),
     ]  # fmt: skip
     text = files("gis_radar.city").joinpath("month_page.html.jinja").read_text(encoding="utf-8")
     city_map = draw_city(sites, ill, legend)

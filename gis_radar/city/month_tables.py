@@ -264,7 +264,7 @@ def health_table(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock)
     )  # fmt: skip
 
 
-def faults_of(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock) -> list[str]:
+def sensor_faults(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock) -> list[str]:
     """Return in a sentence a state which sensors are not well and since when, worst first."""
     titles = {each.name: each.title for each in sites}
     found = []

@@ -119,7 +119,9 @@ def site_month(month: CityMonth, name: str, folder: Path) -> SiteMonth:
     folder : Path
         Where the page goes, from which its links lead.
     """
-    dataset, place = month.city.sites[name], month.city.root / RESULTS / name
+    known_as, place = month.city.sites[name], month.city.root / RESULTS / name
+    # The layers that it reads go with it: those of hundreds of sites would fill the memory.
+    dataset = Dataset(folder=known_as.folder, manifest=known_as.manifest)
     site = read_run(place).get("site") or {}
     if dataset.has_vehicles:
         dataset, _ = as_stated(dataset, site)

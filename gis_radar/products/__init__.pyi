@@ -13,7 +13,7 @@ from .qgis.project import write_qgis_project, write_site_project
 from .qgis.project_file import was_edited
 from .quality.quality import Quality, measure_quality, require_table_name
 from .report.chart import strip_of
-from .report.content import Chapter, Column, Fact, Strip, Table, Terms, text_rows
+from .report.content import Column, Fact, Strip, Table, text_rows
 from .report.names import PAGE, REPORT_FILES
 from .report.pages import render_page
 from .report.report import Report, write_report
@@ -30,7 +30,6 @@ __all__ = [
     "NOT_TOLD",
     "PAGE",
     "REPORT_FILES",
-    "Chapter",
     "CityPublication",
     "Column",
     "Comparison",
@@ -42,7 +41,6 @@ __all__ = [
     "Report",
     "Strip",
     "Table",
-    "Terms",
     "Traffic",
     "as_stated",
     "change_rows",

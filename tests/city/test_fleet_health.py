@@ -13,8 +13,8 @@ from sites import pose
 import gis_radar as gr
 from gis_radar.base import speaking
 from gis_radar.calibration import WRONG, Finding
-from gis_radar.dataset import write_whole
-from gis_radar.dataset.tables import POSES, SIGHTS
+from gis_radar.dataset import POSES, write_whole
+from gis_radar.dataset.tables import SIGHTS
 
 DAY = HOUR // 24 * 24  # 2023-11-14, 0 h
 HOURS = [DAY + hour for hour in range(6, 12)]
@@ -151,6 +151,14 @@ def test_a_sensor_taken_down_long_ago_is_not_listed(tmp_path, source):
     known, _ = states(tmp_path)
     assert set(known) == {("a", "R1"), ("a", "last_month")}
     assert known["a", "last_month"] == "silent"
+
+
+def test_a_sensor_that_came_back_in_the_next_month_was_silent(tmp_path, source):
+    later = DAY + 20 * 24
+    spans = {"R1": [(HOURS[0], HOURS[2]), (later, later + 1)], "R2": [(HOURS[0], HOURS[-1] + 1)]}
+    write_site(tmp_path, "a", source, HOURS, sensors=spans)
+    known, _ = states(tmp_path)
+    assert known["a", "R1"] == "silent"
 
 
 def test_months_that_are_there_are_named(tmp_path, source):

@@ -174,6 +174,13 @@ def test_a_damaged_site_is_left_out_and_named(made, tmp_path):
     assert "Site Birkenallee is left out" in words
 
 
+def test_a_damaged_record_of_a_run_stops_no_other_site(made, tmp_path):
+    shutil.copytree(made / "city", tmp_path / "city")
+    (tmp_path / "city" / "results" / "Adlerweg" / "run.json").write_text("{")
+    report = gr.write_month_page(tmp_path / "city", MONTH)
+    assert list(report.summary["sites_left_out"]) == ["Adlerweg"]
+
+
 def test_equal_data_give_equal_bytes(made, tmp_path):
     gr.write_month_page(made / "city", MONTH, output=made / "again", language="en")
     pages = [(made / name / "month.html").read_bytes() for name in ("en", "again")]
