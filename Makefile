@@ -18,7 +18,7 @@ MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .p
 # With errors as recorded two starts a sensor: fifty take half an hour for each of them.
 RECORDED = $(BIN)/python bench/localization $(QUICK) --only table --starts 2 --conditions
 
-BENCHES := bench-assignment bench-tiles bench-dataset bench-mask \
+BENCHES := bench-assignment bench-tiles bench-dataset bench-city bench-mask \
 	bench-localization bench-vehicles bench-clocks bench-convert bench-alarm bench-sight
 
 .DEFAULT_GOAL := help
@@ -119,6 +119,9 @@ bench-tiles: set-up-dev ## Measure a million tiles, made and written
 
 bench-dataset: set-up-dev ## Measure a dataset: time, memory, bytes
 	$(BIN)/python bench/dataset.py
+
+bench-city: set-up-dev ## Measure questions over a year and the map of a month
+	$(BIN)/python bench/city_questions.py
 
 bench-mask: set-up-dev ## Measure the road mask: time, and memory from few tiles to many
 	PATH=.pdal/bin:$$PATH $(BIN)/python bench/mask.py

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -38,7 +37,7 @@ from gis_radar.hdmap import fingerprint
 HOURS, QUARTERS, CLASSES = 24, 96, 40
 FIRST_HOUR = 490_896  # of the first of January 2026, UTC
 LANES_A_STREET, LENGTH_M = 4, 100.0
-ORIGIN: dict[str, Any] = {"method": 1, "inputs": "drawn"}
+DRAWN_METHOD, DRAWN = 1, "drawn"
 GONE = tuple(table.name for table in HOUR_TABLES)
 
 
@@ -64,7 +63,7 @@ def write_months(folder: Path, *, tiles: int, days: int, counts: bool) -> gr.Dat
     create_dataset(folder, manifest, table, lanes=lanes)
     seen = {"pose": np.full(tiles, "a"), "tile_id": np.arange(tiles)}
     write_whole(SIGHTS, folder, seen, manifest.fingerprint)
-    origin = Origin(fingerprint=manifest.fingerprint, **ORIGIN)
+    origin = Origin(fingerprint=manifest.fingerprint, method=DRAWN_METHOD, inputs=DRAWN)
     parts = {name: PartDigest(rows=1, size=1, sha256="0" * 64) for name in GONE}
     number = lanes["lane"].to_numpy()
     for hour in range(FIRST_HOUR, FIRST_HOUR + HOURS * days):
@@ -100,12 +99,12 @@ def _write(
 
 
 def _key_of_counts(_: int) -> list[str | int]:
-    return [*ORIGIN.values()]
+    return [DRAWN_METHOD, DRAWN]
 
 
 def _key_of_lanes(hour: int) -> list[str | int]:
-    before = [0, ""] if hour == FIRST_HOUR else [*ORIGIN.values()]
-    return [METHOD, *ORIGIN.values(), *before]
+    before: list[str | int] = [0, ""] if hour == FIRST_HOUR else [DRAWN_METHOD, DRAWN]
+    return [METHOD, DRAWN_METHOD, DRAWN, *before]
 
 
 def _lanes_of(tiles: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
