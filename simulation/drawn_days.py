@@ -23,6 +23,7 @@ from gis_radar.calibration import Finding
 from gis_radar.dataset import (
     TILE_COUNTS,
     Dataset,
+    HourRecord,
     MeasureSettings,
     Origin,
     RollUps,
@@ -33,7 +34,6 @@ from gis_radar.dataset import (
 from gis_radar.dataset.day_tables import QUARTERS, Day
 from gis_radar.dataset.lane_measures import METHOD, TRAFFIC_TABLES
 from gis_radar.dataset.parts import HOURS_PER_DAY, PartDigest
-from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.registry import RecordingEntry, Registry
 from gis_radar.dataset.tables import HOUR_TABLES
 from gis_radar.dataset.tile_counts import count_keys

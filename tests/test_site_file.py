@@ -13,9 +13,9 @@ from pydantic import TypeAdapter
 
 import gis_radar as gr
 from gis_radar.base import InputError
-from gis_radar.site import Site, site_template
+from gis_radar.site import Name, Site, site_template
 from gis_radar.site.settings import site_reference
-from gis_radar.site.values import Name, lines_of, table_of
+from gis_radar.site.values import lines_of, table_of
 
 ROOT = Path(__file__).parents[1]
 FILES = ("junction.osm", "scan_1.laz", "scan_2.laz", "R1_1.parquet", "R1_2.parquet", "R2.json")
