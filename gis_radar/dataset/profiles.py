@@ -7,6 +7,7 @@ from typing import get_args
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError, current_language, speaking
 from gis_radar.dataset.asked_time import AskedTime, Holidays, day_numbers, month_edges
@@ -98,14 +99,16 @@ class Questions:
         span, measured = _asked_span(self, begin, end, month)
         asked = AskedTime.of(span, self.timezone, days, without, measured)
         columns = ["lane", "weekday", "hour", *SUMMED]
-        rolled, wanted = roll_ups(self), day_numbers(days)
-        parts = [
-            rows.to_pandas().assign(month=each)
-            for each, rows in rolled.sums_of(LANE_MONTHS, asked, columns)
-        ]
-        sums = pd.concat(parts) if parts else LANE_MONTHS.empty().to_pandas().assign(month="")
-        sums = sums[sums["weekday"].isin(wanted)]
-        return street_profile(sums, asked, _street_lanes(self, rolled, street, language), by)
+        rolled = roll_ups(self)
+        lanes = _street_lanes(self, rolled, street, language)
+        wanted = pa.array(lanes.lane), pa.array(sorted(day_numbers(days)), pa.int32())
+        empty = LANE_MONTHS.empty().select(columns)
+        parts = [empty.append_column("month", pa.array([], pa.string()))]
+        for each, rows in rolled.sums_of(LANE_MONTHS, asked, columns):
+            kept = pc.and_(pc.is_in(rows["lane"], wanted[0]), pc.is_in(rows["weekday"], wanted[1]))
+            mine = rows.filter(kept)
+            parts.append(mine.append_column("month", pa.array([each] * len(mine), pa.string())))
+        return street_profile(pa.concat_tables(parts).to_pandas(), asked, lanes, by)
 
 
 def _street_lanes(

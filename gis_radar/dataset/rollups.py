@@ -377,7 +377,7 @@ class RollUps:
         """
         places = [self.path(table, month)]
         places += [record_path(self.folder, day).parent for day in self.days(month)]
-        state = [path.stat().st_mtime_ns if path.exists() else 0 for path in places]
+        state = [_written_ns(path) for path in places]
         return state if max(state) < time.time_ns() - _SETTLED_S * 1e9 else []
 
     def _keys(self, table: TableSchema, month: str, known: Mapping[int, HourRecord]) -> _Keys:
@@ -475,6 +475,14 @@ class RollUps:
     def _metadata(self, table: TableSchema, month: str) -> dict[str, str]:
         clocks = {"month": month, "timezone": self.timezone}
         return whole_metadata(table, self.fingerprint) | clocks
+
+
+def _written_ns(path: Path) -> int:
+    """Return when a file or folder was written, 0 where there is none."""
+    try:
+        return path.stat().st_mtime_ns
+    except FileNotFoundError:
+        return 0
 
 
 def _are_same(made: Sequence[str | int], key: Sequence[str | int]) -> bool:
