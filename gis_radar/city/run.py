@@ -113,7 +113,7 @@ class CityRun:
     def figures(self) -> Mapping[str, Any]:
         """Return key figures by name."""
         return {
-            "city": self.city.title,
+            "title": self.city.title,
             "sites": len(self.sites),
             "hours_made": sum(each.hours for each in self.sites.values()),
             "failed": [
