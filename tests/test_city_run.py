@@ -129,6 +129,54 @@ def test_only_new_hours_are_made(site, whole, tmp_path):
     assert [name for name in wanted if made[name] != wanted[name]] == []
 
 
+def test_a_recording_that_was_changed_is_found_whenever_it_was(site, tmp_path):
+    city = city_file(tmp_path, one=copied(site, tmp_path / "one", hours=2))
+    gr.run_city(city, tmp_path / "root", jobs=1)
+    path = tmp_path / "one" / "R1_0.parquet"
+    rows = pq.read_table(path)
+    path.unlink()
+    pq.write_table(rows.slice(0, len(rows) // 2), path)
+    os.utime(path, (1e9, 1e9))  # as cp -p leaves it, or a change while the run was at work
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 1
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
+
+
+def test_recordings_of_one_name_in_two_folders_are_both_converted(site, tmp_path):
+    file = copied(site, tmp_path / "one", hours=2)
+    for hour in range(2):
+        (tmp_path / "one" / f"day{hour}").mkdir()
+        (tmp_path / "one" / f"R1_{hour}.parquet").rename(
+            tmp_path / "one" / f"day{hour}" / "R1.parquet"
+        )
+    text = file.read_text(encoding="utf-8").replace("R1_*", "day*/R1")
+    text += "\n[sensor.convert]\nsensor = 'R1'\n"
+    file.write_text(text, encoding="utf-8")
+    run = gr.run_city(city_file(tmp_path, one=file), tmp_path / "root", jobs=1)
+    assert run.failure is None
+    assert run.sites["one"].hours == 2
+
+
+def test_a_run_that_ended_before_its_page_makes_it_when_it_goes_on(site, tmp_path, monkeypatch):
+    city = city_file(tmp_path, one=copied(site, tmp_path / "one", hours=1))
+    gr.run_city(city, tmp_path / "root", jobs=1)
+    page = tmp_path / "root" / "month.html"
+    before = page.stat().st_mtime_ns
+    os.link(site / "R1_1.parquet", tmp_path / "one" / "R1_1.parquet")
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("gis_radar.city.run._Run.close", interrupted)
+        gr.run_city(city, tmp_path / "root", jobs=1)
+    assert page.stat().st_mtime_ns == before
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
+    assert page.stat().st_mtime_ns > before
+    before = page.stat().st_mtime_ns
+    gr.run_city(city, tmp_path / "root", jobs=1)
+    assert page.stat().st_mtime_ns == before
+
+
+def interrupted(*_):
+    raise KeyboardInterrupt
+
+
 def test_hours_of_an_earlier_method_are_made_again(site, whole, tmp_path):
     city = city_file(tmp_path, one=copied(site, tmp_path / "one", hours=2))
     gr.run_city(city, tmp_path / "root", jobs=1)
@@ -238,6 +286,15 @@ def test_a_task_that_always_ends_its_worker_ends_the_run():
         list(workers.results({"bad": (end_always,)}))
 
 
+def test_a_task_that_ends_its_worker_is_tried_last():
+    done = []
+    calls = {"bad": (end_always,)} | {k: (os.path.basename, f"a/{k}") for k in range(4)}
+    with pytest.raises(OutputError, match="lost 3 times"), workers_of(None, 1, Said()) as workers:
+        for key, _ in workers.results(calls):
+            done.append(key)
+    assert sorted(done) == [0, 1, 2, 3]
+
+
 def test_a_worker_with_other_packages_is_refused():
     with pytest.raises(OtherSoftwareError, match=r"a worker has numpy .*, the run 1\.0"):
         run_task(software() | {"numpy": "1.0"}, os.getpid)
@@ -301,6 +358,13 @@ def test_a_cluster_makes_the_same_bytes(site, whole, tmp_path):
     assert run.sites["one"].hours == HOURS
     made, wanted = (bytes_of(each / "root" / "site=one") for each in (tmp_path, whole))
     assert made == wanted
+
+
+def test_hours_of_a_cluster_start_no_processes_of_their_own():
+    with started() as cluster, workers_of(cluster.address, None, Said()) as workers:
+        assert workers.share(1) == 1  # Dask's workers may have no children
+    with workers_of(None, 4, Said()) as workers:
+        assert [workers.share(tasks) for tasks in (0, 1, 3, 9)] == [4, 4, 1, 1]
 
 
 def test_a_run_goes_on_where_a_worker_is_killed_and_the_scheduler_restarted(tmp_path):

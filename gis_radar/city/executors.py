@@ -74,6 +74,10 @@ class Workers(ABC):
         self._reporter = reporter
         self._executor: Executor | None = None
 
+    def share(self, tasks: int) -> int:  # noqa: ARG002 - others share
+        """Return how many processes each of some tasks may use."""
+        return 1
+
     @abstractmethod
     def begin(self) -> Executor:
         """Return a new executor."""
@@ -127,10 +131,8 @@ class Workers(ABC):
             except LOST as error:
                 lost = 1 if len(left) < before else lost + 1
                 self._lost(lost, error)
-                at_work = [key for future, key in running.items() if future.running()]
-                for key in at_work:  # whichever ended its worker is tried last
-                    if key in left:
-                        left[key] = left.pop(key)
+                for key in list(left)[: self.count]:  # whichever ended its worker is tried last
+                    left[key] = left.pop(key)
 
     def _lost(self, times: int, error: Exception) -> None:
         """Prepare new workers; give up where they are lost again and again."""
@@ -212,6 +214,10 @@ class Processes(Workers):
     def __init__(self, jobs: int | None, reporter: Reporter) -> None:
         super().__init__(reporter)
         self.count = jobs or workers_here()
+
+    def share(self, tasks: int) -> int:
+        """Return how many processes each of some tasks may use."""
+        return max(self.count // max(tasks, 1), 1)
 
     def begin(self) -> Executor:
         """Return a pool of new processes: copies of this one would inherit locks of libraries."""

@@ -32,7 +32,14 @@ from gis_radar.base import (
 from gis_radar.city.executors import Workers, workers_of
 from gis_radar.city.month_page import MONTH_PAGE, write_month_page
 from gis_radar.city.settings import CityFile, read_city_file
-from gis_radar.city.tasks import Failure, SiteTask, add_recordings, close_site, make_site_hour
+from gis_radar.city.tasks import (
+    Failure,
+    SiteTask,
+    add_recordings,
+    close_site,
+    is_older,
+    make_site_hour,
+)
 from gis_radar.dataset import (
     Manifest,
     OpenHours,
@@ -233,7 +240,7 @@ class _Run:
                 for hour, reason in hours.refused.items():
                     self._fail(name, hour_text(hour), reason)
             order = [(h // 24, name, h) for name, each in opened.items() for h in each.missing]
-            share = max(self.workers.count // max(len(order), 1), 1)
+            share = self.workers.share(len(order))
             calls = {
                 (name, hour): (make_site_hour, self._dataset(name), hour, share)
                 for _, name, hour in sorted(order)
@@ -247,19 +254,16 @@ class _Run:
 
     def close(self, names: Sequence[str]) -> None:
         """Bring tables of dates, heat maps and reports of sites up to date."""
-        tasks = {
-            name: (close_site, _task(self.root, self.city, name), self.city, self.sites[name].hours)
-            for name in names
-        }
+        tasks = {name: (close_site, _task(self.root, self.city, name), self.city) for name in names}
         for _ in self._each(tasks, Text("closing sites")):
             pass
 
     def write_page(self) -> None:
         """Write the page of the city's last month with measured hours."""
-        hours = [listed_hours(self._dataset(name))[-1:] for name in self.sites]
-        last = max((each[0] for each in hours if each), default=None)
-        made = sum(each.hours for each in self.sites.values())
-        if last is None or (not made and (self.root / MONTH_PAGE).exists()):
+        datasets = [self._dataset(name) for name in self.sites]
+        there = [each for each in datasets if Manifest.is_there(each)]
+        last = max((hour for each in there for hour in listed_hours(each)[-1:]), default=None)
+        if last is None or not any(is_older(self.root / MONTH_PAGE, each) for each in there):
             return
         begin = hour_begin(last).astimezone(zone_of(self.city.timezone))
         try:

@@ -6,13 +6,22 @@ lie where all workers see them: only names and figures pass between the run and 
 
 from __future__ import annotations
 
+import hashlib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pandas as pd
 
-from gis_radar.base import GisRadarError, InputError, Reporter, atomic_write
+from gis_radar.base import (
+    GisRadarError,
+    InputError,
+    Reporter,
+    atomic_write,
+    json_text,
+    read_json,
+)
 from gis_radar.city.root import RESULTS, site_folder
 from gis_radar.city.settings import CityFile
 from gis_radar.dataset import Manifest, make_registered, open_dataset, update_days
@@ -27,6 +36,7 @@ from gis_radar.site import (
 )
 
 POSES = "poses"  # folder of a city with the poses that were found
+SEEN = ".gis-radar/recordings.json"  # what was registered, below the results of a site
 
 Failure = tuple[str, GisRadarError]
 """What has no result, and why."""
@@ -91,14 +101,19 @@ def add_recordings(task: SiteTask) -> SiteTask:
     for sensor in site.sensor:
         if sensor.pose is None and sensor.name not in lost:
             _keep_pose(sensor, task)
-    known = _known_recordings(task.dataset)
-    new = {each.name: _new(each, known) for each in site.sensor if each.name not in lost}
+    found = {path: _state_of(path) for each in site.sensor for path in each.recordings}
+    seen = _seen(task)
+    new = {
+        each.name: [path for path in each.recordings if seen.get(_name_of(path)) != found[path]]
+        for each in site.sensor if each.name not in lost
+    }  # fmt: skip
     sensors = [
         each.model_copy(update={"recordings": tuple(new[each.name])})
         for each in site.sensor if new.get(each.name)
     ]  # fmt: skip
     if sensors:
         _register(site.model_copy(update={"sensor": tuple(sensors)}), task)
+        _keep_seen(task, seen | {_name_of(path): state for path, state in found.items()})
     return task
 
 
@@ -109,7 +124,8 @@ def _converted(site: Site, task: SiteTask) -> Site:
         paths = [each for each in sensor.recordings if each not in sensor.foreign]
         options = sensor.convert.model_dump() if sensor.convert else {}
         for path in sensor.foreign:
-            made = task.results / "recordings" / sensor.name / f"{path.stem}.parquet"
+            place = hashlib.sha256(os.fsencode(path.absolute())).hexdigest()[:12]
+            made = task.results / "recordings" / sensor.name / place / f"{path.stem}.parquet"
             if not made.exists() or made.stat().st_mtime < path.stat().st_mtime:
                 made.parent.mkdir(parents=True, exist_ok=True)
                 try:
@@ -148,20 +164,33 @@ def _keep_pose(sensor: Sensor, task: SiteTask) -> None:
         part.write_bytes((task.results / "sensors" / sensor.name / "pose.json").read_bytes())
 
 
-def _known_recordings(dataset: Path) -> Mapping[str, float]:
-    """Return the recordings of a dataset, each with the time when it was last looked at."""
-    if not Manifest.is_there(dataset):
+def _name_of(recording: Path) -> str:
+    return recording.resolve().as_posix()
+
+
+def _state_of(recording: Path) -> list[int]:
+    """Return what changes when a file is written: its time and size."""
+    state = recording.stat()
+    return [state.st_mtime_ns, state.st_size]
+
+
+def _seen(task: SiteTask) -> dict[str, list[int]]:
+    """Return the recordings of the dataset, each as its file was when it was read."""
+    if not Manifest.is_there(task.dataset):
         return {}
-    looked_at = (dataset / "recordings.parquet").stat().st_mtime
-    return dict.fromkeys(open_dataset(dataset).recordings()["path"], looked_at)
+    try:
+        seen = read_json(task.results / SEEN, what="a list of recordings")
+        return {path: seen[path] for path in open_dataset(task.dataset).recordings()["path"]
+                if path in seen}  # fmt: skip
+    except InputError:
+        return {}  # all are looked at again: those that are the same change no hour
 
 
-def _new(sensor: Sensor, known: Mapping[str, float]) -> list[Path]:
-    """Return the recordings of a sensor that are not known, or have changed since."""
-    return [
-        path for path in sensor.recordings
-        if path.stat().st_mtime > known.get(path.resolve().as_posix(), float("-inf"))
-    ]  # fmt: skip
+def _keep_seen(task: SiteTask, states: Mapping[str, list[int]]) -> None:
+    known = {*open_dataset(task.dataset).recordings()["path"]}
+    kept = {path: state for path, state in states.items() if path in known}
+    with atomic_write(task.results / SEEN) as part:
+        part.write_text(json_text(kept, indent=1) + "\n", encoding="utf-8")
 
 
 def _register(site: Site, task: SiteTask) -> None:
@@ -179,12 +208,20 @@ def make_site_hour(dataset: Path, hour: int, processes: int) -> int:
     return make_registered(dataset, hour, processes).vehicles
 
 
-def close_site(task: SiteTask, city: CityFile, new_hours: int) -> SiteTask:
+def is_older(path: Path, dataset: Path) -> bool:
+    """Return whether a result is missing, or older than the last change of a dataset."""
+    changed = dataset / "recordings.parquet"  # written after hours were made, too
+    if not path.exists():
+        return True
+    return changed.exists() and path.stat().st_mtime_ns < changed.stat().st_mtime_ns
+
+
+def close_site(task: SiteTask, city: CityFile) -> SiteTask:
     """Bring the tables of dates up to date, delete old exact tables, report on the last month."""
     update_days(task.dataset)
     if city.keep is not None:
         open_dataset(task.dataset).keep(city.keep / 86_400.0, reporter=task)
-    if city.reports and (new_hours or not (task.results / "report.html").exists()):
+    if city.reports and is_older(task.results / "report.html", task.dataset):
         _report(task, city.timezone)
     return task
 

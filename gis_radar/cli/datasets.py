@@ -46,7 +46,9 @@ several_sites = click.argument("folder", metavar="DATASET|CITY", type=FILE)
 
 def _dataset_or_city(folder: Path, reporter: Reporter) -> gr.Dataset | gr.City:
     """Open a dataset, or a folder with a dataset a site."""
-    if any(folder.glob("site=*")):
+    from gis_radar.products import is_city  # noqa: PLC0415 - --help needs no NumPy
+
+    if is_city(folder):
         return gr.open_city(folder)
     return gr.open_dataset(folder, reporter=reporter)
 

@@ -124,7 +124,9 @@ def report(*, folder: Path, month: str | None, reporter: Reporter, **options: An
     DIR holds the results of gis-radar run or demo, or a heat map. With --month it is a city, and
     month.html shows all of its sites and the health of its sensors.
     """
-    if month is not None or any(folder.glob("site=*/dataset.json")):
+    from gis_radar.products import is_city  # noqa: PLC0415 - --help needs no NumPy
+
+    if month is not None or is_city(folder):
         made = gr.write_month_page(folder, month, reporter=reporter, **_of_a_month(options))
     else:
         made = gr.write_report(folder, reporter=reporter, **options)
