@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from small_site import write_site
 
 import gis_radar as gr
 from gis_radar.base import InputError, OutputError, Reporter, UsageError, only_writer
-from gis_radar.city.executors import OtherSoftwareError, run_task, workers_of
+from gis_radar.city.executors import OtherSoftwareError, Workers, run_task, workers_of
 from gis_radar.site import software
 
 HOURS = 4
@@ -193,10 +194,7 @@ def test_hours_of_an_earlier_method_are_made_again(site, whole, tmp_path):
 
 def test_a_bad_site_stops_no_other(site, tmp_path):
     damaged = copied(site, tmp_path / "damaged", hours=1)
-    path = tmp_path / "damaged" / "R1_0.parquet"
-    held = path.read_bytes()
-    path.unlink()
-    path.write_bytes(held[: len(held) // 2])
+    cut(tmp_path / "damaged" / "R1_0.parquet")
     good = copied(site, tmp_path / "good", hours=1)
     city = city_file(tmp_path, damaged=damaged, gone=tmp_path / "gone.toml", good=good)
     said = Said()
@@ -210,6 +208,36 @@ def test_a_bad_site_stops_no_other(site, tmp_path):
     record = json.loads((tmp_path / "root" / "run.json").read_text(encoding="utf-8"))
     assert [bool(each["failures"]) for each in record["sites"].values()] == [True, True, False]
     assert gr.open_city(tmp_path / "root").sites.keys() == {"good"}
+
+
+def cut(path):
+    held = path.read_bytes()
+    path.unlink()
+    path.write_bytes(held[: len(held) // 2])
+
+
+def test_damaged_recordings_stop_no_others_of_their_sensor(site, whole, tmp_path):
+    file = copied(site, tmp_path / "one")
+    for damaged in ("R1_8", "R1_9"):
+        os.link(site / "R1_0.parquet", file.with_name(f"{damaged}.parquet"))
+        cut(file.with_name(f"{damaged}.parquet"))
+    run = gr.run_city(city_file(tmp_path, one=file), tmp_path / "root", jobs=1)
+    assert [what for what, _ in run.sites["one"].failures] == ["R1", "R1"]
+    assert ["R1_8" in str(e.message) for _, e in run.sites["one"].failures] == [True, False]
+    made, wanted = (bytes_of(each / "root" / "site=one") for each in (tmp_path, whole))
+    assert made == wanted
+
+
+def test_a_broken_site_file_leaves_its_hours_to_be_made(site, tmp_path):
+    city = city_file(tmp_path, one=copied(site, tmp_path / "one", hours=2))
+    gr.run_city(city, tmp_path / "root", jobs=1)
+    hours = sorted((tmp_path / "root" / "site=one" / "hours").rglob("*.json"))
+    hours[0].unlink()
+    (tmp_path / "one" / "SITE.toml").write_text("title = ", encoding="utf-8")
+    run = gr.run_city(city, tmp_path / "root", jobs=1)
+    assert run.sites["one"].hours == 1
+    assert hours[0].exists()
+    assert [what for what, _ in run.sites["one"].failures] == ["one"]
 
 
 def test_a_recording_that_is_gone_leaves_its_hour_as_it_is(site, tmp_path):
@@ -300,6 +328,29 @@ def test_a_worker_with_other_packages_is_refused():
         run_task(software() | {"numpy": "1.0"}, os.getpid)
 
 
+class WithoutPackage(Workers, Executor):
+    """Workers whose scheduler lacks a package: Dask names the cause of its error."""
+
+    def begin(self):
+        return self
+
+    def end(self, executor):
+        pass
+
+    def submit(self, *_):
+        future = Future()
+        error = RuntimeError("Error during deserialization of the task graph")
+        error.__cause__ = ModuleNotFoundError("No module named 'gis_radar'")
+        future.set_exception(error)
+        return future
+
+
+def test_a_scheduler_without_the_packages_is_refused():
+    workers = WithoutPackage(Said())
+    with pytest.raises(OtherSoftwareError, match=r"the scheduler or a worker lacks .* 'gis_radar'"):
+        list(workers.results({"a": (os.getpid,)}))
+
+
 def test_jobs_and_executor_exclude_each_other():
     with pytest.raises(UsageError), workers_of("tcp://127.0.0.1:1", 2, Said()):
         pass
@@ -385,4 +436,10 @@ def test_a_run_goes_on_where_a_worker_is_killed_and_the_scheduler_restarted(tmp_
 def test_a_cluster_that_is_not_there_is_named():
     named = pytest.raises(OutputError, match=r"tcp://127\.0\.0\.1:9: no scheduler answers")
     with named, workers_of("tcp://127.0.0.1:9", None, Said()):
+        pass
+
+
+@pytest.mark.parametrize("address", ["localhost", "tcp://localhost", "http://localhost:8786"])
+def test_what_is_no_address_is_refused_at_once(address):
+    with pytest.raises(UsageError, match="no address"), workers_of(address, None, Said()):
         pass

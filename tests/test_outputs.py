@@ -251,6 +251,15 @@ def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, error):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+    lock = tmp_path / "gone" / "lock"
+    with (
+        pytest.raises(OutputError, match="o: cannot be written: No such file or directory"),
+        only_writer(tmp_path / "o", lock=lock),
+    ):
+        pass
+
+
 def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch):
     said = Listener()
 

@@ -429,10 +429,11 @@ def only_writer(
     Raises
     ------
     OutputError
-        If another run is writing it.
+        If another run is writing it, or its folder cannot be written.
     """
     lock = lock or path.with_name(f"{hidden_stem(path)}.lock")
-    handle = _taken(lock, path, reporter)
+    with output_errors(path):
+        handle = _taken(lock, path, reporter)
     try:
         os.truncate(handle, 0)
         # From the second byte on: Windows lets nobody else read the first, which is the locked one.

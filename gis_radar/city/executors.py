@@ -49,6 +49,8 @@ SCHEDULER_S = 600.0  # wait for a scheduler that is restarted, seconds
 TRY_S = 5.0  # for one try to reach it, seconds
 INSTALL = Text("install it: pip install gis-radar[city]")
 
+EQUAL = Text("install the same packages for scheduler and workers: results depend on them")
+
 LOST = (BrokenExecutor, CancelledError, OSError, RuntimeError)
 """Errors of an executor whose workers or scheduler are gone; those of tasks are never these."""
 
@@ -150,7 +152,12 @@ def _result(future: Future[Any]) -> Any:
     """Return the result of a task, or the error for which it has none."""
     try:
         return future.result()
-    except (OtherSoftwareError, *LOST):
+    except (OtherSoftwareError, ImportError, *LOST) as error:
+        for each in (error, error.__cause__):  # in a task an ImportError is a fault of gis_radar
+            if isinstance(each, ImportError):
+                raise OtherSoftwareError(
+                    "the scheduler or a worker lacks a package of the run: {}", each, hint=EQUAL
+                ) from error
         raise
     except GisRadarError as error:
         return error
@@ -183,7 +190,7 @@ def run_task(expected: Mapping[str, str], work: Callable[..., Any], *arguments: 
         name = differs[0]
         raise OtherSoftwareError(
             "a worker has {} {}, the run {}", name, software()[name], expected.get(name, ""),
-            hint="install the same packages for all workers: results depend on them",
+            hint=EQUAL,
         )  # fmt: skip
     go_offline()
     with _one_at_a_time:
@@ -261,6 +268,13 @@ class Cluster(Workers):
         except ImportError as error:
             raise UsageError("a cluster needs the package distributed", hint=INSTALL) from error
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it prints tracebacks
+        try:  # before there is a client, which Dask could not close
+            importlib.import_module("distributed.comm").get_address_host_port(address)
+        except ValueError as error:
+            raise UsageError(
+                "{}: is no address of a scheduler: {}", address, error,
+                hint="such as tcp://10.0.0.5:8786",
+            ) from error  # fmt: skip
         self._address = address
         self._client: Any = None
         self._executor = self._connected(TRY_S)
@@ -295,11 +309,6 @@ class Cluster(Workers):
             try:
                 self._client = self._dask.Client(self._address, timeout=TRY_S, set_as_default=False)
                 found: Executor = self._client.get_executor(pure=False)
-            except ValueError as error:
-                raise UsageError(
-                    "{}: is no address of a scheduler: {}", self._address, error,
-                    hint="such as tcp://10.0.0.5:8786",
-                ) from error  # fmt: skip
             except OSError as error:
                 if time.monotonic() > end:
                     raise OutputError(

@@ -109,11 +109,11 @@ def write_month_page(
     output : str or Path, optional
         Folder that the page goes to; by default that of the city.
     title : str, optional
-        Name of the city; by default that of its folder.
+        Name of the city; by default that of its run, else of its folder.
     timezone : str, optional
-        Whose clocks the page's times follow; by default those of most sites.
+        Whose clocks the page's times follow; by default those of its run, else of most sites.
     language : str, optional
-        `en` or `de`; by default that of most sites' results, else `en`.
+        `en` or `de`; by default that of its run, else of most sites' results, else `en`.
     reporter : Reporter
         Receives progress, and a warning for each site that is left out.
 
@@ -135,19 +135,19 @@ def write_month_page(
     chosen = month_of(city, month)
     if title is not None and not title.strip():
         raise UsageError("the title is empty", hint="leave it out, or give the name of the city")
+    noted = read_run(city.root)  # of the city's run, as its city file stated
     zones = Counter(each.timezone for each in city.sites.values())
-    zone = timezone or zones.most_common(1)[0][0]
+    zone = timezone or noted.get("timezone") or zones.most_common(1)[0][0]
     place = city.root if output is None else Path(output)
-    with speaking(known_language(language or _language_of(city))):
+    with speaking(known_language(language or noted.get("language") or _language_of(city))):
         first, last = chosen.span(next(iter(city.sites.values())))
         end = min(last, chosen.last_step) + 1
         clock = Clock(
             zone=zone_of(zone), first=step_begin(first), last=step_begin(end), to_seconds=False
         )
         sites, health, left_out = _sites(chosen, place, reporter)
-        page, summary = _page(
-            chosen, sites, health, clock, title or city.root.resolve().name, left_out
-        )
+        name = title or noted.get("title") or city.root.resolve().name
+        page, summary = _page(chosen, sites, health, clock, name, left_out)
     with folder_to_fill(place), atomic_write(place / MONTH_PAGE) as private:
         private.write_text(page, encoding="utf-8", newline="\n")
     return Report(outputs=[place / MONTH_PAGE], summary=summary)

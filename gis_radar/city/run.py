@@ -216,10 +216,11 @@ class _Run:
     reporter: Reporter
 
     def take_up(self) -> list[str]:
-        """Take up all sites; return those with a dataset."""
+        """Take up all sites; return those with a dataset, also where recordings were refused."""
         tasks = {name: (add_recordings, _task(self.root, self.city, name)) for name in self.sites}
-        found = dict(self._each(tasks, Text("taking up sites")))
-        there = [name for name in found if Manifest.is_there(self._dataset(name))]
+        for _ in self._each(tasks, Text("taking up sites")):
+            pass
+        there = [name for name in self.sites if Manifest.is_there(self._dataset(name))]
         for name in self.sites.keys() - {*there}:
             if not self.sites[name].failures:
                 self._fail(name, name, InputError("{}: has no recording with a pose", name))
@@ -306,6 +307,9 @@ class _Run:
             self.reporter.progress(HOURS, done, len(calls))
 
     def _fail(self, name: str, what: str, error: GisRadarError) -> None:
+        """Keep a failure and tell it, once: a broken file stops several steps."""
+        if any(known.message == error.message for _, known in self.sites[name].failures):
+            return
         self.sites[name].failures.append((what, error))
         self.reporter.warn("{}", _line(name, (what, error)))
 

@@ -95,6 +95,8 @@ def add_recordings(task: SiteTask) -> SiteTask:
         If there is no result for the whole site.
     """
     site = _with_known_poses(_converted(read_site(task.file), task), task)
+    if not site.sensor:
+        return task
     outcomes = prepare_site(site, task.results, reporter=task)
     lost = {each.stage.sensor: each.error for each in outcomes if each.stage.sensor and each.error}
     task.failures += [(name, error) for name, error in lost.items() if error is not None]
@@ -137,8 +139,6 @@ def _converted(site: Site, task: SiteTask) -> Site:
         if paths:
             found = {"recordings": tuple(paths), "convert": None}
             sensors.append(sensor.model_copy(update=found))
-    if not sensors:
-        raise InputError("{}: no recording could be converted", task.file)
     return site.model_copy(update={"sensor": tuple(sensors)})
 
 
@@ -194,13 +194,47 @@ def _keep_seen(task: SiteTask, states: Mapping[str, list[int]]) -> None:
 
 
 def _register(site: Site, task: SiteTask) -> None:
-    """Check recordings and add them to the dataset, without making their hours."""
+    """Check recordings and add them to the dataset, without making their hours.
+
+    A damaged recording is named and left out; what was refused with it is tried again.
+    """
+    left = {each.name: each for each in site.sensor}
+    while left:
+        try:
+            refused = _measured(site.model_copy(update={"sensor": tuple(left.values())}), task)
+            again = {name: left[name] for name in refused}
+        except InputError as error:
+            refused = {name: error for name, each in left.items() if _damaged(each, error)}
+            again = left
+            if not refused:
+                raise
+        task.failures += refused.items()
+        left = {}
+        for name, sensor in again.items():
+            damaged = _damaged(sensor, refused[name]) if name in refused else []
+            paths = tuple(path for path in sensor.recordings if path not in damaged)
+            if paths and (damaged or name not in refused):
+                left[name] = sensor.model_copy(update={"recordings": paths})
+
+
+def _measured(site: Site, task: SiteTask) -> dict[str, GisRadarError]:
+    """Register recordings; return the error of each sensor that was left out."""
     stage = next(s for s in stages_of(site, task.results) if s.work is measure_stage)
     figures = measure_stage(
         **stage.arguments, outputs=[task.dataset], reporter=task, only=False, before_hour=0
     )
-    for name, message in figures["refused"].items():
-        task.failures.append((name, InputError("{}", message, hint=figures["hints"][name])))
+    return {
+        name: InputError("{}", message, hint=figures["hints"][name])
+        for name, message in figures["refused"].items()
+    }
+
+
+def _damaged(sensor: Sensor, error: GisRadarError) -> list[Path]:
+    """Return the recordings of a sensor that an error names."""
+    return [
+        path for path in sensor.recordings
+        if error.message.startswith((f"{path}:", f"{path.resolve()}:"))
+    ]  # fmt: skip
 
 
 def make_site_hour(dataset: Path, hour: int, processes: int) -> int:

@@ -213,6 +213,16 @@ def test_accessible_by_the_rules_of_axe(chromium, made, width, scheme):
     assert len(found["passes"]) > 25
 
 
+def test_another_month_is_written_as_the_city_file_stated(made, tmp_path):
+    root = tmp_path / "root"
+    shutil.copytree(made / "city", root)
+    noted = {"title": "Simstadt", "language": "de", "timezone": "Europe/Berlin"}
+    (root / "run.json").write_text(json.dumps(noted), encoding="utf-8")
+    summary = gr.write_month_page(root, MONTH).summary
+    assert (summary["title"], summary["timezone"]) == ("Simstadt", "Europe/Berlin")
+    assert '<html lang="de"' in (root / "month.html").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("language", ["en", "de"])
 @pytest.mark.parametrize("width", [1280, 800, PHONE])
 def test_nothing_is_wider_than_the_window(chromium, made, width, language):
