@@ -150,8 +150,8 @@ def test_recordings_of_one_name_in_two_folders_are_both_converted(site, tmp_path
             tmp_path / "one" / f"day{hour}" / "R1.parquet"
         )
     text = file.read_text(encoding="utf-8").replace("R1_*", "day*/R1")
-    text += "\n[sensor.convert]\nsensor = 'R1'\n"
-    file.write_text(text, encoding="utf-8")
+    table = 'pose = "R1.json"\n[sensor.convert]\n'
+    file.write_text(text.replace('pose = "R1.json"\n', table), encoding="utf-8")
     run = gr.run_city(city_file(tmp_path, one=file), tmp_path / "root", jobs=1)
     assert run.failure is None
     assert run.sites["one"].hours == 2
@@ -164,7 +164,7 @@ def test_a_run_that_ended_before_its_page_makes_it_when_it_goes_on(site, tmp_pat
     before = page.stat().st_mtime_ns
     os.link(site / "R1_1.parquet", tmp_path / "one" / "R1_1.parquet")
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr("gis_radar.city.run._Run.close", interrupted)
+        patch.setattr("gis_radar.city.run.CitySteps.update", interrupted)
         gr.run_city(city, tmp_path / "root", jobs=1)
     assert page.stat().st_mtime_ns == before
     assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0

@@ -13,6 +13,7 @@ from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError, atom
 from gis_radar.dataset import (
     Dataset,
     NotMeasuredError,
+    NoVehiclesError,
     SqlQueries,
     UnknownStreetError,
     catalogue_of,
@@ -47,14 +48,14 @@ class CityQuestions(SqlQueries):
         -------
         DataFrame
             `site`, and the columns of :meth:`gis_radar.Dataset.profile`. Sites where nothing was
-            measured in that time have no rows.
+            measured in that time, or vehicles were not looked for, have no rows.
 
         Raises
         ------
         UsageError
             If no site is on such a street, or as :meth:`gis_radar.Dataset.profile`.
         InputError
-            If no site was measured in that time.
+            If no site was measured in that time, with vehicles.
         """
         profiles = self._of_sites(lambda dataset: dataset.profile(street, **asked))
         whole: pd.DataFrame = pd.concat(profiles, ignore_index=True)
@@ -158,7 +159,7 @@ class CityQuestions(SqlQueries):
         for name, dataset in self.sites.items():
             try:
                 answer = ask(dataset)
-            except (NotMeasuredError, UnknownStreetError) as error:
+            except (NotMeasuredError, UnknownStreetError, NoVehiclesError) as error:
                 refused.append(error)
                 continue
             answer.insert(0, SITE_COLUMN, name)

@@ -1,7 +1,7 @@
 """Run a city: make what is missing or out of date of all its sites, on one machine or a cluster.
 
-A run has three steps, each of independent tasks: sites are taken up, their hours are made, oldest
-first, and sites with new hours are closed. What fails stops no other site.
+A run has three steps, each of independent tasks: new recordings are registered, hours are made,
+oldest first, and tables of dates and reports are updated. What fails stops no other site.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from gis_radar.city.tasks import (
     Failure,
     SiteTask,
     add_recordings,
-    close_site,
     is_older,
     make_site_hour,
+    update_site,
 )
 from gis_radar.dataset import (
     Manifest,
@@ -184,9 +184,8 @@ def run_city(
         only_writer(root, lock=state / "lock", reporter=reporter),
         workers_of(executor, jobs, reporter) as workers,
     ):
-        run = _Run(city=city, root=root, sites=sites, workers=workers, reporter=reporter)
-        taken_up = run.take_up()
-        run.close(run.make_hours(taken_up))
+        run = CitySteps(city=city, root=root, sites=sites, workers=workers, reporter=reporter)
+        run.update(run.make_hours(run.register()))
         run.write_page()
         _write_record(run)
     return CityRun(city=city, root=Path(root), sites=sites)
@@ -206,7 +205,7 @@ def _task(root: Path, city: CityFile, name: str) -> SiteTask:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Run:
+class CitySteps:
     """A run at work."""
 
     city: CityFile
@@ -215,10 +214,10 @@ class _Run:
     workers: Workers
     reporter: Reporter
 
-    def take_up(self) -> list[str]:
-        """Take up all sites; return those with a dataset, also where recordings were refused."""
+    def register(self) -> list[str]:
+        """Register the new recordings of all sites; return the sites with a dataset."""
         tasks = {name: (add_recordings, _task(self.root, self.city, name)) for name in self.sites}
-        for _ in self._each(tasks, Text("taking up sites")):
+        for _ in self._each(tasks, Text("registering recordings")):
             pass
         there = [name for name in self.sites if Manifest.is_there(self._dataset(name))]
         for name in self.sites.keys() - {*there}:
@@ -253,10 +252,12 @@ class _Run:
                     note(name)
         return [*opened]
 
-    def close(self, names: Sequence[str]) -> None:
+    def update(self, names: Sequence[str]) -> None:
         """Bring tables of dates, heat maps and reports of sites up to date."""
-        tasks = {name: (close_site, _task(self.root, self.city, name), self.city) for name in names}
-        for _ in self._each(tasks, Text("closing sites")):
+        tasks = {
+            name: (update_site, _task(self.root, self.city, name), self.city) for name in names
+        }
+        for _ in self._each(tasks, Text("updating tables and reports")):
             pass
 
     def write_page(self) -> None:
@@ -331,7 +332,7 @@ class _Run:
                     each.note()
 
 
-def _write_record(run: _Run) -> None:
+def _write_record(run: CitySteps) -> None:
     """Write `run.json`; it holds no times, so that a resumed run writes the same as any other."""
     document = {
         "title": run.city.title,

@@ -36,6 +36,7 @@ from gis_radar.site import (
 )
 
 POSES = "poses"  # folder of a city with the poses that were found
+CONVERTED = "recordings"  # folder of a city with the recordings that were converted
 SEEN = ".gis-radar/recordings.json"  # what was registered, below the results of a site
 
 Failure = tuple[str, GisRadarError]
@@ -127,7 +128,7 @@ def _converted(site: Site, task: SiteTask) -> Site:
         options = sensor.convert.model_dump() if sensor.convert else {}
         for path in sensor.foreign:
             place = hashlib.sha256(os.fsencode(path.absolute())).hexdigest()[:12]
-            made = task.results / "recordings" / sensor.name / place / f"{path.stem}.parquet"
+            made = task.root / CONVERTED / task.name / sensor.name / place / f"{path.stem}.parquet"
             if not made.exists() or made.stat().st_mtime < path.stat().st_mtime:
                 made.parent.mkdir(parents=True, exist_ok=True)
                 try:
@@ -250,7 +251,7 @@ def is_older(path: Path, dataset: Path) -> bool:
     return changed.exists() and path.stat().st_mtime_ns < changed.stat().st_mtime_ns
 
 
-def close_site(task: SiteTask, city: CityFile) -> SiteTask:
+def update_site(task: SiteTask, city: CityFile) -> SiteTask:
     """Bring the tables of dates up to date, delete old exact tables, report on the last month."""
     update_days(task.dataset)
     if city.keep is not None:

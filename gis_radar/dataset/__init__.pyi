@@ -35,6 +35,7 @@ from .records import (
 from .registered import make_registered
 from .rollups import RollUps
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
+from .source import NoVehiclesError
 from .sql import SqlQueries
 from .stated_lanes import stated_lanes
 from .states import states_of
@@ -60,6 +61,7 @@ __all__ = [
     "LaneTraffic",
     "Manifest",
     "MeasureSettings",
+    "NoVehiclesError",
     "NotMeasuredError",
     "OpenHours",
     "Origin",

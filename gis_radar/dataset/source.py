@@ -75,9 +75,13 @@ class Source(Protocol):
         """Read the pairs of numbers of one vehicle on either side of an hour's begin."""
 
 
+class NoVehiclesError(InputError):
+    """A dataset in which vehicles were not looked for."""
+
+
 def require_vehicles(dataset: Source) -> None:
     """Refuse a dataset in which vehicles were not looked for."""
     if not dataset.has_vehicles:
-        raise InputError(
+        raise NoVehiclesError(
             "{}: holds no vehicles", dataset.folder, hint="measure it again, with vehicles"
         )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from datasets import write_dataset
 from maps import EAST, NORTH
 from months import drawn_months, hour_at, roll_up
 
@@ -50,6 +51,16 @@ def test_sites_without_a_street_are_left_out(tmp_path, city):
     assert both.profile(month="2026-11")["site"].unique().tolist() == ["east", "north"]
     with pytest.raises(InputError, match="nothing was measured in that time"):
         both.profile("Allee", month="2026-10")
+
+
+def test_sites_without_vehicles_are_left_out_of_profiles(tmp_path, city):
+    shutil.copytree(city.root / "site=east", tmp_path / "site=east")
+    write_dataset(tmp_path / "site=hits", hours=[hour_at("2026-11-02T20")], vehicles=False)
+    both = gr.open_city(tmp_path)
+    assert both.profile(month="2026-11")["site"].unique().tolist() == ["east"]
+    alone = gr.City(root=tmp_path, sites={"hits": both.sites["hits"]})
+    with pytest.raises(InputError, match="holds no vehicles"):
+        alone.profile()
 
 
 def test_the_catalogue_opens_in_duckdb_from_any_folder(city, tmp_path, run):
