@@ -164,7 +164,7 @@ def test_a_run_that_ended_before_its_page_makes_it_when_it_goes_on(site, tmp_pat
     before = page.stat().st_mtime_ns
     os.link(site / "R1_1.parquet", tmp_path / "one" / "R1_1.parquet")
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr("gis_radar.city.run.CitySteps.update", interrupted)
+        patch.setattr("gis_radar.city.run.write_month_page", interrupted)
         gr.run_city(city, tmp_path / "root", jobs=1)
     assert page.stat().st_mtime_ns == before
     assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
@@ -174,7 +174,7 @@ def test_a_run_that_ended_before_its_page_makes_it_when_it_goes_on(site, tmp_pat
     assert page.stat().st_mtime_ns == before
 
 
-def interrupted(*_):
+def interrupted(*_, **__):
     raise KeyboardInterrupt
 
 

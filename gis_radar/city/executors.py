@@ -47,6 +47,7 @@ Call = Sequence[Any]
 MOST_LOST = 3  # times in a row that workers are lost before one more task is done
 SCHEDULER_S = 600.0  # wait for a scheduler that is restarted, seconds
 TRY_S = 5.0  # for one try to reach it, seconds
+SAME = Text("install the same packages for all workers: results depend on them")
 INSTALL = Text("install it: pip install gis-radar[city]")
 
 EQUAL = Text("install the same packages for scheduler and workers: results depend on them")
@@ -188,6 +189,8 @@ def run_task(expected: Mapping[str, str], work: Callable[..., Any], *arguments: 
     """
     if differs := [name for name, found in software().items() if expected.get(name) != found]:
         name = differs[0]
+        if name == "code":
+            raise OtherSoftwareError("a worker has another gis_radar than the run", hint=SAME)
         raise OtherSoftwareError(
             "a worker has {} {}, the run {}", name, software()[name], expected.get(name, ""),
             hint=EQUAL,

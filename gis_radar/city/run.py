@@ -273,7 +273,10 @@ class CitySteps:
                 self.root, f"{begin:%Y-%m}", title=self.city.title, timezone=self.city.timezone,
                 language=self.city.language, reporter=self.reporter,
             )  # fmt: skip
-        except InputError as error:  # a site that is damaged; its own line says so, too
+        except (
+            InputError,
+            NoAnswerError,
+        ) as error:  # its site has a line, too
             self.reporter.warn("there is no page of the month: {}", error.message)
 
     def _dataset(self, name: str) -> Path:

@@ -253,7 +253,7 @@ def is_older(path: Path, dataset: Path) -> bool:
 
 def update_site(task: SiteTask, city: CityFile) -> SiteTask:
     """Bring the tables of dates up to date, delete old exact tables, report on the last month."""
-    update_days(task.dataset)
+    update_days(task.dataset, task)
     if city.keep is not None:
         open_dataset(task.dataset).keep(city.keep / 86_400.0, reporter=task)
     if city.reports and is_older(task.results / "report.html", task.dataset):

@@ -60,6 +60,8 @@ RELINK = Text(
     "gis-radar dataset DATASET --relink FOLDER finds what was moved, --withdraw takes it out"
 )
 
+TOO_LATE = Text("leave such recordings away, or measure that time into another dataset")
+
 
 @contextmanager
 def writing(folder: Path, reporter: Reporter) -> Iterator[None]:
@@ -120,14 +122,15 @@ def change(
     records = read_hours(site.folder)
     known = list(known)
     validity_s = validity_by_sensor(after.entries)
+    known_before = {(each.key, each.pose) for each in before.entries}
+    fresh = [each for each in after.entries if (each.key, each.pose) not in known_before]
+    _refuse_late(fresh, records, margin)
     missing = hours_to_make(after, records, margin, touched_hours(after.hours, known, margin))
     missing = [hour for hour in missing if before_hour is None or hour < before_hour]
     _refuse_dropped(site.folder, [records[hour] for hour in missing if hour in records])
     _require_recordings(after, missing, margin, {each.path for each in known})
     reaching = after.by_hour(margin)
     placings = {hour: [after.placing(each) for each in reaching[hour]] for hour in missing}
-    known_before = {(each.key, each.pose) for each in before.entries}
-    fresh = [each for each in after.entries if (each.key, each.pose) not in known_before]
     present = (records[hour] for hour in missing if hour in records)
     if any(is_whole(site.folder, each) for each in present):  # they stay if one cannot be made
         for hour in touched_hours(missing, fresh, margin):
@@ -157,7 +160,7 @@ def change(
         found = left | {hour: each for hour, each in now.items() if each is not None}
         _count(site.folder, changed | {*list(left)[-1:]}, dict(sorted(found.items())))
     else:
-        update_days(site.folder)  # where an earlier run was killed before it
+        _count(site.folder, records, records)  # where an earlier run was killed before it
     return sorted(made, key=lambda each: each.hour)
 
 
@@ -189,6 +192,23 @@ def _made_and_noted(
     return made
 
 
+def _refuse_late(
+    entries: Iterable[RecordingEntry], records: Mapping[int, HourRecord], margin: int
+) -> None:
+    """Refuse recordings that reach into hours whose exact tables were deleted."""
+    for each in entries:
+        for hour in each.reached_hours(margin):
+            if hour in records and records[hour].dropped:
+                raise InputError(
+                    "{}: {} takes no recordings any more: its {} were deleted after the time "
+                    "to keep them",
+                    each.path,
+                    hour_text(hour),
+                    records[hour].dropped[0],
+                    hint=TOO_LATE,
+                )
+
+
 def _refuse_dropped(folder: Path, records: Iterable[HourRecord]) -> None:
     for record in records:
         if record.dropped:
@@ -198,7 +218,7 @@ def _refuse_dropped(folder: Path, records: Iterable[HourRecord]) -> None:
                 folder,
                 hour_text(record.hour),
                 record.dropped[0],
-                hint="leave such recordings away, or measure that time into another dataset",
+                hint=TOO_LATE,
             )
 
 
@@ -244,10 +264,17 @@ def _undo(folder: Path, before: Registry, made: Sequence[int]) -> None:
     before.write_poses(before.poses)
 
 
-def update_days(folder: Path) -> None:
-    """Bring the tables of all dates of a dataset up to date; the caller is its only writer."""
-    records = read_hours(folder)
-    _count(folder, records, records)
+def update_days(folder: Path, reporter: Reporter) -> None:
+    """Bring the tables of all dates of a dataset up to date.
+
+    Raises
+    ------
+    OutputError
+        If another run is writing it.
+    """
+    with writing(folder, reporter):
+        records = read_hours(folder)
+        _count(folder, records, records)
 
 
 def _count(folder: Path, hours: Iterable[int], records: Mapping[int, HourRecord]) -> None:

@@ -312,3 +312,13 @@ def test_counts_that_were_kept_stay_where_their_recordings_are_listed_no_more(fi
     left = measured(tmp_path / "site", late, hits_only=True, timezone=MIDNIGHT, only=True)
     assert len(left.recordings()) == 1
     pd.testing.assert_frame_equal(left.tile_counts(), before)
+
+
+def test_a_recording_that_comes_too_late_for_its_hour_is_not_registered(files, tmp_path):
+    site = site_of(tmp_path / "site", ("R1", files["R1", DAY]))
+    site.keep(0.0)
+    before = contents(tmp_path / "site")
+    late = ("R2", files["R2", DAY])
+    with pytest.raises(gr.InputError, match=r"R2-2025-06-12\.parquet: .* takes no recordings any"):
+        measured(tmp_path / "site", late, hits_only=True, timezone=MIDNIGHT, before_hour=0)
+    assert contents(tmp_path / "site") == before
