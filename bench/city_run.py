@@ -21,6 +21,7 @@ from typing import Any
 
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from distributed import Client
 from figures import ONE_CORE, TARGET, TIMES, Figure, report
 
 import gis_radar as gr
@@ -99,37 +100,44 @@ def _write_site(folder: Path) -> Path:
 
 
 def _run(folder: Path, way: str, hours: int) -> tuple[float, float]:
-    """Make hours in a process of its own; return its seconds of the processor, and of the wall."""
+    """Make hours in a process of its own; return its seconds of the processor, and of the wall.
+
+    The wall's begin when all workers are there.
+    """
     root = folder / f"{way} {hours}"
     shutil.copytree(folder / "root" / "site=a", root)
     command = [sys.executable, __file__, way, str(root), str(hours)]
-    before, begin = os.times(), time.monotonic()
-    subprocess.run(command, check=True, env={**os.environ, **ONE_CORE})
+    before = os.times()
+    done = subprocess.run(
+        command, check=True, env={**os.environ, **ONE_CORE}, stdout=subprocess.PIPE, text=True
+    )
     after = os.times()
     cpu_s = after.children_user + after.children_system - before.children_user
-    return cpu_s - before.children_system, time.monotonic() - begin
+    return cpu_s - before.children_system, float(done.stdout.split()[-1])
 
 
 def _make(way: str, root: Path, most: int) -> None:
-    """Make the first hours of a dataset."""
+    """Make the first hours of a dataset, and print the seconds of the wall."""
     with open_hours(root, QUIET) as found:
         calls: dict[int, Sequence[Any]] = {
             hour: (make_site_hour, root, hour, 1) for hour in found.missing[:most]
         }
+        begin = time.monotonic()
         if way == "bare":
-            for work, *arguments in calls.values():
-                work(*arguments)
-            return
-        if way == "processes":
+            results = {hour: work(*given) for hour, (work, *given) in calls.items()}
+        elif way == "processes":
             with workers_of(None, 1, QUIET) as workers:
                 results = dict(workers.results(calls))
         else:
-            results = _by_dask(calls, 2 if "two" in way else 1)
+            results, begin = _by_dask(calls, 2 if "two" in way else 1)
+        wall_s = time.monotonic() - begin
     if errors := [each for each in results.values() if isinstance(each, Exception)]:
         raise errors[0]
+    print(wall_s)
 
 
-def _by_dask(calls: Mapping[int, Sequence[Any]], count: int) -> dict[int, Any]:
+def _by_dask(calls: Mapping[int, Sequence[Any]], count: int) -> tuple[dict[int, Any], float]:
+    """Return the results by hour, and when all workers were there."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
@@ -140,8 +148,11 @@ def _by_dask(calls: Mapping[int, Sequence[Any]], count: int) -> dict[int, Any]:
         for _ in range(count)
     ]
     try:
+        with Client(address) as client:
+            client.wait_for_workers(count)
+        begin = time.monotonic()
         with workers_of(address, None, QUIET) as workers:
-            return dict(workers.results(calls))
+            return dict(workers.results(calls)), begin
     finally:
         for each in reversed(running):
             each.terminate()

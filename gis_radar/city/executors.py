@@ -44,10 +44,12 @@ Key = TypeVar("Key", bound=Hashable)
 Call = Sequence[Any]
 """A function of a module, and its arguments."""
 
-MOST_LOST = 3  # times in a row that workers are lost before one more task is done
+MOST_LOST = 3  # times in a row that workers are lost before a task is left out
 SCHEDULER_S = 600.0  # wait for a scheduler that is restarted, seconds
 TRY_S = 5.0  # for one try to reach it, seconds
 SAME = Text("install the same packages for all workers: results depend on them")
+FEWER = Text("if memory ran out, use fewer at once: --jobs 1")
+MEMORY = Text("memory may have run out")
 INSTALL = Text("install it: pip install gis-radar[city]")
 
 EQUAL = Text("install the same packages for scheduler and workers: results depend on them")
@@ -115,37 +117,39 @@ class Workers(ABC):
         OtherSoftwareError
             If a worker has other packages.
         OutputError
-            If workers are lost again and again.
+            If workers are lost again and again, whatever they do.
         """
         left, lost = dict(calls), 0
         while left:
             if self._executor is None:
                 self._executor = self.begin()
-            before = len(left)
-            running: dict[Future[Any], Key] = {}
+            before, alone = len(left), lost >= MOST_LOST - 1
+            tried = list(left)[: 1 if alone else None]
             try:
-                for key, call in left.items():
-                    running[self._executor.submit(run_task, software(), *call)] = key
+                running = {
+                    self._executor.submit(run_task, software(), *left[key]): key for key in tried
+                }
                 for future in as_completed(running):
-                    found = _result(future)
-                    key = running[future]
+                    found, key = _result(future), running[future]
                     del left[key]
                     yield key, found
+                lost = 0
             except LOST as error:
                 lost = 1 if len(left) < before else lost + 1
-                self._lost(lost, error)
+                self._replace(lost, error)
+                if alone:  # it was the only task at work
+                    del left[tried[0]]
+                    yield tried[0], GisRadarError("its workers were lost", hint=MEMORY)
                 for key in list(left)[: self.count]:  # whichever ended its worker is tried last
                     left[key] = left.pop(key)
 
-    def _lost(self, times: int, error: Exception) -> None:
-        """Prepare new workers; give up where they are lost again and again."""
+    def _replace(self, times: int, error: Exception) -> None:
+        """Stop lost workers, so that new ones begin; give up where all are lost."""
         with suppress(Exception):
             self.close(at_once=True)
-        if times >= MOST_LOST:
-            raise OutputError(
-                "workers were lost {} times before a task was done", times,
-                hint="if memory ran out, use fewer at once: --jobs 1",
-            ) from error  # fmt: skip
+        self._executor = None
+        if times >= MOST_LOST + self.count:
+            raise OutputError("workers were lost {} times in a row", times, hint=FEWER) from error
         self._reporter.warn("workers were lost: what they had not finished is done again")
 
 
@@ -163,9 +167,7 @@ def _result(future: Future[Any]) -> Any:
     except GisRadarError as error:
         return error
     except Exception as error:  # noqa: BLE001 - Dask's KilledWorker: several ended at this task
-        return GisRadarError(
-            "its workers were lost: {}", first_line(error), hint="memory may have run out"
-        )
+        return GisRadarError("its workers were lost: {}", first_line(error), hint=MEMORY)
 
 
 def run_task(expected: Mapping[str, str], work: Callable[..., Any], *arguments: Any) -> Any:
