@@ -16,7 +16,6 @@ from gis_radar.dataset import (
     NoVehiclesError,
     SqlQueries,
     UnknownStreetError,
-    catalogue_of,
 )
 from gis_radar.products import Comparison, compare, make_heatmap
 
@@ -147,6 +146,8 @@ class CityQuestions(SqlQueries):
         OutputError
             If it cannot be written.
         """
+        from gis_radar.dataset import catalogue_of  # noqa: PLC0415 - DuckDB, 0.2 s
+
         place = root or self.root.resolve().as_posix()
         with atomic_write(Path(path)) as part:
             folders = [each.folder for each in self.sites.values()]
