@@ -7,6 +7,7 @@ All ways must make the same bytes. Exit code 1 where a target is missed.
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import shutil
@@ -21,7 +22,6 @@ from typing import Any
 
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from distributed import Client
 from figures import ONE_CORE, TARGET, TIMES, Figure, report
 
 import gis_radar as gr
@@ -138,6 +138,7 @@ def _make(way: str, root: Path, most: int) -> None:
 
 def _by_dask(calls: Mapping[int, Sequence[Any]], count: int) -> tuple[dict[int, Any], float]:
     """Return the results by hour, and when all workers were there."""
+    dask: Any = importlib.import_module("distributed")  # which states no types
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
@@ -148,7 +149,7 @@ def _by_dask(calls: Mapping[int, Sequence[Any]], count: int) -> tuple[dict[int, 
         for _ in range(count)
     ]
     try:
-        with Client(address) as client:
+        with dask.Client(address) as client:
             client.wait_for_workers(count)
         begin = time.monotonic()
         with workers_of(address, None, QUIET) as workers:
