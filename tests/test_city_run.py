@@ -11,6 +11,7 @@ import sys
 import time
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pyarrow.compute as pc
@@ -19,7 +20,8 @@ import pytest
 from small_site import write_site
 
 import gis_radar as gr
-from gis_radar.base import InputError, OutputError, Reporter, UsageError, only_writer
+from gis_radar.base import GisRadarError, InputError, OutputError, Reporter, UsageError, only_writer
+from gis_radar.city import is_city_file
 from gis_radar.city.executors import OtherSoftwareError, Workers, run_task, workers_of
 from gis_radar.site import software
 
@@ -280,6 +282,43 @@ def test_a_bad_city_file_is_refused(tmp_path, lines, message):
         gr.run_city(path, tmp_path / "root")
 
 
+def test_an_hour_that_cannot_be_made_again_stays(site, tmp_path):
+    file = copied(site, tmp_path / "one", hours=1)
+    city = city_file(tmp_path, one=file)
+    gr.run_city(city, tmp_path / "root", jobs=1)
+    dataset = tmp_path / "root" / "site=one"
+    before = {path: path.read_bytes() for path in sorted(dataset.glob("h*/**/*.*"))}
+    rows = pq.read_table(tmp_path / "one" / "R1_0.parquet")
+    pq.write_table(rows, tmp_path / "one" / "R2.parquet", compression="gzip")
+    pose = replace(gr.read_pose(tmp_path / "one" / "R1.json"), sensor="R2")
+    pose.write(tmp_path / "one" / "R2_pose.json")
+    text = file.read_text(encoding="utf-8")
+    sensor = '[[sensor]]\nname = "R2"\nrecordings = ["R2.parquet"]\npose = "R2_pose.json"\n'
+    head, _, rest = text.partition("[vehicles]")
+    file.write_text(f"{head}{sensor}[vehicles]{rest}", encoding="utf-8")
+    run = gr.run_city(city, tmp_path / "root", jobs=1)
+    assert any(
+        "frames of R2 are those of R1" in str(error) for _, error in run.sites["one"].failures
+    )
+    assert {path: path.read_bytes() for path in before} == before
+    assert len(gr.open_dataset(dataset).records()) == 1
+
+
+def test_the_results_of_one_site_are_no_folder_for_a_city(tmp_path):
+    city = city_file(tmp_path, one=tmp_path / "none.toml")
+    (tmp_path / "results" / "heatmap").mkdir(parents=True)
+    (tmp_path / "results" / "run.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(OutputError, match="holds 'heatmap'"):
+        gr.run_city(city, tmp_path / "results")
+    assert (tmp_path / "results" / "run.json").read_text(encoding="utf-8") == "{}"
+
+
+def test_a_file_of_any_length_is_looked_into_for_sites(tmp_path):
+    path = tmp_path / "long.toml"
+    path.write_text("# " + 5_000_000 * "x" + '\n[[site]]\nname = "a"\n', encoding="utf-8")
+    assert not is_city_file(path)
+
+
 def test_two_runs_do_not_work_in_one_folder(site, tmp_path):
     city = city_file(tmp_path, one=tmp_path / "none.toml")
     root = tmp_path / "root"
@@ -321,6 +360,15 @@ def test_workers_that_are_lost_whatever_they_do_end_the_run():
     calls = dict.fromkeys(range(9), (end_always,))
     with pytest.raises(OutputError, match="lost 4 times"), workers_of(None, 1, Said()) as workers:
         list(workers.results(calls))
+
+
+def wrong():
+    return {}["gone"]
+
+
+def test_a_fault_in_a_task_is_one_line_with_its_place():
+    with pytest.raises(GisRadarError, match=r"fault in gis_radar, test_city_run\.py:\d+: KeyError"):
+        run_task(software(), wrong)
 
 
 def test_a_worker_with_other_packages_is_refused():

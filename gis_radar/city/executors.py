@@ -23,6 +23,7 @@ from concurrent.futures import (
     as_completed,
 )
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any, TypeVar
 
 from gis_radar.base import (
@@ -187,7 +188,7 @@ def run_task(expected: Mapping[str, str], work: Callable[..., Any], *arguments: 
     OtherSoftwareError
         If the worker has another software.
     GisRadarError
-        If there is no result; a fault in gis_radar is one, too, with its traceback as advice.
+        If there is no result; a fault in gis_radar is one, too, with its place.
     """
     if differs := [name for name, found in software().items() if expected.get(name) != found]:
         name = differs[0]
@@ -207,9 +208,11 @@ def run_task(expected: Mapping[str, str], work: Callable[..., Any], *arguments: 
             where = f"{error.filename}: " if error.filename else ""
             raise OutputError("{}{}", where, error.strerror or error) from error
         except Exception as error:
+            place = traceback.extract_tb(error.__traceback__)[-1]
             raise GisRadarError(
-                "fault in gis_radar: {}", f"{error!r:.200}", hint=traceback.format_exc()
-            ) from error
+                "fault in gis_radar, {}:{}: {}", Path(place.filename).name, place.lineno,
+                f"{error!r:.200}",
+            ) from error  # fmt: skip
 
 
 class Processes(Workers):

@@ -9,7 +9,15 @@ from typing import Any
 import geopandas as gpd
 import pandas as pd
 
-from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError, atomic_write
+from gis_radar.base import (
+    QUIET,
+    CrsError,
+    InputError,
+    NoAnswerError,
+    Reporter,
+    UsageError,
+    atomic_write,
+)
 from gis_radar.dataset import (
     Dataset,
     NotMeasuredError,
@@ -19,7 +27,6 @@ from gis_radar.dataset import (
 )
 from gis_radar.products import Comparison, compare, make_heatmap
 
-SITE = "site="  # with which the names of the folders of sites begin
 SITE_COLUMN = "site"
 
 
@@ -94,14 +101,17 @@ class CityQuestions(SqlQueries):
         return gpd.GeoDataFrame(pd.concat(maps, ignore_index=True))
 
     def compare(
-        self, *, before: Any, after: Any, days: str | None = None, language: str | None = None
-    ) -> dict[str, Comparison]:
+        self, *, before: Any, after: Any, days: str | None = None, language: str | None = None,
+        reporter: Reporter = QUIET,
+    ) -> dict[str, Comparison]:  # fmt: skip
         """Compare the traffic of two periods at each site.
 
         Parameters
         ----------
         before, after, days, language
             As for :func:`gis_radar.compare`.
+        reporter : Reporter
+            Receives a warning for each site that cannot be compared.
 
         Returns
         -------
@@ -122,6 +132,7 @@ class CityQuestions(SqlQueries):
                 )
             except (NoAnswerError, InputError) as error:
                 refused.append(error)
+                reporter.warn("{} is left out: {}", name, error.message)
         if not found:
             raise refused[0]
         return found
@@ -151,7 +162,7 @@ class CityQuestions(SqlQueries):
         place = root or self.root.resolve().as_posix()
         with atomic_write(Path(path)) as part:
             folders = [each.folder for each in self.sites.values()]
-            views = catalogue_of(folders, f"{place.rstrip('/')}/{SITE}*")
+            views = catalogue_of(folders, f"{place.rstrip('/')}/site=*")
             part.write_text(views, encoding="utf-8")
 
     def _of_sites(self, ask: Callable[[Dataset], Any]) -> list[Any]:

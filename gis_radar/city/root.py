@@ -7,16 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gis_radar.base import InputError
-from gis_radar.city.questions import SITE, CityQuestions
-from gis_radar.dataset import Dataset, Manifest, open_dataset
+from gis_radar.city.questions import CityQuestions
+from gis_radar.dataset import Dataset, open_dataset, site_folders
 
 RESULTS = "results"
 """Folder of a city with the results of each site."""
-
-
-def site_folder(root: Path, name: str) -> Path:
-    """Return the folder of a site's dataset."""
-    return root / f"{SITE}{name}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,14 +52,10 @@ def open_city(root: str | Path | City) -> City:
     root = Path(root)
     if not root.is_dir():
         raise InputError("{}: is no folder", root)
-    places = {
-        each.name.removeprefix(SITE): each
-        for each in sorted(root.glob(f"{SITE}?*"))
-        if Manifest.is_there(each)
-    }
+    places = site_folders(root)
     if not places:
         raise InputError(
-            "{}: is no city: has no dataset {}", root, f"{SITE}NAME/",
+            "{}: is no city: has no dataset {}", root, "site=NAME/",
             hint="name the folder that holds the datasets of the sites",
         )  # fmt: skip
     known: dict[str, str] = {}

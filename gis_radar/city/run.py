@@ -26,6 +26,7 @@ from gis_radar.base import (
     json_text,
     only_writer,
     output_errors,
+    refuse_foreign,
     with_texts,
     zone_of,
 )
@@ -47,10 +48,12 @@ from gis_radar.dataset import (
     hour_text,
     listed_hours,
     open_hours,
+    site_folders,
 )
 from gis_radar.site import software
 
 STATE = ".gis-radar"
+OWNED = (STATE, "site=", "results", "poses", "recordings", "run.json", MONTH_PAGE)
 NOTED_EVERY_S = 10.0  # seconds between writes of a site's registry
 HOURS = Text("hours")
 
@@ -178,6 +181,8 @@ def run_city(
     city, root = read_city_file(path), Path(root).absolute()
     state = root / STATE
     with output_errors(root):
+        if root.exists() and not site_folders(root):
+            refuse_foreign(root, OWNED)  # such as the results of one site, whose record is alike
         state.mkdir(parents=True, exist_ok=True)
     sites = {each.name: SiteOutcome() for each in city.site}
     with (

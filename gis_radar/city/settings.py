@@ -10,6 +10,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from gis_radar.base import Text
 from gis_radar.site import (
+    LARGEST_FILE,
     Duration,
     Name,
     Place,
@@ -100,7 +101,9 @@ _HEAD = """\
 def is_city_file(path: str | Path) -> bool:
     """Return whether a TOML file has sites, as no site file has."""
     try:
-        return "site" in tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+        with Path(path).open("rb") as file:
+            text = file.read(LARGEST_FILE).decode("utf-8-sig")
+        return "site" in tomllib.loads(text)
     except (OSError, ValueError, RecursionError):
         return False  # read_site says what is wrong with it
 

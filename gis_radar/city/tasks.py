@@ -22,9 +22,9 @@ from gis_radar.base import (
     json_text,
     read_json,
 )
-from gis_radar.city.root import RESULTS, site_folder
+from gis_radar.city.root import RESULTS
 from gis_radar.city.settings import CityFile
-from gis_radar.dataset import Manifest, make_registered, open_dataset, update_days
+from gis_radar.dataset import Manifest, make_registered, open_dataset, site_folder, update_days
 from gis_radar.site import (
     Sensor,
     Site,

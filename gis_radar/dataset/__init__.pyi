@@ -7,7 +7,14 @@ from .hour_job import MeasureSettings
 from .lane_matching import match_lanes, write_lane_matches
 from .lane_measures import LaneTraffic
 from .making import OpenHours, open_hours, update_days
-from .manifest import Manifest, create_dataset, require_same_settings, require_same_site
+from .manifest import (
+    Manifest,
+    create_dataset,
+    require_same_settings,
+    require_same_site,
+    site_folder,
+    site_folders,
+)
 from .measuring import manifest_of, measure
 from .parts import (
     Origin,
@@ -100,6 +107,8 @@ __all__ = [
     "require_same_site",
     "run_variance",
     "shifts_of",
+    "site_folder",
+    "site_folders",
     "stated_lanes",
     "stated_moment",
     "states_of",

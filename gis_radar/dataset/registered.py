@@ -15,7 +15,7 @@ from gis_radar.base import QUIET, InputError
 from gis_radar.dataset.hour_job import METHOD, HourSite, MadeHour, MeasureSettings, make_hour
 from gis_radar.dataset.manifest import MANIFEST, MAP, TILES, Manifest
 from gis_radar.dataset.parts import part_path
-from gis_radar.dataset.records import HourRecord, remove_record
+from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.registry import (
     Registry,
     source_of,
@@ -135,6 +135,5 @@ def make_registered(folder: Path, hour: int, processes: int = 1) -> MadeHour:
     margin = measure_settings_of(manifest, folder).margin
     registry = Registry.read(folder, manifest.fingerprint, hour=hour, margin=margin)
     site, validity_s = site_of(folder, manifest), validity_by_sensor(registry.entries)
-    remove_record(folder, hour)
     sources = [source_of(*registry.placing(each)) for each in registry.entries]
     return make_hour(site, hour, sources, validity_s, processes=processes)

@@ -15,9 +15,11 @@ from gis_radar.dataset.shifts import lanes_beside
 from gis_radar.measures import LaneNetwork, lane_directions
 
 By: TypeAlias = Literal["hour", "weekday", "month"]
+_OVER_LANES = (  # sums over lanes as they are, as each stands for its own length
+    "visible_km_h", "occupied_km_h", "occupied_variance", "vehicle_km", "vehicle_h",
+)  # fmt: skip
 SUMMED = (
-    "quarters", "visible_s", "counted", "volume", "volume_variance", "heavy", "visible_km_h",
-    "occupied_km_h", "occupied_variance", "vehicle_km", "vehicle_h",
+    "quarters", "visible_s", "counted", "volume", "volume_variance", "heavy", *_OVER_LANES,
 )  # fmt: skip
 MOST_LANES = 8  # side by side in one direction
 
@@ -130,7 +132,7 @@ def street_profile(
     sums = sums.reset_index()
     row = np.searchsorted(street.lane, sums["lane"].to_numpy(np.int64))
     length, road = street.length_m[row], street.road_m[row]
-    of_lanes = sums[["counted", "heavy", *SUMMED[6:]]].assign(
+    of_lanes = sums[["counted", "heavy", *_OVER_LANES]].assign(
         direction=np.array(street.direction, object)[row], cell=sums[by],
         days=sums["quarters"] / (QUARTERS if by == "hour" else QUARTERS_PER_DAY),
         vehicles_m=sums["volume"] * length, hours_m=sums["quarters"] / QUARTERS * road,

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.base import QUIET, GisRadarError, InputError, OutputError, Reporter
+from gis_radar.dataset import site_folders
 from gis_radar.products.postgis import (
     MARK,
     VERSION,
@@ -25,7 +26,6 @@ from gis_radar.products.postgis import (
     require_name,
 )
 
-SITE = "site="
 _VIEWS = {
     "occupancy": "Share of time that a vehicle is on a tile, over all dates",
     "latest_traffic": "Traffic of each lane in its last quarter of an hour",
@@ -63,7 +63,7 @@ class CityPublication:
 
 def is_city(root: str | Path) -> bool:
     """Return whether a folder holds datasets of sites, `ROOT/site=NAME/`."""
-    return any(Path(root).glob(f"{SITE}?*/dataset.json"))
+    return bool(site_folders(Path(root)))
 
 
 def publish_city(
@@ -99,12 +99,9 @@ def publish_city(
         sites failed, which stay as they were; the others are published.
     """
     require_name(schema)
-    places = {
-        each.parent.name.removeprefix(SITE): each.parent
-        for each in sorted(Path(root).glob(f"{SITE}?*/dataset.json"))
-    }
+    places = site_folders(Path(root))
     if not places:
-        raise InputError("{}: has no dataset {}", root, f"{SITE}NAME/")
+        raise InputError("{}: has no dataset {}", root, "site=NAME/")
     schemas = _schemas(Path(root), list(places), schema)
     with connected(url, schema) as (connection, place):
         session = Session(cursor=connection.cursor(), schema=schema, place=place, srid=0)

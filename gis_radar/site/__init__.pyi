@@ -6,7 +6,7 @@ from .recipes import mask_scans, measure_recordings, see_tiles, split_map
 from .run import SiteRun, prepare_site, run_site
 from .settings import MapTable, Sensor, Site, ViewTable, read_site, site_template
 from .stages import convert_stage, measure_stage
-from .toml_file import read_toml, toml_reference, toml_template
+from .toml_file import LARGEST_FILE, read_toml, toml_reference, toml_template
 from .values import (
     CompassBearing,
     File,
@@ -27,6 +27,7 @@ from .versions import software
 from .worker import Pool, WorkerContext, process_pool
 
 __all__ = [
+    "LARGEST_FILE",
     "BrokerTable",
     "CompassBearing",
     "Duration",

@@ -6,12 +6,14 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from axe_core_python.selenium import Axe
 from browser import start_chromium, wide
 from cities import HOUR, driven_hour, write_run, write_site
 from click.testing import CliRunner
 from datasets import write_dataset
+from maps import Listener
 from report_site import Page
 
 import gis_radar as gr
@@ -238,3 +240,16 @@ def test_no_table_is_cut_on_paper(chromium, made):
     )
     assert len(edges) > 5
     assert max(edges) <= 688.5
+
+
+def test_sites_that_can_be_compared_are_and_the_others_are_named(made):
+    periods = {"before": "2023-10-04/2023-10-08", "after": "2023-11-01/2023-11-05"}
+    said = Listener()
+    city = gr.open_city(made / "city")
+    found = city.compare(**periods, reporter=said)
+    assert list(found) == ["Adlerweg", "Birkenallee"]
+    for name, each in found.items():
+        alone = gr.compare(city.sites[name], **periods)
+        pd.testing.assert_frame_equal(each.table, alone.table)
+    for name in ("Buchenplatz", "Eichenhof"):
+        assert any(f"{name} is left out: " in each for each in said.lines)
