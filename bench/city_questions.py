@@ -31,7 +31,7 @@ START = """
 import json, sys, time
 import gis_radar as gr
 import duckdb, geopandas, numba, pandas as pd, pyarrow.parquet
-import gis_radar.dataset.profiles, gis_radar.products
+import gis_radar.dataset.questions.profiles, gis_radar.products
 def spent_s(work):
     begin = time.process_time()
     work()

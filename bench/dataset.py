@@ -36,7 +36,7 @@ from simulated import sites, true_pose
 
 import gis_radar as gr
 from gis_radar.base import QUIET
-from gis_radar.dataset.tables import HITS, TRACKS
+from gis_radar.dataset.files.tables import HITS, TRACKS
 from gis_radar.products import write_projection
 from gis_radar.products.heatmap.layers import write_package
 from gis_radar.recordings.recording_file import parquet_options
@@ -72,7 +72,8 @@ print(json.dumps({"decode_s": decode_s,
 """
 PROFILE = """
 import json, sys, time
-import duckdb, geopandas, pyarrow.parquet, gis_radar.dataset.answers, gis_radar.dataset.queries
+import duckdb, geopandas, pyarrow.parquet
+import gis_radar.dataset.questions.answers, gis_radar.dataset.questions.queries
 import gis_radar as gr
 loaded = time.process_time()
 gr.open_dataset(sys.argv[1]).query(

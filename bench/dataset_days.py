@@ -25,8 +25,8 @@ from gis_radar.dataset import (
     unfinished,
     write_whole,
 )
-from gis_radar.dataset.parts import whole_metadata, write_part
-from gis_radar.dataset.tables import HOUR_TABLES, SIGHTS
+from gis_radar.dataset.files.parts import whole_metadata, write_part
+from gis_radar.dataset.files.tables import HOUR_TABLES, SIGHTS
 from gis_radar.hdmap import fingerprint
 
 FIRST_HOUR = 489_696 // 24 * 24  # of a day in November 2025

@@ -29,9 +29,9 @@ from gis_radar.dataset import (
     write_record,
     write_whole,
 )
-from gis_radar.dataset.lane_measures import METHOD
-from gis_radar.dataset.parts import PartDigest, whole_metadata, write_part
-from gis_radar.dataset.tables import HOUR_TABLES, LANE_MEASURES, SIGHTS, TURNS
+from gis_radar.dataset.days.lane_measures import METHOD
+from gis_radar.dataset.files.parts import PartDigest, whole_metadata, write_part
+from gis_radar.dataset.files.tables import HOUR_TABLES, LANE_MEASURES, SIGHTS, TURNS
 from gis_radar.hdmap import fingerprint
 
 HOURS, QUARTERS, CLASSES = 24, 96, 40

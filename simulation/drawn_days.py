@@ -31,12 +31,12 @@ from gis_radar.dataset import (
     open_dataset,
     write_record,
 )
-from gis_radar.dataset.day_tables import QUARTERS, Day
-from gis_radar.dataset.lane_measures import METHOD, TRAFFIC_TABLES
-from gis_radar.dataset.parts import HOURS_PER_DAY, PartDigest
-from gis_radar.dataset.registry import RecordingEntry, Registry
-from gis_radar.dataset.tables import HOUR_TABLES
-from gis_radar.dataset.tile_counts import count_keys
+from gis_radar.dataset.days.lane_measures import METHOD, TRAFFIC_TABLES
+from gis_radar.dataset.days.tables import QUARTERS, Day
+from gis_radar.dataset.days.tile_counts import count_keys
+from gis_radar.dataset.files.parts import HOURS_PER_DAY, PartDigest
+from gis_radar.dataset.files.registry import RecordingEntry, Registry
+from gis_radar.dataset.files.tables import HOUR_TABLES
 from simulation.measured_minutes import PARTS, MeasuredParts
 
 DRAWN = "drawn"

@@ -21,7 +21,7 @@ from gis_radar.dataset import (
     LaneTraffic,
     count_spans,
 )
-from gis_radar.dataset.tables import LANE_MEASURES, TURNS
+from gis_radar.dataset.files.tables import LANE_MEASURES, TURNS
 from gis_radar.measures import LEAST_SHARE
 
 PART_S = 30

@@ -27,7 +27,7 @@ from gis_radar.dataset import (
     update_counts,
     write_whole,
 )
-from gis_radar.dataset.tables import HOUR_TABLES, SIGHTS
+from gis_radar.dataset.files.tables import HOUR_TABLES, SIGHTS
 
 HOUR = 472_222  # 2023-11-14, 22 h
 LANES = gpd.GeoDataFrame(

@@ -23,7 +23,7 @@ from gis_radar.dataset import (
     update_counts,
     write_whole,
 )
-from gis_radar.dataset.tables import HIT_TABLES, HOUR_TABLES, SIGHTS
+from gis_radar.dataset.files.tables import HIT_TABLES, HOUR_TABLES, SIGHTS
 from gis_radar.hdmap import fingerprint
 from gis_radar.scans import VIEW_ONLY
 

@@ -10,7 +10,7 @@ from live_programs import rows_of
 
 import gis_radar as gr
 from gis_radar.base import step_begin
-from gis_radar.dataset.tables import HITS, OBSERVED
+from gis_radar.dataset.files.tables import HITS, OBSERVED
 from gis_radar.live import Lately, Place, Snapshot
 from gis_radar.live.now.now_filter import VehiclesNow
 from gis_radar.live.served.snapshot import ShownSensor

@@ -9,9 +9,9 @@ from shapely import LineString, Polygon
 
 from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset import STEPS_PER_QUARTER, TILE_COUNTS, LaneTraffic, RollUps, read_hours
-from gis_radar.dataset.day_tables import days_with
-from gis_radar.dataset.tables import LANE_MEASURES, TURNS
-from gis_radar.dataset.tile_counts import count_keys
+from gis_radar.dataset.days.tables import days_with
+from gis_radar.dataset.days.tile_counts import count_keys
+from gis_radar.dataset.files.tables import LANE_MEASURES, TURNS
 
 EASTBOUND, WESTBOUND = (11, 12), 13
 LENGTH_M, WIDTH_M, TILES_A_LANE = 10.0, 3.0, 20

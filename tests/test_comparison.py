@@ -19,7 +19,7 @@ from sites import pose
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR, InputError, NoAnswerError, UsageError
 from gis_radar.dataset import POSES, RECORDINGS, Manifest, write_whole
-from gis_radar.dataset.tables import SIGHTS
+from gis_radar.dataset.files.tables import SIGHTS
 from gis_radar.measures import compare_values, holm_corrected
 from gis_radar.products.comparison.rows import AlikeRows, compared_rows
 

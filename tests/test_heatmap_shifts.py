@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from gis_radar.dataset import Shifts, lanes_beside, shifts_of
-from gis_radar.dataset.shifts import MAP_M, POSE_M
+from gis_radar.dataset.traffic.shifts import MAP_M, POSE_M
 from gis_radar.products.heatmap.occupancy import occupancy_of
 
 UTM = "EPSG:25832"

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections import defaultdict
 from contextlib import suppress
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -112,6 +113,27 @@ def test_no_cycle_between_files():
         TopologicalSorter(imports).prepare()
     except CycleError as cycle:
         raise AssertionError("imports in a circle: " + " <- ".join(cycle.args[1])) from None
+
+
+def between_folders(imports, room):
+    """Map each folder and file of a room to those that it imports."""
+    found = defaultdict(set)
+    for module, targets in imports.items():
+        for target in targets:
+            if top(module) == top(target) == room and module != room != target:
+                pair = [each.split(".")[1] for each in (module, target)]
+                found[pair[0]] |= {pair[1]} - {pair[0]}
+    return found
+
+
+def test_no_cycle_between_folders_of_a_room():
+    imports = read_imports(PACKAGE)
+    assert between_folders(imports, "dataset")["days"] == {"files"}
+    for room in ORDER:
+        try:
+            TopologicalSorter(between_folders(imports, room)).prepare()
+        except CycleError as cycle:
+            raise AssertionError(f"{room}: in a circle: {' <- '.join(cycle.args[1])}") from None
 
 
 def offered_by(room):

@@ -14,7 +14,7 @@ from live_site import Background, LiveSite, needs_mosquitto, wait_for
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_SECOND
-from gis_radar.dataset.tables import TRACKS
+from gis_radar.dataset.files.tables import TRACKS
 from gis_radar.hdmap import lane_graph
 from gis_radar.live import (
     Edge,

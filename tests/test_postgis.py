@@ -18,7 +18,7 @@ from shapely import LineString
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset import LaneTraffic, part_path, read_hours, write_record
-from gis_radar.dataset.tables import TABLES
+from gis_radar.dataset.files.tables import TABLES
 from gis_radar.products.postgis import VERSION
 
 psycopg = pytest.importorskip("psycopg")

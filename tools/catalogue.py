@@ -17,7 +17,7 @@ from babel.messages.catalog import Catalog
 from babel.messages.pofile import read_po, write_po
 
 from gis_radar.cli.usage import CLICK_TEXTS
-from gis_radar.dataset.tables import HOUR_TABLES
+from gis_radar.dataset.files.tables import HOUR_TABLES
 from gis_radar.poses import COMPONENTS
 from gis_radar.products.report.basis import HIT_TOTALS, OCCUPIED_TOTALS
 
@@ -142,7 +142,7 @@ def carried() -> Iterator[tuple[str, str]]:
 
 def figures() -> Iterator[tuple[str, str]]:
     """Yield the names of figures as commands and the plugin show them, and the file of each."""
-    yield from (("gis_radar/dataset/tables.py", table.name) for table in HOUR_TABLES)
+    yield from (("gis_radar/dataset/files/tables.py", table.name) for table in HOUR_TABLES)
     others = (*OCCUPIED_TOTALS, *HIT_TOTALS, *COMPONENTS)
     yield from (("", name.replace("_", " ")) for name in others)
     for path, nodes in trees(PACKAGE).items():

@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 from gis_radar.dataset import TableSchema
-from gis_radar.dataset.table_schema import TableColumn
-from gis_radar.dataset.tables import TABLES
+from gis_radar.dataset.files.schema import TableColumn
+from gis_radar.dataset.files.tables import TABLES
 
 sys.path.append(str(Path(__file__).parents[1] / "bench"))
 import pages

@@ -32,7 +32,7 @@ from score import score_occupancy
 from tracks import COLUMNS, compared, score_tracks
 
 import gis_radar as gr
-from gis_radar.dataset import hour_job as hour_job_module
+from gis_radar.dataset.hours import job as hour_job_module
 from gis_radar.tracking import HourVehicles, tracker
 from gis_radar.tracking import hour_vehicles as hour_vehicles_module
 

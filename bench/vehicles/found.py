@@ -20,7 +20,7 @@ from true_traffic import TrueTraffic
 import gis_radar as gr
 from gis_radar.base import Booleans
 from gis_radar.dataset import PASSAGES, states_of
-from gis_radar.dataset.tables import CONTINUED
+from gis_radar.dataset.files.tables import CONTINUED
 
 ESTIMATES = ["tile_id", "occupied_s", "visible_s", "occupancy", "occupancy_se"]
 

@@ -25,6 +25,7 @@ from .crs import (
     utm_zone,
     yaw_from_compass,
 )
+from .csv_rows import csv_rows, stated_moment, text_in
 from .errors import (
     INSTALL_LOCALIZE,
     INSTALL_TRAJECTORIES,
@@ -206,6 +207,7 @@ __all__ = [
     "content_digest",
     "contiguous",
     "csv_for",
+    "csv_rows",
     "current_language",
     "decimal",
     "describe_layers",
@@ -270,6 +272,7 @@ __all__ = [
     "small_picture",
     "speak",
     "speaking",
+    "stated_moment",
     "step_at",
     "step_begin",
     "step_of",
@@ -278,6 +281,7 @@ __all__ = [
     "stopped_by_signals",
     "street_label",
     "table_card",
+    "text_in",
     "tr",
     "transformer",
     "translated",

@@ -1,13 +1,10 @@
-from .asked_time import day_numbers
-from .csv_rows import csv_rows, stated_moment, text_in
 from .dataset import Dataset, open_dataset
-from .day_tables import STEPS_PER_QUARTER
-from .footprints import FOOTPRINTS, SHOWN_S, footprint_style
-from .hour_job import MeasureSettings
-from .lane_matching import match_lanes, write_lane_matches
-from .lane_measures import LaneTraffic
-from .making import OpenHours, open_hours, update_days
-from .manifest import (
+from .days.asked_time import day_numbers
+from .days.lane_measures import LaneTraffic
+from .days.rollups import RollUps
+from .days.tables import STEPS_PER_QUARTER
+from .days.tile_counts import HourSpans, count_spans, run_variance, update_counts
+from .files.manifest import (
     Manifest,
     create_dataset,
     require_same_settings,
@@ -15,8 +12,7 @@ from .manifest import (
     site_folder,
     site_folders,
 )
-from .measuring import manifest_of, measure
-from .parts import (
+from .files.parts import (
     Origin,
     clear_unfinished,
     hour_begin,
@@ -28,9 +24,8 @@ from .parts import (
     unfinished,
     write_whole,
 )
-from .profiles import NotMeasuredError, measured_span
-from .reading import read_rows
-from .records import (
+from .files.reading import read_rows
+from .files.records import (
     HourRecord,
     HourWriter,
     listed_hours,
@@ -39,18 +34,22 @@ from .records import (
     record_path,
     write_record,
 )
-from .registered import make_registered
-from .rollups import RollUps
-from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
-from .source import NoVehiclesError
-from .sql import SqlQueries
-from .stated_lanes import stated_lanes
-from .states import states_of
-from .street_profile import UnknownStreetError
-from .table_schema import TableSchema
-from .tables import FRAMES, PASSAGES, POSES, RECORDINGS, TILE_COUNTS
-from .tile_counts import HourSpans, count_spans, run_variance, update_counts
-from .views import catalogue_of
+from .files.schema import TableSchema
+from .files.source import NoVehiclesError
+from .files.tables import FRAMES, PASSAGES, POSES, RECORDINGS, TILE_COUNTS
+from .hours.job import MeasureSettings
+from .hours.making import OpenHours, open_hours, update_days
+from .hours.registered import make_registered
+from .lane_matching import match_lanes, write_lane_matches
+from .measuring import manifest_of, measure
+from .questions.profiles import NotMeasuredError, measured_span
+from .questions.sql import SqlQueries
+from .questions.street_profile import UnknownStreetError
+from .questions.views import catalogue_of
+from .traffic.shifts import Shifts, chance_of_others, lanes_beside, shifts_of
+from .traffic.stated_lanes import stated_lanes
+from .vehicles.footprints import FOOTPRINTS, SHOWN_S, footprint_style
+from .vehicles.states import states_of
 
 __all__ = [
     "FOOTPRINTS",
@@ -82,7 +81,6 @@ __all__ = [
     "clear_unfinished",
     "count_spans",
     "create_dataset",
-    "csv_rows",
     "day_numbers",
     "footprint_style",
     "hour_begin",
@@ -110,10 +108,8 @@ __all__ = [
     "site_folder",
     "site_folders",
     "stated_lanes",
-    "stated_moment",
     "states_of",
     "sync_folder",
-    "text_in",
     "unfinished",
     "update_counts",
     "update_days",

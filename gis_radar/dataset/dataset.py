@@ -24,19 +24,22 @@ from gis_radar.base import (
     step_at,
     zone_of,
 )
-from gis_radar.dataset.changes import Upkeep
-from gis_radar.dataset.frame_times import frame_steps
-from gis_radar.dataset.lane_measures import LaneTraffic
-from gis_radar.dataset.manifest import TILES, Manifest
-from gis_radar.dataset.parts import MEASURE_AGAIN, hour_begin, hour_of_step, hour_text, whole_table
-from gis_radar.dataset.profiles import Questions, roll_ups
-from gis_radar.dataset.reading import Span, read_rows
-from gis_radar.dataset.records import HourRecord, hour_bounds, read_hour, read_hours
-from gis_radar.dataset.source import Moment
-from gis_radar.dataset.sql import DatasetQueries
-from gis_radar.dataset.stated_lanes import stated_lanes
-from gis_radar.dataset.table_schema import TableSchema
-from gis_radar.dataset.tables import (
+from gis_radar.dataset.days.lane_measures import LaneTraffic
+from gis_radar.dataset.days.tile_counts import check_counts, read_counts
+from gis_radar.dataset.files.frame_times import frame_steps
+from gis_radar.dataset.files.manifest import TILES, Manifest
+from gis_radar.dataset.files.parts import (
+    MEASURE_AGAIN,
+    hour_begin,
+    hour_of_step,
+    hour_text,
+    whole_table,
+)
+from gis_radar.dataset.files.reading import Span, read_rows
+from gis_radar.dataset.files.records import HourRecord, hour_bounds, read_hour, read_hours
+from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.source import Moment
+from gis_radar.dataset.files.tables import (
     CONTINUED,
     DAY_TABLES,
     FRAMES,
@@ -56,10 +59,13 @@ from gis_radar.dataset.tables import (
     VEHICLES,
     VISIBLE,
 )
-from gis_radar.dataset.tile_counts import check_counts, read_counts
-from gis_radar.dataset.traffic_tables import TrafficTables
-from gis_radar.dataset.units import for_people
-from gis_radar.dataset.vehicle_tables import VehicleTables
+from gis_radar.dataset.files.units import for_people
+from gis_radar.dataset.hours.changes import Upkeep
+from gis_radar.dataset.questions.profiles import Questions, roll_ups
+from gis_radar.dataset.questions.sql import DatasetQueries
+from gis_radar.dataset.traffic.stated_lanes import stated_lanes
+from gis_radar.dataset.traffic.tables import TrafficTables
+from gis_radar.dataset.vehicles.tables import VehicleTables
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER, fingerprint, read_tiles
 from gis_radar.measures import Runs
 

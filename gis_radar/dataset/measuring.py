@@ -33,15 +33,13 @@ from gis_radar.calibration import (
     refuse_implausible,
 )
 from gis_radar.dataset.dataset import Dataset, open_dataset
-from gis_radar.dataset.hour_job import HourSite, MadeHour, MeasureSettings
-from gis_radar.dataset.making import change, writing
-from gis_radar.dataset.manifest import (
+from gis_radar.dataset.files.manifest import (
     Manifest,
     create_dataset,
     remove_dataset,
     require_same_settings,
 )
-from gis_radar.dataset.registry import (
+from gis_radar.dataset.files.registry import (
     PoseBook,
     RecordingEntry,
     Registry,
@@ -50,7 +48,9 @@ from gis_radar.dataset.registry import (
     refuse_two_sensors,
     touched_hours,
 )
-from gis_radar.dataset.remarks import Examined, remark_on_recordings, remark_on_vehicles
+from gis_radar.dataset.hours.job import HourSite, MadeHour, MeasureSettings
+from gis_radar.dataset.hours.making import change, writing
+from gis_radar.dataset.hours.remarks import Examined, remark_on_recordings, remark_on_vehicles
 from gis_radar.hdmap import LaneGraph, LaneletMap, fingerprint, lane_graph
 from gis_radar.measures import Filters, PlacedRecording, RecordingCounts, SightBook, validity_of
 from gis_radar.poses import Pose, PoseTrack, as_tracks

@@ -11,8 +11,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import InputError, Text, listed
-from gis_radar.dataset import csv_rows, stated_moment, text_in
+from gis_radar.base import InputError, Text, csv_rows, listed, stated_moment, text_in
 
 AGREE = 2.0  # standard errors of the difference within which two counts agree: 95 % of cases
 _PLACES = ("section", "lane")

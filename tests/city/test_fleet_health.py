@@ -14,7 +14,7 @@ import gis_radar as gr
 from gis_radar.base import speaking
 from gis_radar.calibration import WRONG, Finding
 from gis_radar.dataset import POSES, write_whole
-from gis_radar.dataset.tables import SIGHTS
+from gis_radar.dataset.files.tables import SIGHTS
 
 DAY = HOUR // 24 * 24  # 2023-11-14, 0 h
 HOURS = [DAY + hour for hour in range(6, 12)]

@@ -27,8 +27,16 @@ from gis_radar.dataset import (
     record_path,
     unfinished,
 )
-from gis_radar.dataset.parts import ROWS_IN_GROUP, PartWriter
-from gis_radar.dataset.tables import HITS, HOUR_TABLES, OBSERVED, OCCUPIED, TABLES, TRACKS, VEHICLES
+from gis_radar.dataset.files.parts import ROWS_IN_GROUP, PartWriter
+from gis_radar.dataset.files.tables import (
+    HITS,
+    HOUR_TABLES,
+    OBSERVED,
+    OCCUPIED,
+    TABLES,
+    TRACKS,
+    VEHICLES,
+)
 
 HOUR = 472_222
 BEGIN = HOUR * STEPS_PER_HOUR
@@ -179,7 +187,7 @@ def test_a_making_that_ends_between_two_parts_is_no_hour(tmp_path, monkeypatch):
 
     other = replace(ORIGIN, inputs="other")
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr("gis_radar.dataset.records.rename_whole", stop_at_third)
+        patch.setattr("gis_radar.dataset.files.records.rename_whole", stop_at_third)
         write_hour(tmp_path, origin=other)
     assert read_hours(tmp_path) == {}
     clear_unfinished(tmp_path)

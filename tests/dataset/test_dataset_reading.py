@@ -19,7 +19,7 @@ from gis_radar.dataset import (
     record_path,
     require_same_site,
 )
-from gis_radar.dataset.tables import HITS, HOUR_TABLES, OBSERVED, TABLES, TRACKS
+from gis_radar.dataset.files.tables import HITS, HOUR_TABLES, OBSERVED, TABLES, TRACKS
 
 AFTER = BEGIN + STEPS_PER_HOUR
 TRACK = {

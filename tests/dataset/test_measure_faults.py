@@ -16,7 +16,7 @@ from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
 import gis_radar as gr
 from gis_radar.base import QUIET
 from gis_radar.dataset import read_hours
-from gis_radar.dataset.making import writing
+from gis_radar.dataset.hours.making import writing
 
 
 @pytest.fixture(scope="module")
@@ -404,7 +404,7 @@ def test_a_full_disk_midway(files, tmp_path, monkeypatch):
     whole = contents(site)
     shutil.rmtree(site)
     with monkeypatch.context() as patch:
-        from gis_radar.dataset import parts
+        from gis_radar.dataset.files import parts
 
         real, writes = parts.PartWriter.close, []
 

@@ -13,7 +13,7 @@ from datasets import BEGIN, HOUR, write_dataset
 
 from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset import TILE_COUNTS
-from gis_radar.dataset.tables import HOUR_TABLES, TABLES
+from gis_radar.dataset.files.tables import HOUR_TABLES, TABLES
 
 DUCKDB = Path(sys.executable).with_name("duckdb")
 BIG = 9_007_199_254_740_993

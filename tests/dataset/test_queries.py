@@ -13,7 +13,7 @@ from datasets import BEGIN, HOUR, stored, write_dataset
 
 from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError
 from gis_radar.dataset import part_path, record_path
-from gis_radar.dataset.tables import HITS, TABLES
+from gis_radar.dataset.files.tables import HITS, TABLES
 
 AFTER = BEGIN + STEPS_PER_HOUR
 
@@ -185,7 +185,7 @@ def test_a_check_reads_the_tile_counts(dataset):
 
 
 def test_hours_that_are_made_meanwhile_are_said(dataset):
-    from gis_radar.dataset.queries import run_query
+    from gis_radar.dataset.questions.queries import run_query
 
     record = record_path(dataset.folder, HOUR)
     state = record.stat()

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pytest
 from datasets import BEGIN, write_dataset
 
-from gis_radar.dataset.answers import stamped, texts
+from gis_radar.dataset.questions.answers import stamped, texts
 
 
 @pytest.fixture

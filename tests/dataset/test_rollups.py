@@ -11,7 +11,7 @@ from months import draw_days, drawn_months, hour_at, roll_up
 
 from gis_radar.base import InputError, UsageError
 from gis_radar.dataset import HourWriter, Origin, open_dataset, read_hours
-from gis_radar.dataset.tables import HOUR_TABLES, LANE_MONTHS, MONTH_TABLES, TILE_MONTHS
+from gis_radar.dataset.files.tables import HOUR_TABLES, LANE_MONTHS, MONTH_TABLES, TILE_MONTHS
 
 # Around the end of a month and of summer time, with gaps.
 HOURS = [

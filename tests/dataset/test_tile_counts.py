@@ -22,7 +22,7 @@ from gis_radar.dataset import (
     update_counts,
     write_record,
 )
-from gis_radar.dataset.tables import HITS, HOUR_TABLES, OBSERVED
+from gis_radar.dataset.files.tables import HITS, HOUR_TABLES, OBSERVED
 
 RUNS = ("observed", "visible", "occupied")
 COUNTS = [name for name in TILE_COUNTS.names if name.endswith("steps")]

@@ -26,7 +26,7 @@ from gis_radar.dataset import (
     record_path,
     write_record,
 )
-from gis_radar.dataset.tables import HOUR_TABLES, LANE_MEASURES, TURNS, VISIBLE
+from gis_radar.dataset.files.tables import HOUR_TABLES, LANE_MEASURES, TURNS, VISIBLE
 
 HOUR = 472_222  # 2023-11-14, 22 h
 EDGE = (HOUR + 1) * STEPS_PER_HOUR

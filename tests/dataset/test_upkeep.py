@@ -12,7 +12,8 @@ from maps import Listener
 from measured import EDGE_S, contents, cut, measured, sample_pose
 
 import gis_radar as gr
-from gis_radar.dataset import read_hours, upkeep
+from gis_radar.dataset import read_hours
+from gis_radar.dataset.hours import upkeep
 
 MIDNIGHT = "Etc/GMT+8"  # the edge of the recordings' hours is midnight by these clocks
 EVE, DAY = "2025-06-11", "2025-06-12"

@@ -23,7 +23,7 @@ import gis_radar
 
 # What is frozen of DuckDB is called a leak when the process ends; commands load it themselves.
 OF_DUCKDB = ("queries", "statement", "views")
-LATE = {"gis_radar.__main__", *(f"gis_radar.dataset.{each}" for each in OF_DUCKDB)}
+LATE = {"gis_radar.__main__", *(f"gis_radar.dataset.questions.{each}" for each in OF_DUCKDB)}
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ from radars import detection, detection_list
 
 import gis_radar as gr
 from fuzz import edits, live
-from gis_radar.dataset.tables import HOUR_TABLES
+from gis_radar.dataset.files.tables import HOUR_TABLES
 from gis_radar.recordings import open_recording
 from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
 from gis_radar.scans import open_scan, read_roads

@@ -10,7 +10,8 @@ finite number of runs of steps, each of which may be too long, too short, or not
 - while other vehicles hide a tile nothing is measured there, on empty road as under vehicles: for
   `HIDDEN_SHARE` of that time only the tile's mean occupancy is known;
 - all vehicles may be shifted along the lane, as poses and maps are
-  (:mod:`gis_radar.dataset.shifts`): occupancy is then that of the place so far ahead or behind;
+  (:mod:`gis_radar.dataset.traffic.shifts`): occupancy is then that of the place so far ahead or
+  behind;
 - across it, a pose that is off by more than half of a tile's width puts them on the next lane, as
   often to the left as to the right.
 
@@ -20,7 +21,7 @@ lanes beside it (0 where there is none),
 `se = sqrt(sum(min(END_SHARE T, END_MOST_S)^2 + (FALSE_SHARE T)^2 or (INFERRED_SHARE T)^2) / V^2
 + (HIDDEN_SHARE H / V)^2 c (1 - c) + d^2 + p ((l - c)^2 + (r - c)^2) / 2)`, and at least
 `LEAST_ERROR_S / V`. Runs are independent, hidden times and shifts are not. The first sum is
-the dataset's `occupied_variance` (:mod:`gis_radar.dataset.tile_counts`), the hidden time its
+the dataset's `occupied_variance` (:mod:`gis_radar.dataset.days.tile_counts`), the hidden time its
 `inferred_steps`.
 """
 

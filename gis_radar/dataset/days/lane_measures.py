@@ -1,0 +1,319 @@
+"""Lane measures and turns: traffic by lane and quarter of an hour, from the tracks of each hour.
+
+The rows of an hour follow from its own parts and from the tracks, in the hour before, of vehicles
+that go on in it: which of them have crossed a line already, and which have been standing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyogrio
+
+from gis_radar.base import STEPS_PER_HOUR, STEPS_PER_SECOND, InputError, Integers, opened_package
+from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, Keys, days_with
+from gis_radar.dataset.days.tile_counts import HourSpans, count_spans, read_counts
+from gis_radar.dataset.files.manifest import TILES
+from gis_radar.dataset.files.parts import HOURS_PER_DAY, hour_text
+from gis_radar.dataset.files.reading import Span
+from gis_radar.dataset.files.records import HourRecord, read_hour
+from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.tables import (
+    CONTINUED,
+    LANE_MEASURES,
+    TRACKS,
+    TURNS,
+    VEHICLES,
+    VISIBLE,
+)
+from gis_radar.hdmap import LANES_LAYER, read_tiles
+from gis_radar.measures import (
+    FrontStates,
+    LaneNetwork,
+    Measured,
+    QueueCourse,
+    StepGrid,
+    TileSteps,
+    VehicleTable,
+    VisibleRuns,
+    measure_lanes,
+    queue_course,
+)
+
+METHOD = 4
+"""Raised whenever the same parts would give other lane measures or turns."""
+
+TRAFFIC_TABLES = (LANE_MEASURES, TURNS)
+_TILE_COLUMNS = ("visible_steps", "occupied_steps", "inferred_steps", "occupied_variance")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LaneTraffic:
+    """Maker and reader of the lane measures and turns of a dataset.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    fingerprint : str
+        Fingerprint of its tiles.
+    line_m : mapping, optional
+        By number of the lane: the counting line, m along the lane, in place of the stop line or the
+        middle. Such traffic is measured by :meth:`finer`, and never stored.
+    """
+
+    folder: Path
+    fingerprint: str
+    line_m: Mapping[int, float] = field(default_factory=dict)
+    _before: dict[int, HourRecord | None] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def network(self) -> LaneNetwork:
+        """The lanes, read when they are first needed."""
+        tiles, known = read_tiles(self.folder / TILES), {}
+        with opened_package(self.folder / TILES, what="the tiles of a dataset") as place:
+            if LANES_LAYER in pyogrio.list_layers(place)[:, 0]:
+                known = pyogrio.read_dataframe(
+                    place, layer=LANES_LAYER, read_geometry=False
+                ).to_dict("series")
+        lane = known.get("lane", [])
+        stops, limits = (
+            dict(zip(lane, known.get(name, ()), strict=False))
+            for name in ("stop_line_m", "speed_limit_kmh")
+        )
+        network = LaneNetwork.of(tiles, stops, limits)
+        lines = [
+            self.line_m.get(number, usual)
+            for number, usual in zip(network.lane.tolist(), network.line_m.tolist(), strict=True)
+        ]
+        return replace(network, line_m=np.array(lines, np.float64)) if self.line_m else network
+
+    def update(self, hour: int, known: Mapping[int, HourRecord] | None = None) -> None:
+        """Bring the tables of the date of an hour up to date; the caller is its only writer.
+
+        Parameters
+        ----------
+        hour : int
+            Any hour of the date, since 1970.
+        known : mapping, optional
+            The records of all complete hours; by default they are read.
+
+        Raises
+        ------
+        InputError
+            If a part of an hour is not the one of its record.
+        OutputError
+            If a table cannot be written.
+        """
+        day = Day.of(self.folder, self.fingerprint, hour)
+        records = day.records(known)
+        self.note(known or {})
+        keys = self.keys(day, records)
+        day.update(TRAFFIC_TABLES, keys, lambda each: self._quarters(records[each]))
+
+    def note(self, records: Mapping[int, HourRecord]) -> None:
+        """Keep records that were read, as the hours before others."""
+        self._before.update(_with_tracks(records))
+
+    def keys(self, day: Day, records: Mapping[int, HourRecord]) -> Keys:
+        """Return the keys of the hours of a date: what the rows of each follow from.
+
+        Hours without vehicles have none. Where exact tables were deleted, the rows stay as they
+        were made, if they were.
+        """
+        keys = {hour: self.key(each) for hour, each in _with_tracks(records).items()}
+        gone = {hour for hour in keys if TRACKS.name in records[hour].dropped}
+        known = day.made(LANE_MEASURES) if gone and day.made(TURNS) else {}
+        return {
+            hour: known[hour] if hour in gone else key
+            for hour, key in keys.items()
+            if hour not in gone or hour in known
+        }
+
+    def key(self, record: HourRecord) -> list[str | int]:
+        """Return what the rows of an hour follow from; the first entry is `METHOD`."""
+        before = self._hour_before(record.hour)
+        inputs, method = ("", 0) if before is None else (before.origin.inputs, before.origin.method)
+        return [METHOD, record.origin.method, record.origin.inputs, method, inputs]
+
+    def _hour_before(self, hour: int) -> HourRecord | None:
+        """Return the record of the hour before, if it has tracks."""
+        if hour - 1 not in self._before:
+            found = read_hour(self.folder, hour - 1)
+            self._before[hour - 1] = None
+            self._before.update(_with_tracks({} if found is None else {hour - 1: found}))
+        return self._before[hour - 1]
+
+    def read(
+        self, table: TableSchema, records: Mapping[int, HourRecord], span: Span | None = None,
+        columns: Sequence[str] | None = None,
+    ) -> Iterator[pa.Table]:  # fmt: skip
+        """Read lane measures or turns day by day; rows that are missing are made now.
+
+        Parameters and the further column `first_step` are as of
+        :func:`gis_radar.dataset.days.tile_counts.read_counts`.
+        """
+        place = TRAFFIC_TABLES.index(table)
+        self.note(records)
+        for day, hours in days_with(self.folder, self.fingerprint, list(records)):
+            keys = self.keys(day, {hour: records[hour] for hour in sorted(hours)})
+            rows = day.rows(
+                TRAFFIC_TABLES, keys, lambda hour: self._quarters(records[hour]), only=table,
+                columns=columns,
+            )  # fmt: skip
+            yield day.timed(rows[place], span, columns)
+
+    def finer(self, record: HourRecord, steps: int) -> tuple[pa.Table, pa.Table]:
+        """Measure an hour by intervals of `steps`, which must divide a quarter of an hour.
+
+        The column `interval` is then the number of the interval in the hour.
+
+        Raises
+        ------
+        InputError
+            If its exact tables were deleted.
+        """
+        begins = np.arange(0, STEPS_PER_HOUR, steps, dtype=np.int64)
+        spans = HourSpans(first=begins, last=begins + steps - 1)
+        tiles, sums = count_spans(self.folder, record, spans)
+        rows = np.flatnonzero(sums["observed_steps"])
+        place, interval = np.divmod(rows, len(begins))
+        counts = [sums[name][rows] for name in _TILE_COLUMNS]
+        found = self._measured(record, steps, tiles[place], interval, counts)
+        return _tables(found, 0)
+
+    def _quarters(self, record: HourRecord) -> tuple[pa.Table, pa.Table]:
+        """Return the rows of an hour by quarters: lane measures, turns."""
+        first = record.hour % HOURS_PER_DAY * QUARTERS
+        columns = ["tile_id", "interval", *_TILE_COLUMNS]
+        counts = read_counts(self.folder, self.fingerprint, {record.hour: record}, None, columns)
+        tile, interval, *steps = (each.to_numpy() for each in next(counts).columns)
+        found = self._measured(record, STEPS_PER_QUARTER, tile, interval - first, steps)
+        return _tables(found, first)
+
+    def courses(
+        self, records: Mapping[int, HourRecord], lane: int, span: Span
+    ) -> list[QueueCourse]:
+        """Follow the queue at the stop line of a lane, second by second.
+
+        Parameters
+        ----------
+        records : mapping
+            Of hours.
+        lane : int
+            Number of the lane.
+        span : (int, int)
+            First and last step.
+
+        Returns
+        -------
+        list of QueueCourse
+            A part an hour; none where exact tables were deleted.
+        """
+        known = _with_tracks(records).values()
+        if any(TRACKS.name in each.dropped for each in known):
+            return []
+        return [self._course(each, lane, span) for each in known]
+
+    def _course(self, record: HourRecord, lane: int, span: Span) -> QueueCourse:
+        begin = record.hour * STEPS_PER_HOUR
+        first, after = max(begin, span[0]), min(begin + STEPS_PER_HOUR, span[1] + 1)
+        grid = StepGrid(
+            begin=first, steps=STEPS_PER_SECOND, count=max((after - first) // STEPS_PER_SECOND, 1)
+        )
+        states, vehicles = self._states(record), self._vehicles(record)
+        length_m = vehicles.length_m[vehicles.of(states.vehicle)]
+        stop = int(np.searchsorted(self.network.lane, lane))
+        return queue_course(stop, states, length_m, self.network, self._visible(record), grid)
+
+    def exact(self, record: HourRecord) -> tuple[FrontStates, VehicleTable, VisibleRuns]:
+        """Return states, vehicles and visible runs of an hour, with the vehicles that go on in it.
+
+        Raises
+        ------
+        InputError
+            If its exact tables were deleted.
+        """
+        if TRACKS.name in record.dropped:
+            raise InputError(
+                "{}: {} has no exact tables any more, which headways and cycles are measured from",
+                self.folder,
+                hour_text(record.hour),
+                hint="ask for a later time",
+            )
+        return self._states(record), self._vehicles(record), self._visible(record)
+
+    def _measured(
+        self, record: HourRecord, steps: int, tile: Integers, interval: Integers,
+        counts: Sequence[Any],
+    ) -> Measured:  # fmt: skip
+        begin = record.hour * STEPS_PER_HOUR
+        visible, occupied, inferred, variance = (each.astype(np.float64) for each in counts)
+        return measure_lanes(
+            self.network,
+            StepGrid(begin=begin, steps=steps, count=STEPS_PER_HOUR // steps),
+            self._states(record),
+            self._vehicles(record),
+            self._visible(record),
+            TileSteps(
+                tile_id=tile, interval=interval.astype(np.int64), visible=visible,
+                occupied=occupied, inferred=inferred, variance=variance,
+            ),
+        )  # fmt: skip
+
+    def _vehicles(self, record: HourRecord) -> VehicleTable:
+        rows = self._part(VEHICLES, record, ["vehicle", "length_m", "p_heavy", "p_exists"])
+        return VehicleTable(**{name: rows[name].to_numpy() for name in rows.column_names})
+
+    def _visible(self, record: HourRecord) -> VisibleRuns:
+        runs = self._part(VISIBLE, record, ["tile_id", "first_step", "last_step"])
+        return VisibleRuns(
+            tile_id=runs["tile_id"].to_numpy(), first=runs["first_step"].to_numpy(),
+            last=runs["last_step"].to_numpy(),
+        )  # fmt: skip
+
+    def _states(self, record: HourRecord) -> FrontStates:
+        """Return the states of an hour, and the earlier ones of vehicles that go on in it."""
+        columns = ["vehicle", "step", "speed_cms", "lanelet_id", "s_cm", "seen"]
+        rows = self._part(TRACKS, record, columns)
+        before = self._hour_before(record.hour)
+        if before is not None and TRACKS.name not in before.dropped:
+            pairs = self._part(CONTINUED, record, CONTINUED.names)
+            earlier = self._part(TRACKS, before, columns)
+            at = pc.index_in(earlier["vehicle"], pairs["vehicle"].combine_chunks())
+            earlier = earlier.set_column(0, earlier.field(0), pairs["next"].take(at))
+            earlier = earlier.filter(at.is_valid())
+            rows = pa.concat_tables([earlier, rows])
+            rows = rows.sort_by([("vehicle", "ascending"), ("step", "ascending")])
+        known = rows["lanelet_id"].is_valid().to_numpy()
+        lanelet = rows["lanelet_id"].fill_null(0).to_numpy()
+        s_m = np.where(known, rows["s_cm"].fill_null(0).to_numpy() / 100.0, np.nan)
+        lane, along = self.network.place(lanelet, s_m)
+        return FrontStates(
+            vehicle=rows["vehicle"].to_numpy(), step=rows["step"].to_numpy(), lane=lane,
+            along_m=along, speed=rows["speed_cms"].to_numpy() / 100.0,
+            seen=rows["seen"].to_numpy(),
+        )  # fmt: skip
+
+    def _part(self, table: TableSchema, record: HourRecord, columns: Sequence[str]) -> pa.Table:
+        with record.opened(self.folder, table) as file:
+            return file.read(columns=list(columns), use_threads=False)
+
+
+def _with_tracks(records: Mapping[int, HourRecord]) -> dict[int, HourRecord]:
+    return {hour: each for hour, each in records.items() if TRACKS.name in each.parts}
+
+
+def _tables(found: Measured, first: int) -> tuple[pa.Table, pa.Table]:
+    lanes, turns = (
+        table.to_arrow(values | {"interval": values["interval"] + first})
+        for table, values in zip(TRAFFIC_TABLES, found, strict=True)
+    )
+    return lanes, turns

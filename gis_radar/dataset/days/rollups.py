@@ -1,0 +1,490 @@
+"""Roll-ups: sums of the tables of dates by month, weekday and hour, by the clocks of the site.
+
+A file of a month holds for each UTC date a *key*, the digest of what its sums were made from. Dates
+are added in their order, so that equal inputs give equal bytes whether a month is summed at once or
+date by date. The last date of a dataset is left out of the files, as it still grows; readers add
+it, and all that is not up to date.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gis_radar.base import Booleans, Floats, InputError, Integers, zone_of
+from gis_radar.dataset.days.asked_time import QUARTER_S, AskedTime, month_edges
+from gis_radar.dataset.days.lane_measures import METHOD, LaneTraffic
+from gis_radar.dataset.days.tables import QUARTERS
+from gis_radar.dataset.days.tile_counts import count_keys, read_counts
+from gis_radar.dataset.files.parts import (
+    HOURS_PER_DAY,
+    days_of,
+    opened_part,
+    rename_whole,
+    unfinished,
+    whole_metadata,
+    write_part,
+)
+from gis_radar.dataset.files.records import HourRecord, read_hours, record_path
+from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.tables import LANE_MEASURES, MONTH_TABLES, TILE_MONTHS, TRACKS
+from gis_radar.measures import SPEED_CLASSES
+
+DAYS_PER_WEEK = 7
+_DATES = "dates"  # entry of the metadata with the key of each date
+_HIGHEST = "queue_max_m"  # the one column that is no sum
+# What the sums of lanes need of `lane_measures`.
+_SOURCES = {
+    "quarters": ("volume",),
+    "visible_s": ("visible_share",),
+    "volume_variance": ("volume_se",),
+    "visible_km_h": ("visible_km_h", "occupancy"),
+    "occupied_km_h": ("visible_km_h", "occupancy"),
+    "occupied_variance": ("visible_km_h", "occupancy_se"),
+    "vehicle_km": ("visible_km_h", "flow"),
+    "vehicle_h": ("visible_km_h", "density"),
+    "delay_h": ("delay_s", "volume"),
+    "queue_m_s": ("queue_mean_m", "visible_share"),
+}
+_Keys: TypeAlias = dict[int, list[str | int]]
+_Odd: TypeAlias = tuple[_Keys, dict[int, HourRecord]]
+_SETTLED_S = 2.0  # after which a folder's time of writing tells whether it was written since
+
+
+class Sums:
+    """Sums of a roll-up by lane (or tile), weekday and hour; memory is that of one month.
+
+    Parameters
+    ----------
+    table : TableSchema
+        The roll-up.
+    columns : sequence of str, optional
+        Its columns that are summed; by default all. The others are missing.
+    """
+
+    def __init__(self, table: TableSchema, columns: Sequence[str] | None = None) -> None:
+        self.table = table
+        needed = {*table.names} if columns is None else {*columns, *_WEIGHTS}
+        self.names = [name for name in table.names if name in needed - {*table.order}]
+        self._id, *cells = table.order
+        self._cells = HOURS_PER_DAY * (DAYS_PER_WEEK if len(cells) > 1 else 1)
+        self._ids: Integers = np.empty(0, np.int64)
+        self._values: dict[str, Floats] = {}
+
+    def add(
+        self, ids: Integers, cell: Integers, columns: Iterable[tuple[str, Floats | Integers]]
+    ) -> None:
+        """Add rows to the sums, in their order.
+
+        Parameters
+        ----------
+        ids : (n,) int64 array
+            Lanes or tiles.
+        cell : (n,) int64 array
+            Weekday x 24 + hour of lanes, hour of tiles.
+        columns : iterable of (str, (n, ...) array)
+            Names and values; the same names each time.
+        """
+        known = np.union1d(self._ids, ids)
+        if len(known) > len(self._ids):
+            self._grow(known)
+        at = np.searchsorted(self._ids, ids) * self._cells + cell
+        for name, values in columns:
+            shape = (len(self._ids) * self._cells, *values.shape[1:])
+            if name not in self._values:
+                self._values[name] = np.full(shape, np.nan if name == _HIGHEST else 0.0)
+            mine = self._values[name]
+            if name == _HIGHEST:
+                np.fmax.at(mine, at, values)
+            elif values.ndim > 1:
+                cells = at[:, None] * values.shape[1] + np.arange(values.shape[1])
+                more = np.bincount(cells.ravel(), values.ravel(), mine.size)
+                mine += more.reshape(mine.shape)
+            else:
+                mine += np.bincount(at, values, len(mine))
+
+    def _grow(self, known: Integers) -> None:
+        place = np.searchsorted(known, self._ids)
+        for name, values in self._values.items():
+            shape = (len(known), self._cells, *values.shape[1:])
+            grown = np.full(shape, np.nan if name == _HIGHEST else 0.0)
+            grown[place] = values.reshape(-1, *shape[1:])
+            self._values[name] = grown.reshape(-1, *shape[2:])
+        self._ids = known
+
+    def add_written(self, rows: pa.Table) -> None:
+        """Add rows of a file."""
+        cell = rows["hour"].to_numpy().astype(np.int64)
+        if "weekday" in rows.column_names:
+            cell += HOURS_PER_DAY * rows["weekday"].to_numpy().astype(np.int64)
+        values = ((name, _numbers(rows, name)) for name in self.names)
+        self.add(rows[self._id].to_numpy(), cell, values)
+
+    def rows(self) -> pa.Table:
+        """Return the sums as rows of the roll-up: those of which something is known."""
+        schema = pa.schema([self.table.schema.field(n) for n in (*self.table.order, *self.names)])
+        if not self._values:
+            return schema.empty_table()
+        weights = [values for name, values in self._values.items() if name in _WEIGHTS]
+        row = np.flatnonzero(np.any([each > 0.0 for each in weights], axis=0))
+        place, cell = np.divmod(row, self._cells)
+        found: dict[str, Any] = {
+            self._id: self._ids[place],
+            "weekday": cell // HOURS_PER_DAY, "hour": cell % HOURS_PER_DAY,
+        }  # fmt: skip
+        found |= {name: each[row] for name, each in self._values.items()}
+        columns = [_typed(found[field.name], field.type) for field in schema]
+        return pa.Table.from_arrays(columns, schema=schema)
+
+
+_WEIGHTS = {"quarters", "visible_s", "visible_km_h", "observed_steps"}
+
+
+def _typed(values: Floats, kind: pa.DataType) -> Any:
+    if pa.types.is_list(kind):
+        whole = pa.array(values.astype(np.int64).ravel())
+        return pa.FixedSizeListArray.from_arrays(whole, values.shape[1]).cast(kind)
+    return pa.array(values, from_pandas=True).cast(kind)
+
+
+def _numbers(rows: pa.Table, name: str) -> Any:
+    """Return a column as numbers; missing ones are NaN, missing lists of classes zeros."""
+    column = rows[name].combine_chunks()
+    if not pa.types.is_list(column.type):
+        return column.to_numpy(zero_copy_only=False)
+    found = np.zeros((len(rows), SPEED_CLASSES), np.int64)
+    lists = column.drop_null().flatten().to_numpy(zero_copy_only=False)
+    found[column.is_valid().to_numpy(zero_copy_only=False)] = lists.reshape(-1, SPEED_CLASSES)
+    return found
+
+
+def _sources(names: Iterable[str]) -> list[str]:
+    return [each for name in names for each in _SOURCES.get(name, (name,))]
+
+
+def _lane_values(rows: pa.Table, names: Iterable[str]) -> Iterator[tuple[str, Any]]:
+    """Yield what is summed of rows of `lane_measures`."""
+    for name in names:
+        of = [_numbers(rows, each) for each in _SOURCES.get(name, (name,))]
+        of = [each.astype(np.float64) if each.ndim == 1 else each for each in of]
+        if name in _SUMMANDS:
+            of = [_SUMMANDS[name](*of)]
+        yield name, of[0] if name == _HIGHEST else np.nan_to_num(of[0])
+
+
+_SUMMANDS: dict[str, Callable[..., Floats]] = {
+    "quarters": lambda volume: np.isfinite(volume).astype(np.float64),
+    "visible_s": lambda share: share * QUARTER_S,
+    "volume_variance": lambda error: error**2,
+    "visible_km_h": lambda area, occupancy: np.where(np.isfinite(occupancy), area, 0.0),
+    "occupied_km_h": lambda area, occupancy: occupancy * area,
+    "occupied_variance": lambda area, error: (error * area) ** 2,
+    "vehicle_km": lambda area, flow: flow * area,
+    "vehicle_h": lambda area, density: density * area,
+    "delay_h": lambda delay_s, volume: delay_s * volume / 3600.0,
+    "queue_m_s": lambda back_m, share: back_m * share * QUARTER_S,
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RollUps:
+    """Maker and reader of the roll-ups of a dataset.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    fingerprint : str
+        Fingerprint of its tiles.
+    timezone : str
+        Time zone of the site.
+    looked_at : dict
+        Filled with what is found of the files of months, and taken until the folders of their hours
+        are written.
+    """
+
+    folder: Path
+    fingerprint: str
+    timezone: str
+    looked_at: dict[tuple[str, str], tuple[list[int], _Odd | None]] = field(
+        default_factory=dict, repr=False
+    )
+    _clocks: dict[int, pd.DatetimeIndex] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def traffic(self) -> LaneTraffic:
+        """The lane measures."""
+        return LaneTraffic(folder=self.folder, fingerprint=self.fingerprint)
+
+    def update(self, hours: Iterable[int], known: Mapping[int, HourRecord]) -> None:
+        """Bring the roll-ups of the months of some hours up to date; the caller is the only writer.
+
+        Parameters
+        ----------
+        hours : iterable of int
+            Hours since 1970 that were made or removed.
+        known : mapping
+            The records of all complete hours.
+        """
+        last = max(days_of(known), default=0)
+        for month in self.months(hours):
+            for table in MONTH_TABLES:
+                keys = self._keys(table, month, known)
+                keys = {day: key for day, key in keys.items() if day < last}
+                path = self.path(table, month)
+                if not keys:
+                    path.unlink(missing_ok=True)
+                elif not self._is_made(table, month, keys):
+                    stated = {_DATES: json.dumps(keys)}
+                    rows = self._sums(table, month, keys, known).rows()
+                    write_part(table, path, rows, self._metadata(table, month) | stated)
+                    rename_whole(unfinished(path), path)
+
+    def read(
+        self, table: TableSchema, month: str, columns: Sequence[str] | None = None
+    ) -> pa.Table:
+        """Read the roll-up of a month; what is missing or not up to date is summed now.
+
+        Parameters
+        ----------
+        table : TableSchema
+            `LANE_MONTHS` or `TILE_MONTHS`.
+        month : str
+            Such as `2026-10`.
+        columns : sequence of str, optional
+            Names of the columns; by default all.
+        """
+        odd = self._unless_whole(table, month)
+        if odd is None:
+            return self._written(table, month, columns)
+        rows = self._sums(table, month, *odd, columns).rows()
+        return rows.select(list(columns or table.names))
+
+    def is_whole(self, table: TableSchema, month: str) -> bool:
+        """Return whether the file of a month holds all of it."""
+        return self._unless_whole(table, month) is None
+
+    def _unless_whole(self, table: TableSchema, month: str) -> _Odd | None:
+        """Return the keys of the dates of a month, and its records, unless its file holds all."""
+        state = self._state(table, month)
+        before, odd = self.looked_at.get((table.name, month), ([], None))
+        if state and before == state:
+            return odd
+        known = self._records(self.days(month))
+        keys = self._keys(table, month, known)
+        odd = None if keys and self._is_made(table, month, keys) else (keys, known)
+        if state:
+            self.looked_at[table.name, month] = state, odd
+        return odd
+
+    def sums_of(
+        self, table: TableSchema, asked: AskedTime, columns: Sequence[str]
+    ) -> Iterator[tuple[str, pa.Table]]:
+        """Yield sums of the asked time month by month, with the rows and columns of a roll-up.
+
+        Months of which only some days are asked for are summed from the tables of dates.
+
+        Parameters
+        ----------
+        table : TableSchema
+            `LANE_MONTHS`, or `TILE_MONTHS` where all days of the week are asked for.
+        asked : AskedTime
+            The time.
+        columns : sequence of str
+            Names of the columns.
+        """
+        for month, whole in asked.months():
+            if whole:
+                yield month, self.read(table, month, columns)
+                continue
+            masks, sums = asked.masks(month), Sums(table, columns)
+            known = self._records(list(masks))
+            for day, quarters in masks.items():
+                self._add_day(sums, day, known, quarters)
+            yield month, sums.rows().select(list(columns))
+
+    def months(self, hours: Iterable[int]) -> list[str]:
+        """Return the months, such as `2026-10`, in which hours since 1970 lie, ascending."""
+        begins = np.unique(np.fromiter(hours, np.int64))[:, None] * 3600 + [0, 2700]
+        local = pd.to_datetime(begins.ravel(), unit="s", utc=True).tz_convert(self.timezone)
+        return sorted(set(local.strftime("%Y-%m")))
+
+    def days(self, month: str) -> list[int]:
+        """Return the first hours of the UTC dates of which a month holds some.
+
+        Raises
+        ------
+        UsageError
+            If it is no month.
+        """
+        first, after = (
+            each.tz_convert("UTC").timestamp() for each in month_edges(month, self.timezone)
+        )
+        return days_of(range(int(first // 3600), int(-(-after // 3600))))
+
+    def clock(self, day: int) -> pd.DatetimeIndex:
+        """Return the begins of the quarters of a UTC date, by the clocks of the site."""
+        if day not in self._clocks:
+            begin = pd.Timestamp(day * 3600, unit="s", tz="UTC")
+            quarters = pd.date_range(begin, periods=HOURS_PER_DAY * QUARTERS, freq="15min")
+            self._clocks[day] = quarters.tz_convert(zone_of(self.timezone))
+        return self._clocks[day]
+
+    def path(self, table: TableSchema, month: str) -> Path:
+        """Return the path of a roll-up."""
+        return self.folder / table.name / f"month={month}" / "month.parquet"
+
+    def check(self) -> None:
+        """Read all files, to check them.
+
+        Raises
+        ------
+        InputError
+            If one is damaged.
+        """
+        for table in MONTH_TABLES:
+            for path in sorted((self.folder / table.name).glob("month=*/month.parquet")):
+                self._written(table, path.parent.name.removeprefix("month="))
+
+    def _in_month(self, day: int, month: str) -> Booleans:
+        """Return which quarters of a UTC date lie in a month."""
+        first, after = (each.timestamp() for each in month_edges(month, self.timezone))
+        begins = day * 3600.0 + QUARTER_S * np.arange(HOURS_PER_DAY * QUARTERS)
+        return (begins >= first) & (begins < after)
+
+    def _records(self, days: Sequence[int]) -> dict[int, HourRecord]:
+        """Read the records of the complete hours from a UTC date to another."""
+        found = read_hours(self.folder, days[0], days[-1] + HOURS_PER_DAY - 1)
+        self.traffic.note(found)
+        return found
+
+    def _state(self, table: TableSchema, month: str) -> list[int]:
+        """Return when the file of a month and the folders of its hours were written.
+
+        Empty if one was written just now: a second time would not be told from the first.
+        """
+        places = [self.path(table, month)]
+        places += [record_path(self.folder, day).parent for day in self.days(month)]
+        state = [_written_ns(path) for path in places]
+        return state if max(state) < time.time_ns() - _SETTLED_S * 1e9 else []
+
+    def _keys(self, table: TableSchema, month: str, known: Mapping[int, HourRecord]) -> _Keys:
+        """Return what the sums of each date follow from: a digest and a number of method.
+
+        By the first hour of the date. The number is 0 where all exact tables were deleted: then the
+        measures stay as the version that made them counted.
+        """
+        self.traffic.note(known)
+        found: _Keys = {}
+        for day in self.days(month):
+            hours = self._hours(day, self._in_month(day, month), known)
+            if table is TILE_MONTHS:
+                keys, method = count_keys(hours), 0
+            else:
+                hours = {hour: each for hour, each in hours.items() if TRACKS.name in each.parts}
+                keys = {hour: self.traffic.key(each)[1:] for hour, each in hours.items()}
+                gone = all(TRACKS.name in each.dropped for each in hours.values())
+                method = 0 if gone else METHOD
+            if keys:
+                text = json.dumps({hour: keys[hour] for hour in sorted(keys)})
+                found[day] = [hashlib.sha256(text.encode()).hexdigest(), method]
+        return found
+
+    def _is_made(self, table: TableSchema, month: str, keys: _Keys) -> bool:
+        """Return whether a file was made of dates with these keys, and no others."""
+        made = self._made(table, month)
+        return made.keys() == keys.keys() and all(map(_are_same, made.values(), keys.values()))
+
+    def _hours(
+        self, day: int, wanted: Booleans, known: Mapping[int, HourRecord]
+    ) -> dict[int, HourRecord]:
+        """Return the records of the hours of a UTC date of which some quarters are wanted."""
+        hours = day + np.flatnonzero(wanted.reshape(-1, QUARTERS).any(axis=1))
+        return {hour: known[hour] for hour in hours.tolist() if hour in known}
+
+    def _sums(
+        self, table: TableSchema, month: str, keys: _Keys,
+        known: Mapping[int, HourRecord], columns: Sequence[str] | None = None,
+    ) -> Sums:  # fmt: skip
+        """Sum a month; the file is taken if its dates are the first ones, with the same keys."""
+        self.traffic.note(known)
+        sums, written = Sums(table, columns), self._made(table, month)
+        first = {day: keys[day] for day in list(keys)[: len(written)]}
+        begun = bool(written) and self._is_made(table, month, first)
+        if begun:
+            sums.add_written(self._written(table, month, [*table.order, *sums.names]))
+        for day in keys:
+            if not (begun and day in written):
+                self._add_day(sums, day, known, self._in_month(day, month))
+        return sums
+
+    def _add_day(
+        self, sums: Sums, day: int, known: Mapping[int, HourRecord], wanted: Booleans
+    ) -> None:
+        """Add the wanted quarters of a UTC date."""
+        hours, clock = self._hours(day, wanted, known), self.clock(day)
+        if not hours:
+            return
+        is_of_tiles, id_name = sums.table is TILE_MONTHS, sums.table.order[0]
+        sources = sums.names if is_of_tiles else _sources(sums.names)
+        columns = list(dict.fromkeys([id_name, "interval", *sources]))
+        if is_of_tiles:
+            (rows,) = read_counts(self.folder, self.fingerprint, hours, None, columns)
+            cells = np.asarray(clock.hour, np.int64)
+        else:
+            (rows,) = self.traffic.read(LANE_MEASURES, hours, None, columns)
+            cells = np.asarray(clock.day_of_week * HOURS_PER_DAY + clock.hour, np.int64)
+        quarter = rows["interval"].to_numpy()
+        if not wanted.all():
+            rows, quarter = rows.filter(pa.array(wanted[quarter])), quarter[wanted[quarter]]
+        values = (
+            ((name, _numbers(rows, name)) for name in sums.names)
+            if is_of_tiles
+            else _lane_values(rows, sums.names)
+        )
+        sums.add(rows[id_name].to_numpy(), cells[quarter], values)
+
+    def _made(self, table: TableSchema, month: str) -> _Keys:
+        """Read the keys of the dates in a file; none if it is damaged."""
+        with suppress(InputError, ValueError, KeyError), self._opened(table, month) as file:
+            stated = json.loads(file.metadata.metadata[_DATES.encode()])
+            return {int(day): key for day, key in stated.items()}
+        return {}
+
+    def _written(
+        self, table: TableSchema, month: str, columns: Sequence[str] | None = None
+    ) -> pa.Table:
+        with self._opened(table, month) as file:
+            return file.read(columns=list(columns or table.names))
+
+    def _opened(self, table: TableSchema, month: str) -> AbstractContextManager[pq.ParquetFile]:
+        return opened_part(table, self.path(table, month), self._metadata(table, month))
+
+    def _metadata(self, table: TableSchema, month: str) -> dict[str, str]:
+        clocks = {"month": month, "timezone": self.timezone}
+        return whole_metadata(table, self.fingerprint) | clocks
+
+
+def _written_ns(path: Path) -> int:
+    """Return when a file or folder was written, 0 where there is none."""
+    try:
+        return path.stat().st_mtime_ns
+    except FileNotFoundError:
+        return 0
+
+
+def _are_same(made: Sequence[str | int], key: Sequence[str | int]) -> bool:
+    """Return whether a date was summed of the same; where exact tables are gone, by any method."""
+    return made[0] == key[0] and (key[1] in (0, made[1]))

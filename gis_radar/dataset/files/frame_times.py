@@ -1,0 +1,67 @@
+"""Steps in which sensors delivered frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+import pyarrow.compute as pc
+
+from gis_radar.base import STEPS_PER_HOUR, InputError, step_of
+from gis_radar.dataset.files.parts import MEASURE_AGAIN
+from gis_radar.dataset.files.reading import read_rows
+from gis_radar.dataset.files.records import HourRecord
+from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.tables import FRAMES, RECORDINGS
+from gis_radar.measures import LONGEST_VALID_STEPS, Runs, union_of_runs, valid_steps
+
+
+def frame_steps(dataset: Source, sensor: str | None, *, valid: bool) -> Runs:
+    """Return the steps with frames; see :meth:`gis_radar.Dataset.frame_steps`."""
+    records = dataset.records()
+    kept = {hour: each for hour, each in records.items() if each.has(FRAMES)}
+    parts = [*_stored(dataset, kept, sensor, valid=valid)]
+    if dropped := records.keys() - kept.keys():
+        parts += _recorded(dataset, dropped, sensor, valid=valid)
+    found = union_of_runs(parts) if parts else None
+    if found is None or not len(found):
+        raise InputError(
+            "{}: holds no frame",
+            dataset.folder,
+            hint="measuring was interrupted, or recordings are empty",
+        )
+    return found
+
+
+def _stored(
+    dataset: Source, records: Mapping[int, HourRecord], sensor: str | None, *, valid: bool
+) -> Iterator[Runs]:
+    """Yield the steps of the frames of some hours."""
+    columns = ["sensor", "first_step", "last_step"]
+    for rows in read_rows(dataset.folder, FRAMES, records, columns=columns):
+        if sensor is not None:
+            rows = rows.filter(pc.equal(rows["sensor"], sensor))  # noqa: PLW2901
+        first, last = (rows[name].to_numpy() for name in ("first_step", "last_step"))
+        if len(last) and np.max(last - first) > LONGEST_VALID_STEPS:
+            raise InputError(
+                "{}: frames are valid for too long", dataset.folder, hint=MEASURE_AGAIN
+            )
+        yield union_of_runs([Runs(first=first, last=last if valid else first)])
+
+
+def _recorded(
+    dataset: Source, hours: Iterable[int], sensor: str | None, *, valid: bool
+) -> Iterator[Runs]:
+    """Yield the steps of recordings in hours without frames: from their first to their last."""
+    rows = dataset.whole(RECORDINGS)
+    if sensor is not None:
+        rows = rows.filter(pc.equal(rows["sensor"], sensor))
+    first, last = (step_of(rows[name].to_numpy()) for name in ("first_time", "last_time"))
+    if valid:
+        more = [valid_steps(each) for each in rows["validity_s"].to_pylist()]
+        last = last + np.array(more, np.int64)
+    known = union_of_runs([Runs(first=first, last=last)])
+    begins = np.array(sorted(hours), np.int64) * STEPS_PER_HOUR
+    blocks = union_of_runs([Runs(first=begins, last=begins + STEPS_PER_HOUR - 1)])
+    for block in zip(blocks.first.tolist(), blocks.last.tolist(), strict=True):
+        yield known.within(*block)

@@ -1,0 +1,249 @@
+"""Manifest of a dataset, `dataset.json`: its map, tiles and settings."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+import geopandas as gpd
+
+from gis_radar.base import (
+    InputError,
+    Text,
+    output_errors,
+    read_json,
+    restored,
+    with_texts,
+    writing_errors,
+)
+from gis_radar.calibration import Finding, is_record
+from gis_radar.dataset.files.parts import rename_whole, unfinished, write_whole
+from gis_radar.dataset.files.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
+from gis_radar.hdmap import write_tiles
+
+MANIFEST, TILES, MAP = "dataset.json", "tiles.gpkg", "map.osm"
+SITE = "site="  # with which the names of a city's datasets begin
+MAKE_ONE = Text("a folder that gis-radar measure wrote is needed")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manifest:
+    """Map, tiles, coordinate system and settings of a dataset.
+
+    Parameters
+    ----------
+    map : str
+        Digest of the Lanelet2 map.
+    fingerprint : str
+        Fingerprint of the tiles.
+    crs : str
+        Map frame, such as `EPSG:25832`.
+    origin : (int, int)
+        Easting and northing from which tracks count, whole metres.
+    timezone : str
+        Time zone of the site, such as `Europe/Berlin`.
+    settings : dict
+        Settings in effect for all of its hours.
+    checks : dict
+        By sensor, the finding whether its pose and recordings fit, as
+        :attr:`gis_radar.calibration.Finding.record`; hours do not follow from it.
+    schema : int
+        Number of the schema of the tables.
+    """
+
+    map: str
+    fingerprint: str
+    crs: str
+    origin: tuple[int, int]
+    timezone: str = "UTC"
+    settings: dict[str, Any] = field(default_factory=dict)
+    checks: dict[str, dict[str, str]] = field(default_factory=dict, compare=False)
+    schema: int = SCHEMA
+
+    @property
+    def findings(self) -> dict[str, Finding]:
+        """Findings whether pose and recordings fit, by sensor."""
+        return {name: Finding(sensor=name, **found) for name, found in self.checks.items()}
+
+    @property
+    def doubts(self) -> dict[str, str]:
+        """Remarks on sensors whose pose and recordings are not known to fit, by sensor."""
+        return {name: found.doubt for name, found in self.findings.items() if found.doubt}
+
+    def write(self, folder: Path) -> None:
+        """Write `dataset.json`, replacing the present one."""
+        path = folder / MANIFEST
+        document = with_texts(asdict(self))
+        text = json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+        with writing_errors(path):
+            unfinished(path).write_text(text, encoding="utf-8")
+        rename_whole(unfinished(path), path)
+
+    @staticmethod
+    def is_there(folder: Path) -> bool:
+        """Return whether a folder is a dataset."""
+        return (folder / MANIFEST).is_file()
+
+    @classmethod
+    def read(cls, folder: str | Path) -> Self:
+        """Read `dataset.json`.
+
+        Raises
+        ------
+        InputError
+            If the folder is no dataset, or has a newer schema.
+        """
+        path = Path(folder) / MANIFEST
+        if not path.is_file():
+            raise InputError("{}: is no dataset: lacks {}", folder, MANIFEST, hint=MAKE_ONE)
+        document = read_json(path, what="the manifest of a dataset", hint=MAKE_ONE)
+        try:
+            if document["schema"] > SCHEMA:
+                raise InputError(
+                    "{}: has schema {}, newer than {}",
+                    folder,
+                    document["schema"],
+                    SCHEMA,
+                    hint="update gis_radar",
+                )
+            easting, northing = map(int, document["origin"])
+            manifest = cls(**{**restored(document), "origin": (easting, northing)})
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=MAKE_ONE) from error
+        for name in ("map", "fingerprint", "crs", "timezone"):
+            if not isinstance(getattr(manifest, name), str):
+                raise InputError("{}: damaged: {} is no text", path, name, hint=MAKE_ONE)
+        for name in ("settings", "checks"):
+            if not isinstance(getattr(manifest, name), dict):
+                raise InputError("{}: damaged: {} are none", path, name, hint=MAKE_ONE)
+        for sensor, check in manifest.checks.items():
+            if not is_record(check):
+                raise InputError(
+                    "{}: damaged: what was checked of {} is no record", path, sensor, hint=MAKE_ONE
+                )
+        return manifest
+
+
+def create_dataset(
+    folder: str | Path,
+    manifest: Manifest,
+    tiles: gpd.GeoDataFrame,
+    *,
+    map_file: str | Path | None = None,
+    problems: gpd.GeoDataFrame | None = None,
+    lanes: gpd.GeoDataFrame | None = None,
+    stop_lines: gpd.GeoDataFrame | None = None,
+) -> None:
+    """Create a dataset: write map, tiles, empty tables of recordings, and last its manifest.
+
+    Parameters
+    ----------
+    folder : str or Path
+        New, or without `dataset.json`.
+    manifest : Manifest
+        The manifest of the dataset.
+    tiles, problems, lanes, stop_lines : GeoDataFrame
+        The layers of `tiles.gpkg`.
+    map_file : str or Path, optional
+        The Lanelet2 map; a copy is kept in the dataset, as hours may be made again.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    folder = Path(folder)
+    with output_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    if map_file is not None:
+        place = folder / MAP
+        with writing_errors(place):
+            unfinished(place).write_bytes(Path(map_file).read_bytes())
+        rename_whole(unfinished(place), place)
+    write_tiles(tiles, folder / TILES, problems=problems, lanes=lanes, stop_lines=stop_lines)
+    for table in (RECORDINGS, POSES, SIGHTS):
+        write_whole(table, folder, table.empty(), manifest.fingerprint)
+    manifest.write(folder)
+
+
+def site_folder(root: Path, name: str) -> Path:
+    """Return the folder of the dataset of a city's site, `ROOT/site=NAME/`."""
+    return root / f"{SITE}{name}"
+
+
+def site_folders(root: Path) -> dict[str, Path]:
+    """Return the folders of the datasets of a city by the names of their sites, ascending."""
+    found = sorted(root.glob(f"{SITE}?*"))
+    return {each.name.removeprefix(SITE): each for each in found if Manifest.is_there(each)}
+
+
+def remove_dataset(folder: Path) -> None:
+    """Remove a dataset, whole or not at all."""
+    aside = folder.with_name(f".{folder.name}.before")
+    with output_errors(folder):
+        shutil.rmtree(aside, ignore_errors=True)
+        folder.rename(aside)
+        shutil.rmtree(aside)
+
+
+def require_same_site(
+    folder: Path, found: Manifest, *, map_digest: str, fingerprint: str, crs: str
+) -> None:
+    """Refuse to add to a dataset with other tiles, another map or coordinate system.
+
+    Raises
+    ------
+    InputError
+        If one differs.
+    """
+    pairs = (
+        ("coordinate system", found.crs, crs),
+        ("map", found.map, map_digest),
+        ("tiles", found.fingerprint, fingerprint),
+    )
+    for what, mine, other in pairs:
+        if mine != other:
+            raise InputError(
+                "{}: was made with another {}: {}, not {}",
+                folder,
+                what,
+                mine,
+                other,
+                hint="name the dataset's own, or another folder",
+            )
+
+
+def require_same_settings(folder: Path, found: Manifest, mine: Manifest) -> None:
+    """Refuse to add to a dataset of another site, or with other settings.
+
+    Raises
+    ------
+    InputError
+        If they differ.
+    """
+    require_same_site(
+        folder, found, map_digest=mine.map, fingerprint=mine.fingerprint, crs=mine.crs
+    )
+    for name in mine.settings:
+        if differs := _difference(name, found.settings.get(name), mine.settings[name]):
+            raise InputError(
+                "{}: was measured with other settings: {}",
+                folder,
+                differs,
+                hint="name the same filters, scans and options, or another folder: "
+                "another version's constants need one, too",
+            )
+
+
+def _difference(name: str, was: Any, now: Any) -> str:
+    """Return the first setting that differs, with both values, as text; empty where none does."""
+    if isinstance(was, Mapping) or isinstance(now, Mapping):  # of another version, one may be None
+        was, now = (each if isinstance(each, Mapping) else {} for each in (was, now))
+        keys = sorted(was.keys() | now.keys())
+        found = (_difference(f"{name}.{key}", was.get(key), now.get(key)) for key in keys)
+        return next(filter(None, found), "")
+    return Text("{} was {}, is {}", name, json.dumps(was), json.dumps(now)) if was != now else ""

@@ -1,0 +1,386 @@
+"""Parts: the Parquet files of a dataset, complete or absent, and checked when they are opened."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gis_radar.base import (
+    STEPS_PER_HOUR,
+    STEPS_PER_SECOND,
+    InputError,
+    Text,
+    first_line,
+    output_errors,
+    writing_errors,
+)
+from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.tables import SCHEMA
+
+HOURS_PER_DAY = 24
+ROWS_IN_GROUP = 131_072
+MEASURE_AGAIN = Text("remove its hour's file in hours/ and measure again; the hour is made anew")
+Values: TypeAlias = Mapping[str, Any] | pd.DataFrame | pa.Table
+"""Arrays by column."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """Origin of a part, which its metadata state.
+
+    Parameters
+    ----------
+    fingerprint : str
+        Fingerprint of the tiles.
+    method : int
+        Method of the hour job.
+    inputs : str
+        Digest of the inputs.
+    """
+
+    fingerprint: str
+    method: int
+    inputs: str
+
+    def metadata(self, table: TableSchema, hour: int) -> dict[str, str]:
+        """Return the metadata of the part of a table in an hour since 1970."""
+        return {
+            **whole_metadata(table, self.fingerprint),
+            "hour": hour_text(hour),
+            "method": str(self.method),
+            "inputs": self.inputs,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartDigest:
+    """Digest and size of a part.
+
+    Parameters
+    ----------
+    rows, size : int
+        Number of rows, and size of the file in bytes.
+    sha256 : str
+        SHA-256 of the file.
+    """
+
+    rows: int
+    size: int
+    sha256: str
+
+
+def hour_of_step(step: int) -> int:
+    """Return the hour since 1970 of a step."""
+    return step // STEPS_PER_HOUR
+
+
+def days_of(hours: Iterable[int]) -> list[int]:
+    """Return the first hours, since 1970, of the UTC dates of some hours, ascending."""
+    return sorted({hour // HOURS_PER_DAY * HOURS_PER_DAY for hour in hours})
+
+
+def hour_begin(hour: int) -> datetime:
+    """Return the begin (UTC) of an hour since 1970."""
+    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(hours=hour)
+
+
+def hour_text(hour: int) -> str:
+    """Return the begin of an hour as text, such as `2026-11-20T09:00Z`."""
+    return f"{hour_begin(hour):%Y-%m-%dT%H:%MZ}"
+
+
+def date_of(hour: int) -> date:
+    """Return the UTC date of an hour since 1970."""
+    return hour_begin(hour).date()
+
+
+def part_path(folder: Path, table: TableSchema, hour: int = 0) -> Path:
+    """Return the path of the part of a table that holds an hour since 1970."""
+    if table.period == "dataset":
+        return folder / f"{table.name}.parquet"
+    name = "day" if table.period == "day" else f"{hour_begin(hour):%H}"
+    return folder / table.name / f"date={date_of(hour)}" / f"{name}.parquet"
+
+
+def unfinished(path: Path) -> Path:
+    """Return the name under which a file is written: hidden, and not ending in `.parquet`."""
+    return path.with_name(f".{path.stem}.part")
+
+
+def clear_unfinished(folder: Path) -> None:
+    """Remove files that a killed run left; the caller is the dataset's only writer."""
+    for left in folder.rglob(".*.part"):
+        with suppress(OSError):
+            left.unlink()
+
+
+def rename_whole(fresh: Path, path: Path) -> None:
+    """Move a file to its place, so that it survives a power failure."""
+    with output_errors(path):
+        with fresh.open("rb") as file:
+            os.fsync(file.fileno())
+        fresh.replace(path)
+        sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Flush the names in a folder to disk, where the system can."""
+    if os.name == "posix":
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+class PartWriter:
+    """Writer of a part in batches; equal rows give equal bytes, however they are divided.
+
+    Parameters
+    ----------
+    table : TableSchema
+        Its columns.
+    path : Path
+        The file.
+    metadata : dict
+        Of :meth:`Origin.metadata`.
+    """
+
+    def __init__(self, table: TableSchema, path: Path, metadata: dict[str, str]) -> None:
+        self._table, self._path = table, path
+        self._waiting = [table.empty()]
+        self._rows = self._written = 0
+        self._last = table.empty()
+        self._writer = pq.ParquetWriter(path, table.schema, **_encoding(table))
+        self._writer.add_key_value_metadata(metadata)
+
+    def add(self, values: Values) -> None:
+        """Add rows that follow those so far.
+
+        Raises
+        ------
+        InputError
+            If they are not what the table holds, or do not follow.
+        """
+        rows = self._table.to_arrow(values)
+        if not len(rows):
+            return
+        self._table.check_rows(pa.concat_tables([self._last, rows.slice(0, 1)]))
+        self._last = rows.slice(len(rows) - 1)
+        self._waiting.append(rows)
+        self._rows += len(rows)
+        whole = (self._rows - self._written) // ROWS_IN_GROUP * ROWS_IN_GROUP
+        if whole:
+            self._write(whole)
+
+    def close(self) -> PartDigest:
+        """Write the remaining rows, and return the part's digest."""
+        if self._rows > self._written:
+            self._write(self._rows - self._written)
+        self._writer.close()
+        with self._path.open("rb") as file:
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+        return PartDigest(rows=self._rows, size=self._path.stat().st_size, sha256=sha256)
+
+    def _write(self, rows: int) -> None:
+        waiting = pa.concat_tables(self._waiting)
+        self._writer.write_table(waiting.slice(0, rows), row_group_size=ROWS_IN_GROUP)
+        self._waiting = [waiting.slice(rows)]
+        self._written += rows
+
+
+def _encoding(table: TableSchema) -> dict[str, Any]:
+    """Return the Parquet options of a table: small, and plain enough for every reader."""
+    encoding, dictionary = {}, []
+    for column in table.columns:
+        if pa.types.is_string(column.type):
+            dictionary.append(column.name)
+        elif pa.types.is_list(column.type):
+            encoding[f"{column.name}.list.element"] = "DELTA_BINARY_PACKED"
+        elif pa.types.is_floating(column.type):
+            encoding[column.name] = "BYTE_STREAM_SPLIT"
+        elif pa.types.is_integer(column.type):
+            encoding[column.name] = "DELTA_BINARY_PACKED"
+    return {
+        "compression": "zstd", "use_dictionary": dictionary or False, "column_encoding": encoding,
+        "write_page_checksum": True, "store_schema": False,
+    }  # fmt: skip
+
+
+def write_part(
+    table: TableSchema, path: Path, batches: Values | Iterable[Values], metadata: dict[str, str]
+) -> PartDigest:
+    """Write a part under the name of :func:`unfinished`; :func:`rename_whole` ends it.
+
+    Parameters
+    ----------
+    table : TableSchema
+        Its columns.
+    path : Path
+        Final path of the part.
+    batches : mapping, or iterable of mappings
+        Its rows, whole or in batches, in order.
+    metadata : dict
+        Of :meth:`Origin.metadata`.
+    """
+    fresh = unfinished(path)
+    with output_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        with writing_errors(path):
+            writer = PartWriter(table, fresh, metadata)
+            whole = isinstance(batches, Mapping | pa.Table | pd.DataFrame)
+            for values in [batches] if whole else batches:
+                writer.add(values)
+            return writer.close()
+    except BaseException:
+        fresh.unlink(missing_ok=True)
+        raise
+
+
+def write_whole(table: TableSchema, folder: Path, values: Values, fingerprint: str) -> None:
+    """Write a table that is one file in the dataset, replacing the present one."""
+    path = part_path(folder, table)
+    write_part(table, path, values, whole_metadata(table, fingerprint))
+    rename_whole(unfinished(path), path)
+
+
+def whole_table(table: TableSchema, folder: Path, fingerprint: str) -> pa.Table:
+    """Read a table that is one file in the dataset.
+
+    Raises
+    ------
+    InputError
+        If it is missing, damaged, of another table, or made from other tiles.
+    """
+    path = part_path(folder, table)
+    with opened_part(table, path, whole_metadata(table, fingerprint)) as file:
+        return file.read(columns=table.names)
+
+
+def whole_metadata(table: TableSchema, fingerprint: str) -> dict[str, str]:
+    """Return the metadata of a table that is one file in the dataset."""
+    return {"table": table.name, "schema": str(SCHEMA), "fingerprint": fingerprint}
+
+
+@contextmanager
+def opened_part(
+    table: TableSchema, path: Path, metadata: dict[str, str], digest: PartDigest | None = None
+) -> Iterator[pq.ParquetFile]:
+    """Open a part after checking its footer.
+
+    Parameters
+    ----------
+    table : TableSchema
+        Its columns.
+    path : Path
+        The file.
+    metadata : dict
+        Expected entries of its metadata; other entries are not checked.
+    digest : PartDigest, optional
+        Expected digest, from the hour's record.
+
+    Yields
+    ------
+    pyarrow.parquet.ParquetFile
+        The file; its pages are checked when they are read.
+
+    Raises
+    ------
+    InputError
+        If it is missing, truncated, damaged, of another table, hour or run, or lacks a column.
+    """
+    hint = _remedy(table)
+    if not path.is_file():
+        hint = Text("measure again; the hour is made anew") if table.period == "hour" else hint
+        raise InputError("{}: is missing", path, hint=hint)
+    if digest is not None and (size := path.stat().st_size) != digest.size:
+        raise InputError("{}: has {} bytes, not {}", path, size, digest.size, hint=hint)
+    with (
+        _damage_as_input_error(path, hint),
+        pq.ParquetFile(path, page_checksum_verification=True) as file,
+    ):
+        _check_metadata(path, file, metadata, hint)
+        _check_columns(table, path, file)
+        if metadata.get("hour") and table.span is not None:
+            _check_span(table, path, file, metadata["hour"])
+        yield file
+
+
+@contextmanager
+def _damage_as_input_error(path: Path, hint: str) -> Iterator[None]:
+    """Convert errors of reading a Parquet file to an InputError that names the file."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (pa.ArrowException, OSError, KeyError) as error:
+        raise InputError("{}: damaged: {}", path, first_line(error), hint=hint) from error
+
+
+def _remedy(table: TableSchema) -> str:
+    """Return what to do about a damaged file of a table."""
+    hint = MEASURE_AGAIN
+    if table.period == "day":
+        hint = Text("remove it: the next run counts that day again")
+    if table.period == "month":
+        hint = Text("remove it: the next run sums that month again")
+    if table.period == "dataset":
+        hint = Text("bring it back, or measure into a new folder")
+    return hint
+
+
+def _check_metadata(path: Path, file: pq.ParquetFile, expected: dict[str, str], hint: str) -> None:
+    found = file.metadata.metadata or {}
+    for name, wanted in expected.items():
+        got = found.get(name.encode(), b"").decode(errors="replace")
+        if got != wanted:
+            raise InputError(
+                "{}: is of {} {}, not {}", path, name, repr(got), repr(wanted), hint=hint
+            )
+
+
+def _check_columns(table: TableSchema, path: Path, file: pq.ParquetFile) -> None:
+    schema, hint = file.schema_arrow, _remedy(table)
+    for column in table.columns:
+        if column.name not in schema.names:
+            if table.period == "day" and column.nullable:
+                continue  # a column added since the file was made: its values are null
+            raise InputError("{}: lacks the column {}", path, column.name, hint=hint)
+        if (got := schema.field(column.name).type) != column.type:
+            raise InputError(
+                "{}: column {} is {}, not {}", path, column.name, got, column.type, hint=hint
+            )
+        if column.nullable or pa.types.is_nested(column.type):
+            continue
+        place = schema.names.index(column.name)
+        groups = (file.metadata.row_group(each) for each in range(file.num_row_groups))
+        known = (group.column(place).statistics for group in groups)
+        if any(each is not None and each.null_count for each in known):
+            raise InputError("{}: damaged: a value of {} is missing", path, column.name, hint=hint)
+
+
+def _check_span(table: TableSchema, path: Path, file: pq.ParquetFile, hour: str) -> None:
+    """Refuse steps of another hour, by the statistics of the row groups."""
+    assert table.span is not None  # noqa: S101 - the caller has looked
+    begin = int(datetime.fromisoformat(hour).timestamp()) * STEPS_PER_SECOND
+    for name in set(table.span):
+        place = file.schema_arrow.names.index(name)
+        for group in range(file.num_row_groups):
+            known = file.metadata.row_group(group).column(place).statistics
+            if (
+                known is None
+                or not known.has_min_max
+                or not begin <= known.min <= known.max < begin + STEPS_PER_HOUR
+            ):
+                raise InputError("{}: {} lies outside its hour", path, name, hint=MEASURE_AGAIN)

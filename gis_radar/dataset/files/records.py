@@ -1,0 +1,316 @@
+"""Records of hours: the parts of an hour appear together, and its record is written last."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pyarrow.parquet as pq
+
+from gis_radar.base import InputError, output_errors, read_json, writing_errors
+from gis_radar.dataset.files.parts import (
+    MEASURE_AGAIN,
+    Origin,
+    PartDigest,
+    Values,
+    date_of,
+    hour_begin,
+    hour_text,
+    opened_part,
+    part_path,
+    rename_whole,
+    sync_folder,
+    unfinished,
+    write_part,
+)
+from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.tables import HOUR_TABLES, SCHEMA, TABLES
+
+HOURS = "hours"
+_LAST_HOUR = 70_000_000  # of a year with four digits: what is open ends later
+
+
+@dataclass(frozen=True, kw_only=True)
+class HourRecord:
+    """Record of an hour: its parts with their digests.
+
+    Parameters
+    ----------
+    hour : int
+        The hour since 1970.
+    origin : Origin
+        Origin of its parts.
+    parts : dict
+        Digest of each part, by table. Tables of vehicles may be absent.
+    dropped : tuple of str
+        Tables whose parts were deleted to save room after `keep`.
+    """
+
+    hour: int
+    origin: Origin
+    parts: Mapping[str, PartDigest]
+    dropped: tuple[str, ...] = ()
+
+    def has(self, table: TableSchema) -> bool:
+        """Return whether the hour has the part of a table, which was not deleted."""
+        return table.name in self.parts and table.name not in self.dropped
+
+    @contextmanager
+    def opened(self, folder: Path, table: TableSchema) -> Iterator[pq.ParquetFile]:
+        """Open the part of a table, checked against this record.
+
+        Raises
+        ------
+        InputError
+            If the hour has no such part, or it is not the one of this record.
+        """
+        path = part_path(folder, table, self.hour)
+        if table.name in self.dropped:
+            raise InputError(
+                "{}: was deleted after the time to keep exact tables",
+                path,
+                hint="ask for a later time; of that one tile_counts, traffic and passages are left",
+            )
+        if table.name not in self.parts:
+            raise InputError(
+                "{}: the hour {} has no {}",
+                folder,
+                hour_text(self.hour),
+                table.name,
+                hint="it was measured without vehicles: for hits only, or without range rates",
+            )
+        metadata = self.origin.metadata(table, self.hour)
+        with opened_part(table, path, metadata, self.parts[table.name]) as file:
+            yield file
+
+    def check_bytes(self, folder: Path, table: TableSchema) -> None:
+        """Compare the bytes of a part with this record, so that every flipped bit is found.
+
+        Raises
+        ------
+        InputError
+            If they differ, or as :meth:`opened`.
+        """
+        path = part_path(folder, table, self.hour)
+        with self.opened(folder, table), path.open("rb") as file:
+            if hashlib.file_digest(file, "sha256").hexdigest() != self.parts[table.name].sha256:
+                raise InputError("{}: its bytes have changed", path, hint=MEASURE_AGAIN)
+
+
+def record_path(folder: Path, hour: int) -> Path:
+    """Return the path of the record of an hour."""
+    return folder / HOURS / str(date_of(hour)) / f"{hour_begin(hour):%H}.json"
+
+
+def read_hours(
+    folder: Path, first: int | None = None, last: int | None = None
+) -> dict[int, HourRecord]:
+    """Read the records of complete hours, by hour since 1970, ascending.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    first, last : int, optional
+        Only hours from `first` to `last`, inclusive.
+
+    Raises
+    ------
+    InputError
+        If one is damaged or of a newer schema.
+    """
+    found = (_read(path) for date in _dates(folder, first, last) for path in _hours(date))
+    return {
+        record.hour: record
+        for record in found
+        if record is not None
+        and (first is None or first <= record.hour)
+        and (last is None or record.hour <= last)
+    }
+
+
+def _dates(folder: Path, first: int | None, last: int | None) -> list[Path]:
+    """Return the folders of the records of the dates of some hours, ascending."""
+    low, high = (str(date_of(min(hour, _LAST_HOUR))) for hour in (first or 0, last or _LAST_HOUR))
+    dates = sorted(path.name for path in (folder / HOURS).glob("????-??-??"))
+    return [folder / HOURS / name for name in dates if low <= name <= high]
+
+
+def _hours(date: Path) -> list[Path]:
+    """Return the records of a date, ascending."""
+    names = sorted(path.name for path in date.glob("??.json"))
+    return [path for name in names if _hour_of_path(path := date / name) is not None]
+
+
+def hour_bounds(
+    folder: Path, first: int | None = None, last: int | None = None
+) -> tuple[int, int] | None:
+    """Return the first and the last complete hour, by the names of records; None without any.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    first, last : int, optional
+        Only hours from `first` to `last`, inclusive.
+    """
+    low, high = -math.inf if first is None else first, math.inf if last is None else last
+    dates, found = _dates(folder, first, last), list[int]()
+    for way in (1, -1):
+        for date in dates[::way]:
+            hours = (_hour_of_path(path) for path in _hours(date))
+            if inside := [hour for hour in hours if hour is not None and low <= hour <= high]:
+                found += inside
+                break
+    return (min(found), max(found)) if found else None
+
+
+def listed_hours(folder: Path) -> list[int]:
+    """List the hours since 1970 that have a record, ascending; no record is read."""
+    paths = (path for date in _dates(folder, None, None) for path in _hours(date))
+    return [hour for path in paths if (hour := _hour_of_path(path)) is not None]
+
+
+def _hour_of_path(path: Path) -> int | None:
+    """Return the hour in the name of a record, None for other files."""
+    try:
+        begin = datetime.fromisoformat(f"{path.parent.name}T{path.stem}:00Z")
+    except ValueError:
+        return None
+    return int(begin.timestamp()) // 3600
+
+
+def read_hour(folder: Path, hour: int) -> HourRecord | None:
+    """Read the record of an hour; None where it is not complete."""
+    return _read(record_path(folder, hour))
+
+
+def _read(path: Path) -> HourRecord | None:
+    if not path.is_file():
+        return None
+    document = read_json(path, what="the record of an hour", hint=MEASURE_AGAIN)
+    try:
+        if document["schema"] > SCHEMA:
+            raise InputError(
+                "{}: has schema {}, newer than {}",
+                path,
+                document["schema"],
+                SCHEMA,
+                hint="update gis_radar",
+            )
+        record = HourRecord(
+            hour=int(datetime.fromisoformat(document["hour"]).timestamp()) // 3600,
+            origin=_origin(document),
+            parts={name: PartDigest(**part) for name, part in document["parts"].items()},
+            dropped=tuple(document["dropped"]),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=MEASURE_AGAIN) from error
+    if record.hour != _hour_of_path(path):
+        raise InputError(
+            "{}: is the record of {}", path, hour_text(record.hour), hint=MEASURE_AGAIN
+        )
+    return record
+
+
+def _origin(document: dict[str, Any]) -> Origin:
+    """Return the origin in a record; an entry of another type is damage."""
+    found = {name: document[name] for name in Origin.__annotations__}
+    for name, value in found.items():
+        if not isinstance(value, int if name == "method" else str):
+            raise TypeError(name)
+    return Origin(**found)
+
+
+def write_record(folder: Path, record: HourRecord) -> None:
+    """Write the record of an hour whose parts are all there."""
+    path = record_path(folder, record.hour)
+    parts = {name: asdict(record.parts[name]) for name in TABLES if name in record.parts}
+    document = {
+        "schema": SCHEMA, "hour": hour_text(record.hour), **asdict(record.origin),
+        "dropped": list(record.dropped), "parts": parts,
+    }  # fmt: skip
+    with output_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with writing_errors(path):
+        unfinished(path).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    rename_whole(unfinished(path), path)
+
+
+def remove_record(folder: Path, hour: int) -> None:
+    """Remove the record of an hour, before any of its parts changes."""
+    path = record_path(folder, hour)
+    with output_errors(path), suppress(FileNotFoundError):
+        path.unlink()
+        sync_folder(path.parent)
+
+
+@dataclass(kw_only=True)
+class HourWriter:
+    """Writer of the parts of an hour, which appear together when the block ends without error.
+
+    Until then the earlier parts stay, with their record. A reader that finds a record finds its
+    parts, whenever the run is killed.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    hour : int
+        The hour since 1970.
+    origin : Origin
+        Origin of the parts.
+    """
+
+    folder: Path
+    hour: int
+    origin: Origin
+    _parts: dict[str, PartDigest] = field(default_factory=dict)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def write(self, table: TableSchema, batches: Values | Iterable[Values]) -> None:
+        """Write the part of a table.
+
+        Parameters
+        ----------
+        table : TableSchema
+            One of the tables of an hour.
+        batches : mapping, or iterable of mappings
+            Its rows, whole or in batches: arrays by column, in order.
+
+        Raises
+        ------
+        InputError
+            If they do not have the table's columns, types and order.
+        OutputError
+            If it cannot be written.
+        """
+        metadata = self.origin.metadata(table, self.hour)
+        path = part_path(self.folder, table, self.hour)
+        self._parts[table.name] = write_part(table, path, batches, metadata)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, _: BaseException | None, __: TracebackType | None
+    ) -> None:
+        places = {t.name: part_path(self.folder, t, self.hour) for t in HOUR_TABLES}
+        if kind is not None:
+            for name in self._parts:
+                unfinished(places[name]).unlink(missing_ok=True)
+            return
+        remove_record(self.folder, self.hour)
+        for name, path in places.items():
+            if name in self._parts:
+                rename_whole(unfinished(path), path)
+            else:
+                path.unlink(missing_ok=True)
+        write_record(self.folder, HourRecord(hour=self.hour, origin=self.origin, parts=self._parts))

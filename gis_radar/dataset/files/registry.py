@@ -1,0 +1,488 @@
+"""Registry of a dataset: its recordings, the poses of their sensors, and the poses' sights.
+
+`recordings.parquet` is the state of a dataset: it lists by recording the hours that were made with
+it. An hour that a recording reaches into and does not list has to be made again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from gis_radar.base import (
+    STEP_US,
+    STEPS_PER_HOUR,
+    STEPS_PER_SECOND,
+    InputError,
+    Text,
+    iso_from_step,
+    step_of,
+)
+from gis_radar.calibration import SensorClock
+from gis_radar.dataset.files.parts import hour_of_step, whole_table, write_whole
+from gis_radar.dataset.files.tables import POSES, RECORDINGS, SIGHTS
+from gis_radar.measures import PlacedRecording, PoseSight, pose_names
+from gis_radar.poses import PoseTrack, pose_from_dict
+from gis_radar.recordings import Recording, has_height, open_recording
+
+LONGEST_GAP_S = 24 * 3600.0
+"""A longer time without frames within a recording is that of a clock that was set."""
+LEAST_RATES = 0.5  # least share of detections with range rates; formats have them of all or of none
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingEntry:
+    """A recording of a dataset: a row of `recordings`.
+
+    Parameters
+    ----------
+    path, digest : str
+        The file, and the SHA-256 of its bytes.
+    sensor, pose : str
+        Name of the sensor, and of its pose or pose track.
+    first_time, last_time : float
+        First and last frame, UNIX seconds, corrected.
+    clock_offset, clock_drift_ppm, clock_at : float
+        As in :class:`gis_radar.calibration.SensorClock`; all 0 where its clock is right.
+    validity_s : float
+        How long its frames are valid, seconds.
+    rows : int
+        Number of rows of the file.
+    has_rates, has_elevation : bool
+        Whether it has range rates, and measures elevation.
+    hours : frozenset of int
+        Hours since 1970 that were made with it.
+    """
+
+    path: str
+    digest: str
+    sensor: str
+    pose: str
+    first_time: float
+    last_time: float
+    clock_offset: float = 0.0
+    clock_drift_ppm: float = 0.0
+    clock_at: float = 0.0
+    validity_s: float
+    rows: int
+    has_rates: bool
+    has_elevation: bool
+    hours: frozenset[int] = frozenset()
+
+    @property
+    def key(self) -> tuple[str, float, str]:
+        """Sort key: sensor, first frame, digest."""
+        return self.sensor, self.first_time, self.digest
+
+    @property
+    def clock(self) -> SensorClock | None:
+        """The sensor's clock; None where it is right."""
+        if self.clock_offset == 0.0 and self.clock_drift_ppm == 0.0:
+            return None
+        return SensorClock(
+            offset_s=self.clock_offset, drift_ppm=self.clock_drift_ppm, at=self.clock_at
+        )
+
+    @cached_property
+    def steps(self) -> tuple[int, int]:
+        """First and last step with a frame."""
+        first, last = (round(time * 1e6) // STEP_US for time in (self.first_time, self.last_time))
+        return first, last
+
+    @property
+    def own_hours(self) -> range:
+        """The hours from its first to its last frame."""
+        first, last = map(hour_of_step, self.steps)
+        return range(first, last + 1)
+
+    def reached_hours(self, margin: int) -> range:
+        """Return the hours whose window, with `margin` steps, overlaps the time of its frames."""
+        first, last = self.steps
+        return range((first - margin) // STEPS_PER_HOUR, (last + margin) // STEPS_PER_HOUR + 1)
+
+    def made_alike(self, other: RecordingEntry) -> bool:
+        """Return whether another entry has the same rows, pose and clock."""
+        return replace(self, path="", hours=frozenset()) == replace(
+            other, path="", hours=frozenset()
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseBook:
+    """Pose tracks of a dataset, and the sights of their poses.
+
+    Parameters
+    ----------
+    tracks : dict
+        By name; a single pose is a track of one.
+    sights : dict
+        By the same name, the sight of each pose.
+    """
+
+    tracks: dict[str, PoseTrack] = field(default_factory=dict)
+    sights: dict[str, Sequence[PoseSight]] = field(default_factory=dict)
+
+    def joined(self, other: PoseBook) -> PoseBook:
+        """Return a book with the poses of both."""
+        return PoseBook(tracks=self.tracks | other.tracks, sights=self.sights | other.sights)
+
+    def of(self, names: Iterable[str]) -> PoseBook:
+        """Return a book with some of the tracks."""
+        tracks = {name: self.tracks[name] for name in sorted(set(names))}
+        return PoseBook(tracks=tracks, sights={name: self.sights[name] for name in tracks})
+
+    @property
+    def different(self) -> dict[str, PoseSight]:
+        """Sights by the name of their pose, each once."""
+        found = {each.name: each for sights in self.sights.values() for each in sights}
+        return dict(sorted(found.items()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Registry:
+    """Recordings and poses of a dataset.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    fingerprint : str
+        Fingerprint of its tiles.
+    entries : tuple of RecordingEntry
+        The recordings, sorted by sensor, first frame and digest.
+    poses : PoseBook
+        Poses of all recordings.
+    """
+
+    folder: Path
+    fingerprint: str
+    entries: tuple[RecordingEntry, ...] = ()
+    poses: PoseBook = field(default_factory=PoseBook)
+
+    @classmethod
+    def read(
+        cls, folder: Path, fingerprint: str, *, hour: int | None = None, margin: int = 0
+    ) -> Registry:
+        """Read the registry of a dataset, or its recordings that reach into one hour.
+
+        Parameters
+        ----------
+        folder : Path
+            Folder of the dataset.
+        fingerprint : str
+            Fingerprint of its tiles.
+        hour : int, optional
+            The hour since 1970.
+        margin : int
+            Steps on either side of the hour.
+
+        Raises
+        ------
+        InputError
+            If a table is damaged, or of another dataset.
+        """
+        tables = (whole_table(table, folder, fingerprint) for table in (RECORDINGS, POSES, SIGHTS))
+        recordings, poses, sights = tables
+        if hour is not None:  # a year's recordings as Python objects take seconds
+            recordings = recordings.filter(_about(recordings, hour, margin))
+        try:
+            entries = [
+                RecordingEntry(**{**row, "hours": frozenset(row["hours"])})
+                for row in recordings.select(RECORDINGS.names).to_pylist()
+            ]
+            if hour is not None:
+                entries = [each for each in entries if hour in each.reached_hours(margin)]
+            book = _poses_from(poses, sights, folder)
+            book.of(each.pose for each in entries)  # all are there
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError("{}: damaged: {}", folder, f"{error!r:.200}") from error
+        entries.sort(key=attrgetter("key"))
+        return cls(folder=folder, fingerprint=fingerprint, entries=tuple(entries), poses=book)
+
+    def write_poses(self, poses: PoseBook) -> None:
+        """Write poses and their sights, replacing the present tables."""
+        write_whole(SIGHTS, self.folder, _sights_table(poses), self.fingerprint)
+        write_whole(POSES, self.folder, _poses_table(poses), self.fingerprint)
+
+    def write_recordings(self) -> None:
+        """Write the table of recordings, with the hours that were made with each."""
+        entries = sorted(self.entries, key=attrgetter("key"))
+        table = {name: list(map(attrgetter(name), entries)) for name in RECORDINGS.names}
+        table["hours"] = list(map(sorted, table["hours"]))
+        write_whole(RECORDINGS, self.folder, table, self.fingerprint)
+
+    @property
+    def hours(self) -> list[int]:
+        """The hours that the dataset must have: from the first to the last of each recording."""
+        return sorted({hour for each in self.entries for hour in each.own_hours})
+
+    def by_hour(self, margin: int) -> dict[int, list[RecordingEntry]]:
+        """Return for each hour the recordings that reach into its window, in their order."""
+        found: dict[int, list[RecordingEntry]] = {}
+        for each in self.entries:
+            for hour in each.reached_hours(margin):
+                found.setdefault(hour, []).append(each)
+        return found
+
+    def missing_hours(self, margin: int) -> list[int]:
+        """Return the hours that have to be made."""
+        reaching = self.by_hour(margin)
+        return [
+            hour for hour in self.hours if any(hour not in each.hours for each in reaching[hour])
+        ]
+
+    def without_hours(self, hours: Iterable[int]) -> Registry:
+        """Return the registry without some hours, which are then made again."""
+        gone = frozenset(hours)
+        entries = (
+            each if gone.isdisjoint(each.hours) else replace(each, hours=each.hours - gone)
+            for each in self.entries
+        )
+        return replace(self, entries=tuple(entries))
+
+    def with_hours(self, hours: Iterable[int], margin: int) -> Registry:
+        """Return the registry with some hours as made with all recordings that reach into them."""
+        made = frozenset(hours)
+        entries = []
+        for each in self.entries:
+            more = made.intersection(each.reached_hours(margin)) - each.hours
+            entries.append(replace(each, hours=each.hours | more) if more else each)
+        return replace(self, entries=tuple(entries))
+
+    def placing(self, entry: RecordingEntry) -> Placing:
+        """Return a recording with its poses."""
+        return entry, self.poses.tracks[entry.pose], self.poses.sights[entry.pose]
+
+
+def _about(recordings: pa.Table, hour: int, margin: int) -> pa.ChunkedArray:
+    """Return which recordings have frames in an hour, its margin and a second on either side."""
+    around_s = margin / STEPS_PER_SECOND + 1.0
+    begin_s = hour * 3600.0
+    return pc.and_(
+        pc.less_equal(recordings["first_time"], begin_s + 3600.0 + around_s),
+        pc.greater_equal(recordings["last_time"], begin_s - around_s),
+    )
+
+
+Placing: TypeAlias = tuple[RecordingEntry, PoseTrack, Sequence[PoseSight]]
+"""A recording, its pose track, and what is seen from each pose."""
+
+
+def source_of(
+    entry: RecordingEntry, track: PoseTrack, sights: Sequence[PoseSight]
+) -> PlacedRecording:
+    """Open a recording with its poses, clock and validity."""
+    return PlacedRecording(
+        recording=open_recording(entry.path), track=track, track_name=entry.pose, sights=sights,
+        clock=entry.clock,
+    )  # fmt: skip
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def touched_hours(
+    hours: Iterable[int], entries: Iterable[RecordingEntry], margin: int
+) -> list[int]:
+    """Return those of some hours into which recordings reach, ascending."""
+    reached = {hour for each in entries for hour in each.reached_hours(margin)}
+    return sorted(reached.intersection(hours))
+
+
+def validity_by_sensor(entries: Iterable[RecordingEntry]) -> dict[str, float]:
+    """Return how many seconds the frames of each sensor are valid.
+
+    Raises
+    ------
+    InputError
+        If recordings of a sensor state different times.
+    """
+    known: dict[str, RecordingEntry] = {}
+    for each in entries:
+        other = known.setdefault(each.sensor, each)
+        if other.validity_s != each.validity_s:
+            raise InputError(
+                "{}: frames of {} are valid for {:g} ms, those of {} for {:g} ms",
+                each.path,
+                each.sensor,
+                1000 * each.validity_s,
+                other.path,
+                1000 * other.validity_s,
+                hint=Text("state the same {} for all recordings of a sensor, or none", "--cycle"),
+            )
+    return {sensor: each.validity_s for sensor, each in known.items()}
+
+
+def refuse_two_sensors(one: RecordingEntry, other: RecordingEntry) -> None:
+    """Refuse a recording that is given for two sensors.
+
+    Raises
+    ------
+    InputError
+        Always.
+    """
+    raise InputError(
+        "{}: is given for {}, and for {} as {}",
+        one.path,
+        one.sensor,
+        other.sensor,
+        other.path,
+        hint="give each sensor its own recording",
+    )
+
+
+def entry_of(
+    recording: Recording, sensor: str, pose: str, clock: SensorClock | None, validity_s: float
+) -> RecordingEntry:
+    """Read a recording's entry: digest, time, rows, whether it has range rates and elevation.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or its times jump by more than a day.
+    """
+    path = Path(recording.path).resolve()
+    first, last, rows, has_rates, has_elevation = _looked_at(recording)
+    times = np.array([first, last])
+    begin, end = (times if clock is None else clock.corrected(times)).tolist()
+    step_of(np.array([begin, end]))
+    known = SensorClock(offset_s=0.0) if clock is None else clock
+    still = known.offset_s == 0.0 and known.drift_ppm == 0.0
+    return RecordingEntry(
+        path=path.as_posix(), digest=digest_of(path), sensor=sensor, pose=pose, first_time=begin,
+        last_time=end, clock_offset=known.offset_s, clock_drift_ppm=known.drift_ppm,
+        clock_at=0.0 if still else known.at, validity_s=validity_s, rows=rows,
+        has_rates=has_rates, has_elevation=has_elevation,
+    )  # fmt: skip
+
+
+def _looked_at(recording: Recording) -> tuple[float, float, int, bool, bool]:
+    """Return first and last time, rows, and whether detections have range rates and elevation."""
+    spans = recording.time_spans() if recording.time_spans is not None else None
+    stated = spans is not None and all(last - first <= LONGEST_GAP_S for first, last in spans)
+    first = last = math.nan
+    rows, has_rates, has_elevation, detections, rates = 0, False, True, 0, 0
+    for batch in recording.read():
+        time = batch.time if rows == 0 else np.concatenate([[last], batch.time])
+        if len(gap := np.flatnonzero(np.diff(time) > LONGEST_GAP_S)):
+            _refuse_gap(recording, *time[gap[0] : gap[0] + 2].tolist())
+        first, last = (float(time[0]) if rows == 0 else first), float(time[-1])
+        rows += len(batch)
+        if detections == 0 and batch.present.any():
+            has_elevation = has_height(batch)
+        detections += int(batch.present.sum())
+        rates += int(np.isfinite(batch.range_rate[batch.present]).sum())
+        has_rates = rates > LEAST_RATES * detections
+        if stated and has_rates:
+            break
+    if stated and spans is not None and recording.rows is not None:
+        for (_, before), (after, _) in pairwise(spans):
+            if after - before > LONGEST_GAP_S:
+                _refuse_gap(recording, before, after)
+        first, last, rows = spans[0][0], spans[-1][1], recording.rows
+    return first, last, rows, has_rates or detections == 0, has_elevation
+
+
+def _refuse_gap(recording: Recording, last: float, then: float) -> None:
+    before, after = (iso_from_step(int(step)) for step in step_of(np.array([last, then])))
+    raise InputError(
+        "{}: its times jump from {} to {}",
+        recording.path,
+        before,
+        after,
+        hint="the sensor's clock was set: cut the recording there, or mend its times",
+    )
+
+
+def _poses_table(poses: PoseBook) -> Mapping[str, Any]:
+    rows = []
+    for name, track in poses.tracks.items():
+        names = pose_names(name, len(track.poses))
+        since = [each if math.isfinite(each) else None for each in track.since.tolist()]
+        for own, pose, begin, sight in zip(
+            names, track.poses, since, poses.sights[name], strict=True
+        ):
+            rows.append(
+                {
+                    "pose": own, "sensor": pose.sensor, "easting": pose.easting,
+                    "northing": pose.northing, "height": pose.height, "yaw": pose.yaw,
+                    "pitch": pose.pitch, "roll": pose.roll, "track": name, "since": begin,
+                    "sight": sight.name,
+                    "road_m": sight.road_m if math.isfinite(sight.road_m) else None,
+                    "document": json.dumps(pose.as_dict(), sort_keys=True),
+                }
+            )  # fmt: skip
+    rows.sort(key=lambda row: str(row["pose"]))
+    return {name: [row[name] for row in rows] for name in POSES.names}
+
+
+def _sights_table(poses: PoseBook) -> Mapping[str, Any]:
+    names = [*poses.different]
+    tiles = [each.tile_id for each in poses.different.values()]
+    return {
+        "pose": np.repeat(np.array([*names, ""], object)[:-1], [len(each) for each in tiles]),
+        "tile_id": np.concatenate([np.empty(0, np.int64), *tiles]),
+    }
+
+
+def _poses_from(poses: pa.Table, sights: pa.Table, folder: Path) -> PoseBook:
+    """Return the poses of a dataset from its tables."""
+    frame, seen = poses.to_pandas(), sights.to_pandas()
+    tiles = {name: rows.to_numpy(np.int64) for name, rows in seen.groupby("pose")["tile_id"]}
+    book = PoseBook()
+    for name, rows in frame.groupby("track", sort=True):
+        found = tuple(
+            pose_from_dict(json.loads(text), what=f"{folder}: {name}") for text in rows["document"]
+        )
+        since = rows["since"].fillna(-math.inf).to_numpy(np.float64)
+        book.tracks[str(name)] = PoseTrack(poses=found, since=since)
+        heads = set(rows["sight"])
+        seen = {
+            own: PoseSight(
+                name=own, pose=pose, road_m=float(road_m),
+                tile_id=tiles.get(own, np.empty(0, np.int64)),
+            )
+            for own, pose, road_m in zip(rows["pose"], found, rows["road_m"], strict=True)
+            if own in heads
+        }  # fmt: skip
+        book.sights[str(name)] = tuple(seen[head] for head in rows["sight"])
+    return book
+
+
+def refuse_swapped(recordings: Sequence[Recording], tracks: Sequence[PoseTrack]) -> None:
+    """Refuse a recording that is named like a sensor, but given for another one.
+
+    The name is the file's or, where that is no sensor's, the one that `convert` wrote into it.
+    """
+    sensors = {track.sensor for track in tracks}
+    stems = [Path(each.path).stem for each in recordings]
+    names = [
+        stem if stem in sensors else each.sensor
+        for stem, each in zip(stems, recordings, strict=True)
+    ]
+    own = {named for named, track in zip(names, tracks, strict=True) if named == track.sensor}
+    others = sensors - own
+    for recording, named, track in zip(recordings, names, tracks, strict=True):
+        if named in others and named != track.sensor:
+            raise InputError(
+                "{}: is given with the pose of {}, beside one of {}",
+                recording.path,
+                track.sensor,
+                named,
+                hint="name recordings and poses in the same order",
+            )

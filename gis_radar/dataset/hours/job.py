@@ -1,0 +1,361 @@
+"""Hour job: make an hour's parts from the rows of all recordings in the hour's window.
+
+The parts follow from the rows in the window, the poses, sights, tiles and settings, and from
+nothing else: no file, no other hour.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from itertools import combinations
+from pathlib import Path
+from typing import Any, Self
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from gis_radar.base import InputError, Integers
+from gis_radar.dataset.files.parts import Origin
+from gis_radar.dataset.files.records import HourWriter
+from gis_radar.dataset.files.tables import (
+    CONTINUED,
+    FRAMES,
+    HITS,
+    OBSERVED,
+    OCCUPIED,
+    PASSAGES,
+    TRACKS,
+    VEHICLES,
+    VISIBLE,
+)
+from gis_radar.hdmap import LaneGraph, TileGrid
+from gis_radar.measures import (
+    LONGEST_VALID_STEPS,
+    Filters,
+    HashedFrames,
+    HitTarget,
+    HourWindow,
+    PlacedRecording,
+    PoseSight,
+    RecordingCounts,
+    SensorHour,
+    ValidFrames,
+    frame_columns,
+    observed_runs,
+    read_sensor,
+    sorted_hits,
+    valid_runs,
+    valid_steps,
+)
+from gis_radar.scans import SightTiles
+from gis_radar.tracking import (
+    MARGIN_STEPS,
+    HourVehicles,
+    vehicles_of_hour,
+)
+
+METHOD = 15
+"""Raised whenever the same inputs would give other parts."""
+
+MOST_EQUAL_FRAMES = 5  # more equal frames of two sensors are no chance
+LEAST_COMPARED = 2  # least detections of frames that are compared: fewer may be equal by chance
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasureSettings:
+    """Settings in effect for all hours of a dataset.
+
+    Parameters
+    ----------
+    filters : Filters
+        Filters of the detections that count as hits.
+    vehicles : bool
+        Whether vehicles are looked for.
+    """
+
+    filters: Filters = field(default_factory=Filters)
+    vehicles: bool = True
+
+    @property
+    def margin(self) -> int:
+        """Number of steps on either side of an hour from which its parts follow, too."""
+        return max(LONGEST_VALID_STEPS, 2 * MARGIN_STEPS if self.vehicles else 0)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all settings as the manifest holds them."""
+        return dict(json.loads(json.dumps(asdict(self))))
+
+    @classmethod
+    def from_dict(cls, known: Mapping[str, Any]) -> Self:
+        """Return the settings of a manifest, also of a version that listed constants in it."""
+        filters = dict(known["filters"])
+        if filters["clearance"] is not None:
+            filters["clearance"] = tuple(filters["clearance"])
+        return cls(filters=Filters(**filters), vehicles=bool(known["vehicles"]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class HourSite:
+    """Inputs that all hours of a dataset have in common.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    tiles : GeoDataFrame
+        All tiles, by ascending id.
+    graph : LaneGraph, optional
+        The lanes; without them, no vehicles are looked for.
+    origin : (int, int)
+        Easting and northing from which tracks count, whole metres.
+    settings : MeasureSettings
+        Settings in effect.
+    """
+
+    folder: Path
+    tiles: gpd.GeoDataFrame
+    graph: LaneGraph | None
+    origin: tuple[int, int]
+    settings: MeasureSettings
+
+    @cached_property
+    def target(self) -> HitTarget:
+        """The tiles and filters by which detections become hits."""
+        road = SightTiles.of(self.tiles)
+        return HitTarget(
+            road=road, grid=TileGrid(road.quads), filters=self.settings.filters,
+            rcs=self.settings.vehicles or self.settings.filters.min_rcs is not None,
+        )  # fmt: skip
+
+    @property
+    def finds_vehicles(self) -> bool:
+        """Whether vehicles are looked for."""
+        return self.settings.vehicles and self.graph is not None
+
+
+@dataclass(frozen=True, kw_only=True)
+class MadeHour:
+    """Result of an hour besides its parts.
+
+    Parameters
+    ----------
+    hour : int
+        The hour since 1970.
+    evidence : dict
+        Counts by the path of the recording.
+    vehicles : int
+        Number of vehicles.
+    on_lanes : list of DataFrame
+        Places at which sensors see vehicles on their lanes.
+    """
+
+    hour: int
+    evidence: dict[str, RecordingCounts]
+    vehicles: int
+    on_lanes: list[pd.DataFrame]
+
+
+def make_hour(
+    site: HourSite,
+    hour: int,
+    sources: Sequence[PlacedRecording],
+    validity_s: Mapping[str, float],
+    *,
+    processes: int = 1,
+) -> MadeHour:
+    """Make the parts of an hour, and write them.
+
+    Parameters
+    ----------
+    site : HourSite
+        Inputs that all hours have in common.
+    hour : int
+        The hour since 1970.
+    sources : sequence of PlacedRecording
+        All recordings that reach into the window, those of a sensor by their first frame.
+    validity_s : mapping
+        By sensor, how long its frames are valid, seconds.
+    processes : int
+        Number of blocks of the hour in which vehicles are looked for in parallel.
+
+    Raises
+    ------
+    InputError
+        If a recording is damaged, two of one sensor differ in the time that both hold, or two
+        sensors delivered the same frames.
+    """
+    window = HourWindow(hour=hour, margin=site.settings.margin)
+    sensors = read_sensors(site, window, sources)
+    evidence = {
+        source.recording.path.as_posix(): counted
+        for sensor in sensors
+        for source, counted in zip(sensor.sources, sensor.evidence, strict=True)
+    }
+    sensors = [sensor for sensor in sensors if len(sensor.frames)]
+    valid = [ValidFrames.of(each, valid_steps(validity_s[each.sensor])) for each in sensors]
+    held = valid_runs(sensors, valid, window)
+    sights = {each.name: each for sensor in sensors for each in sensor.sights}
+    origin = Origin(
+        fingerprint=site.target.road.fingerprint, method=METHOD,
+        inputs=digest_of_inputs(sensors, site.settings, validity_s),
+    )  # fmt: skip
+    vehicles, on_lanes = 0, list[pd.DataFrame]()
+    with HourWriter(folder=site.folder, hour=hour, origin=origin) as writer:
+        _write_hits(writer, sensors, valid, held, sights, site, window)
+        # The counts of five sensors in an hour take 170 MB, and vehicles do not need them.
+        sensors = [replace(each, counted=each.counted[:0].copy(), tile=[]) for each in sensors]
+        if site.finds_vehicles:
+            found = _vehicles(sensors, window, held, sights, site, processes)
+            _write_vehicles(writer, found, site.origin)
+            vehicles, on_lanes = len(found.vehicles), found.on_lanes
+    return MadeHour(hour=hour, evidence=evidence, vehicles=vehicles, on_lanes=on_lanes)
+
+
+def read_sensors(
+    site: HourSite,
+    window: HourWindow,
+    sources: Sequence[PlacedRecording],
+    *,
+    count_hits: bool = True,
+) -> list[SensorHour]:
+    """Read what all sensors delivered in a window, and refuse frames that contradict each other.
+
+    Parameters and errors as of :func:`make_hour`; `count_hits` False only compares the frames.
+    """
+    by_sensor: dict[str, list[PlacedRecording]] = {}
+    for source in sources:
+        by_sensor.setdefault(source.track.sensor, []).append(source)
+    sensors = [
+        read_sensor(found, window, site.target, count_hits=count_hits)
+        for _, found in sorted(by_sensor.items())
+    ]
+    refuse_equal_frames(sensors)
+    return sensors
+
+
+def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
+    """Refuse two sensors with the same frames, as if one recording were given for both.
+
+    Raises
+    ------
+    InputError
+        If there are two such sensors.
+    """
+    hashes = [np.unique(_compared_hashes(each.frames)) for each in sensors]
+    found, counts = np.unique(np.concatenate([np.empty(0, np.uint64), *hashes]), return_counts=True)
+    shared = found[counts > 1]  # usually few, so that comparing all pairs of sensors is cheap
+    if len(shared) <= MOST_EQUAL_FRAMES:
+        return
+    hashes = [np.intersect1d(each, shared, assume_unique=True) for each in hashes]
+    for (one, mine), (other, theirs) in combinations(zip(sensors, hashes, strict=True), 2):
+        same = np.intersect1d(mine, theirs, assume_unique=True)
+        if len(same) > MOST_EQUAL_FRAMES:
+            first, second = (
+                each.sources[int(each.source[np.flatnonzero(each.frames.hash == same[0])[0]])]
+                for each in (one, other)
+            )
+            raise InputError(
+                "{}: {:,} frames of {} are those of {} in {}",
+                second.recording.path,
+                len(same),
+                other.sensor,
+                one.sensor,
+                first.recording.path,
+                hint="give each sensor its own recording",
+            )
+
+
+def _compared_hashes(frames: HashedFrames) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
+    return frames.hash[frames.detections >= LEAST_COMPARED]
+
+
+def digest_of_inputs(
+    sensors: Sequence[SensorHour], settings: MeasureSettings, validity_s: Mapping[str, float]
+) -> str:
+    """Return the digest of all inputs of an hour's parts but tiles and method.
+
+    It is equal for equal rows in the window, in however many files they come.
+    """
+    digest = hashlib.sha256(json.dumps(settings.as_dict(), sort_keys=True).encode())
+    for sensor in sensors:
+        digest.update(f"{sensor.sensor} {validity_s[sensor.sensor]!r}".encode())
+        known: dict[str, int] = {}
+        number = np.empty(len(sensor.frames), np.int64)
+        for k, source in enumerate(sensor.sources):
+            mine = sensor.source == k
+            for index in np.unique(sensor.pose[mine]).tolist():
+                text = _described(source, index)
+                number[mine & (sensor.pose == index)] = known.setdefault(text, len(known))
+        digest.update(json.dumps(list(known)).encode())
+        for column in (number, sensor.frames.time_us, sensor.frames.hash):
+            digest.update(column.tobytes())
+    return digest.hexdigest()
+
+
+def _described(source: PlacedRecording, index: int) -> str:
+    """Return a pose, its sight and the clock as text, equal where all of them are."""
+    seen = source.sights[index]
+    clock = None if source.clock is None else asdict(source.clock)
+    sight = hashlib.sha256(seen.tile_id.tobytes()).hexdigest()
+    return json.dumps(
+        [source.track.poses[index].as_dict(), seen.name, seen.road_m, sight, clock],
+        sort_keys=True,
+    )
+
+
+def _write_hits(
+    writer: HourWriter, sensors: Sequence[SensorHour], valid: Sequence[ValidFrames],
+    held: pd.DataFrame, sights: Mapping[str, PoseSight], site: HourSite, window: HourWindow,
+) -> None:  # fmt: skip
+    ids = site.target.road.tile_id
+    pairs = zip(sensors, valid, strict=True)
+    writer.write(FRAMES, (frame_columns(each, frames, window) for each, frames in pairs))
+    writer.write(HITS, sorted_hits(sensors, valid, ids, window))
+    tile, first, last = observed_runs(held, sights, ids, window)
+    writer.write(OBSERVED, {"tile_id": ids[tile], "first_step": first, "last_step": last})
+
+
+def _vehicles(
+    sensors: Sequence[SensorHour], window: HourWindow, held: pd.DataFrame,
+    sights: Mapping[str, PoseSight], site: HourSite, processes: int,
+) -> HourVehicles:  # fmt: skip
+    assert site.graph is not None  # noqa: S101 - the caller has looked
+    return vehicles_of_hour(
+        sensors, window, held=held, tiles=site.tiles, sights=sights, graph=site.graph,
+        processes=processes,
+    )  # fmt: skip
+
+
+def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, int]) -> None:
+    tracks, on = found.tracks, found.tracks["lanelet_id"].notna().to_numpy()
+    placed = {
+        name: np.ma.masked_array(_hundredths(tracks[of].fillna(0.0)), ~on)
+        for name, of in (("s_cm", "s_m"), ("d_cm", "d_m"))
+    }
+    lanelet = tracks["lanelet_id"].fillna(0).to_numpy(np.int64)
+    writer.write(
+        TRACKS,
+        {
+            "vehicle": tracks["vehicle"], "step": tracks["step"],
+            "x_cm": _hundredths(tracks["easting"] - origin[0]),
+            "y_cm": _hundredths(tracks["northing"] - origin[1]),
+            "heading_cdeg": _hundredths(tracks["heading"]),
+            "speed_cms": _hundredths(tracks["speed"]),
+            "lanelet_id": np.ma.masked_array(lanelet, ~on), **placed, "seen": tracks["seen"],
+        },
+    )  # fmt: skip
+    writer.write(VEHICLES, found.vehicles)
+    writer.write(CONTINUED, found.continued)
+    speed = _hundredths(found.passages["speed"])
+    writer.write(PASSAGES, found.passages.assign(speed_cms=speed))
+    writer.write(OCCUPIED, found.occupied)
+    writer.write(VISIBLE, found.visible)
+
+
+def _hundredths(values: pd.Series) -> Integers:
+    return np.rint(values.to_numpy(np.float64) * 100.0).astype(np.int64)

@@ -1,0 +1,368 @@
+"""Change the recordings of a dataset, and make the hours that the change touches.
+
+The registry is written first, without the hours that a change touches: whenever a run is killed,
+the next one sees which hours to make. An hour's record is removed before any of its parts changes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import as_completed
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gis_radar.base import (
+    GisRadarError,
+    InputError,
+    Reporter,
+    Text,
+    only_writer,
+    output_errors,
+    refuse_foreign,
+    require_folder,
+    watch_parent,
+    worker_pool,
+)
+from gis_radar.dataset.days.lane_measures import LaneTraffic
+from gis_radar.dataset.days.rollups import RollUps
+from gis_radar.dataset.days.tile_counts import update_counts
+from gis_radar.dataset.files.manifest import Manifest
+from gis_radar.dataset.files.parts import clear_unfinished, days_of, hour_text, part_path
+from gis_radar.dataset.files.records import HourRecord, read_hour, read_hours, remove_record
+from gis_radar.dataset.files.registry import (
+    Placing,
+    RecordingEntry,
+    Registry,
+    digest_of,
+    source_of,
+    touched_hours,
+    validity_by_sensor,
+)
+from gis_radar.dataset.files.tables import HOUR_TABLES
+from gis_radar.dataset.hours.job import HourSite, MadeHour, make_hour, read_sensors
+from gis_radar.dataset.hours.registered import (
+    hours_to_make,
+    is_whole,
+    keep_site,
+    make_registered,
+    measure_settings_of,
+)
+from gis_radar.measures import HourWindow
+
+OWNED = (  # begins of the names of files that a killed run may have left
+    "map.osm", "tiles.gpkg", "recordings.parquet", "poses.parquet", "sights.parquet", ".",
+)  # fmt: skip
+STAGE = "measuring"
+NOTED_EVERY_S = 2.0  # seconds between writes of the registry, which is long for a year's recordings
+RELINK = Text(
+    "gis-radar dataset DATASET --relink FOLDER finds what was moved, --withdraw takes it out"
+)
+
+TOO_LATE = Text("leave such recordings away, or measure that time into another dataset")
+
+
+@contextmanager
+def writing(folder: Path, reporter: Reporter) -> Iterator[None]:
+    """Lock a dataset for writing, and remove files that a killed run left.
+
+    Raises
+    ------
+    OutputError
+        If another run is writing it, its parent folder is missing, or the folder holds other files.
+    """
+    place = folder.absolute()
+    require_folder(place)
+    if place.exists() and not Manifest.is_there(place):
+        refuse_foreign(place, OWNED)
+    with output_errors(place), only_writer(place, reporter=reporter):
+        clear_unfinished(place)
+        yield
+
+
+def change(
+    site: HourSite,
+    before: Registry,
+    after: Registry,
+    *,
+    known: Iterable[RecordingEntry] = (),
+    before_hour: int | None = None,
+    processes: int = 1,
+    reporter: Reporter,
+) -> list[MadeHour]:
+    """Bring a dataset from one state of its registry to another.
+
+    Parameters
+    ----------
+    site : HourSite
+        Inputs that all hours have in common.
+    before, after : Registry
+        Registry before and after; `after` omits the hours to make again.
+    known : iterable of RecordingEntry
+        Recordings whose files were read just now, and need not be looked at again.
+    before_hour : int, optional
+        Only hours before this one (since 1970) are made: for later ones recordings are expected.
+    processes : int
+        Number of hours, or of blocks of an hour, made in parallel.
+    reporter : Reporter
+        Receives progress.
+
+    Returns
+    -------
+    list of MadeHour
+        The hours made, ascending.
+
+    Raises
+    ------
+    InputError
+        If a needed recording is missing, changed or refused; then the dataset stays as it is.
+    """
+    margin = site.settings.margin
+    records = read_hours(site.folder)
+    known = list(known)
+    validity_s = validity_by_sensor(after.entries)
+    known_before = {(each.key, each.pose) for each in before.entries}
+    fresh = [each for each in after.entries if (each.key, each.pose) not in known_before]
+    _refuse_late(fresh, records, margin)
+    missing = hours_to_make(after, records, margin, touched_hours(after.hours, known, margin))
+    missing = [hour for hour in missing if before_hour is None or hour < before_hour]
+    _refuse_dropped(site.folder, [records[hour] for hour in missing if hour in records])
+    _require_recordings(after, missing, margin, {each.path for each in known})
+    reaching = after.by_hour(margin)
+    placings = {hour: [after.placing(each) for each in reaching[hour]] for hour in missing}
+    present = (records[hour] for hour in missing if hour in records)
+    if any(is_whole(site.folder, each) for each in present):  # they stay if one cannot be made
+        for hour in touched_hours(missing, fresh, margin):
+            _check(site, hour, placings[hour])
+    after = after.without_hours(missing)
+    both = before.poses.joined(after.poses)
+    if fresh:
+        after.write_poses(both)
+    if after.entries != before.entries:
+        after.write_recordings()
+    # counts of hours whose exact tables were deleted stay
+    gone = {hour for hour in records.keys() - set(after.hours) if not records[hour].dropped}
+    for hour in {*missing, *gone}:
+        remove_record(site.folder, hour)
+    _remove_parts(site.folder, gone)
+    made = _made_and_noted(site, before, after, placings, validity_s, processes, reporter)
+    if missing:
+        after = after.with_hours(missing, margin)
+        after.write_recordings()
+    poses = after.poses.of(each.pose for each in after.entries)
+    if poses.tracks.keys() != both.tracks.keys():
+        after.write_poses(poses)
+    if made or gone:
+        changed = {*missing, *gone}
+        left = {hour: each for hour, each in records.items() if hour not in changed}
+        now = {each.hour: read_hour(site.folder, each.hour) for each in made}
+        found = left | {hour: each for hour, each in now.items() if each is not None}
+        _count(site.folder, changed | {*list(left)[-1:]}, dict(sorted(found.items())))
+    else:
+        _count(site.folder, records, records)  # where an earlier run was killed before it
+    return sorted(made, key=lambda each: each.hour)
+
+
+def _made_and_noted(
+    site: HourSite, before: Registry, after: Registry, placings: Mapping[int, Sequence[Placing]],
+    validity_s: Mapping[str, float], processes: int, reporter: Reporter,
+) -> list[MadeHour]:  # fmt: skip
+    """Make hours, and record from time to time which are made, so that a killed run can resume."""
+    made, noted_s = list[MadeHour](), time.monotonic()
+
+    def note() -> None:
+        after.with_hours([each.hour for each in made], site.settings.margin).write_recordings()
+
+    reporter.progress(STAGE, 0, len(placings))
+    try:
+        for each in _made(site, placings, validity_s, processes):
+            made.append(each)
+            reporter.progress(STAGE, len(made), len(placings))
+            if time.monotonic() - noted_s > NOTED_EVERY_S:
+                note()
+                noted_s = time.monotonic()
+    except InputError:
+        _undo(site.folder, before, [each.hour for each in made])
+        raise
+    except BaseException:
+        with suppress(GisRadarError):
+            note()
+        raise
+    return made
+
+
+def _refuse_late(
+    entries: Iterable[RecordingEntry], records: Mapping[int, HourRecord], margin: int
+) -> None:
+    """Refuse recordings that reach into hours whose exact tables were deleted."""
+    for each in entries:
+        for hour in each.reached_hours(margin):
+            if hour in records and records[hour].dropped:
+                raise InputError(
+                    "{}: {} takes no recordings any more: its {} were deleted after the time "
+                    "to keep them",
+                    each.path,
+                    hour_text(hour),
+                    records[hour].dropped[0],
+                    hint=TOO_LATE,
+                )
+
+
+def _refuse_dropped(folder: Path, records: Iterable[HourRecord]) -> None:
+    for record in records:
+        if record.dropped:
+            raise InputError(
+                "{}: {} takes no recordings any more: its {} were deleted after the time "
+                "to keep them",
+                folder,
+                hour_text(record.hour),
+                record.dropped[0],
+                hint=TOO_LATE,
+            )
+
+
+def _require_recordings(
+    registry: Registry, hours: Iterable[int], margin: int, looked_at: set[str]
+) -> None:
+    """Refuse to make hours whose recordings are missing or changed."""
+    for each in registry.entries:
+        touched = touched_hours(hours, [each], margin)
+        if not touched or each.path in looked_at:
+            continue
+        path = Path(each.path)
+        if not path.is_file():
+            what = Text("is not there")
+        elif digest_of(path) != each.digest:
+            what = Text("has changed since it was measured")
+        else:
+            continue
+        raise InputError("{}: {}, and {} needs it", path, what, hour_text(touched[0]), hint=RELINK)
+
+
+def _check(site: HourSite, hour: int, placings: Sequence[Placing]) -> None:
+    """Read the recordings of a present hour, to find errors before any of its parts changes."""
+    window = HourWindow(hour=hour, margin=site.settings.margin)
+    read_sensors(site, window, [source_of(*each) for each in placings], count_hits=False)
+
+
+def _remove_parts(folder: Path, hours: Iterable[int]) -> None:
+    for hour in hours:
+        for table in HOUR_TABLES:
+            path = part_path(folder, table, hour)
+            with output_errors(path):
+                path.unlink(missing_ok=True)
+
+
+def _undo(folder: Path, before: Registry, made: Sequence[int]) -> None:
+    """Restore the registry before the change, without the hours that were made since."""
+    for hour in made:
+        remove_record(folder, hour)
+    _remove_parts(folder, set(made) - set(before.hours))
+    before = before.without_hours(made)
+    before.write_recordings()
+    before.write_poses(before.poses)
+
+
+def update_days(folder: Path, reporter: Reporter) -> None:
+    """Bring the tables of all dates of a dataset up to date.
+
+    Raises
+    ------
+    OutputError
+        If another run is writing it.
+    """
+    with writing(folder, reporter):
+        records = read_hours(folder)
+        _count(folder, records, records)
+
+
+def _count(folder: Path, hours: Iterable[int], records: Mapping[int, HourRecord]) -> None:
+    """Update the tables of the dates and months of some hours, and of the hour after each."""
+    manifest = Manifest.read(folder)
+    touched = {later for hour in hours for later in (hour, hour + 1)}
+    traffic = LaneTraffic(folder=folder, fingerprint=manifest.fingerprint)
+    for day in days_of(touched):
+        update_counts(folder, manifest.fingerprint, day, records)
+        traffic.update(day, records)
+    rolled = RollUps(folder=folder, fingerprint=manifest.fingerprint, timezone=manifest.timezone)
+    rolled.update(touched, records)
+
+
+@dataclass(kw_only=True)
+class OpenHours:
+    """Hours of a dataset that are to be made, elsewhere and in any order.
+
+    Parameters
+    ----------
+    registry : Registry
+        The registry without these hours.
+    margin : int
+        Steps on either side of an hour from which its parts follow.
+    missing : list of int
+        The hours to make, ascending.
+    refused : dict
+        By hour, why it cannot be made.
+    made : list of int
+        Those that were made, as the caller adds them.
+    """
+
+    registry: Registry
+    margin: int
+    missing: list[int]
+    refused: dict[int, InputError]
+    made: list[int] = field(default_factory=list)
+
+    def note(self) -> None:
+        """Record the hours that were made."""
+        self.registry.with_hours(self.made, self.margin).write_recordings()
+
+
+@contextmanager
+def open_hours(folder: Path, reporter: Reporter) -> Iterator[OpenHours]:
+    """Lock a dataset for writing, and find the hours that are missing or of an earlier method.
+
+    Raises
+    ------
+    InputError
+        If the dataset is damaged.
+    OutputError
+        If another run is writing it.
+    """
+    with writing(folder, reporter):
+        manifest = Manifest.read(folder)
+        margin = measure_settings_of(manifest, folder).margin
+        registry, records = Registry.read(folder, manifest.fingerprint), read_hours(folder)
+        missing = hours_to_make(registry, records, margin, registry.hours)
+        there = {each.path for each in registry.entries if Path(each.path).is_file()}
+        refused: dict[int, InputError] = {}
+        for hour in missing:
+            try:
+                _refuse_dropped(folder, [records[hour]] if hour in records else [])
+                _require_recordings(registry, [hour], margin, there)
+            except InputError as error:
+                refused[hour] = error
+        missing = [hour for hour in missing if hour not in refused]
+        without = registry.without_hours(missing)
+        if without.entries != registry.entries:
+            without.write_recordings()
+        yield OpenHours(registry=without, margin=margin, missing=missing, refused=refused)
+
+
+def _made(
+    site: HourSite, tasks: Mapping[int, Sequence[Placing]], validity_s: Mapping[str, float],
+    processes: int,
+) -> Iterator[MadeHour]:  # fmt: skip
+    """Make hours, one after the other or in parallel, and yield them as they are done."""
+    workers = min(processes, len(tasks))
+    if workers < 2:
+        for hour, placings in tasks.items():
+            sources = [source_of(*each) for each in placings]
+            yield make_hour(site, hour, sources, validity_s, processes=processes)
+        return
+    share = processes // workers
+    keep_site(site, Manifest.read(site.folder))
+    with worker_pool(workers, watch_parent) as pool:
+        running = [pool.submit(make_registered, site.folder, hour, share) for hour in tasks]
+        for each in as_completed(running):
+            yield each.result()

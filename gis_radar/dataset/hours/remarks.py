@@ -1,0 +1,180 @@
+"""Remarks on recordings, once a run, about odd views, cycles, clocks, heights and sights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.base import CLOCK_SET_S, STEP_US, Reporter, Text, iso_from_step
+from gis_radar.dataset.files.registry import RecordingEntry
+from gis_radar.measures import PlacedRecording, RecordingCounts, SightBook, valid_steps
+from gis_radar.poses import View
+from gis_radar.recordings import RangeCounts, time_warnings
+from gis_radar.scans import (
+    JUDGED_FRAMES,
+    MovingHits,
+    Sight,
+    find_contradictions,
+    find_gaps,
+    gap_warning,
+    report_contradictions,
+)
+from gis_radar.tracking import warn_of_poses
+
+SLOW_CYCLE = 1.1  # least cycle to warn of, in validities: 10 % of the steps have no valid frame
+# A warning is given where RANGE_SHARE of the detections lies within REACH_SHARE of the view's range
+# (the contract).
+RANGE_SHARE, REACH_SHARE = 0.999, 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Examined:
+    """A recording with its counts in the hours that were made.
+
+    Parameters
+    ----------
+    entry : RecordingEntry
+        Its row in the dataset.
+    source : PlacedRecording
+        The recording with its poses.
+    evidence : RecordingCounts
+        The counts.
+    """
+
+    entry: RecordingEntry
+    source: PlacedRecording
+    evidence: RecordingCounts
+
+
+def remark_on_recordings(
+    examined: Sequence[Examined],
+    book: SightBook,
+    reporter: Reporter,
+) -> None:
+    """Warn of oddities in recordings.
+
+    Parameters
+    ----------
+    examined : sequence of Examined
+        The recordings of this run.
+    book : SightBook
+        Sights of their sensors.
+    reporter : Reporter
+        Receives the warnings.
+    """
+    hits = _moving_hits(examined, book.sights)
+    if book.scan is not None:
+        judged = [each for each in hits if each.frames >= JUDGED_FRAMES]
+        report_contradictions(find_contradictions(judged, book.road), reporter)
+    if gaps := gap_warning(find_gaps(hits, book.road)):
+        reporter.warn(gaps)
+    for each in examined:
+        for line in (*_view_warnings(each), *_cycle_warnings(each), *_placing_warnings(each)):
+            reporter.warn(line)
+    recorded: dict[str, list[tuple[float, float, Path]]] = {}
+    for each in examined:
+        span = each.entry.first_time, each.entry.last_time, Path(each.entry.path)
+        recorded.setdefault(each.entry.sensor, []).append(span)
+    for line in time_warnings(recorded):
+        reporter.warn(line)
+
+
+def remark_on_vehicles(count: int, on_lanes: Sequence[pd.DataFrame], reporter: Reporter) -> None:
+    """Warn where no vehicle moves, or vehicles drive beside the lanes."""
+    if count == 0:
+        reporter.warn("no vehicle moves in these recordings: the occupancy is zero")
+    for line in warn_of_poses(on_lanes):
+        reporter.warn(line)
+
+
+def _moving_hits(examined: Sequence[Examined], sights: Mapping[str, Sight]) -> list[MovingHits]:
+    """Return the moving hits on the tiles in each sight, all recordings of a sensor together."""
+    together: dict[str, list[tuple[np.ndarray, int]]] = {}
+    for each in examined:
+        for name, count in each.evidence.movement.items():
+            frames = each.evidence.frames.get(name, 0)
+            together.setdefault(name, []).append((count, frames))
+    return [
+        MovingHits(
+            sight=sights[name], count=np.sum([count for count, _ in found], axis=0),
+            frames=sum(frames for _, frames in found),
+        )
+        for name, found in together.items()
+    ]  # fmt: skip
+
+
+def _view_warnings(each: Examined) -> Iterator[str]:
+    """Yield warnings where a view does not fit the detections."""
+    file, sensor = each.source.recording.path.name, each.entry.sensor
+    ranges = RangeCounts()
+    ranges.counts = each.evidence.ranges
+    reached_m = ranges.reached_m(RANGE_SHARE)
+    view = each.source.track.poses[0].view or View()
+    if each.evidence.hits == 0:
+        yield Text(
+            "{}: no detection of {} lies on a tile: all reads as observed and empty; do "
+            "pose, tiles and filters fit the recording, and are its positions metres?",
+            file,
+            sensor,
+        )
+    limit = Text("the view's max_range_m or {}", "--max-range")
+    if 0 < reached_m < REACH_SHARE * view.max_range_m:
+        yield Text(
+            "{}: {:g} % of the detections lie within {:.0f} m, but the view of {} "
+            "reaches {:g} m: what lies beyond reads as observed and empty; set {}",
+            file,
+            100 * RANGE_SHARE,
+            reached_m,
+            sensor,
+            view.max_range_m,
+            limit,
+        )
+
+
+def _cycle_warnings(each: Examined) -> Iterator[str]:
+    """Yield a warning where a sensor's cycle is longer than its frames are valid."""
+    file, sensor = each.source.recording.path.name, each.entry.sensor
+    validity_s, cycle_us = each.entry.validity_s, each.evidence.times.cycle_us
+    valid_us = (1 + valid_steps(validity_s)) * STEP_US
+    if SLOW_CYCLE * valid_us < cycle_us < np.inf:
+        cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - valid_us / cycle_us)
+        stated = Text("--cycle {}={}ms", sensor, cycle_ms)
+        yield Text(
+            "{}: {} delivers every {} ms, and a frame is valid for {:g} ms: {:.0f} % of "
+            "the 50 ms steps read as not observed by it; {} makes a frame valid for its "
+            "whole cycle",
+            file,
+            sensor,
+            cycle_ms,
+            1000 * validity_s,
+            empty,
+            stated,
+        )
+
+
+def _placing_warnings(each: Examined) -> Iterator[str]:
+    """Yield warnings about odd heights and clocks."""
+    file, sensor = each.source.recording.path.name, each.entry.sensor
+    evidence = each.evidence
+    if evidence.level:
+        heights = sorted({f"{sight.road_m:.1f}" for sight in each.source.sights})
+        yield Text(
+            "{}: {} measures no elevation: its detections are placed at the height of "
+            "the road near it ({} m)",
+            file,
+            sensor,
+            ", ".join(heights),
+        )
+    if each.entry.first_time < CLOCK_SET_S:
+        begin = iso_from_step(evidence.times.first_us // STEP_US)
+        yield Text(
+            "{}: times begin at {}: the clock of {} may count since it was switched on; "
+            "gis-radar clocks finds its offset",
+            file,
+            begin,
+            sensor,
+        )

@@ -1,0 +1,155 @@
+"""Answers of queries: their types, their rows as text, and their files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+import pyarrow.parquet as pq
+
+from gis_radar.base import UsageError, atomic_write
+
+# Ids of the map reach 9e18, exact numbers of JSON's readers 9e15: text, however few digits one has.
+MAP_IDS = frozenset({"lanelet_id", "lanelets", "lane", "from_lane", "to_lane", "stop_line"})
+
+
+def plain_schema(schema: pa.Schema) -> pa.Schema:
+    """Return a schema with times in UTC and 64-bit numbers in place of DuckDB's wider ones."""
+    for place, each in enumerate(schema):
+        kind = each.type
+        if pa.types.is_timestamp(kind) and kind.tz:
+            kind = pa.timestamp("us", "UTC")
+        elif pa.types.is_decimal(kind):
+            kind = pa.float64() if kind.scale else pa.int64()
+        schema = schema.set(place, each.with_type(kind))
+    return schema
+
+
+def plain(table: pa.Table) -> pa.Table:
+    """Return an answer with times in UTC and 64-bit numbers.
+
+    Raises
+    ------
+    UsageError
+        If a number needs more than 64 bits.
+    """
+    try:
+        return table.cast(plain_schema(table.schema))
+    except pa.ArrowInvalid as error:
+        raise UsageError(
+            "a number of the answer has over 64 bits", hint="cast it, as in sum(step)::DOUBLE"
+        ) from error
+
+
+def texts(table: pa.Table) -> pa.Table:
+    """Return an answer with times as ISO 8601 text and lists as joined text, for CSV."""
+    words = [
+        pc.binary_join(column.combine_chunks().cast(pa.list_(pa.string())), " ")
+        if pa.types.is_list(column.type)
+        else _iso(column)
+        for column in table.columns
+    ]
+    return pa.table(words, names=table.column_names)
+
+
+def stamped(table: pa.Table) -> pa.Table:
+    """Return an answer with times as ISO 8601 text, no finer than needed, and the map's ids."""
+    columns = [
+        _named(column) if name in MAP_IDS else _short(column)
+        for name, column in zip(table.column_names, table.columns, strict=True)
+    ]
+    return pa.table(columns, names=table.column_names)
+
+
+def _named(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return ids as text; what is no whole number under such a name stays as it is."""
+    kind = column.type
+    if pa.types.is_list(kind) and pa.types.is_integer(kind.value_type):
+        return column.cast(pa.list_(pa.string()))
+    return column.cast(pa.string()) if pa.types.is_integer(kind) else _short(column)
+
+
+def _iso(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return times and dates as ISO 8601 text, and nested types as JSON text."""
+    kind = column.type
+    if pa.types.is_timestamp(kind) and kind.tz:
+        return pc.strftime(column, format="%Y-%m-%dT%H:%M:%SZ")
+    if pa.types.is_date(kind) or pa.types.is_time(kind) or pa.types.is_timestamp(kind):
+        return column.cast(pa.string())
+    others = (pa.types.is_struct, pa.types.is_map, pa.types.is_binary, pa.types.is_interval)
+    if any(is_one(kind) for is_one in (*others, pa.types.is_duration)):
+        values = (
+            each if each is None else json.dumps(each, default=str) for each in column.to_pylist()
+        )
+        return pa.chunked_array([pa.array(values, pa.string())])
+    return column
+
+
+def _short(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    if (whole := _iso(column)) is column:
+        return column
+    whole = pc.replace_substring_regex(whole, r"\.0+Z$", "Z")
+    return pc.replace_substring_regex(whole, r"(\.\d*[1-9])0+Z$", r"\1Z")
+
+
+def first_rows(batches: Iterable[pa.RecordBatch], most: int) -> tuple[list[dict[str, Any]], int]:
+    """Return the first rows of an answer as values for JSON, and the number of all its rows.
+
+    Parameters
+    ----------
+    batches : iterable of pyarrow.RecordBatch
+        From :func:`gis_radar.dataset.questions.queries.run_query`.
+    most : int
+        Most rows to return.
+    """
+    rows: list[dict[str, Any]] = []
+    total = 0
+    for batch in batches:
+        total += batch.num_rows
+        part = pa.Table.from_batches([batch]).slice(0, most - len(rows))
+        rows += stamped(plain(part)).to_pylist()
+    return rows, total
+
+
+def write_answer(schema: pa.Schema, batches: Iterable[pa.RecordBatch], path: Path) -> int:
+    """Write an answer batch by batch, whole or not at all; memory holds one batch.
+
+    Parameters
+    ----------
+    schema, batches : pyarrow.Schema, iterable of pyarrow.RecordBatch
+        From :func:`gis_radar.dataset.questions.queries.run_query`.
+    path : Path
+        The file; its name ends in `.csv` or `.parquet`.
+
+    Returns
+    -------
+    int
+        Number of rows.
+
+    Raises
+    ------
+    UsageError
+        If the name ends otherwise.
+    OutputError
+        If it cannot be written.
+    """
+    kinds: dict[str, Callable[[Path, pa.Schema], AbstractContextManager[Any]]] = {
+        ".csv": pyarrow.csv.CSVWriter,
+        ".parquet": pq.ParquetWriter,
+    }
+    if path.suffix.lower() not in kinds:
+        raise UsageError("{}: an answer is written as .csv or .parquet", path)
+    as_read = texts if path.suffix.lower() == ".csv" else plain
+    written = as_read(plain(schema.empty_table())).schema
+    rows = 0
+    with atomic_write(path) as part, kinds[path.suffix.lower()](part, written) as writer:
+        for batch in batches:
+            writer.write_table(as_read(plain(pa.Table.from_batches([batch]))))
+            rows += batch.num_rows
+    return rows

@@ -1,0 +1,192 @@
+"""Questions to a dataset over months: roll-ups, profiles of streets, the map of a month."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from typing import get_args
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError, current_language, speaking
+from gis_radar.dataset.days.asked_time import AskedTime, Holidays, day_numbers, month_edges
+from gis_radar.dataset.days.rollups import RollUps
+from gis_radar.dataset.files.parts import hour_of_step
+from gis_radar.dataset.files.reading import Span
+from gis_radar.dataset.files.records import hour_bounds
+from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.source import Moment, Source, require_vehicles
+from gis_radar.dataset.files.tables import LANE_MONTHS, TILE_MONTHS
+from gis_radar.dataset.files.units import for_people
+from gis_radar.dataset.questions.street_profile import SUMMED, By, StreetLanes, street_profile
+from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
+
+
+class NotMeasuredError(InputError):
+    """A time in which a dataset has no complete hour."""
+
+
+class Questions:
+    """Methods of a dataset that answer questions over months."""
+
+    def lane_months(self: Source, *, month: str | None = None) -> pd.DataFrame:
+        """Read the sums of lane measures by month, weekday and hour, by the clocks of the site.
+
+        Parameters
+        ----------
+        month : str, optional
+            Such as `2026-10`; by default all.
+
+        Returns
+        -------
+        DataFrame
+            `month`, and the columns of the files.
+        """
+        return _read(self, LANE_MONTHS, month)
+
+    def tile_months(self: Source, *, month: str | None = None) -> pd.DataFrame:
+        """Read the sums of tile counts by month and hour of the day; as :meth:`lane_months`."""
+        return _read(self, TILE_MONTHS, month)
+
+    def profile(
+        self: Source, street: str | None = None, *, by: By = "hour", days: str | None = None,
+        begin: Moment = None, end: Moment = None, month: str | None = None,
+        without: Holidays = None, language: str | None = None,
+    ) -> pd.DataFrame:  # fmt: skip
+        """Return the usual traffic of streets by direction: means over the days of a time.
+
+        Parameters
+        ----------
+        street : str, optional
+            Name of a street; by default all.
+        by : {"hour", "weekday", "month"}
+            A row for each hour of the day, day of the week, or month, by the clocks of the site.
+        days : str, optional
+            Days of the week that count, such as `Mo-Fr` or `Sa,Su`; by default all.
+        begin, end : str, datetime or step, optional
+            Times between which quarters of an hour count; by default all that was measured.
+        month : str, optional
+            A month in place of these, such as `2026-10`.
+        without : str, Path or sequence, optional
+            Holidays that do not count: dates such as `2026-10-03`, periods such as
+            `2026-10-12/2026-10-23` with both their ends, or a CSV file with a column `date`, or
+            columns `begin` and `end`.
+        language : str, optional
+            Language of the directions; by default the current one.
+
+        Returns
+        -------
+        DataFrame
+            `direction` (street and direction, as in names of lanes), the hour, day or month;
+            `volume_veh_h` (vehicles an hour over all lanes, mean along the street) with its
+            standard error `volume_se`, poses as given; `heavy_share`; `speed_kmh` (space mean);
+            `occupancy`, `occupancy_se`; `days` (counted, of the lane counted most; a day of which a
+            half was counted is 0.5), `visible_share` (of the time asked for, mean of the lanes that
+            were observed). Null where nothing is visible. Junctions are left out.
+
+        Raises
+        ------
+        UsageError
+            If there is no such street, day, date or month, or an end lies within a quarter of an
+            hour.
+        InputError
+            If vehicles were not looked for, or nothing was measured in that time.
+        """
+        require_vehicles(self)
+        if by not in get_args(By):
+            raise UsageError("by is {}, expected hour, weekday or month", repr(by))
+        span, measured = _asked_span(self, begin, end, month)
+        asked = AskedTime.of(span, self.timezone, days, without, measured)
+        columns = ["lane", "weekday", "hour", *SUMMED]
+        rolled = roll_ups(self)
+        lanes = _street_lanes(self, rolled, street, language)
+        wanted = pa.array(lanes.lane), pa.array(sorted(day_numbers(days)), pa.int32())
+        empty = LANE_MONTHS.empty().select(columns)
+        parts = [empty.append_column("month", pa.array([], pa.string()))]
+        for each, rows in rolled.sums_of(LANE_MONTHS, asked, columns):
+            kept = pc.and_(pc.is_in(rows["lane"], wanted[0]), pc.is_in(rows["weekday"], wanted[1]))
+            mine = rows.filter(kept)
+            parts.append(mine.append_column("month", pa.array([each] * len(mine), pa.string())))
+        return street_profile(pa.concat_tables(parts).to_pandas(), asked, lanes, by)
+
+
+def _street_lanes(
+    dataset: Source, rolled: RollUps, street: str | None, language: str | None
+) -> StreetLanes:
+    """Return the lanes of a street, which are found once."""
+    key = ("street", street, language or current_language())
+    if key not in dataset.found:
+        layers = dataset.layer(LANES_LAYER), dataset.layer(TILES_LAYER)
+        with speaking(language) if language else nullcontext():
+            dataset.found[key] = StreetLanes.of(*layers, rolled.traffic.network, street)
+    lanes: StreetLanes = dataset.found[key]
+    return lanes
+
+
+def _asked_span(
+    dataset: Source, begin: Moment, end: Moment, month: str | None
+) -> tuple[Span, Span]:
+    """Return the first and the last step of a time, and of all that was measured.
+
+    An end that is not stated is that of what was measured.
+    """
+    if month is not None:
+        if (begin, end) != (None, None):
+            raise UsageError("month and begin, end do not go together", hint="give one of them")
+        begin, end = month_edges(month, dataset.timezone)
+    span = dataset.span(begin, end)
+    _measured(dataset, span)
+    first, last = measured = _measured(dataset, None)
+    if span is not None:
+        first = first if begin is None else span[0]
+        last = last if end is None else span[1]
+    return (first, last), measured
+
+
+def _measured(dataset: Source, span: Span | None) -> Span:
+    """Return the first and the last step of the complete hours that a span touches."""
+    hours = (None, None) if span is None else map(hour_of_step, span)
+    if (bounds := hour_bounds(dataset.folder, *hours)) is None:
+        raise NotMeasuredError(
+            "{}: nothing was measured in that time", dataset.folder,
+            hint="gis-radar dataset shows from when to when it was measured",
+        )  # fmt: skip
+    return bounds[0] * STEPS_PER_HOUR, (bounds[1] + 1) * STEPS_PER_HOUR - 1
+
+
+def measured_span(dataset: Source, month: str) -> Span:
+    """Return the first and the last step of a month in complete hours.
+
+    Raises
+    ------
+    UsageError
+        If it is no month.
+    InputError
+        If nothing was measured in it.
+    """
+    span = dataset.span(*month_edges(month, dataset.timezone))
+    measured = _measured(dataset, span)
+    return (max(measured[0], span[0]), min(measured[1], span[1])) if span else measured
+
+
+def roll_ups(dataset: Source) -> RollUps:
+    """Return the maker and reader of the roll-ups of a dataset."""
+    return RollUps(
+        folder=dataset.folder, fingerprint=dataset.manifest.fingerprint, timezone=dataset.timezone,
+        looked_at=dataset.found.setdefault("months", {}),
+    )  # fmt: skip
+
+
+def _read(dataset: Source, table: TableSchema, month: str | None) -> pd.DataFrame:
+    rolled, bounds = roll_ups(dataset), hour_bounds(dataset.folder)
+    asked = [] if bounds is None else rolled.months(range(bounds[0], bounds[1] + 1))
+    if month is not None:
+        month_edges(month, dataset.timezone)  # refuses what is none
+        asked = [month]
+    parts = [rolled.read(table, each) for each in asked]
+    whole = pa.concat_tables([table.empty(), *parts])
+    found = for_people(whole, dataset.manifest.origin)
+    lengths = [len(each) for each in parts]
+    found.insert(0, "month", pd.Series(asked, dtype=object).repeat(lengths).to_list())
+    return found

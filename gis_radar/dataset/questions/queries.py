@@ -1,0 +1,188 @@
+"""SQL over the tables of a dataset: read-only, without files, network or settings (DuckDB)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic
+from typing import Any, TypeAlias
+
+import duckdb
+import pyarrow as pa
+
+from gis_radar.base import QUIET, InputError, Reporter, UsageError, first_line
+from gis_radar.dataset.files.parts import MEASURE_AGAIN
+from gis_radar.dataset.files.records import HOURS
+from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.questions.statement import ASK_ONE, tables_of
+from gis_radar.dataset.questions.views import quoted, views_of_sites
+
+Answer: TypeAlias = tuple[pa.Schema, Iterator[pa.RecordBatch]]
+"""The columns of an answer, and its rows in batches."""
+PROPOSAL = ("Candidate bindings:", "Did you mean")
+_ROWS_AT_ONCE = 1 << 17
+_CONFIG = {
+    "autoinstall_known_extensions": "false",
+    "autoload_known_extensions": "false",
+    "allow_community_extensions": "false",
+    "python_enable_replacements": "false",
+    "temp_directory": "",
+}
+
+
+@contextmanager
+def run_query(
+    folder: Path,
+    sites: Mapping[str, Source],
+    sql: str,
+    *,
+    timeout_s: float,
+    memory: str,
+    reporter: Reporter = QUIET,
+) -> Iterator[Answer]:
+    """Run an SQL query, and read the answer in batches.
+
+    The tables have the columns of the files, and `time`, `begin`, `end`, `easting`, `northing`,
+    `heading`, `speed`, `s_m` and `d_m` as the methods of the dataset return them; of several sites,
+    `site` before them. Times are by the clocks of the sites: `hour(begin)` is an hour there; of
+    sites in several time zones, they are UTC.
+
+    Parameters
+    ----------
+    folder : Path
+        What is asked, as errors name it.
+    sites : mapping
+        Datasets, of which complete hours are read, by the names of their sites; one dataset alone
+        by an empty name.
+    sql : str
+        One SELECT.
+    timeout_s : float
+        Time limit, seconds.
+    memory : str
+        Memory limit, such as `2GB`.
+    reporter : Reporter
+        Receives a warning where parts of a table were deleted.
+
+    Yields
+    ------
+    pyarrow.Schema, iterator of pyarrow.RecordBatch
+        The answer, to be read within the block.
+
+    Raises
+    ------
+    UsageError
+        If it is no such query, takes too long, or needs too much memory.
+    InputError
+        If a part is not the one of its hour's record, or hours were made again meanwhile.
+    """
+    with closing(_connected(memory)) as asked:
+        names = tables_of(asked, sql)
+        before = [_states(each.folder) for each in sites.values()]
+        zones = {each.manifest.timezone for each in sites.values()}
+        zone = zones.pop() if len(zones) == 1 else "UTC"
+        _lock(asked, views_of_sites(sites, asked, names, reporter), zone)
+        with ThreadPoolExecutor(1) as thread:
+            work = _Work(asked, thread, folder, timeout_s)
+            answer = work.done(lambda: asked.sql(sql).to_arrow_reader(_ROWS_AT_ONCE))
+            _refuse_same_names(answer.schema.names)
+            yield answer.schema, work.batches(answer)
+    if [_states(each.folder) for each in sites.values()] != before:
+        raise InputError("{}: hours were made again meanwhile", folder, hint="ask again")
+
+
+@dataclass(frozen=True)
+class _Work:
+    """A query on a thread of its own, so that it can be interrupted at any moment."""
+
+    asked: duckdb.DuckDBPyConnection
+    thread: ThreadPoolExecutor
+    folder: Path
+    timeout_s: float
+    began: float = field(default_factory=monotonic)
+
+    def batches(self, answer: pa.RecordBatchReader) -> Iterator[pa.RecordBatch]:
+        """Yield the batches of an answer."""
+        while (batch := self.done(lambda: next(answer, None))) is not None:
+            yield batch
+
+    def done(self, step: Callable[[], Any]) -> Any:
+        """Return the result of a step, within the time limit, with errors converted to ours."""
+        future = self.thread.submit(step)
+        try:
+            wait([future], max(self.began + self.timeout_s - monotonic(), 0.0))
+        finally:
+            is_late = self._end(future)
+        if is_late:
+            raise UsageError(
+                "the query was given up after {:g} s",
+                self.timeout_s,
+                hint="ask for less, or raise --timeout",
+            )
+        with _errors_of(self.folder):
+            return future.result()
+
+    def _end(self, future: Future[Any]) -> bool:
+        """Interrupt a future that is not done; return whether that was needed."""
+        is_late = not future.done()
+        while not future.done():  # an interrupt before DuckDB has begun has no effect
+            self.asked.interrupt()
+            wait([future], 0.05)
+        return is_late
+
+
+def _connected(memory: str) -> duckdb.DuckDBPyConnection:
+    try:
+        return duckdb.connect(":memory:", config={**_CONFIG, "memory_limit": memory})
+    except duckdb.Error as error:
+        raise UsageError("memory is {}", repr(memory), hint="e.g. 500MB, 2GB") from error
+
+
+def _refuse_same_names(names: list[str]) -> None:
+    """Refuse an answer with two columns of one name, which files and JSON cannot hold."""
+    if twice := [name for place, name in enumerate(names) if name in names[:place]]:
+        raise UsageError("the query has two columns {}", repr(twice[0]), hint="name one with AS")
+
+
+def _lock(asked: duckdb.DuckDBPyConnection, paths: list[Path], timezone: str) -> None:
+    """Restrict DuckDB to the files of the tables, and lock its settings."""
+    files = ", ".join(quoted(path.resolve().as_posix()) for path in paths)
+    for setting in (
+        f"allowed_paths = [{files}]", "enable_external_access = false",
+        f"TimeZone = {quoted(timezone)}", "lock_configuration = true",
+    ):  # fmt: skip
+        asked.execute(f"SET {setting}")
+
+
+def _states(folder: Path) -> list[tuple[str, int, int]]:
+    """Return path, time of writing and inode of each hour's record, to notice changes."""
+    found = []
+    for path in sorted((folder / HOURS).glob("*/*.json")):
+        with suppress(FileNotFoundError):
+            state = path.stat()
+            found.append((str(path), state.st_mtime_ns, state.st_ino))
+    return found
+
+
+@contextmanager
+def _errors_of(folder: Path) -> Iterator[None]:
+    """Convert errors of DuckDB, also those that Arrow passes on, to ours."""
+    try:
+        yield
+    except (duckdb.Error, pa.ArrowException, OSError) as error:
+        if "Out of Memory" in str(error):
+            raise UsageError(
+                "the query needs more memory than it may take",
+                hint="ask for less, or raise --memory",
+            ) from error
+        if isinstance(error, duckdb.IOException) or ".parquet" in str(error):
+            raise InputError("{}: {}", folder, first_line(error), hint=MEASURE_AGAIN) from error
+        raise UsageError("the query fails: {}", _named(error), hint=ASK_ONE) from error
+
+
+def _named(error: Exception) -> str:
+    """Return the first line of an error of DuckDB, and the names that it proposes."""
+    proposed = [line for line in str(error).splitlines()[1:] if line.startswith(PROPOSAL)]
+    return "; ".join([first_line(error), *proposed])

@@ -1,0 +1,237 @@
+"""Views of a dataset's tables in DuckDB, over complete hours, with converted columns, too."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import duckdb
+import pyarrow as pa
+
+from gis_radar.base import STEPS_PER_SECOND, Reporter
+from gis_radar.dataset.days.lane_measures import LaneTraffic
+from gis_radar.dataset.days.tables import STEPS_PER_QUARTER, days_with
+from gis_radar.dataset.days.tile_counts import count_keys, read_counts
+from gis_radar.dataset.files.parts import hour_text, part_path
+from gis_radar.dataset.files.records import HourRecord
+from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.tables import (
+    DAY_TABLES,
+    HOUR_TABLES,
+    MONTH_TABLES,
+    POSES,
+    RECORDINGS,
+    SIGHTS,
+    TABLES,
+    TILE_COUNTS,
+)
+from gis_radar.dataset.files.units import UNITS
+from gis_radar.dataset.questions.profiles import roll_ups
+from gis_radar.dataset.questions.statement import LAYERS
+
+_BEGIN = f"epoch(date)::BIGINT * {STEPS_PER_SECOND} + interval * {STEPS_PER_QUARTER}::BIGINT"
+
+
+def views_of_sites(
+    sites: Mapping[str, Source], asked: duckdb.DuckDBPyConnection, names: set[str],
+    reporter: Reporter,
+) -> list[Path]:  # fmt: skip
+    """Make the views of some tables over several sites, with a first column `site`.
+
+    Parameters
+    ----------
+    sites : mapping
+        Datasets by the names of their sites; one alone by an empty name has no such column.
+    asked, names, reporter
+        As for :func:`make_views`.
+
+    Returns
+    -------
+    list of Path
+        The files that the views read.
+    """
+    if list(sites) == [""]:
+        return make_views(sites[""], asked, names, reporter)
+    paths = []
+    for number, dataset in enumerate(sites.values()):
+        paths += make_views(dataset, asked, names, reporter, prefix=f"_{number}_")
+    for name in names:
+        parts = (
+            f"SELECT {quoted(site)} AS site, * FROM _{number}_{name}"  # noqa: S608 - ours
+            for number, site in enumerate(sites)
+        )
+        asked.execute(f"CREATE VIEW {name} AS {' UNION ALL BY NAME '.join(parts)}")
+    return paths
+
+
+def make_views(
+    dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str], reporter: Reporter, *,
+    prefix: str = "",
+) -> list[Path]:  # fmt: skip
+    """Make the views of some tables.
+
+    Parameters
+    ----------
+    dataset : Source
+        The dataset, of which complete hours are read.
+    asked : duckdb.DuckDBPyConnection
+        Connection in which the views are made.
+    names : set of str
+        Names of the tables.
+    reporter : Reporter
+        Receives a warning where parts of a table were deleted; they are left out.
+    prefix : str
+        What the names of the views begin with.
+
+    Returns
+    -------
+    list of Path
+        The files that the views read.
+
+    Raises
+    ------
+    InputError
+        If a part is not the one of its hour's record.
+    """
+    views = _Views(dataset, asked, prefix)
+    records = dataset.records()
+    paths = []
+    for tables, view in (
+        (HOUR_TABLES, partial(views.hours, reporter=reporter)),
+        (DAY_TABLES, views.days),
+        (MONTH_TABLES, views.months),
+    ):
+        for table in tables:
+            if table.name in names:
+                paths += view(table, records)
+    for table in (RECORDINGS, POSES, SIGHTS):
+        if table.name in names:
+            views.held(table, dataset.whole(table))
+    for layer in names.intersection(LAYERS):
+        rows = dataset.layer(layer).drop(columns="geometry")
+        asked.register(f"{prefix}{layer}", pa.Table.from_pandas(rows, preserve_index=False))
+    return paths
+
+
+def catalogue_of(folders: Sequence[Path], place: str) -> str:
+    """Return SQL that makes views of the tables of datasets in DuckDB, for those that have files.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        The datasets.
+    place : str
+        Pattern of where they are for who reads the views, such as `s3://bucket/city/site=*`.
+    """
+    lines = []
+    for table in TABLES.values():
+        inner = f"{table.name}/*/*" if table.period != "dataset" else table.name
+        if any(any(folder.glob(f"{inner}.parquet")) for folder in folders):
+            files = quoted(f"{place}/{inner}.parquet")
+            lines.append(
+                f"CREATE OR REPLACE VIEW {table.name} AS FROM read_parquet({files}, "
+                "hive_partitioning = true, hive_types = {'site': VARCHAR}, union_by_name = true);\n"
+            )
+    return "".join(lines)
+
+
+class _Views:
+    """Maker of views of tables."""
+
+    def __init__(self, dataset: Source, asked: duckdb.DuckDBPyConnection, prefix: str) -> None:
+        self._dataset, self._connection, self._prefix = dataset, asked, prefix
+
+    def hours(
+        self, table: TableSchema, records: Mapping[int, HourRecord], *, reporter: Reporter
+    ) -> list[Path]:
+        """Make the view of a table of hours; return its files, each checked."""
+        folder, paths = self._dataset.folder, []
+        there = {hour: each for hour, each in records.items() if table.name not in each.dropped}
+        if gone := records.keys() - there.keys():
+            reporter.warn(
+                "{} up to {} were deleted, and are left out of the answer",
+                table.name, hour_text(max(gone) + 1),
+            )  # fmt: skip
+        for hour, record in there.items():
+            record.check_bytes(folder, table)  # DuckDB, unlike Arrow, checks no checksums
+            paths.append(part_path(folder, table, hour))
+        if paths:
+            self._view(table.name, table.names, f"read_parquet([{_list(paths)}])")
+        else:
+            self.held(table, table.empty())
+        return paths
+
+    def days(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
+        """Make the view of a table of dates; dates that are not up to date are updated first."""
+        folder, tiles = self._dataset.folder, self._dataset.manifest.fingerprint
+        traffic = LaneTraffic(folder=folder, fingerprint=tiles)
+        paths, odd = [], {}
+        for day, hours in days_with(folder, tiles, list(records)):
+            mine = {hour: records[hour] for hour in sorted(hours)}
+            keys = count_keys(mine) if table is TILE_COUNTS else traffic.keys(day, mine)
+            if keys and day.is_made((table,), keys):
+                paths.append(day.path(table))
+            else:
+                odd.update(mine)
+        names = [*table.names, "first_step"]
+        empty = table.empty().append_column("first_step", pa.array([], pa.int64()))
+        counted = table is TILE_COUNTS
+        made = read_counts(folder, tiles, odd) if counted else traffic.read(table, odd)
+        held = f"_made_{self._prefix}{table.name}"
+        self._connection.register(held, pa.concat_tables([empty, *made]))
+        source = _select(names, held)
+        if paths:
+            files = f"read_parquet([{_list(paths)}], hive_types = {{'date': DATE}})"
+            begins = [*table.names, f"{_BEGIN} AS first_step"]
+            source = f"{source} UNION ALL {_select(begins, files)}"
+        self._view(table.name, names, f"({source})")
+        return paths
+
+    def months(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
+        """Make the view of a roll-up; months that are not up to date are summed first."""
+        rolled, paths = roll_ups(self._dataset), []
+        made = [table.empty().append_column("month", pa.array([], pa.string()))]
+        for month in rolled.months(records):
+            if rolled.is_whole(table, month):
+                paths.append(rolled.path(table, month))
+            else:
+                rows = rolled.read(table, month)
+                made.append(rows.append_column("month", pa.array([month] * len(rows), pa.string())))
+        names = [*table.names, "month"]
+        held = f"_made_{self._prefix}{table.name}"
+        self._connection.register(held, pa.concat_tables(made))
+        source = _select(names, held)
+        if paths:
+            files = f"read_parquet([{_list(paths)}], hive_types = {{'month': VARCHAR}})"
+            source = f"{source} UNION ALL {_select(names, files)}"
+        self._view(table.name, names, f"({source})")
+        return paths
+
+    def held(self, table: TableSchema, rows: pa.Table) -> None:
+        """Make a view of rows held in memory."""
+        held = f"_held_{self._prefix}{table.name}"
+        self._connection.register(held, rows)
+        self._view(table.name, table.names, held)
+
+    def _view(self, name: str, columns: list[str], source: str) -> None:
+        """Make a view of the columns of the files and of the converted ones."""
+        origin = self._dataset.manifest.origin
+        further = [f'{UNITS[c].sql(c, origin)} AS "{UNITS[c].name}"' for c in columns if c in UNITS]
+        self._connection.execute(
+            f"CREATE VIEW {self._prefix}{name} AS {_select([*columns, *further], source)}"
+        )
+
+
+def _select(columns: Iterable[str], source: str) -> str:
+    return f"SELECT {', '.join(columns)} FROM {source}"  # noqa: S608 - names and files of ours
+
+
+def _list(paths: Iterable[Path]) -> str:
+    return ", ".join(quoted(path.resolve().as_posix()) for path in paths)
+
+
+def quoted(text: str) -> str:
+    """Return a text as an SQL string literal."""
+    return "'" + text.replace("'", "''") + "'"

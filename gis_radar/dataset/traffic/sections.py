@@ -1,0 +1,222 @@
+"""Count sections: volumes by direction at lines drawn across a road."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+import shapely.ops
+
+from gis_radar.base import (
+    Floats,
+    InputError,
+    current_language,
+    metric_crs,
+    one_line,
+    read_vector,
+    speaking,
+)
+from gis_radar.dataset.days.lane_measures import LaneTraffic
+from gis_radar.dataset.files.reading import Span
+from gis_radar.dataset.files.source import Source, require_vehicles
+from gis_radar.dataset.traffic.reader import TrafficReader
+from gis_radar.hdmap import LANES_LAYER
+from gis_radar.measures import LaneNetwork, bound_name, place_on
+
+NAME_FIELDS = ("name", "section", "id")  # columns that may hold a section's name, in this order
+ALONG = math.sin(math.radians(30.0))  # sine of the angle below which a section runs along a lane
+HALF_LANE_M = 1.75
+_FIGURES = ["visible_share", "counted", "volume", "volume_se", "heavy", "speed_time_mean_kmh"]
+
+
+@dataclass(frozen=True)
+class _Crossing:
+    """Crossing of a section and a lane.
+
+    Parameters
+    ----------
+    lane : int
+        Number of the lane.
+    along_m : float
+        Place along the lane, metres.
+    way : (2,) array
+        Unit vector of the lane's direction there.
+    is_left : bool
+        Whether traffic comes from the left of the section, seen from its first point.
+    at_m : float
+        Place along the section, metres.
+    """
+
+    lane: int
+    along_m: float
+    way: Floats
+    is_left: bool
+    at_m: float
+
+
+def section_counts(
+    dataset: Source, sections: gpd.GeoDataFrame | str | Path, interval: str, span: Span | None,
+    language: str | None,
+) -> gpd.GeoDataFrame:  # fmt: skip
+    """Count vehicles by direction at sections; see :meth:`gis_radar.Dataset.count_sections`."""
+    lines, what = _lines(sections, dataset.crs)
+    require_vehicles(dataset)
+    layer, tiles = dataset.layer(LANES_LAYER), dataset.manifest.fingerprint
+    network = LaneTraffic(folder=dataset.folder, fingerprint=tiles).network
+    crossed = {
+        name: _crossings(line, layer, network, f"{what}: section {name}")
+        for name, line in lines.items()
+    }
+    found = dict[str, list[pd.DataFrame]]()
+    for counted in _at_once(crossed):
+        along = {each.lane: each.along_m for name in counted for each in crossed[name]}
+        traffic = LaneTraffic(folder=dataset.folder, fingerprint=tiles, line_m=along)
+        rows = TrafficReader(
+            dataset=dataset, traffic=traffic, interval=interval, span=span,
+            language=language, exact=True,
+        ).lanes()  # fmt: skip
+        with speaking(language or current_language()):
+            found |= {name: _by_direction(rows, lines[name], crossed[name]) for name in counted}
+    whole = pd.concat(
+        [part.assign(section=name) for name in lines for part in found[name]], ignore_index=True
+    )
+    first = ["section", "direction", "begin", "end"]
+    return gpd.GeoDataFrame(
+        whole[[*first, *(name for name in whole if name not in first)]], crs=dataset.crs
+    )
+
+
+def _lines(
+    sections: gpd.GeoDataFrame | str | Path, crs: Any
+) -> tuple[dict[str, shapely.LineString], str]:
+    """Return the sections by name, in the dataset's CRS, and a name of their layer for errors."""
+    what: str = "sections"
+    table: Any = sections
+    if isinstance(sections, str | Path):
+        what = str(sections)
+        table = read_vector(
+            sections, what="layer of count sections", choose=_only_lines, columns=None
+        )
+    metric_crs(table.crs, what=what)
+    if table.geometry.isna().any():
+        raise InputError("{}: a section has no line", what)
+    table = table.to_crs(crs).reset_index(drop=True)
+    lines = shapely.line_merge(np.asarray(table.geometry))  # QGIS stores lines as multi-lines
+    if table.empty or {line.geom_type for line in lines} != {"LineString"}:
+        raise InputError(
+            "{}: sections are lines across a road", what, hint="each of one part, a row each"
+        )
+    column = next((name for name in NAME_FIELDS if name in table), None)
+    names = pd.Series(range(1, len(table) + 1)).astype("string")
+    if column is not None:  # a column of ids with an empty value is read as float
+        given = table[column].convert_dtypes().astype("string").map(one_line, na_action="ignore")
+        names = given.replace("", pd.NA).fillna(names)
+    found = dict(zip(names, lines, strict=True))
+    if len(found) < len(table):
+        raise InputError("{}: two sections have one name", what)
+    return found, what
+
+
+def _only_lines(layers: Mapping[str, str], path: Path) -> str:
+    """Return the layer of lines, else the first; refuse several of lines."""
+    drawn = [name for name, kind in layers.items() if "LineString" in kind]
+    if len(drawn) > 1:
+        raise InputError(
+            "{}: has {} layers of lines: {}", path, len(drawn), ", ".join(drawn),
+            hint="save the sections as a file of their own",
+        )  # fmt: skip
+    return next(iter(drawn or layers))
+
+
+def _crossings(
+    line: shapely.LineString, lanes: gpd.GeoDataFrame, network: LaneNetwork, what: str
+) -> list[_Crossing]:
+    found = []
+    known = lanes.set_index("lane").geometry
+    for number, length_m in zip(network.lane.tolist(), network.length_m.tolist(), strict=True):
+        lane = known[number]
+        points = shapely.get_coordinates(line.intersection(lane))[:, :2]
+        if len(points) == 0:
+            continue
+        if len(points) > 1:
+            raise InputError("{} crosses lane {} more than once", what, number)
+        along = float(lane.project(shapely.Point(points[0])))
+        way = place_on(lane, along)[1]
+        at_m = float(line.project(shapely.Point(points[0])))
+        across = place_on(line, at_m)[1]
+        turned = float(across[0] * way[1] - across[1] * way[0])  # sine of the angle
+        if abs(turned) < ALONG:
+            raise InputError("{} runs along lane {}", what, number, hint="draw it across the road")
+        along_m = along / lane.length * length_m
+        found.append(_Crossing(number, along_m, way, is_left=turned < 0.0, at_m=at_m))
+    if not found:
+        raise InputError("{} crosses no lane", what, hint="draw it across a road of the map")
+    return found
+
+
+def _at_once(crossed: Mapping[str, Sequence[_Crossing]]) -> list[list[str]]:
+    """Return the sections in groups without a common lane, as a lane is counted at one place."""
+    groups: list[tuple[list[str], set[int]]] = []
+    for name, mine in crossed.items():
+        lanes = {each.lane for each in mine}
+        free = next((group for group in groups if not group[1] & lanes), None)
+        if free is None:
+            groups.append(free := ([], set()))
+        free[0].append(name)
+        free[1].update(lanes)
+    return [names for names, _ in groups]
+
+
+def _by_direction(
+    rows: gpd.GeoDataFrame, line: shapely.LineString, crossed: Sequence[_Crossing]
+) -> list[pd.DataFrame]:
+    """Return a table for each direction of a section."""
+    found = []
+    for side in sorted({each.is_left for each in crossed}):
+        mine = [each for each in crossed if each.is_left is side]
+        sums = _of_direction(rows, mine)
+        sums["direction"] = bound_name(np.sum([each.way for each in mine], axis=0))
+        sums["geometry"] = gpd.GeoSeries([_part_of(line, mine)] * len(sums))
+        found.append(sums)
+    return found
+
+
+def _part_of(line: shapely.LineString, crossed: list[_Crossing]) -> shapely.LineString:
+    """Return the part of a section on the lanes of one direction, half a lane beyond them."""
+    at_m = [each.at_m for each in crossed]
+    first, last = max(min(at_m) - HALF_LANE_M, 0.0), min(max(at_m) + HALF_LANE_M, line.length)
+    return shapely.LineString(shapely.ops.substring(line, first, last).coords)
+
+
+def _of_direction(rows: gpd.GeoDataFrame, crossed: list[_Crossing]) -> pd.DataFrame:
+    """Return the sums over the lanes of one direction, by interval."""
+    numbers = [each.lane for each in crossed]
+    mine = pd.DataFrame(rows.loc[rows["lane"].isin(numbers), ["begin", "end", *_FIGURES]])
+    mine = mine.assign(
+        counted=mine["counted"].astype("Float64"), variance=mine["volume_se"].astype(float) ** 2
+    )
+    mine["by_speed"] = mine["speed_time_mean_kmh"] * mine["counted"].astype(float)
+    times = pd.MultiIndex.from_frame(rows[["begin", "end"]].drop_duplicates()).sort_values()
+    groups = mine.groupby(["begin", "end"])
+    # a lane without a row was not observed
+    all_seen = (groups.size() == len(numbers)).reindex(times, fill_value=False)
+    sums = groups[["volume", "variance"]].sum(min_count=len(numbers)).reindex(times)
+    some = groups[["counted", "heavy", "by_speed"]].sum(min_count=1).reindex(times)
+    table = pd.DataFrame(
+        {
+            "visible_share": groups["visible_share"].min().reindex(times).where(all_seen, 0.0),
+            "counted": some["counted"].astype("Int64"), "volume": sums["volume"],
+            "volume_se": np.sqrt(sums["variance"]), "heavy": some["heavy"],
+            "speed_time_mean_kmh": some["by_speed"] / some["counted"].astype(float),
+        }
+    ).reset_index()  # fmt: skip
+    hours = (table["end"] - table["begin"]).dt.total_seconds() / 3600.0
+    table.insert(5, "volume_veh_h", table["volume"] / hours)
+    return table

@@ -1,0 +1,129 @@
+"""States of vehicles at any step, interpolated between those of the tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from gis_radar.base import TRACK_EVERY_STEPS, Floats, Integers, ranges
+from gis_radar.dataset.files.reading import Span
+from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.tables import TRACKS, VEHICLES
+
+CM = 0.01  # metres
+VehicleStates = tuple[pd.DataFrame, pd.DataFrame]
+"""The vehicles of an hour, and their states."""
+
+
+def states_of(
+    dataset: Source, *, every: int = 1, span: Span | None = None
+) -> Iterator[VehicleStates]:
+    """Yield the vehicles of each hour with their states at regular steps.
+
+    Between the states that are stored, a fifth of a second apart, places, speeds and headings are
+    interpolated; lanelet and `seen` are those of the state before.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        A dataset with vehicles.
+    every : int
+        States are given at the multiples of this number of steps.
+    span : (int, int), optional
+        First and last step of the states.
+
+    Yields
+    ------
+    vehicles : DataFrame
+        The columns of `vehicles`, by number. A vehicle that goes on over an hour's begin keeps its
+        first number.
+    states : DataFrame
+        `vehicle, step, easting, northing` (m, the middle of the footprint), `heading` (degrees),
+        `speed` (m/s), `lanelet_id, s_m, d_m` (null off the lanes), `seen`; by step and vehicle.
+    """
+    # Read one state beyond each end, to interpolate.
+    wide = None if span is None else (span[0] - TRACK_EVERY_STEPS, span[1] + TRACK_EVERY_STEPS)
+    tables = (dataset.batches(table, wide) for table in (TRACKS, VEHICLES))
+    ahead = dict(dataset.continued().astype(np.int64).itertuples(index=False, name=None))
+    first = first_numbers(ahead)
+    for tracks, vehicles in zip(*tables, strict=True):
+        known, states = vehicles.to_pandas(), _states(tracks, dataset.manifest.origin, every, span)
+        for table in (known, states):
+            table["vehicle"] = table["vehicle"].map(lambda each: first.get(each, each))
+        yield (
+            known.sort_values("vehicle", ignore_index=True),
+            states.sort_values(["step", "vehicle"], ignore_index=True),
+        )
+
+
+def first_numbers(ahead: Mapping[int, int]) -> dict[int, int]:
+    """Return the first number of each vehicle that goes on over an hour's begin.
+
+    Parameters
+    ----------
+    ahead : mapping
+        By the earlier number the later one, as in `continued`, hours ascending.
+    """
+    first: dict[int, int] = {}
+    for earlier, later in ahead.items():
+        first[later] = first.get(earlier, earlier)
+    return first
+
+
+def no_states() -> VehicleStates:
+    """Return the tables of :func:`states_of` without rows."""
+    return VEHICLES.empty().to_pandas(), _states(TRACKS.empty(), (0, 0), 1, None)
+
+
+def _states(
+    tracks: pa.Table, origin: tuple[int, int], every: int, span: Span | None
+) -> pd.DataFrame:
+    rows = tracks.to_pandas(types_mapper={pa.int64(): pd.Int64Dtype()}.get)
+    vehicle, step = (rows[name].to_numpy(np.int64) for name in ("vehicle", "step"))
+    begins = np.flatnonzero(np.diff(vehicle, prepend=-1))
+    ends = np.append(begins[1:], len(rows)) - 1 if len(rows) else begins
+    first, last = step[begins], step[ends]
+    if span is not None:
+        first, last = np.maximum(first, span[0]), np.minimum(last, span[1])
+    low = -(-first // every)
+    count = np.maximum(last // every - low + 1, 0)
+    wanted = ranges(low, count) * every
+    number = np.repeat(np.arange(len(begins)), count)
+    at, share = _places(step, begins, ends, number, wanted)
+    after = np.minimum(at + 1, np.repeat(ends, count))
+    found = pd.DataFrame({"vehicle": np.repeat(vehicle[begins], count), "step": wanted})
+    for name, of, unit, zero in (
+        ("easting", "x_cm", CM, origin[0]), ("northing", "y_cm", CM, origin[1]),
+        ("speed", "speed_cms", CM, 0),
+    ):  # fmt: skip
+        values = rows[of].to_numpy(np.float64) * unit + zero
+        found[name] = values[at] + share * (values[after] - values[at])
+    heading = rows["heading_cdeg"].to_numpy(np.float64) * CM
+    turn = (heading[after] - heading[at] + 180.0) % 360.0 - 180.0
+    found["heading"] = (heading[at] + share * turn + 180.0) % 360.0 - 180.0
+    lanelet = rows["lanelet_id"]
+    same = (lanelet.iloc[at].to_numpy() == lanelet.iloc[after].to_numpy()).astype(np.float64)
+    found["lanelet_id"] = lanelet.iloc[at].array
+    for name, of in (("s_m", "s_cm"), ("d_m", "d_cm")):
+        values = rows[of].to_numpy(np.float64, na_value=np.nan) * CM
+        change = np.nan_to_num(values[after] - values[at])
+        found[name] = values[at] + share * np.nan_to_num(same) * change
+    found["seen"] = rows["seen"].to_numpy(np.bool_)[at]
+    return found
+
+
+def _places(
+    step: Integers, begins: Integers, ends: Integers, number: Integers, wanted: Integers
+) -> tuple[Integers, Floats]:
+    """Return the row at or before each wanted step, and the step's share of the way to the next."""
+    if not len(step):
+        return wanted, np.empty(0)
+    base, size = int(step.min()), int(step.max() - step.min()) + 1
+    of_row = np.repeat(np.arange(len(begins)), ends - begins + 1)
+    at = np.searchsorted(of_row * size + step - base, number * size + wanted - base, "right") - 1
+    after = np.minimum(at + 1, ends[number])
+    gap = np.maximum(step[after] - step[at], 1)
+    return at, (wanted - step[at]) / gap

@@ -1,0 +1,142 @@
+"""Single vehicles of a dataset: as points, as trajectories of MovingPandas, as footprints."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from gis_radar.base import (
+    INSTALL_TRAJECTORIES,
+    QUIET,
+    STEP_US,
+    InputError,
+    Reporter,
+    interval_steps,
+)
+from gis_radar.dataset.files.source import Moment, Source, require_vehicles
+from gis_radar.dataset.vehicles.footprints import write_footprints
+from gis_radar.dataset.vehicles.states import no_states, states_of
+
+if TYPE_CHECKING:
+    import movingpandas
+
+EVERY = "500ms"  # at 50 km/h 7 m apart; between them vehicles move smoothly
+_OF_VEHICLE = ("length_m", "width_m", "p_heavy")
+
+
+class VehicleTables:
+    """Methods of a dataset that return its single vehicles: for analysis, not to be published."""
+
+    def track_points(
+        self: Source, *, every: str = EVERY, begin: Moment = None, end: Moment = None
+    ) -> gpd.GeoDataFrame:
+        """Return the states of vehicles as points, a row for each vehicle and moment.
+
+        Parameters
+        ----------
+        every : str
+            Time between states, such as `500ms`; `50ms` gives every state.
+        begin, end : str, datetime or step, optional
+            Times between which states are given; without an offset they are by the clocks of the
+            site.
+
+        Returns
+        -------
+        GeoDataFrame
+            By `time` (UTC) and vehicle: `vehicle`, `speed` (m/s), `heading` (degrees
+            counter-clockwise from grid east), `lanelet_id`, `s_m`, `d_m`, `seen`, and `length_m`,
+            `width_m`, `p_heavy` of the vehicle; the middle of its footprint as geometry, in the
+            map's coordinate system.
+
+        Raises
+        ------
+        UsageError
+            If a time or `every` is invalid, or the times do not ascend.
+        InputError
+            If vehicles were not looked for.
+        """
+        return _track_points(self, every, begin, end)
+
+    def to_trajectories(
+        self: Source, *, every: str = EVERY, begin: Moment = None, end: Moment = None
+    ) -> movingpandas.TrajectoryCollection:
+        """Return vehicles as a MovingPandas TrajectoryCollection (extra `trajectories`).
+
+        Times are in UTC without a zone, as MovingPandas keeps them; a vehicle with a single state
+        in that time is left out.
+
+        Parameters
+        ----------
+        every, begin, end
+            As for :meth:`track_points`.
+
+        Raises
+        ------
+        InputError
+            If MovingPandas is not installed, vehicles were not looked for, or there is no state in
+            that time.
+        """
+        try:
+            with warnings.catch_warnings():  # of extras of its own, which nobody needs here
+                warnings.simplefilter("ignore", UserWarning)
+                import movingpandas as mpd  # noqa: PLC0415 - an extra
+        except ImportError as error:
+            raise InputError(
+                "trajectories need movingpandas, which is missing", hint=INSTALL_TRAJECTORIES
+            ) from error
+        points = _track_points(self, every, begin, end)
+        if points.empty:
+            raise InputError("{}: there is no vehicle in that time", self.folder)
+        points.index = pd.DatetimeIndex(points.index).tz_localize(None).rename("t")
+        return mpd.TrajectoryCollection(points, traj_id_col="vehicle")
+
+    def write_footprints(self: Source, path: str | Path, *, reporter: Reporter = QUIET) -> int:
+        """Write the footprints of vehicles as a layer, a row for each vehicle and half second.
+
+        Memory holds one hour.
+
+        Parameters
+        ----------
+        path : str or Path
+            The GeoPackage, layer `footprints`; it appears whole or not at all. QGIS loads its style
+            by itself, in which its temporal controller moves the vehicles.
+        reporter : Reporter
+            Receives progress.
+
+        Returns
+        -------
+        int
+            Number of rows written.
+
+        Raises
+        ------
+        UsageError
+            If the name does not end in `.gpkg`.
+        InputError
+            If vehicles were not looked for.
+        OutputError
+            If the file cannot be written.
+        """
+        return write_footprints(self, Path(path), reporter)
+
+
+def _track_points(dataset: Source, every: str, begin: Moment, end: Moment) -> gpd.GeoDataFrame:
+    require_vehicles(dataset)
+    hours = [*states_of(dataset, every=interval_steps(every), span=dataset.span(begin, end))]
+    table = pd.concat(
+        [
+            states.join(vehicles.set_index("vehicle")[list(_OF_VEHICLE)], on="vehicle")
+            for vehicles, states in hours or [no_states()]
+        ],
+        ignore_index=True,
+    )
+    time = pd.to_datetime(table["step"].to_numpy(np.int64) * (STEP_US // 1000), unit="ms", utc=True)
+    table = table.set_index(pd.DatetimeIndex(time, name="time"))
+    shape = gpd.points_from_xy(table["easting"], table["northing"])
+    shown = table.drop(columns=["step", "easting", "northing"])
+    return gpd.GeoDataFrame(shown, geometry=shape, crs=dataset.crs)
