@@ -24,7 +24,7 @@ BENCHES := bench-assignment bench-tiles bench-dataset bench-city bench-mask \
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: help set-up set-up-dev set-up-bench pdal demo live-demo city docs test rules test-qgis lint format types faults live-test soak fuzz test-lowest test-newest bench \
-	$(BENCHES) samples wheel plugin-zip constraints clean
+	$(BENCHES) samples wheel plugin-zip release constraints clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' Makefile | expand -t 20
@@ -156,6 +156,10 @@ wheel: set-up-dev ## Build a wheel in dist
 
 plugin-zip: wheel ## Build the installable zip of the QGIS plugin in dist
 	$(BIN)/python tools/plugin_zip.py --wheel "$$(ls -t dist/gis_radar-*.whl | head -n 1)"
+
+release: plugin-zip docs ## Build all files of a release in dist: wheel, sources, plugin, documentation
+	$(BIN)/uv build --sdist --build-constraints constraints.txt --out-dir dist
+	$(BIN)/python tools/release.py
 
 constraints: set-up-dev ## Pin what pyproject.toml asks for in constraints.txt
 	printf 'hatchling\nuv\n' | $(BIN)/uv pip compile --quiet --no-header --no-annotate \
