@@ -27,9 +27,12 @@ from gis_radar.base import (
 )
 from gis_radar.calibration.range_scale import measure_range_scale
 from gis_radar.calibration.registration.traces import LEAST_FRAMES, Moving
+from gis_radar.calibration.scan.pose_update import updated_by_scan
 from gis_radar.calibration.scan.scan_check import (
     CLEAR_SIGMAS,
     LEAST_COVERED,
+    SAME_DEG,
+    SAME_M,
     align,
     check_against_scan,
     require_scans_near,
@@ -127,7 +130,7 @@ def localize(
     """Find the pose of a sensor from its recordings, the lanes, the scanned road and a rough guess.
 
     Take guess and compass to the map's CRS, localize by the first recording that gives a pose,
-    check it against scans where there are some, and draw the figure.
+    update and check it by scans where there are some, and draw the figure.
 
     Parameters
     ----------
@@ -156,8 +159,8 @@ def localize(
     method : str
         `lane`, traces against lanes; or `icp`, the paper's, traces against the road's surface.
     scans : path or sequence of paths
-        Airborne scans for a :func:`gis_radar.check_against_scan`; with them the range that the
-        recording reaches (99.9th percentile) becomes the view's `max_range_m`, unless a view is
+        Airborne scans, whole: what stands in them measures the pose a second time and checks it
+        (:func:`gis_radar.check_against_scan`); with them the range that the recording reaches (99.9th percentile) becomes the view's `max_range_m`, unless a view is
         given.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files that do not state it.
@@ -286,10 +289,13 @@ def decided_by_scan(
     recording: Path,
     *,
     localize: Callable[[Path], Localization],
-    look_at: Callable[[Path, Pose], ScanCheck],
+    look_at: Callable[..., ScanCheck],
     reporter: Reporter,
 ) -> Localization:
-    """Localize; where the traffic fits several poses, let the scan check decide.
+    """Localize by traffic and by what stands in a scan.
+
+    Where the traffic fits several poses, the scan check decides. The pose is then updated by where
+    what stands fits the scan best: see :func:`updated_by_scan`.
 
     The scan decides where it confirms exactly one pose, or where it does not doubt and prefers to
     each of the others exactly one. Places that the traffic rules out are not compared then.
@@ -301,7 +307,7 @@ def decided_by_scan(
     localize : callable
         Finds a pose from a recording.
     look_at : callable
-        Checks a pose against the scan.
+        Checks a pose against the scan, and takes a `reporter`.
     reporter : Reporter
         Receives a warning where the scan decided.
 
@@ -310,6 +316,21 @@ def decided_by_scan(
     NoAnswerError
         As by `localize`; AmbiguousError where the scan decides for none of the poses.
     """
+    found = _decided(recording, localize, look_at, reporter)
+    if found.pose.evidence.get("method") != "lane":
+        return found  # the paper's method is kept as it is
+    look = look_at(recording, found.pose, reporter=SILENT)
+    if look.best is not None and look.best.beyond(SAME_M, SAME_DEG):
+        look = look_at(recording, look.best_pose, reporter=SILENT)
+    pose = updated_by_scan(found.pose, look)
+    return replace(found, pose=pose, observable=bool(pose.evidence["observable"]))
+
+
+def _decided(
+    recording: Path, localize: Callable[[Path], Localization], look_at: Callable[..., ScanCheck],
+    reporter: Reporter,
+) -> Localization:  # fmt: skip
+    """Localize; where several poses fit, choose the one that the scan confirms or prefers."""
     try:
         return localize(recording)
     except AmbiguousError as refusal:
