@@ -160,8 +160,8 @@ def localize(
         `lane`, traces against lanes; or `icp`, the paper's, traces against the road's surface.
     scans : path or sequence of paths
         Airborne scans, whole: what stands in them measures the pose a second time and checks it
-        (:func:`gis_radar.check_against_scan`); with them the range that the recording reaches (99.9th percentile) becomes the view's `max_range_m`, unless a view is
-        given.
+        (:func:`gis_radar.check_against_scan`); with them the range that the recording reaches
+        (99.9th percentile) becomes the view's `max_range_m`, unless a view is given.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files that do not state it.
     sensor : str, optional
