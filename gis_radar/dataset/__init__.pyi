@@ -3,7 +3,7 @@ from .days.asked_time import day_numbers
 from .days.lane_measures import LaneTraffic
 from .days.rollups import RollUps
 from .days.tables import STEPS_PER_QUARTER
-from .days.tile_counts import HourSpans, count_spans, run_variance, update_counts
+from .days.tile_counts import HourSpans, TileCounts, count_spans, run_variance
 from .files.manifest import (
     Manifest,
     create_dataset,
@@ -75,6 +75,7 @@ __all__ = [
     "Shifts",
     "SqlQueries",
     "TableSchema",
+    "TileCounts",
     "UnknownStreetError",
     "catalogue_of",
     "chance_of_others",
@@ -111,7 +112,6 @@ __all__ = [
     "states_of",
     "sync_folder",
     "unfinished",
-    "update_counts",
     "update_days",
     "write_lane_matches",
     "write_record",

@@ -24,8 +24,8 @@ from gis_radar.base import (
     step_at,
     zone_of,
 )
-from gis_radar.dataset.days.lane_measures import LaneTraffic
-from gis_radar.dataset.days.tile_counts import check_counts, read_counts
+from gis_radar.dataset.days.lane_measures import maker_of
+from gis_radar.dataset.days.tables import check_days
 from gis_radar.dataset.files.frame_times import frame_steps
 from gis_radar.dataset.files.manifest import TILES, Manifest
 from gis_radar.dataset.files.parts import (
@@ -178,12 +178,9 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
             Names of the columns; by default all.
         """
         records = self.records(span)
-        tiles = self.manifest.fingerprint
-        if table is TILE_COUNTS:
-            return read_counts(self.folder, tiles, records, span, columns)
         if table in DAY_TABLES:
-            traffic = LaneTraffic(folder=self.folder, fingerprint=tiles)
-            return traffic.read(table, records, span, columns)
+            maker = maker_of(table, self.folder, self.manifest.fingerprint)
+            return maker.read(table, records, span, columns)
         return read_rows(self.folder, table, records, span, columns)
 
     def frame_steps(self, sensor: str | None = None, *, valid: bool = True) -> Runs:
@@ -317,7 +314,7 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
             for name in sorted(record.parts.keys() - set(record.dropped)):
                 record.check_bytes(self.folder, TABLES[name])
             reporter.progress("checking parts", done + 1, len(records))
-        check_counts(self.folder, self.manifest.fingerprint, records)
+        check_days(self.folder, self.manifest.fingerprint, records)
         roll_ups(self).check()
 
     def figures(self) -> dict[str, Any]:

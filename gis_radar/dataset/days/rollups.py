@@ -27,7 +27,7 @@ from gis_radar.base import Booleans, Floats, InputError, Integers, zone_of
 from gis_radar.dataset.days.asked_time import QUARTER_S, AskedTime, month_edges
 from gis_radar.dataset.days.lane_measures import METHOD, LaneTraffic
 from gis_radar.dataset.days.tables import QUARTERS
-from gis_radar.dataset.days.tile_counts import count_keys, read_counts
+from gis_radar.dataset.days.tile_counts import TileCounts, count_keys
 from gis_radar.dataset.files.parts import (
     HOURS_PER_DAY,
     days_of,
@@ -39,7 +39,13 @@ from gis_radar.dataset.files.parts import (
 )
 from gis_radar.dataset.files.records import HourRecord, read_hours, record_path
 from gis_radar.dataset.files.schema import TableSchema
-from gis_radar.dataset.files.tables import LANE_MEASURES, MONTH_TABLES, TILE_MONTHS, TRACKS
+from gis_radar.dataset.files.tables import (
+    LANE_MEASURES,
+    MONTH_TABLES,
+    TILE_COUNTS,
+    TILE_MONTHS,
+    TRACKS,
+)
 from gis_radar.measures import SPEED_CLASSES
 
 DAYS_PER_WEEK = 7
@@ -441,7 +447,8 @@ class RollUps:
         sources = sums.names if is_of_tiles else _sources(sums.names)
         columns = list(dict.fromkeys([id_name, "interval", *sources]))
         if is_of_tiles:
-            (rows,) = read_counts(self.folder, self.fingerprint, hours, None, columns)
+            counts = TileCounts(folder=self.folder, fingerprint=self.fingerprint)
+            (rows,) = counts.read(TILE_COUNTS, hours, None, columns)
             cells = np.asarray(clock.hour, np.int64)
         else:
             (rows,) = self.traffic.read(LANE_MEASURES, hours, None, columns)
@@ -475,6 +482,11 @@ class RollUps:
     def _metadata(self, table: TableSchema, month: str) -> dict[str, str]:
         clocks = {"month": month, "timezone": self.timezone}
         return whole_metadata(table, self.fingerprint) | clocks
+
+
+def with_month(rows: pa.Table, month: str) -> pa.Table:
+    """Return rows with a last column, the month."""
+    return rows.append_column("month", pa.array([month] * len(rows), pa.string()))
 
 
 def _written_ns(path: Path) -> int:

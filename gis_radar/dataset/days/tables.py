@@ -7,11 +7,11 @@ hours not made again since are carried over, so that they stay when exact tables
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self, TypeAlias
+from typing import ClassVar, Self, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -33,6 +33,7 @@ from gis_radar.dataset.files.parts import (
 from gis_radar.dataset.files.reading import Span
 from gis_radar.dataset.files.records import HourRecord, read_hours
 from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.tables import DAY_TABLES
 
 QUARTERS = 4  # of an hour
 STEPS_PER_QUARTER = STEPS_PER_HOUR // QUARTERS
@@ -207,3 +208,103 @@ def days_with(
     for first in days_of(hours):
         day = Day(folder=folder, fingerprint=fingerprint, first_hour=first)
         yield day, {hour for hour in hours if first <= hour <= day.last_hour}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DayTables:
+    """Maker and reader of tables of dates that are made together.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    fingerprint : str
+        Fingerprint of its tiles.
+    """
+
+    tables: ClassVar[Sequence[TableSchema]]
+    folder: Path
+    fingerprint: str
+
+    def keys(self, day: Day, records: Mapping[int, HourRecord]) -> Keys:
+        """Return the keys of hours of a date: what the rows of each follow from."""
+        raise NotImplementedError
+
+    def make(self, record: HourRecord) -> Sequence[pa.Table]:
+        """Make the rows of an hour, a table for each of `tables`."""
+        raise NotImplementedError
+
+    def note(self, records: Mapping[int, HourRecord]) -> None:
+        """Keep records that were read, where the rows of other hours follow from them."""
+
+    def update(self, hour: int, known: Mapping[int, HourRecord] | None = None) -> None:
+        """Bring the tables of the date of an hour up to date; the caller is its only writer.
+
+        Rows of hours that were not made again are carried over.
+
+        Parameters
+        ----------
+        hour : int
+            Any hour of the date, since 1970.
+        known : mapping, optional
+            The records of all complete hours; by default they are read.
+
+        Raises
+        ------
+        InputError
+            If a part of an hour is not the one of its record.
+        OutputError
+            If a table cannot be written.
+        """
+        day = Day.of(self.folder, self.fingerprint, hour)
+        records = day.records(known)
+        self.note(known or {})
+        keys = self.keys(day, records)
+        day.update(self.tables, keys, lambda each: self.make(records[each]))
+
+    def read(
+        self, table: TableSchema, records: Mapping[int, HourRecord], span: Span | None = None,
+        columns: Sequence[str] | None = None,
+    ) -> Iterator[pa.Table]:  # fmt: skip
+        """Read a table day by day; rows that are missing, or older than their hour, are made now.
+
+        Parameters
+        ----------
+        table : TableSchema
+            One of `tables`.
+        records : mapping
+            Records of the complete hours, ascending.
+        span : (int, int), optional
+            First and last step in which intervals may begin.
+        columns : sequence of str, optional
+            Names of the columns; by default all.
+
+        Yields
+        ------
+        pyarrow.Table
+            Rows of a date in their order, with a further column `first_step`, in which the interval
+            begins.
+        """
+        self.note(records)
+        for day, hours in days_with(self.folder, self.fingerprint, list(records)):
+            keys = self.keys(day, {hour: records[hour] for hour in sorted(hours)})
+            rows = day.rows(
+                self.tables, keys, lambda hour: self.make(records[hour]), only=table,
+                columns=columns,
+            )  # fmt: skip
+            yield day.timed(rows[self.tables.index(table)], span, columns)
+
+
+def check_days(folder: Path, fingerprint: str, hours: Iterable[int]) -> None:
+    """Read the tables of the dates of some hours, where they are written, to check them.
+
+    Raises
+    ------
+    InputError
+        If they are damaged.
+    """
+    for day, _ in days_with(folder, fingerprint, list(hours)):
+        for table in DAY_TABLES:
+            if day.path(table).is_file():
+                with day.opened(table) as file:
+                    file.read()

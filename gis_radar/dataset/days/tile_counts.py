@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -18,13 +18,11 @@ from gis_radar.base import (
     compiled,
     ranges,
 )
-from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, Keys, Maker, days_with
+from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, DayTables, Keys
 from gis_radar.dataset.files.parts import HOURS_PER_DAY
-from gis_radar.dataset.files.reading import Span
 from gis_radar.dataset.files.records import HourRecord
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import (
-    DAY_TABLES,
     HITS,
     OBSERVED,
     OCCUPIED,
@@ -242,91 +240,20 @@ def _count_hits(  # pragma: no cover - compiled
     reached[0], reached[1] = place, run
 
 
-def update_counts(
-    folder: Path, fingerprint: str, hour: int, known: Mapping[int, HourRecord] | None = None
-) -> None:
-    """Bring the tile counts of a date up to date; the caller is the only writer of that date.
-
-    Rows of hours that were not made again are carried over.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the dataset.
-    fingerprint : str
-        Of its tiles.
-    hour : int
-        Any hour of the date, since 1970.
-    known : mapping, optional
-        The records of all complete hours; read without it.
-
-    Raises
-    ------
-    InputError
-        If a part of an hour is not what it should be.
-    OutputError
-        If the counts cannot be written.
-    """
-    day = Day.of(folder, fingerprint, hour)
-    records = day.records(known)
-    day.update((TILE_COUNTS,), count_keys(records), _maker(folder, records))
-
-
 def count_keys(records: Mapping[int, HourRecord]) -> Keys:
     """Return the keys of the counts of each hour: the digests that they follow from."""
     return {hour: [each.origin.method, each.origin.inputs] for hour, each in records.items()}
 
 
-def _maker(folder: Path, records: Mapping[int, HourRecord]) -> Maker:
-    return lambda hour: (count_hour(folder, records[hour]),)
+class TileCounts(DayTables):
+    """Maker and reader of the tile counts of a dataset."""
 
+    tables = (TILE_COUNTS,)
 
-def check_counts(folder: Path, fingerprint: str, hours: Iterable[int]) -> None:
-    """Read the tile counts of the dates of some hours, where they are written, to check them.
+    def keys(self, _day: Day, records: Mapping[int, HourRecord]) -> Keys:
+        """Return the keys of the counts of hours."""
+        return count_keys(records)
 
-    Raises
-    ------
-    InputError
-        If they are damaged.
-    """
-    for day, _ in days_with(folder, fingerprint, list(hours)):
-        for table in DAY_TABLES:
-            if day.path(table).is_file():
-                with day.opened(table) as file:
-                    file.read()
-
-
-def read_counts(
-    folder: Path,
-    fingerprint: str,
-    records: Mapping[int, HourRecord],
-    span: Span | None = None,
-    columns: Sequence[str] | None = None,
-) -> Iterator[pa.Table]:
-    """Read the tile counts of complete hours, day by day.
-
-    Hours whose counts are not written yet, or older than the hour, are counted now.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the dataset.
-    fingerprint : str
-        Of its tiles.
-    records : mapping
-        Records of the complete hours, ascending.
-    span : (int, int), optional
-        First and last step in which intervals may begin.
-    columns : sequence of str, optional
-        Names of the columns; by default all.
-
-    Yields
-    ------
-    pyarrow.Table
-        Rows of a date by tile and interval, with a further column `first_step`, in which the
-        interval begins.
-    """
-    for day, hours in days_with(folder, fingerprint, list(records)):
-        keys = count_keys({hour: records[hour] for hour in hours})
-        (rows,) = day.rows((TILE_COUNTS,), keys, _maker(folder, records), columns=columns)
-        yield day.timed(rows, span, columns)
+    def make(self, record: HourRecord) -> tuple[pa.Table]:
+        """Count an hour."""
+        return (count_hour(self.folder, record),)

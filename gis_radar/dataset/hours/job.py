@@ -37,7 +37,6 @@ from gis_radar.hdmap import LaneGraph, TileGrid
 from gis_radar.measures import (
     LONGEST_VALID_STEPS,
     Filters,
-    HashedFrames,
     HitTarget,
     HourWindow,
     PlacedRecording,
@@ -132,11 +131,6 @@ class HourSite:
             rcs=self.settings.vehicles or self.settings.filters.min_rcs is not None,
         )  # fmt: skip
 
-    @property
-    def finds_vehicles(self) -> bool:
-        """Whether vehicles are looked for."""
-        return self.settings.vehicles and self.graph is not None
-
 
 @dataclass(frozen=True, kw_only=True)
 class MadeHour:
@@ -209,8 +203,11 @@ def make_hour(
         _write_hits(writer, sensors, valid, held, sights, site, window)
         # The counts of five sensors in an hour take 170 MB, and vehicles do not need them.
         sensors = [replace(each, counted=each.counted[:0].copy(), tile=[]) for each in sensors]
-        if site.finds_vehicles:
-            found = _vehicles(sensors, window, held, sights, site, processes)
+        if site.settings.vehicles and site.graph is not None:
+            found = vehicles_of_hour(
+                sensors, window, held=held, tiles=site.tiles, sights=sights, graph=site.graph,
+                processes=processes,
+            )  # fmt: skip
             _write_vehicles(writer, found, site.origin)
             vehicles, on_lanes = len(found.vehicles), found.on_lanes
     return MadeHour(hour=hour, evidence=evidence, vehicles=vehicles, on_lanes=on_lanes)
@@ -246,7 +243,8 @@ def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
     InputError
         If there are two such sensors.
     """
-    hashes = [np.unique(_compared_hashes(each.frames)) for each in sensors]
+    frames = [each.frames for each in sensors]
+    hashes = [np.unique(each.hash[each.detections >= LEAST_COMPARED]) for each in frames]
     found, counts = np.unique(np.concatenate([np.empty(0, np.uint64), *hashes]), return_counts=True)
     shared = found[counts > 1]  # usually few, so that comparing all pairs of sensors is cheap
     if len(shared) <= MOST_EQUAL_FRAMES:
@@ -268,10 +266,6 @@ def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
                 first.recording.path,
                 hint="give each sensor its own recording",
             )
-
-
-def _compared_hashes(frames: HashedFrames) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
-    return frames.hash[frames.detections >= LEAST_COMPARED]
 
 
 def digest_of_inputs(
@@ -318,17 +312,6 @@ def _write_hits(
     writer.write(HITS, sorted_hits(sensors, valid, ids, window))
     tile, first, last = observed_runs(held, sights, ids, window)
     writer.write(OBSERVED, {"tile_id": ids[tile], "first_step": first, "last_step": last})
-
-
-def _vehicles(
-    sensors: Sequence[SensorHour], window: HourWindow, held: pd.DataFrame,
-    sights: Mapping[str, PoseSight], site: HourSite, processes: int,
-) -> HourVehicles:  # fmt: skip
-    assert site.graph is not None  # noqa: S101 - the caller has looked
-    return vehicles_of_hour(
-        sensors, window, held=held, tiles=site.tiles, sights=sights, graph=site.graph,
-        processes=processes,
-    )  # fmt: skip
 
 
 def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, int]) -> None:
