@@ -33,7 +33,7 @@ from gis_radar.dataset.files.parts import (
     hour_begin,
     hour_of_step,
     hour_text,
-    whole_table,
+    whole_file,
 )
 from gis_radar.dataset.files.reading import Span, read_rows
 from gis_radar.dataset.files.records import HourRecord, hour_bounds, read_hour, read_hours
@@ -406,7 +406,7 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
 
     def whole(self, table: TableSchema) -> pa.Table:
         """Read a table that is one file, with its columns: recordings, poses or sights."""
-        return whole_table(table, self.folder, self.manifest.fingerprint)
+        return whole_file(table, self.folder, self.manifest.fingerprint).read()
 
     def _step(self, value: Moment, what: str) -> int | None:
         if value is None or isinstance(value, int):

@@ -18,10 +18,10 @@ import pyarrow.compute as pc
 import pyogrio
 
 from gis_radar.base import STEPS_PER_HOUR, STEPS_PER_SECOND, InputError, Integers, opened_package
-from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, DayTables, Keys
-from gis_radar.dataset.days.tile_counts import HourSpans, TileCounts, count_spans
+from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, DayTables
+from gis_radar.dataset.days.tile_counts import TileCounts, count_spans
 from gis_radar.dataset.files.manifest import TILES
-from gis_radar.dataset.files.parts import HOURS_PER_DAY, hour_text
+from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys, hour_text
 from gis_radar.dataset.files.reading import Span
 from gis_radar.dataset.files.records import HourRecord, read_hour
 from gis_radar.dataset.files.schema import TableSchema
@@ -104,7 +104,7 @@ class LaneTraffic(DayTables):
         """
         keys = {hour: self.key(each) for hour, each in _with_tracks(records).items()}
         gone = {hour for hour in keys if TRACKS.name in records[hour].dropped}
-        known = day.made(LANE_MEASURES) if gone and day.made(TURNS) else {}
+        known = day.file(LANE_MEASURES).keys() if gone and day.file(TURNS).keys() else {}
         return {
             hour: known[hour] if hour in gone else key
             for hour, key in keys.items()
@@ -136,8 +136,7 @@ class LaneTraffic(DayTables):
             If its exact tables were deleted.
         """
         begins = np.arange(0, STEPS_PER_HOUR, steps, dtype=np.int64)
-        spans = HourSpans(first=begins, last=begins + steps - 1)
-        tiles, sums = count_spans(self.folder, record, spans)
+        tiles, sums = count_spans(self.folder, record, begins, begins + steps - 1)
         rows = np.flatnonzero(sums["observed_steps"])
         place, interval = np.divmod(rows, len(begins))
         counts = [sums[name][rows] for name in _TILE_COLUMNS]
@@ -225,11 +224,11 @@ class LaneTraffic(DayTables):
         )  # fmt: skip
 
     def _vehicles(self, record: HourRecord) -> VehicleTable:
-        rows = self._part(VEHICLES, record, ["vehicle", "length_m", "p_heavy", "p_exists"])
+        rows = record.read(self.folder, VEHICLES, ["vehicle", "length_m", "p_heavy", "p_exists"])
         return VehicleTable(**{name: rows[name].to_numpy() for name in rows.column_names})
 
     def _visible(self, record: HourRecord) -> VisibleRuns:
-        runs = self._part(VISIBLE, record, ["tile_id", "first_step", "last_step"])
+        runs = record.read(self.folder, VISIBLE, ["tile_id", "first_step", "last_step"])
         return VisibleRuns(
             tile_id=runs["tile_id"].to_numpy(), first=runs["first_step"].to_numpy(),
             last=runs["last_step"].to_numpy(),
@@ -238,11 +237,11 @@ class LaneTraffic(DayTables):
     def _states(self, record: HourRecord) -> FrontStates:
         """Return the states of an hour, and the earlier ones of vehicles that go on in it."""
         columns = ["vehicle", "step", "speed_cms", "lanelet_id", "s_cm", "seen"]
-        rows = self._part(TRACKS, record, columns)
+        rows = record.read(self.folder, TRACKS, columns)
         before = self._hour_before(record.hour)
         if before is not None and TRACKS.name not in before.dropped:
-            pairs = self._part(CONTINUED, record, CONTINUED.names)
-            earlier = self._part(TRACKS, before, columns)
+            pairs = record.read(self.folder, CONTINUED, CONTINUED.names)
+            earlier = before.read(self.folder, TRACKS, columns)
             at = pc.index_in(earlier["vehicle"], pairs["vehicle"].combine_chunks())
             earlier = earlier.set_column(0, earlier.field(0), pairs["next"].take(at))
             earlier = earlier.filter(at.is_valid())
@@ -257,10 +256,6 @@ class LaneTraffic(DayTables):
             along_m=along, speed=rows["speed_cms"].to_numpy() / 100.0,
             seen=rows["seen"].to_numpy(),
         )  # fmt: skip
-
-    def _part(self, table: TableSchema, record: HourRecord, columns: Sequence[str]) -> pa.Table:
-        with record.opened(self.folder, table) as file:
-            return file.read(columns=list(columns), use_threads=False)
 
 
 def _with_tracks(records: Mapping[int, HourRecord]) -> dict[int, HourRecord]:

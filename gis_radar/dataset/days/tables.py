@@ -6,9 +6,7 @@ hours not made again since are carried over, so that they stay when exact tables
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Self, TypeAlias
@@ -16,19 +14,16 @@ from typing import ClassVar, Self, TypeAlias
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from gis_radar.base import STEPS_PER_HOUR, InputError
+from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset.files.parts import (
     HOURS_PER_DAY,
+    Keys,
+    TableFile,
     days_of,
     hour_text,
-    opened_part,
     part_path,
-    rename_whole,
-    unfinished,
     whole_metadata,
-    write_part,
 )
 from gis_radar.dataset.files.reading import Span
 from gis_radar.dataset.files.records import HourRecord, read_hours
@@ -37,10 +32,7 @@ from gis_radar.dataset.files.tables import DAY_TABLES
 
 QUARTERS = 4  # of an hour
 STEPS_PER_QUARTER = STEPS_PER_HOUR // QUARTERS
-_HOURS = "hours"  # entry of the metadata with the key of each hour
 
-Keys: TypeAlias = Mapping[int, list[str | int]]
-"""What each hour, since 1970, is now."""
 Maker: TypeAlias = Callable[[int], Sequence[pa.Table]]
 """Makes the rows of an hour, a table for each."""
 
@@ -80,35 +72,21 @@ class Day:
         hours = range(self.first_hour, self.last_hour + 1)
         return {hour: known[hour] for hour in hours if hour in known}
 
-    def path(self, table: TableSchema) -> Path:
-        """Return the path of a table."""
-        return part_path(self.folder, table, self.first_hour)
-
-    def opened(self, table: TableSchema) -> AbstractContextManager[pq.ParquetFile]:
-        """Open a table, and check it.
-
-        Raises
-        ------
-        InputError
-            If it is missing or damaged.
-        """
-        return opened_part(table, self.path(table), self._metadata(table))
-
-    def made(self, table: TableSchema) -> Keys:
-        """Read the keys of the hours from which a table was made; none if it is damaged."""
-        with suppress(InputError, ValueError, KeyError), self.opened(table) as file:
-            known = json.loads(file.metadata.metadata[_HOURS.encode()])
-            return {int(hour): key for hour, key in known.items()}
-        return {}
+    def file(self, table: TableSchema) -> TableFile:
+        """Return the file of a table."""
+        path = part_path(self.folder, table, self.first_hour)
+        metadata = whole_metadata(table, self.fingerprint) | {"hour": hour_text(self.first_hour)}
+        return TableFile(table=table, path=path, metadata=metadata, keyed="hours")
 
     def is_made(self, tables: Sequence[TableSchema], keys: Keys) -> bool:
         """Return whether tables have all columns and were made from exactly these keys."""
-        return all(self.made(table) == keys and self._is_whole(table) for table in tables)
-
-    def _is_whole(self, table: TableSchema) -> bool:
-        """Return whether a table has all columns, including those added since it was made."""
-        with self.opened(table) as file:
-            return {*table.names} <= {*file.schema_arrow.names}
+        for each in map(self.file, tables):
+            if each.keys() != keys:
+                return False
+            with each.opened() as file:
+                if not {*each.table.names} <= {*file.schema_arrow.names}:
+                    return False
+        return True
 
     def update(self, tables: Sequence[TableSchema], keys: Keys, make: Maker) -> None:
         """Bring tables up to date; the caller is the only writer of the date.
@@ -124,14 +102,12 @@ class Day:
         """
         if not keys:
             for table in tables:
-                self.path(table).unlink(missing_ok=True)
+                self.file(table).path.unlink(missing_ok=True)
             return
         if self.is_made(tables, keys):
             return
         for table, rows in zip(tables, self.rows(tables, keys, make), strict=True):
-            stated = {_HOURS: json.dumps({hour: keys[hour] for hour in sorted(keys)})}
-            write_part(table, self.path(table), rows, self._metadata(table) | stated)
-            rename_whole(unfinished(self.path(table)), self.path(table))
+            self.file(table).write(rows, keys)
 
     def rows(
         self, tables: Sequence[TableSchema], keys: Keys, make: Maker, *,
@@ -148,7 +124,7 @@ class Day:
         columns : sequence of str, optional
             Its columns; by default all.
         """
-        known = [self.made(table) for table in tables]
+        known = [self.file(table).keys() for table in tables]
         kept = {hour for hour, key in keys.items() if all(of.get(hour) == key for of in known)}
         made = [make(hour) for hour in sorted(keys.keys() - kept)]
         return [
@@ -167,8 +143,7 @@ class Day:
         names = [name for name in table.names if name in needed]
         parts = [each.select(names) for each in (table.empty(), *made)]
         if kept:
-            with self.opened(table) as file:
-                rows = file.read(columns=names)
+            rows = self.file(table).read(names)
             if len(kept) == written and not made:
                 return pa.concat_tables([*parts, rows], promote_options="default")
             hours = pa.array(sorted(each - self.first_hour for each in kept), pa.int32())
@@ -196,9 +171,6 @@ class Day:
             inside = pc.and_(pc.greater_equal(begin, span[0]), pc.less_equal(begin, span[1]))
             rows = rows.filter(inside)
         return rows.select(list(columns)) if columns is not None else rows
-
-    def _metadata(self, table: TableSchema) -> dict[str, str]:
-        return whole_metadata(table, self.fingerprint) | {"hour": hour_text(self.first_hour)}
 
 
 def days_with(
@@ -305,6 +277,5 @@ def check_days(folder: Path, fingerprint: str, hours: Iterable[int]) -> None:
     """
     for day, _ in days_with(folder, fingerprint, list(hours)):
         for table in DAY_TABLES:
-            if day.path(table).is_file():
-                with day.opened(table) as file:
-                    file.read()
+            if day.file(table).path.is_file():
+                day.file(table).read()

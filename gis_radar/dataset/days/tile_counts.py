@@ -18,8 +18,8 @@ from gis_radar.base import (
     compiled,
     ranges,
 )
-from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, DayTables, Keys
-from gis_radar.dataset.files.parts import HOURS_PER_DAY
+from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, DayTables
+from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys
 from gis_radar.dataset.files.records import HourRecord
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import (
@@ -43,24 +43,6 @@ def run_variance(steps: Integers, seen: Booleans) -> Floats:
     ends = np.minimum(END_SHARE * steps, END_MOST_S * STEPS_PER_SECOND)
     share = np.where(seen, FALSE_SHARE, INFERRED_SHARE)
     return np.asarray(ends**2 + (share * steps) ** 2, np.float64)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HourSpans:
-    """Disjoint spans of steps of an hour, ascending.
-
-    Parameters
-    ----------
-    first, last : (n,) int64 arrays
-        Steps from the hour's begin, inclusive.
-    """
-
-    first: Integers
-    last: Integers
-
-
-_BEGINS = np.arange(QUARTERS, dtype=np.int64) * STEPS_PER_QUARTER
-QUARTER_SPANS = HourSpans(first=_BEGINS, last=_BEGINS + STEPS_PER_QUARTER - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,16 +80,16 @@ class _Runs:
         count = np.searchsorted(others.first, self.last, side="right") - low
         return self._cut(count, others.first[at := ranges(low, count)], others.last[at])
 
-    def within(self, spans: HourSpans) -> _Runs:
-        """Return the parts of runs in each span of the hour."""
+    def within(self, first: Integers, last: Integers) -> _Runs:
+        """Return the parts of runs in each span of the hour, disjoint ones that ascend."""
         tile = self.first // STEPS_PER_HOUR
         begin = tile * STEPS_PER_HOUR
-        low = np.searchsorted(spans.last, self.first - begin)
-        count = np.searchsorted(spans.first, self.last - begin, side="right") - low
+        low = np.searchsorted(last, self.first - begin)
+        count = np.searchsorted(first, self.last - begin, side="right") - low
         span = ranges(low, count)
         at = np.repeat(begin, count)
-        found = self._cut(count, at + spans.first[span], at + spans.last[span])
-        return replace(found, cell=np.repeat(tile, count) * len(spans.first) + span)
+        found = self._cut(count, at + first[span], at + last[span])
+        return replace(found, cell=np.repeat(tile, count) * len(first) + span)
 
     def _cut(self, count: Integers, first: Integers, last: Integers) -> _Runs:
         """Repeat each run `count` times, and cut each copy to a span."""
@@ -147,7 +129,8 @@ def count_hour(folder: Path, record: HourRecord) -> pa.Table:
     InputError
         If a part of the hour is not what it should be.
     """
-    tiles, sums = count_spans(folder, record, QUARTER_SPANS)
+    begins = np.arange(QUARTERS, dtype=np.int64) * STEPS_PER_QUARTER
+    tiles, sums = count_spans(folder, record, begins, begins + STEPS_PER_QUARTER - 1)
     rows = np.flatnonzero(sums["observed_steps"])
     quarter = record.hour % HOURS_PER_DAY * QUARTERS + rows % QUARTERS
     counts = {"tile_id": tiles[rows // QUARTERS], "interval": quarter}
@@ -155,7 +138,7 @@ def count_hour(folder: Path, record: HourRecord) -> pa.Table:
 
 
 def count_spans(
-    folder: Path, record: HourRecord, spans: HourSpans
+    folder: Path, record: HourRecord, first: Integers, last: Integers
 ) -> tuple[Integers, dict[str, Floats]]:
     """Count the steps of the tiles in spans of an hour.
 
@@ -165,8 +148,8 @@ def count_spans(
         Of the dataset.
     record : HourRecord
         Of the hour.
-    spans : HourSpans
-        Spans of the hour.
+    first, last : (spans,) int64 arrays
+        Disjoint spans of the hour, ascending: steps from its begin, inclusive.
 
     Returns
     -------
@@ -182,18 +165,17 @@ def count_spans(
     """
 
     def read(table: TableSchema) -> pa.Table:
-        if table.name not in record.parts:
-            return table.empty()
-        with record.opened(folder, table) as file:
-            return file.read(columns=table.names)
+        return record.read(folder, table) if table.name in record.parts else table.empty()
 
     tables = {table.name: read(table) for table in (OBSERVED, VISIBLE, OCCUPIED)}
     ids = [table["tile_id"].to_numpy() for table in tables.values()]
     tiles = np.unique(np.concatenate(ids))
     observed, visible, occupied = (_Runs.of(table, tiles, record.hour) for table in tables.values())
     occupied = occupied.during(visible.joined())
-    observed, visible, occupied = (each.within(spans) for each in (observed, visible, occupied))
-    cells = len(tiles) * len(spans.first)
+    observed, visible, occupied = (
+        each.within(first, last) for each in (observed, visible, occupied)
+    )
+    cells = len(tiles) * len(first)
     variance = run_variance(occupied.steps, occupied.seen)
     sums = {
         "hit_steps": observed.total(_hits_in(observed, folder, record, tiles), cells),

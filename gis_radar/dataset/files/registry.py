@@ -31,7 +31,7 @@ from gis_radar.base import (
     step_of,
 )
 from gis_radar.calibration import SensorClock
-from gis_radar.dataset.files.parts import hour_of_step, whole_table, write_whole
+from gis_radar.dataset.files.parts import hour_of_step, whole_file, write_whole
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SIGHTS
 from gis_radar.measures import PlacedRecording, PoseSight, pose_names
 from gis_radar.poses import PoseTrack, pose_from_dict
@@ -193,8 +193,9 @@ class Registry:
         InputError
             If a table is damaged, or of another dataset.
         """
-        tables = (whole_table(table, folder, fingerprint) for table in (RECORDINGS, POSES, SIGHTS))
-        recordings, poses, sights = tables
+        recordings, poses, sights = (
+            whole_file(table, folder, fingerprint).read() for table in (RECORDINGS, POSES, SIGHTS)
+        )
         if hour is not None:  # a year's recordings as Python objects take seconds
             recordings = recordings.filter(_about(recordings, hour, margin))
         try:

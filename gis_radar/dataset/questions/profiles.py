@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import get_args
 
 import pandas as pd
@@ -116,7 +115,7 @@ def _street_lanes(
     key = ("street", street, language or current_language())
     if key not in dataset.found:
         layers = dataset.layer(LANES_LAYER), dataset.layer(TILES_LAYER)
-        with speaking(language) if language else nullcontext():
+        with speaking(language):
             dataset.found[key] = StreetLanes.of(*layers, rolled.traffic.network, street)
     lanes: StreetLanes = dataset.found[key]
     return lanes

@@ -170,7 +170,7 @@ class _Views:
             mine = {hour: records[hour] for hour in sorted(hours)}
             keys = maker.keys(day, mine)
             if keys and day.is_made((table,), keys):
-                paths.append(day.path(table))
+                paths.append(day.file(table).path)
             else:
                 odd.update(mine)
         further = pa.field("first_step", pa.int64())
@@ -183,7 +183,7 @@ class _Views:
         rolled, paths, made = roll_ups(self._dataset), [], []
         for month in rolled.months(records):
             if rolled.is_whole(table, month):
-                paths.append(rolled.path(table, month))
+                paths.append(rolled.file(table, month).path)
             else:
                 made.append(with_month(rolled.read(table, month), month))
         further = pa.field("month", pa.string())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -85,7 +84,7 @@ class TrafficReader:
             table[f"{name}_se"] = np.sqrt(table[f"{name}_se"] ** 2 + left_open)
         layer = self.dataset.layer(LANES_LAYER)
         table["delay_s"] = delays(table, layer, network)
-        with self._in_language():
+        with speaking(self.language):
             names = lane_names(layer, network)
         at = np.searchsorted(network.lane, table["lane"].to_numpy(np.int64))
         lines = layer.set_index("lane").geometry.loc[network.lane.tolist()].array[at]
@@ -112,7 +111,7 @@ class TrafficReader:
         if lanes is not None and not table.empty:
             table = _like_approaches(table, lanes)
         ways, layer = network.turns(), self.dataset.layer(LANES_LAYER)
-        with self._in_language():
+        with speaking(self.language):
             names = np.array(lane_names(layer, network), object)
         words, lines = turn_lines(layer, network, ways)
         pairs = {
@@ -152,9 +151,6 @@ class TrafficReader:
         variance = self._others.variance(wide.to_numpy(np.float64))
         row = np.searchsorted(network.lane, table[lane].to_numpy(np.int64))
         return np.asarray(variance[row, wide.columns.get_indexer(table["begin"])])
-
-    def _in_language(self) -> AbstractContextManager[None]:
-        return speaking(self.language) if self.language else nullcontext()
 
     def _rows(self, table: TableSchema, lanes: pd.DataFrame | None = None) -> pd.DataFrame:
         """Return rows with `begin` and `end` by the clocks of the site.

@@ -17,7 +17,6 @@ import shapely.ops
 from gis_radar.base import (
     Floats,
     InputError,
-    current_language,
     metric_crs,
     one_line,
     read_vector,
@@ -82,7 +81,7 @@ def section_counts(
             dataset=dataset, traffic=traffic, interval=interval, span=span,
             language=language, exact=True,
         ).lanes()  # fmt: skip
-        with speaking(language or current_language()):
+        with speaking(language):
             found |= {name: _by_direction(rows, lines[name], crossed[name]) for name in counted}
     whole = pd.concat(
         [part.assign(section=name) for name in lines for part in found[name]], ignore_index=True
