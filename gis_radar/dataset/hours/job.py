@@ -20,19 +20,9 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.base import InputError, Integers
+from gis_radar.dataset.files import tables
 from gis_radar.dataset.files.parts import Origin
 from gis_radar.dataset.files.records import HourWriter
-from gis_radar.dataset.files.tables import (
-    CONTINUED,
-    FRAMES,
-    HITS,
-    OBSERVED,
-    OCCUPIED,
-    PASSAGES,
-    TRACKS,
-    VEHICLES,
-    VISIBLE,
-)
 from gis_radar.hdmap import LaneGraph, TileGrid
 from gis_radar.measures import (
     LONGEST_VALID_STEPS,
@@ -308,10 +298,10 @@ def _write_hits(
 ) -> None:  # fmt: skip
     ids = site.target.road.tile_id
     pairs = zip(sensors, valid, strict=True)
-    writer.write(FRAMES, (frame_columns(each, frames, window) for each, frames in pairs))
-    writer.write(HITS, sorted_hits(sensors, valid, ids, window))
+    writer.write(tables.FRAMES, (frame_columns(each, frames, window) for each, frames in pairs))
+    writer.write(tables.HITS, sorted_hits(sensors, valid, ids, window))
     tile, first, last = observed_runs(held, sights, ids, window)
-    writer.write(OBSERVED, {"tile_id": ids[tile], "first_step": first, "last_step": last})
+    writer.write(tables.OBSERVED, {"tile_id": ids[tile], "first_step": first, "last_step": last})
 
 
 def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, int]) -> None:
@@ -322,7 +312,7 @@ def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, 
     }
     lanelet = tracks["lanelet_id"].fillna(0).to_numpy(np.int64)
     writer.write(
-        TRACKS,
+        tables.TRACKS,
         {
             "vehicle": tracks["vehicle"], "step": tracks["step"],
             "x_cm": _hundredths(tracks["easting"] - origin[0]),
@@ -332,12 +322,12 @@ def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, 
             "lanelet_id": np.ma.masked_array(lanelet, ~on), **placed, "seen": tracks["seen"],
         },
     )  # fmt: skip
-    writer.write(VEHICLES, found.vehicles)
-    writer.write(CONTINUED, found.continued)
+    writer.write(tables.VEHICLES, found.vehicles)
+    writer.write(tables.CONTINUED, found.continued)
     speed = _hundredths(found.passages["speed"])
-    writer.write(PASSAGES, found.passages.assign(speed_cms=speed))
-    writer.write(OCCUPIED, found.occupied)
-    writer.write(VISIBLE, found.visible)
+    writer.write(tables.PASSAGES, found.passages.assign(speed_cms=speed))
+    writer.write(tables.OCCUPIED, found.occupied)
+    writer.write(tables.VISIBLE, found.visible)
 
 
 def _hundredths(values: pd.Series) -> Integers:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 
 import duckdb
@@ -94,11 +93,11 @@ def make_views(
     InputError
         If a part is not the one of its hour's record.
     """
-    views = _Views(dataset, asked, prefix)
+    views = _Views(dataset, asked, prefix, reporter)
     records = dataset.records()
     paths = []
     for tables, view in (
-        (HOUR_TABLES, partial(views.hours, reporter=reporter)),
+        (HOUR_TABLES, views.hours),
         (DAY_TABLES, views.days),
         (MONTH_TABLES, views.months),
     ):
@@ -139,17 +138,18 @@ def catalogue_of(folders: Sequence[Path], place: str) -> str:
 class _Views:
     """Maker of views of tables."""
 
-    def __init__(self, dataset: Source, asked: duckdb.DuckDBPyConnection, prefix: str) -> None:
+    def __init__(
+        self, dataset: Source, asked: duckdb.DuckDBPyConnection, prefix: str, reporter: Reporter
+    ) -> None:
         self._dataset, self._connection, self._prefix = dataset, asked, prefix
+        self._reporter = reporter
 
-    def hours(
-        self, table: TableSchema, records: Mapping[int, HourRecord], *, reporter: Reporter
-    ) -> list[Path]:
+    def hours(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
         """Make the view of a table of hours; return its files, each checked."""
         folder, paths = self._dataset.folder, []
         there = {hour: each for hour, each in records.items() if table.name not in each.dropped}
         if gone := records.keys() - there.keys():
-            reporter.warn(
+            self._reporter.warn(
                 "{} up to {} were deleted, and are left out of the answer",
                 table.name, hour_text(max(gone) + 1),
             )  # fmt: skip
