@@ -272,8 +272,10 @@ def _tables(found: Measured, first: int) -> tuple[pa.Table, pa.Table]:
 
 def day_makers(folder: Path, fingerprint: str) -> tuple[TileCounts, LaneTraffic]:
     """Return the makers and readers of all tables of dates of a dataset."""
-    kinds = {"folder": folder, "fingerprint": fingerprint}
-    return TileCounts(**kinds), LaneTraffic(**kinds)
+    return (
+        TileCounts(folder=folder, fingerprint=fingerprint),
+        LaneTraffic(folder=folder, fingerprint=fingerprint),
+    )
 
 
 def maker_of(table: TableSchema, folder: Path, fingerprint: str) -> DayTables:

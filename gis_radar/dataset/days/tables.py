@@ -28,6 +28,7 @@ from gis_radar.dataset.files.parts import (
 from gis_radar.dataset.files.reading import Span
 from gis_radar.dataset.files.records import HourRecord, read_hours
 from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.source import Source
 from gis_radar.dataset.files.tables import DAY_TABLES
 
 QUARTERS = 4  # of an hour
@@ -197,6 +198,11 @@ class DayTables:
     tables: ClassVar[Sequence[TableSchema]]
     folder: Path
     fingerprint: str
+
+    @classmethod
+    def of(cls, dataset: Source) -> Self:
+        """Return the maker and reader of a dataset."""
+        return cls(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
 
     def keys(self, day: Day, records: Mapping[int, HourRecord]) -> Keys:
         """Return the keys of hours of a date: what the rows of each follow from."""

@@ -125,7 +125,7 @@ def _times(steps: pd.Series) -> pd.Series:
 
 def _exact(dataset: Source, span: Span | None) -> tuple[LaneNetwork, Iterator[_Hour]]:
     """Return the network, and of each hour its grid, states, vehicles and visible runs."""
-    traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
+    traffic = LaneTraffic.of(dataset)
     records = [each for each in dataset.records(span).values() if TRACKS.name in each.parts]
     hours = (
         (StepGrid(begin=each.hour * STEPS_PER_HOUR, steps=STEPS_PER_HOUR, count=1),
