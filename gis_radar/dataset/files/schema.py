@@ -9,8 +9,9 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from gis_radar.base import Booleans, InputError
+from gis_radar.base import InputError
 
 _INT, _TEXT = pa.int64(), pa.string()
 
@@ -164,8 +165,8 @@ def _is_text(kind: pa.DataType) -> bool:
 
 def _ascends(columns: list[pa.ChunkedArray]) -> bool:
     """Return whether rows ascend strictly by columns without missing values."""
-    later: Booleans = np.zeros(max(len(columns[0]) - 1, 0), np.bool_)
+    later: Any = False
     for column in reversed(columns):
-        values = column.to_numpy()
-        later = (values[1:] > values[:-1]) | ((values[1:] == values[:-1]) & later)
-    return bool(later.all())
+        before, after = column.slice(0, max(len(column) - 1, 0)), column.slice(1)
+        later = pc.or_(pc.greater(after, before), pc.and_(pc.equal(after, before), later))
+    return bool(pc.all(later, min_count=0).as_py())
