@@ -112,12 +112,13 @@ def count_frames(
     Returns
     -------
     DataFrame
-        `frames` received; `dropped`, missing between them; `doubled`, less than half a cycle after
-        the one before; `repeated`, equal to the one before; `high`, with a high share of the seen
-        tiles hit. Of them `detections`, `moving` ones, `wild` ones: too fast for any vehicle.
-        `hits`, the sum of the tiles hit, the `fewest` and the `most` in a frame; `share`, the sum
-        of the shares of the seen tiles that were hit; `seen`, the most tiles seen; `shift_us`, the
-        sum of the corrections of the clock.
+        By `number` and `hour`, for all hours in which any sensor has a frame: `frames` received;
+        `dropped`, missing between them; `doubled`, less than half a cycle after the one before;
+        `repeated`, equal to the one before; `high`, with a high share of the seen tiles hit. Of
+        them `detections`, `moving` ones, `wild` ones: too fast for any vehicle. `hits`, the sum of
+        the tiles hit, the `fewest` and the `most` in a frame; `share`, the sum of the shares of the
+        seen tiles that were hit; `seen`, the most tiles seen; `shift_us`, the sum of the
+        corrections of the clock.
     """
     parts = []
     begin_us = min(each.first_us for each in times.values())
@@ -136,11 +137,12 @@ def count_frames(
         room_us = min(0.55 * each.cycle_us, LONGEST_CYCLE_S * 1e6)
         lost.append((number, int(begin_us - room_us), each.first_us))
         lost.append((number, each.last_us, int(end_us + room_us)))
-    counts = pd.concat(parts).groupby(["number", "hour"]).agg(_HOW)
-    every = pd.MultiIndex.from_product(counts.index.levels)
-    dropped = _dropped(counts.index.levels[1].to_numpy(), lost, times)
-    counts = counts.reindex(every, fill_value=0)
-    return counts.assign(dropped=[dropped.get(each, 0) for each in every])
+    found = pd.concat(parts)
+    hours = np.unique(found["hour"].to_numpy(np.int64))
+    every = [(number, hour) for number in sorted(times) for hour in hours.tolist()]
+    dropped = _dropped(hours, lost, times)
+    counts = found.groupby(["number", "hour"]).agg(_HOW).reindex(every, fill_value=0)
+    return counts.assign(dropped=[dropped.get(each, 0) for each in every]).reset_index()
 
 
 def _compare(mine: Columns, before: Columns, number: int, cycle_us: float) -> list[Gap]:

@@ -7,7 +7,7 @@ data, too few samples, never hit, hit too much, constant, and hits without motio
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC
 from pathlib import Path
@@ -49,15 +49,13 @@ MOST_WILD = 0.02  # share of the detections faster than any vehicle: noise gives
 FRAMES_JUDGED = 100  # with fewer frames (5 s at 20 Hz) only their number is judged
 
 
-def faults_of(count: Any, hour: int) -> Iterator[str]:
+def faults_of(count: Any) -> Iterator[str]:
     """Yield the faults of a sensor in an hour, worst first.
 
     Parameters
     ----------
     count : row of count_frames
         Counts of its frames in that hour.
-    hour : int
-        UNIX second in which the hour began.
     """
     if count.frames == 0:
         yield NO_DATA
@@ -66,7 +64,7 @@ def faults_of(count: Any, hour: int) -> Iterator[str]:
     expected = single + count.dropped
     if single < LEAST_SHARE * expected:
         yield Text("{:.0f} % of the frames expected", 100 * single / expected)
-    if hour < CLOCK_SET_S:
+    if count.hour < CLOCK_SET_S:
         yield "clock not set"
     if count.frames >= FRAMES_JUDGED:
         yield from _faults_of_frames(count)
@@ -255,9 +253,9 @@ def measure_quality(
     counts = count_frames(dataset, times, zone, reporter)
     poses = _poses(dataset.poses())
     # A sensor that came later lacks nothing before it.
-    begun = counts["frames"].gt(0).groupby(level=0).cummax()
+    begun = counts["frames"].gt(0).groupby(counts["number"]).cummax()
     sensors = dataset.sensors
-    rows = [_row(sensors[each.Index[0]], each, poses, zone) for each in counts[begun].itertuples()]
+    rows = [_row(each, sensors, poses, zone) for each in counts[begun].itertuples()]
     recordings = dataset.recordings()
     level = set(recordings.loc[~recordings["has_elevation"], "sensor"])
     verdicts = {row["verdict"]: row["verdict"] for row in rows}
@@ -303,17 +301,19 @@ def _pose_at(poses: Poses, second: int) -> tuple[str, float]:
     return text, (second - since) / HOUR_S
 
 
-def _row(sensor: str, count: Any, poses: Mapping[str, Poses], zone: ZoneInfo) -> dict[str, Any]:
-    hour = count.Index[1]
-    begin = pd.Timestamp(hour, unit="s", tz=UTC)
+def _row(
+    count: Any, sensors: Sequence[str], poses: Mapping[str, Poses], zone: ZoneInfo
+) -> dict[str, Any]:
+    sensor = sensors[count.number]
+    begin = pd.Timestamp(count.hour, unit="s", tz=UTC)
     local = begin.tz_convert(zone)
-    pose, age_h = _pose_at(poses.get(sensor, []), hour)
+    pose, age_h = _pose_at(poses.get(sensor, []), count.hour)
     frames, detections = max(count.frames, 1), max(count.detections, 1)
     nothing = count.frames == 0
     return {
         "sensor": sensor,
         "begin": begin,
-        "end": pd.Timestamp(hour + HOUR_S, unit="s", tz=UTC),
+        "end": pd.Timestamp(count.hour + HOUR_S, unit="s", tz=UTC),
         "date": f"{local:%Y-%m-%d}",
         "hour": local.hour,
         "weekday": f"{local:%A}",
@@ -329,5 +329,5 @@ def _row(sensor: str, count: Any, poses: Mapping[str, Poses], zone: ZoneInfo) ->
         "clock_offset_s": np.nan if nothing else -count.shift_us / frames / 1e6,
         "pose": pose,
         "pose_age_h": age_h,
-        "verdict": Text("; ").join(faults_of(count, hour)) or GOOD,
+        "verdict": Text("; ").join(faults_of(count)) or GOOD,
     }
