@@ -24,6 +24,7 @@ from gis_radar.dataset import (
     TILE_COUNTS,
     Dataset,
     HourRecord,
+    LaneTraffic,
     MeasureSettings,
     Origin,
     RollUps,
@@ -31,7 +32,7 @@ from gis_radar.dataset import (
     open_dataset,
     write_record,
 )
-from gis_radar.dataset.days.lane_measures import METHOD, TRAFFIC_TABLES
+from gis_radar.dataset.days.lane_measures import METHOD
 from gis_radar.dataset.days.tables import QUARTERS, Day
 from gis_radar.dataset.days.tile_counts import count_keys
 from gis_radar.dataset.files.parts import HOURS_PER_DAY, PartDigest
@@ -182,7 +183,7 @@ class DayDrawer:
         keys = count_keys(records)
         day.update((TILE_COUNTS,), keys, lambda hour: rows(hour, slice(0, 1)))
         of_traffic = {hour: [METHOD, *key, *key] for hour, key in keys.items()}
-        day.update(TRAFFIC_TABLES, of_traffic, lambda hour: rows(hour, slice(1, 3)))
+        day.update(LaneTraffic.tables, of_traffic, lambda hour: rows(hour, slice(1, 3)))
         for record in records.values():
             write_record(self.dataset.folder, record)
         return [*records]

@@ -17,7 +17,6 @@ from gis_radar.dataset import (
     STEPS_PER_QUARTER,
     TILE_COUNTS,
     Dataset,
-    HourSpans,
     LaneTraffic,
     count_spans,
 )
@@ -94,8 +93,8 @@ class MeasuredParts:
         counted, tables = [], []
         for record, first in zip(records, firsts, strict=True):
             steps = (first + np.arange(parts, dtype=np.int64)) * PART_STEPS
-            spans = HourSpans(first=steps, last=steps + PART_STEPS - 1)
-            counted.append(count_spans(dataset.folder, record, spans))
+            last = steps + PART_STEPS - 1
+            counted.append(count_spans(dataset.folder, record, steps, last))
             tables.append(traffic.finer(record, PART_STEPS))
         tile_id = np.unique(np.concatenate([tiles for tiles, _ in counted]))
         lane_tables, turn_tables = zip(*tables, strict=True)

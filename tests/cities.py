@@ -20,11 +20,11 @@ from gis_radar.dataset import (
     RECORDINGS,
     HourWriter,
     LaneTraffic,
+    TileCounts,
     listed_hours,
     open_dataset,
     part_path,
     read_hour,
-    update_counts,
     write_whole,
 )
 from gis_radar.dataset.files.tables import HOUR_TABLES, SIGHTS
@@ -85,7 +85,7 @@ def write_site(root, name, source, hours, *, sensors=None, clock_offset=0.0):
     for hour in hours:
         draw_hour(source, folder, hour)
     for hour in {each // 24 * 24: each for each in listed_hours(folder)}.values():
-        update_counts(folder, fingerprint, hour)
+        TileCounts(folder=folder, fingerprint=fingerprint).update(hour)
         LaneTraffic(folder=folder, fingerprint=fingerprint).update(hour)
     sensors = sensors or {"R1": [(each, each + 1) for each in hours]}
     rows = [

@@ -16,11 +16,11 @@ from gis_radar.dataset import (
     HourWriter,
     Manifest,
     Origin,
+    TileCounts,
     create_dataset,
     hour_of_step,
     measure,
     open_dataset,
-    update_counts,
     write_whole,
 )
 from gis_radar.dataset.files.tables import HIT_TABLES, HOUR_TABLES, SIGHTS
@@ -94,7 +94,7 @@ def write_dataset(
                     rows = {c: np.asanyarray(v)[mine] for c, v in tables[name].items()}
                 writer.write(table, rows)
     for hour in sorted(found):
-        update_counts(folder, manifest.fingerprint, hour)
+        TileCounts(folder=folder, fingerprint=manifest.fingerprint).update(hour)
     return open_dataset(folder)
 
 

@@ -70,7 +70,7 @@ def draw_days(dataset, seed=0):
     for day, hours in days_with(dataset.folder, fingerprint, list(records)):
         mine = {hour: records[hour] for hour in sorted(hours)}
         for table in (LANE_MEASURES, TURNS, TILE_COUNTS):
-            day.path(table).unlink(missing_ok=True)
+            day.file(table).path.unlink(missing_ok=True)
         day.update((TILE_COUNTS,), count_keys(mine), lambda hour: (_counts(hour, seed),))
         keys = traffic.keys(day, mine)
         day.update((LANE_MEASURES, TURNS), keys, lambda hour: (_lanes(hour, seed), TURNS.empty()))

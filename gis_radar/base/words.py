@@ -28,15 +28,15 @@ _CURRENT: ContextVar[str] = ContextVar("language", default="en")
 
 
 @contextmanager
-def speaking(language: str) -> Iterator[None]:
-    """Set the language of texts, numbers and days within the block.
+def speaking(language: str | None) -> Iterator[None]:
+    """Set the language of texts, numbers and days within the block; without one, it stays.
 
     Raises
     ------
     UsageError
         If there is no such language.
     """
-    token = _CURRENT.set(known_language(language))
+    token = _CURRENT.set(known_language(language or _CURRENT.get()))
     try:
         yield
     finally:

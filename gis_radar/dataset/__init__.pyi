@@ -3,7 +3,7 @@ from .days.asked_time import day_numbers
 from .days.lane_measures import LaneTraffic
 from .days.rollups import RollUps
 from .days.tables import STEPS_PER_QUARTER
-from .days.tile_counts import HourSpans, count_spans, run_variance, update_counts
+from .days.tile_counts import TileCounts, count_spans, run_variance
 from .files.manifest import (
     Manifest,
     create_dataset,
@@ -62,7 +62,6 @@ __all__ = [
     "TILE_COUNTS",
     "Dataset",
     "HourRecord",
-    "HourSpans",
     "HourWriter",
     "LaneTraffic",
     "Manifest",
@@ -75,6 +74,7 @@ __all__ = [
     "Shifts",
     "SqlQueries",
     "TableSchema",
+    "TileCounts",
     "UnknownStreetError",
     "catalogue_of",
     "chance_of_others",
@@ -111,7 +111,6 @@ __all__ = [
     "states_of",
     "sync_folder",
     "unfinished",
-    "update_counts",
     "update_days",
     "write_lane_matches",
     "write_record",

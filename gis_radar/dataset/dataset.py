@@ -24,8 +24,9 @@ from gis_radar.base import (
     step_at,
     zone_of,
 )
-from gis_radar.dataset.days.lane_measures import LaneTraffic
-from gis_radar.dataset.days.tile_counts import check_counts, read_counts
+from gis_radar.dataset.days.lane_measures import maker_of
+from gis_radar.dataset.days.tables import check_days
+from gis_radar.dataset.files import tables
 from gis_radar.dataset.files.frame_times import frame_steps
 from gis_radar.dataset.files.manifest import TILES, Manifest
 from gis_radar.dataset.files.parts import (
@@ -33,32 +34,12 @@ from gis_radar.dataset.files.parts import (
     hour_begin,
     hour_of_step,
     hour_text,
-    whole_table,
+    whole_file,
 )
 from gis_radar.dataset.files.reading import Span, read_rows
 from gis_radar.dataset.files.records import HourRecord, hour_bounds, read_hour, read_hours
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Moment
-from gis_radar.dataset.files.tables import (
-    CONTINUED,
-    DAY_TABLES,
-    FRAMES,
-    HITS,
-    HOUR_TABLES,
-    LANE_MEASURES,
-    OBSERVED,
-    OCCUPIED,
-    PASSAGES,
-    POSES,
-    RECORDINGS,
-    SIGHTS,
-    TABLES,
-    TILE_COUNTS,
-    TRACKS,
-    TURNS,
-    VEHICLES,
-    VISIBLE,
-)
 from gis_radar.dataset.files.units import for_people
 from gis_radar.dataset.hours.changes import Upkeep
 from gis_radar.dataset.questions.profiles import Questions, roll_ups
@@ -112,7 +93,7 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
     @property
     def sensors(self) -> list[str]:
         """Names of the sensors with recordings."""
-        return sorted(set(self.whole(RECORDINGS)["sensor"].to_pylist()))
+        return sorted(set(self.whole(tables.RECORDINGS)["sensor"].to_pylist()))
 
     @property
     def doubts(self) -> list[str]:
@@ -178,12 +159,9 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
             Names of the columns; by default all.
         """
         records = self.records(span)
-        tiles = self.manifest.fingerprint
-        if table is TILE_COUNTS:
-            return read_counts(self.folder, tiles, records, span, columns)
-        if table in DAY_TABLES:
-            traffic = LaneTraffic(folder=self.folder, fingerprint=tiles)
-            return traffic.read(table, records, span, columns)
+        if table in tables.DAY_TABLES:
+            maker = maker_of(table, self.folder, self.manifest.fingerprint)
+            return maker.read(table, records, span, columns)
         return read_rows(self.folder, table, records, span, columns)
 
     def frame_steps(self, sensor: str | None = None, *, valid: bool = True) -> Runs:
@@ -226,22 +204,23 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
 
     def recordings(self) -> pd.DataFrame:
         """Read the table of recordings from which it was made."""
-        return self._read_whole(RECORDINGS)
+        return self._read_whole(tables.RECORDINGS)
 
     def poses(self) -> gpd.GeoDataFrame:
         """Read the poses of the sensors."""
-        table = self._read_whole(POSES)
+        table = self._read_whole(tables.POSES)
         places = gpd.points_from_xy(table["easting"], table["northing"], table["height"])
         return gpd.GeoDataFrame(table, geometry=places, crs=self.crs)
 
     def sights(self) -> pd.DataFrame:
         """Read the tiles in sight of each pose."""
-        return self._read_whole(SIGHTS)
+        return self._read_whole(tables.SIGHTS)
 
     def sight_of(self, sensor: str) -> Integers:
         """Return the ids of the tiles in sight of the last pose of a sensor."""
         recordings, poses, sights = (
-            self.whole(table).to_pandas() for table in (RECORDINGS, POSES, SIGHTS)
+            self.whole(table).to_pandas()
+            for table in (tables.RECORDINGS, tables.POSES, tables.SIGHTS)
         )
         mine = recordings[recordings["sensor"] == sensor].sort_values("last_time")
         head = poses.loc[poses["track"] == mine["pose"].iloc[-1], "sight"].iloc[-1]
@@ -258,51 +237,51 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
 
     def hits(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the hits: tile, and time of the step in which it was hit."""
-        return self._read(HITS, begin, end)
+        return self._read(tables.HITS, begin, end)
 
     def observed(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the runs of time in which tiles were observed."""
-        return self._read(OBSERVED, begin, end)
+        return self._read(tables.OBSERVED, begin, end)
 
     def visible(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the runs of time in which tiles were visible."""
-        return self._read(VISIBLE, begin, end)
+        return self._read(tables.VISIBLE, begin, end)
 
     def occupied(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the runs of time in which tiles were occupied, visible or not."""
-        return self._read(OCCUPIED, begin, end)
+        return self._read(tables.OCCUPIED, begin, end)
 
     def tracks(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the states of vehicles: every 0.2 s, and at a vehicle's first and last step."""
-        return self._read(TRACKS, begin, end)
+        return self._read(tables.TRACKS, begin, end)
 
     def vehicles(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the vehicles."""
-        return self._read(VEHICLES, begin, end)
+        return self._read(tables.VEHICLES, begin, end)
 
     def continued(self) -> pd.DataFrame:
         """Read the pairs of numbers of one vehicle on either side of an hour's begin."""
-        return self._read(CONTINUED, None, None)
+        return self._read(tables.CONTINUED, None, None)
 
     def passages(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the passages of vehicles over the middles of lanelets."""
-        return self._read(PASSAGES, begin, end)
+        return self._read(tables.PASSAGES, begin, end)
 
     def frames(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the frames of the sensors, a row for each frame."""
-        return self._read(FRAMES, begin, end)
+        return self._read(tables.FRAMES, begin, end)
 
     def tile_counts(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the counts by tile and quarter of an hour, which begins at `begin`."""
-        return self._read(TILE_COUNTS, begin, end)
+        return self._read(tables.TILE_COUNTS, begin, end)
 
     def lane_measures(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the measures of lanes by quarter of an hour as they are stored, in m/s."""
-        return self._read(LANE_MEASURES, begin, end)
+        return self._read(tables.LANE_MEASURES, begin, end)
 
     def turn_volumes(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the volumes of turns by quarter of an hour as they are stored."""
-        return self._read(TURNS, begin, end)
+        return self._read(tables.TURNS, begin, end)
 
     def check(self, reporter: Reporter = QUIET) -> None:
         """Compare the bytes of all parts with the records of their hours; read all tile counts.
@@ -315,9 +294,9 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
         records = self.records()
         for done, record in enumerate(records.values()):
             for name in sorted(record.parts.keys() - set(record.dropped)):
-                record.check_bytes(self.folder, TABLES[name])
+                record.check_bytes(self.folder, tables.TABLES[name])
             reporter.progress("checking parts", done + 1, len(records))
-        check_counts(self.folder, self.manifest.fingerprint, records)
+        check_days(self.folder, self.manifest.fingerprint, records)
         roll_ups(self).check()
 
     def figures(self) -> dict[str, Any]:
@@ -329,7 +308,7 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
         }  # fmt: skip
         if records:
             known |= {"begin": hour_text(min(records)), "end": hour_text(max(records) + 1)}
-        for table in HOUR_TABLES:
+        for table in tables.HOUR_TABLES:
             parts = [r.parts[table.name] for r in records.values() if table.name in r.parts]
             if parts:
                 known[table.name] = sum(part.rows for part in parts)
@@ -347,7 +326,11 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
         names = ", ".join(known["sensors"]) or "no sensors"
         hours = f"{known['hours']} hour{'s' if known['hours'] != 1 else ''}"
         when = f", {known['begin']} to {known['end']}" if known["hours"] else ""
-        counted = (table.name for table in (HITS, VEHICLES, PASSAGES) if table.name in known)
+        counted = (
+            table.name
+            for table in (tables.HITS, tables.VEHICLES, tables.PASSAGES)
+            if table.name in known
+        )
         rows = "".join(f", {known[name]} {name}" for name in counted)
         return f"Dataset({str(self.folder)!r}: {names}, {hours}{when}{rows})"
 
@@ -409,7 +392,7 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
 
     def whole(self, table: TableSchema) -> pa.Table:
         """Read a table that is one file, with its columns: recordings, poses or sights."""
-        return whole_table(table, self.folder, self.manifest.fingerprint)
+        return whole_file(table, self.folder, self.manifest.fingerprint).read()
 
     def _step(self, value: Moment, what: str) -> int | None:
         if value is None or isinstance(value, int):

@@ -367,10 +367,10 @@ class Session:
 
     def replace_layers(self, dataset: Dataset) -> None:
         """Send lanes and sensors anew, as names and poses may have changed, and tiles once."""
-        lanes, tiles = dataset.lanes(), dataset.manifest.fingerprint
+        lanes = dataset.lanes()
         names: dict[int, str] = {}
         if dataset.has_vehicles:
-            network = LaneTraffic(folder=dataset.folder, fingerprint=tiles).network
+            network = LaneTraffic.of(dataset).network
             names = dict(zip(network.lane.tolist(), lane_names(lanes, network), strict=True))
         lanes = lanes.drop(columns="name", errors="ignore")  # names of their own are in `names`
         lanes.insert(1, "name", lanes["lane"].map(names).astype("string"))

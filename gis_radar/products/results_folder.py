@@ -9,7 +9,6 @@ from gis_radar.base import (
     QUIET,
     Reporter,
     atomic_folder,
-    current_language,
     keep_styles,
     output_errors,
     speaking,
@@ -52,7 +51,7 @@ def write_results(
     folder, package = Path(folder), f"{name}.gpkg"
     owned = tuple(sorted({f"{each.partition('.')[0]}." for each in (*writers, package)}))
     with (
-        speaking(language or current_language()),
+        speaking(language),
         atomic_folder(folder, owned=owned, reporter=reporter) as fresh,
     ):
         for done, (file, write) in enumerate(writers.items(), start=1):

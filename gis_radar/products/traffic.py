@@ -23,7 +23,6 @@ from gis_radar.base import (
     Reporter,
     Text,
     add_layer,
-    current_language,
     dress_layers,
     iso_from_time,
     tr,
@@ -273,7 +272,7 @@ def make_traffic(
         If there is no such interval.
     """
     dataset = open_dataset(dataset)
-    options = {"begin": begin, "end": end, "language": language or current_language()}
+    options = {"begin": begin, "end": end, "language": language}
     lanes = dataset.traffic(interval, headways=headways, **options)
     if lanes.empty:
         raise InputError(

@@ -154,7 +154,7 @@ def test_a_month_without_hours_has_no_file(dataset):
 
 def test_a_damaged_file_is_found_and_summed_anew(dataset):
     whole, rolled = dataset.lane_months(), roll_up(dataset)
-    path = rolled.path(LANE_MONTHS, "2026-10")
+    path = rolled.file(LANE_MONTHS, "2026-10").path
     good = path.read_bytes()
     path.write_bytes(good[:-20])
     pd.testing.assert_frame_equal(dataset.lane_months(), whole)

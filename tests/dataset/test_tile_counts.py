@@ -14,12 +14,12 @@ from gis_radar.dataset import (
     TILE_COUNTS,
     HourWriter,
     Origin,
+    TileCounts,
     open_dataset,
     part_path,
     read_hour,
     record_path,
     run_variance,
-    update_counts,
     write_record,
 )
 from gis_radar.dataset.files.tables import HITS, HOUR_TABLES, OBSERVED
@@ -136,7 +136,7 @@ def make_again(dataset, hour, inputs, last=99):
 
 
 def update(dataset):
-    update_counts(dataset.folder, dataset.manifest.fingerprint, HOUR)
+    TileCounts(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint).update(HOUR)
 
 
 def test_rows_of_other_hours_are_carried_over(tmp_path):

@@ -6,7 +6,7 @@ that go on in it: which of them have crossed a line already, and which have been
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,16 +18,17 @@ import pyarrow.compute as pc
 import pyogrio
 
 from gis_radar.base import STEPS_PER_HOUR, STEPS_PER_SECOND, InputError, Integers, opened_package
-from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, Keys, days_with
-from gis_radar.dataset.days.tile_counts import HourSpans, count_spans, read_counts
+from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, DayTables
+from gis_radar.dataset.days.tile_counts import TileCounts, count_spans
 from gis_radar.dataset.files.manifest import TILES
-from gis_radar.dataset.files.parts import HOURS_PER_DAY, hour_text
+from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys, hour_text
 from gis_radar.dataset.files.reading import Span
 from gis_radar.dataset.files.records import HourRecord, read_hour
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import (
     CONTINUED,
     LANE_MEASURES,
+    TILE_COUNTS,
     TRACKS,
     TURNS,
     VEHICLES,
@@ -50,27 +51,23 @@ from gis_radar.measures import (
 METHOD = 4
 """Raised whenever the same parts would give other lane measures or turns."""
 
-TRAFFIC_TABLES = (LANE_MEASURES, TURNS)
 _TILE_COLUMNS = ("visible_steps", "occupied_steps", "inferred_steps", "occupied_variance")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LaneTraffic:
+class LaneTraffic(DayTables):
     """Maker and reader of the lane measures and turns of a dataset.
 
     Parameters
     ----------
-    folder : Path
-        Folder of the dataset.
-    fingerprint : str
-        Fingerprint of its tiles.
+    folder, fingerprint
+        As of :class:`~gis_radar.dataset.days.tables.DayTables`.
     line_m : mapping, optional
         By number of the lane: the counting line, m along the lane, in place of the stop line or the
         middle. Such traffic is measured by :meth:`finer`, and never stored.
     """
 
-    folder: Path
-    fingerprint: str
+    tables = (LANE_MEASURES, TURNS)
     line_m: Mapping[int, float] = field(default_factory=dict)
     _before: dict[int, HourRecord | None] = field(default_factory=dict, repr=False)
 
@@ -95,29 +92,6 @@ class LaneTraffic:
         ]
         return replace(network, line_m=np.array(lines, np.float64)) if self.line_m else network
 
-    def update(self, hour: int, known: Mapping[int, HourRecord] | None = None) -> None:
-        """Bring the tables of the date of an hour up to date; the caller is its only writer.
-
-        Parameters
-        ----------
-        hour : int
-            Any hour of the date, since 1970.
-        known : mapping, optional
-            The records of all complete hours; by default they are read.
-
-        Raises
-        ------
-        InputError
-            If a part of an hour is not the one of its record.
-        OutputError
-            If a table cannot be written.
-        """
-        day = Day.of(self.folder, self.fingerprint, hour)
-        records = day.records(known)
-        self.note(known or {})
-        keys = self.keys(day, records)
-        day.update(TRAFFIC_TABLES, keys, lambda each: self._quarters(records[each]))
-
     def note(self, records: Mapping[int, HourRecord]) -> None:
         """Keep records that were read, as the hours before others."""
         self._before.update(_with_tracks(records))
@@ -130,7 +104,7 @@ class LaneTraffic:
         """
         keys = {hour: self.key(each) for hour, each in _with_tracks(records).items()}
         gone = {hour for hour in keys if TRACKS.name in records[hour].dropped}
-        known = day.made(LANE_MEASURES) if gone and day.made(TURNS) else {}
+        known = day.file(LANE_MEASURES).keys() if gone and day.file(TURNS).keys() else {}
         return {
             hour: known[hour] if hour in gone else key
             for hour, key in keys.items()
@@ -151,25 +125,6 @@ class LaneTraffic:
             self._before.update(_with_tracks({} if found is None else {hour - 1: found}))
         return self._before[hour - 1]
 
-    def read(
-        self, table: TableSchema, records: Mapping[int, HourRecord], span: Span | None = None,
-        columns: Sequence[str] | None = None,
-    ) -> Iterator[pa.Table]:  # fmt: skip
-        """Read lane measures or turns day by day; rows that are missing are made now.
-
-        Parameters and the further column `first_step` are as of
-        :func:`gis_radar.dataset.days.tile_counts.read_counts`.
-        """
-        place = TRAFFIC_TABLES.index(table)
-        self.note(records)
-        for day, hours in days_with(self.folder, self.fingerprint, list(records)):
-            keys = self.keys(day, {hour: records[hour] for hour in sorted(hours)})
-            rows = day.rows(
-                TRAFFIC_TABLES, keys, lambda hour: self._quarters(records[hour]), only=table,
-                columns=columns,
-            )  # fmt: skip
-            yield day.timed(rows[place], span, columns)
-
     def finer(self, record: HourRecord, steps: int) -> tuple[pa.Table, pa.Table]:
         """Measure an hour by intervals of `steps`, which must divide a quarter of an hour.
 
@@ -181,20 +136,20 @@ class LaneTraffic:
             If its exact tables were deleted.
         """
         begins = np.arange(0, STEPS_PER_HOUR, steps, dtype=np.int64)
-        spans = HourSpans(first=begins, last=begins + steps - 1)
-        tiles, sums = count_spans(self.folder, record, spans)
+        tiles, sums = count_spans(self.folder, record, begins, begins + steps - 1)
         rows = np.flatnonzero(sums["observed_steps"])
         place, interval = np.divmod(rows, len(begins))
         counts = [sums[name][rows] for name in _TILE_COLUMNS]
         found = self._measured(record, steps, tiles[place], interval, counts)
         return _tables(found, 0)
 
-    def _quarters(self, record: HourRecord) -> tuple[pa.Table, pa.Table]:
+    def make(self, record: HourRecord) -> tuple[pa.Table, pa.Table]:
         """Return the rows of an hour by quarters: lane measures, turns."""
         first = record.hour % HOURS_PER_DAY * QUARTERS
         columns = ["tile_id", "interval", *_TILE_COLUMNS]
-        counts = read_counts(self.folder, self.fingerprint, {record.hour: record}, None, columns)
-        tile, interval, *steps = (each.to_numpy() for each in next(counts).columns)
+        counts = TileCounts(folder=self.folder, fingerprint=self.fingerprint)
+        (rows,) = counts.read(TILE_COUNTS, {record.hour: record}, None, columns)
+        tile, interval, *steps = (each.to_numpy() for each in rows.columns)
         found = self._measured(record, STEPS_PER_QUARTER, tile, interval - first, steps)
         return _tables(found, first)
 
@@ -269,11 +224,11 @@ class LaneTraffic:
         )  # fmt: skip
 
     def _vehicles(self, record: HourRecord) -> VehicleTable:
-        rows = self._part(VEHICLES, record, ["vehicle", "length_m", "p_heavy", "p_exists"])
+        rows = record.read(self.folder, VEHICLES, ["vehicle", "length_m", "p_heavy", "p_exists"])
         return VehicleTable(**{name: rows[name].to_numpy() for name in rows.column_names})
 
     def _visible(self, record: HourRecord) -> VisibleRuns:
-        runs = self._part(VISIBLE, record, ["tile_id", "first_step", "last_step"])
+        runs = record.read(self.folder, VISIBLE, ["tile_id", "first_step", "last_step"])
         return VisibleRuns(
             tile_id=runs["tile_id"].to_numpy(), first=runs["first_step"].to_numpy(),
             last=runs["last_step"].to_numpy(),
@@ -282,11 +237,11 @@ class LaneTraffic:
     def _states(self, record: HourRecord) -> FrontStates:
         """Return the states of an hour, and the earlier ones of vehicles that go on in it."""
         columns = ["vehicle", "step", "speed_cms", "lanelet_id", "s_cm", "seen"]
-        rows = self._part(TRACKS, record, columns)
+        rows = record.read(self.folder, TRACKS, columns)
         before = self._hour_before(record.hour)
         if before is not None and TRACKS.name not in before.dropped:
-            pairs = self._part(CONTINUED, record, CONTINUED.names)
-            earlier = self._part(TRACKS, before, columns)
+            pairs = record.read(self.folder, CONTINUED, CONTINUED.names)
+            earlier = before.read(self.folder, TRACKS, columns)
             at = pc.index_in(earlier["vehicle"], pairs["vehicle"].combine_chunks())
             earlier = earlier.set_column(0, earlier.field(0), pairs["next"].take(at))
             earlier = earlier.filter(at.is_valid())
@@ -302,10 +257,6 @@ class LaneTraffic:
             seen=rows["seen"].to_numpy(),
         )  # fmt: skip
 
-    def _part(self, table: TableSchema, record: HourRecord, columns: Sequence[str]) -> pa.Table:
-        with record.opened(self.folder, table) as file:
-            return file.read(columns=list(columns), use_threads=False)
-
 
 def _with_tracks(records: Mapping[int, HourRecord]) -> dict[int, HourRecord]:
     return {hour: each for hour, each in records.items() if TRACKS.name in each.parts}
@@ -314,6 +265,20 @@ def _with_tracks(records: Mapping[int, HourRecord]) -> dict[int, HourRecord]:
 def _tables(found: Measured, first: int) -> tuple[pa.Table, pa.Table]:
     lanes, turns = (
         table.to_arrow(values | {"interval": values["interval"] + first})
-        for table, values in zip(TRAFFIC_TABLES, found, strict=True)
+        for table, values in zip(LaneTraffic.tables, found, strict=True)
     )
     return lanes, turns
+
+
+def day_makers(folder: Path, fingerprint: str) -> tuple[TileCounts, LaneTraffic]:
+    """Return the makers and readers of all tables of dates of a dataset."""
+    return (
+        TileCounts(folder=folder, fingerprint=fingerprint),
+        LaneTraffic(folder=folder, fingerprint=fingerprint),
+    )
+
+
+def maker_of(table: TableSchema, folder: Path, fingerprint: str) -> DayTables:
+    """Return the maker and reader of a table of dates."""
+    makers = day_makers(folder, fingerprint)
+    return next(each for each in makers if table in each.tables)

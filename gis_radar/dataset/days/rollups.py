@@ -12,7 +12,6 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -21,45 +20,33 @@ from typing import Any, TypeAlias
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from gis_radar.base import Booleans, Floats, InputError, Integers, zone_of
+from gis_radar.base import Booleans, Floats, Integers, zone_of
 from gis_radar.dataset.days.asked_time import QUARTER_S, AskedTime, month_edges
 from gis_radar.dataset.days.lane_measures import METHOD, LaneTraffic
 from gis_radar.dataset.days.tables import QUARTERS
-from gis_radar.dataset.days.tile_counts import count_keys, read_counts
+from gis_radar.dataset.days.tile_counts import TileCounts, count_keys
 from gis_radar.dataset.files.parts import (
     HOURS_PER_DAY,
+    Keys,
+    TableFile,
     days_of,
-    opened_part,
-    rename_whole,
-    unfinished,
     whole_metadata,
-    write_part,
 )
 from gis_radar.dataset.files.records import HourRecord, read_hours, record_path
 from gis_radar.dataset.files.schema import TableSchema
-from gis_radar.dataset.files.tables import LANE_MEASURES, MONTH_TABLES, TILE_MONTHS, TRACKS
+from gis_radar.dataset.files.tables import (
+    LANE_MEASURES,
+    MONTH_TABLES,
+    TILE_COUNTS,
+    TILE_MONTHS,
+    TRACKS,
+)
 from gis_radar.measures import SPEED_CLASSES
 
 DAYS_PER_WEEK = 7
-_DATES = "dates"  # entry of the metadata with the key of each date
 _HIGHEST = "queue_max_m"  # the one column that is no sum
-# What the sums of lanes need of `lane_measures`.
-_SOURCES = {
-    "quarters": ("volume",),
-    "visible_s": ("visible_share",),
-    "volume_variance": ("volume_se",),
-    "visible_km_h": ("visible_km_h", "occupancy"),
-    "occupied_km_h": ("visible_km_h", "occupancy"),
-    "occupied_variance": ("visible_km_h", "occupancy_se"),
-    "vehicle_km": ("visible_km_h", "flow"),
-    "vehicle_h": ("visible_km_h", "density"),
-    "delay_h": ("delay_s", "volume"),
-    "queue_m_s": ("queue_mean_m", "visible_share"),
-}
-_Keys: TypeAlias = dict[int, list[str | int]]
-_Odd: TypeAlias = tuple[_Keys, dict[int, HourRecord]]
+_Odd: TypeAlias = tuple[Keys, dict[int, HourRecord]]
 _SETTLED_S = 2.0  # after which a folder's time of writing tells whether it was written since
 
 
@@ -170,32 +157,41 @@ def _numbers(rows: pa.Table, name: str) -> Any:
     return found
 
 
-def _sources(names: Iterable[str]) -> list[str]:
-    return [each for name in names for each in _SOURCES.get(name, (name,))]
+# What the sums of lanes follow from in `lane_measures`, where that is not the column of their name.
+_OF_LANES: dict[str, tuple[Sequence[str], Callable[..., Floats]]] = {
+    "quarters": (("volume",), lambda volume: np.isfinite(volume).astype(np.float64)),
+    "visible_s": (("visible_share",), lambda share: share * QUARTER_S),
+    "volume_variance": (("volume_se",), lambda error: error**2),
+    "visible_km_h": (
+        ("visible_km_h", "occupancy"),
+        lambda area, occupancy: np.where(np.isfinite(occupancy), area, 0.0),
+    ),
+    "occupied_km_h": (("visible_km_h", "occupancy"), lambda area, occupancy: occupancy * area),
+    "occupied_variance": (
+        ("visible_km_h", "occupancy_se"), lambda area, error: (error * area) ** 2
+    ),
+    "vehicle_km": (("visible_km_h", "flow"), lambda area, flow: flow * area),
+    "vehicle_h": (("visible_km_h", "density"), lambda area, density: density * area),
+    "delay_h": (("delay_s", "volume"), lambda delay_s, volume: delay_s * volume / 3600.0),
+    "queue_m_s": (
+        ("queue_mean_m", "visible_share"), lambda back_m, share: back_m * share * QUARTER_S
+    ),
+}  # fmt: skip
 
 
-def _lane_values(rows: pa.Table, names: Iterable[str]) -> Iterator[tuple[str, Any]]:
-    """Yield what is summed of rows of `lane_measures`."""
-    for name in names:
-        of = [_numbers(rows, each) for each in _SOURCES.get(name, (name,))]
-        of = [each.astype(np.float64) if each.ndim == 1 else each for each in of]
-        if name in _SUMMANDS:
-            of = [_SUMMANDS[name](*of)]
-        yield name, of[0] if name == _HIGHEST else np.nan_to_num(of[0])
+def _summands(table: TableSchema, name: str) -> tuple[Sequence[str], Callable[..., Any]]:
+    """Return the columns that a sum of a roll-up follows from, and how."""
+    own: tuple[Sequence[str], Callable[..., Any]] = ((name,), lambda values: values)
+    return own if table is TILE_MONTHS else _OF_LANES.get(name, own)
 
 
-_SUMMANDS: dict[str, Callable[..., Floats]] = {
-    "quarters": lambda volume: np.isfinite(volume).astype(np.float64),
-    "visible_s": lambda share: share * QUARTER_S,
-    "volume_variance": lambda error: error**2,
-    "visible_km_h": lambda area, occupancy: np.where(np.isfinite(occupancy), area, 0.0),
-    "occupied_km_h": lambda area, occupancy: occupancy * area,
-    "occupied_variance": lambda area, error: (error * area) ** 2,
-    "vehicle_km": lambda area, flow: flow * area,
-    "vehicle_h": lambda area, density: density * area,
-    "delay_h": lambda delay_s, volume: delay_s * volume / 3600.0,
-    "queue_m_s": lambda back_m, share: back_m * share * QUARTER_S,
-}
+def _values(rows: pa.Table, sums: Sums) -> Iterator[tuple[str, Any]]:
+    """Yield what is summed of rows of a date; where it is missing, nothing is added."""
+    for name in sums.names:
+        sources, summand = _summands(sums.table, name)
+        of = (_numbers(rows, each) for each in sources)
+        value = summand(*(each.astype(np.float64) if each.ndim == 1 else each for each in of))
+        yield name, value if name == _HIGHEST else np.nan_to_num(value)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -243,14 +239,11 @@ class RollUps:
             for table in MONTH_TABLES:
                 keys = self._keys(table, month, known)
                 keys = {day: key for day, key in keys.items() if day < last}
-                path = self.path(table, month)
+                file = self.file(table, month)
                 if not keys:
-                    path.unlink(missing_ok=True)
+                    file.path.unlink(missing_ok=True)
                 elif not self._is_made(table, month, keys):
-                    stated = {_DATES: json.dumps(keys)}
-                    rows = self._sums(table, month, keys, known).rows()
-                    write_part(table, path, rows, self._metadata(table, month) | stated)
-                    rename_whole(unfinished(path), path)
+                    file.write(self._sums(table, month, keys, known).rows(), keys)
 
     def read(
         self, table: TableSchema, month: str, columns: Sequence[str] | None = None
@@ -268,7 +261,7 @@ class RollUps:
         """
         odd = self._unless_whole(table, month)
         if odd is None:
-            return self._written(table, month, columns)
+            return self.file(table, month).read(columns)
         rows = self._sums(table, month, *odd, columns).rows()
         return rows.select(list(columns or table.names))
 
@@ -342,9 +335,12 @@ class RollUps:
             self._clocks[day] = quarters.tz_convert(zone_of(self.timezone))
         return self._clocks[day]
 
-    def path(self, table: TableSchema, month: str) -> Path:
-        """Return the path of a roll-up."""
-        return self.folder / table.name / f"month={month}" / "month.parquet"
+    def file(self, table: TableSchema, month: str) -> TableFile:
+        """Return the file of a roll-up."""
+        path = self.folder / table.name / f"month={month}" / "month.parquet"
+        clocks = {"month": month, "timezone": self.timezone}
+        metadata = whole_metadata(table, self.fingerprint) | clocks
+        return TableFile(table=table, path=path, metadata=metadata, keyed="dates")
 
     def check(self) -> None:
         """Read all files, to check them.
@@ -356,7 +352,7 @@ class RollUps:
         """
         for table in MONTH_TABLES:
             for path in sorted((self.folder / table.name).glob("month=*/month.parquet")):
-                self._written(table, path.parent.name.removeprefix("month="))
+                self.file(table, path.parent.name.removeprefix("month=")).read()
 
     def _in_month(self, day: int, month: str) -> Booleans:
         """Return which quarters of a UTC date lie in a month."""
@@ -375,19 +371,19 @@ class RollUps:
 
         Empty if one was written just now: a second time would not be told from the first.
         """
-        places = [self.path(table, month)]
+        places = [self.file(table, month).path]
         places += [record_path(self.folder, day).parent for day in self.days(month)]
         state = [_written_ns(path) for path in places]
         return state if max(state) < time.time_ns() - _SETTLED_S * 1e9 else []
 
-    def _keys(self, table: TableSchema, month: str, known: Mapping[int, HourRecord]) -> _Keys:
+    def _keys(self, table: TableSchema, month: str, known: Mapping[int, HourRecord]) -> Keys:
         """Return what the sums of each date follow from: a digest and a number of method.
 
         By the first hour of the date. The number is 0 where all exact tables were deleted: then the
         measures stay as the version that made them counted.
         """
         self.traffic.note(known)
-        found: _Keys = {}
+        found: dict[int, list[str | int]] = {}
         for day in self.days(month):
             hours = self._hours(day, self._in_month(day, month), known)
             if table is TILE_MONTHS:
@@ -402,9 +398,9 @@ class RollUps:
                 found[day] = [hashlib.sha256(text.encode()).hexdigest(), method]
         return found
 
-    def _is_made(self, table: TableSchema, month: str, keys: _Keys) -> bool:
+    def _is_made(self, table: TableSchema, month: str, keys: Keys) -> bool:
         """Return whether a file was made of dates with these keys, and no others."""
-        made = self._made(table, month)
+        made = self.file(table, month).keys()
         return made.keys() == keys.keys() and all(map(_are_same, made.values(), keys.values()))
 
     def _hours(
@@ -415,16 +411,16 @@ class RollUps:
         return {hour: known[hour] for hour in hours.tolist() if hour in known}
 
     def _sums(
-        self, table: TableSchema, month: str, keys: _Keys,
+        self, table: TableSchema, month: str, keys: Keys,
         known: Mapping[int, HourRecord], columns: Sequence[str] | None = None,
     ) -> Sums:  # fmt: skip
         """Sum a month; the file is taken if its dates are the first ones, with the same keys."""
         self.traffic.note(known)
-        sums, written = Sums(table, columns), self._made(table, month)
+        sums, written = Sums(table, columns), self.file(table, month).keys()
         first = {day: keys[day] for day in list(keys)[: len(written)]}
         begun = bool(written) and self._is_made(table, month, first)
         if begun:
-            sums.add_written(self._written(table, month, [*table.order, *sums.names]))
+            sums.add_written(self.file(table, month).read([*table.order, *sums.names]))
         for day in keys:
             if not (begun and day in written):
                 self._add_day(sums, day, known, self._in_month(day, month))
@@ -437,11 +433,12 @@ class RollUps:
         hours, clock = self._hours(day, wanted, known), self.clock(day)
         if not hours:
             return
-        is_of_tiles, id_name = sums.table is TILE_MONTHS, sums.table.order[0]
-        sources = sums.names if is_of_tiles else _sources(sums.names)
+        id_name = sums.table.order[0]
+        sources = (each for name in sums.names for each in _summands(sums.table, name)[0])
         columns = list(dict.fromkeys([id_name, "interval", *sources]))
-        if is_of_tiles:
-            (rows,) = read_counts(self.folder, self.fingerprint, hours, None, columns)
+        if sums.table is TILE_MONTHS:
+            counts = TileCounts(folder=self.folder, fingerprint=self.fingerprint)
+            (rows,) = counts.read(TILE_COUNTS, hours, None, columns)
             cells = np.asarray(clock.hour, np.int64)
         else:
             (rows,) = self.traffic.read(LANE_MEASURES, hours, None, columns)
@@ -449,32 +446,12 @@ class RollUps:
         quarter = rows["interval"].to_numpy()
         if not wanted.all():
             rows, quarter = rows.filter(pa.array(wanted[quarter])), quarter[wanted[quarter]]
-        values = (
-            ((name, _numbers(rows, name)) for name in sums.names)
-            if is_of_tiles
-            else _lane_values(rows, sums.names)
-        )
-        sums.add(rows[id_name].to_numpy(), cells[quarter], values)
+        sums.add(rows[id_name].to_numpy(), cells[quarter], _values(rows, sums))
 
-    def _made(self, table: TableSchema, month: str) -> _Keys:
-        """Read the keys of the dates in a file; none if it is damaged."""
-        with suppress(InputError, ValueError, KeyError), self._opened(table, month) as file:
-            stated = json.loads(file.metadata.metadata[_DATES.encode()])
-            return {int(day): key for day, key in stated.items()}
-        return {}
 
-    def _written(
-        self, table: TableSchema, month: str, columns: Sequence[str] | None = None
-    ) -> pa.Table:
-        with self._opened(table, month) as file:
-            return file.read(columns=list(columns or table.names))
-
-    def _opened(self, table: TableSchema, month: str) -> AbstractContextManager[pq.ParquetFile]:
-        return opened_part(table, self.path(table, month), self._metadata(table, month))
-
-    def _metadata(self, table: TableSchema, month: str) -> dict[str, str]:
-        clocks = {"month": month, "timezone": self.timezone}
-        return whole_metadata(table, self.fingerprint) | clocks
+def with_month(rows: pa.Table, month: str) -> pa.Table:
+    """Return rows with a last column, the month."""
+    return rows.append_column("month", pa.array([month] * len(rows), pa.string()))
 
 
 def _written_ns(path: Path) -> int:

@@ -6,40 +6,34 @@ hours not made again since are carried over, so that they stay when exact tables
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self, TypeAlias
+from typing import ClassVar, Self, TypeAlias
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from gis_radar.base import STEPS_PER_HOUR, InputError
+from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset.files.parts import (
     HOURS_PER_DAY,
+    Keys,
+    TableFile,
     days_of,
     hour_text,
-    opened_part,
     part_path,
-    rename_whole,
-    unfinished,
     whole_metadata,
-    write_part,
 )
 from gis_radar.dataset.files.reading import Span
 from gis_radar.dataset.files.records import HourRecord, read_hours
 from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.tables import DAY_TABLES
 
 QUARTERS = 4  # of an hour
 STEPS_PER_QUARTER = STEPS_PER_HOUR // QUARTERS
-_HOURS = "hours"  # entry of the metadata with the key of each hour
 
-Keys: TypeAlias = Mapping[int, list[str | int]]
-"""What each hour, since 1970, is now."""
 Maker: TypeAlias = Callable[[int], Sequence[pa.Table]]
 """Makes the rows of an hour, a table for each."""
 
@@ -79,35 +73,21 @@ class Day:
         hours = range(self.first_hour, self.last_hour + 1)
         return {hour: known[hour] for hour in hours if hour in known}
 
-    def path(self, table: TableSchema) -> Path:
-        """Return the path of a table."""
-        return part_path(self.folder, table, self.first_hour)
-
-    def opened(self, table: TableSchema) -> AbstractContextManager[pq.ParquetFile]:
-        """Open a table, and check it.
-
-        Raises
-        ------
-        InputError
-            If it is missing or damaged.
-        """
-        return opened_part(table, self.path(table), self._metadata(table))
-
-    def made(self, table: TableSchema) -> Keys:
-        """Read the keys of the hours from which a table was made; none if it is damaged."""
-        with suppress(InputError, ValueError, KeyError), self.opened(table) as file:
-            known = json.loads(file.metadata.metadata[_HOURS.encode()])
-            return {int(hour): key for hour, key in known.items()}
-        return {}
+    def file(self, table: TableSchema) -> TableFile:
+        """Return the file of a table."""
+        path = part_path(self.folder, table, self.first_hour)
+        metadata = whole_metadata(table, self.fingerprint) | {"hour": hour_text(self.first_hour)}
+        return TableFile(table=table, path=path, metadata=metadata, keyed="hours")
 
     def is_made(self, tables: Sequence[TableSchema], keys: Keys) -> bool:
         """Return whether tables have all columns and were made from exactly these keys."""
-        return all(self.made(table) == keys and self._is_whole(table) for table in tables)
-
-    def _is_whole(self, table: TableSchema) -> bool:
-        """Return whether a table has all columns, including those added since it was made."""
-        with self.opened(table) as file:
-            return {*table.names} <= {*file.schema_arrow.names}
+        for each in map(self.file, tables):
+            if each.keys() != keys:
+                return False
+            with each.opened() as file:
+                if not {*each.table.names} <= {*file.schema_arrow.names}:
+                    return False
+        return True
 
     def update(self, tables: Sequence[TableSchema], keys: Keys, make: Maker) -> None:
         """Bring tables up to date; the caller is the only writer of the date.
@@ -123,14 +103,12 @@ class Day:
         """
         if not keys:
             for table in tables:
-                self.path(table).unlink(missing_ok=True)
+                self.file(table).path.unlink(missing_ok=True)
             return
         if self.is_made(tables, keys):
             return
         for table, rows in zip(tables, self.rows(tables, keys, make), strict=True):
-            stated = {_HOURS: json.dumps({hour: keys[hour] for hour in sorted(keys)})}
-            write_part(table, self.path(table), rows, self._metadata(table) | stated)
-            rename_whole(unfinished(self.path(table)), self.path(table))
+            self.file(table).write(rows, keys)
 
     def rows(
         self, tables: Sequence[TableSchema], keys: Keys, make: Maker, *,
@@ -147,7 +125,7 @@ class Day:
         columns : sequence of str, optional
             Its columns; by default all.
         """
-        known = [self.made(table) for table in tables]
+        known = [self.file(table).keys() for table in tables]
         kept = {hour for hour, key in keys.items() if all(of.get(hour) == key for of in known)}
         made = [make(hour) for hour in sorted(keys.keys() - kept)]
         return [
@@ -166,8 +144,7 @@ class Day:
         names = [name for name in table.names if name in needed]
         parts = [each.select(names) for each in (table.empty(), *made)]
         if kept:
-            with self.opened(table) as file:
-                rows = file.read(columns=names)
+            rows = self.file(table).read(names)
             if len(kept) == written and not made:
                 return pa.concat_tables([*parts, rows], promote_options="default")
             hours = pa.array(sorted(each - self.first_hour for each in kept), pa.int32())
@@ -196,9 +173,6 @@ class Day:
             rows = rows.filter(inside)
         return rows.select(list(columns)) if columns is not None else rows
 
-    def _metadata(self, table: TableSchema) -> dict[str, str]:
-        return whole_metadata(table, self.fingerprint) | {"hour": hour_text(self.first_hour)}
-
 
 def days_with(
     folder: Path, fingerprint: str, hours: Sequence[int]
@@ -207,3 +181,107 @@ def days_with(
     for first in days_of(hours):
         day = Day(folder=folder, fingerprint=fingerprint, first_hour=first)
         yield day, {hour for hour in hours if first <= hour <= day.last_hour}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DayTables:
+    """Maker and reader of tables of dates that are made together.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    fingerprint : str
+        Fingerprint of its tiles.
+    """
+
+    tables: ClassVar[Sequence[TableSchema]]
+    folder: Path
+    fingerprint: str
+
+    @classmethod
+    def of(cls, dataset: Source) -> Self:
+        """Return the maker and reader of a dataset."""
+        return cls(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
+
+    def keys(self, day: Day, records: Mapping[int, HourRecord]) -> Keys:
+        """Return the keys of hours of a date: what the rows of each follow from."""
+        raise NotImplementedError
+
+    def make(self, record: HourRecord) -> Sequence[pa.Table]:
+        """Make the rows of an hour, a table for each of `tables`."""
+        raise NotImplementedError
+
+    def note(self, records: Mapping[int, HourRecord]) -> None:
+        """Keep records that were read, where the rows of other hours follow from them."""
+
+    def update(self, hour: int, known: Mapping[int, HourRecord] | None = None) -> None:
+        """Bring the tables of the date of an hour up to date; the caller is its only writer.
+
+        Rows of hours that were not made again are carried over.
+
+        Parameters
+        ----------
+        hour : int
+            Any hour of the date, since 1970.
+        known : mapping, optional
+            The records of all complete hours; by default they are read.
+
+        Raises
+        ------
+        InputError
+            If a part of an hour is not the one of its record.
+        OutputError
+            If a table cannot be written.
+        """
+        day = Day.of(self.folder, self.fingerprint, hour)
+        records = day.records(known)
+        self.note(known or {})
+        keys = self.keys(day, records)
+        day.update(self.tables, keys, lambda each: self.make(records[each]))
+
+    def read(
+        self, table: TableSchema, records: Mapping[int, HourRecord], span: Span | None = None,
+        columns: Sequence[str] | None = None,
+    ) -> Iterator[pa.Table]:  # fmt: skip
+        """Read a table day by day; rows that are missing, or older than their hour, are made now.
+
+        Parameters
+        ----------
+        table : TableSchema
+            One of `tables`.
+        records : mapping
+            Records of the complete hours, ascending.
+        span : (int, int), optional
+            First and last step in which intervals may begin.
+        columns : sequence of str, optional
+            Names of the columns; by default all.
+
+        Yields
+        ------
+        pyarrow.Table
+            Rows of a date in their order, with a further column `first_step`, in which the interval
+            begins.
+        """
+        self.note(records)
+        for day, hours in days_with(self.folder, self.fingerprint, list(records)):
+            keys = self.keys(day, {hour: records[hour] for hour in sorted(hours)})
+            rows = day.rows(
+                self.tables, keys, lambda hour: self.make(records[hour]), only=table,
+                columns=columns,
+            )  # fmt: skip
+            yield day.timed(rows[self.tables.index(table)], span, columns)
+
+
+def check_days(folder: Path, fingerprint: str, hours: Iterable[int]) -> None:
+    """Read the tables of the dates of some hours, where they are written, to check them.
+
+    Raises
+    ------
+    InputError
+        If they are damaged.
+    """
+    for day, _ in days_with(folder, fingerprint, list(hours)):
+        for table in DAY_TABLES:
+            if day.file(table).path.is_file():
+                day.file(table).read()

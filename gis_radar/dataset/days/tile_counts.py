@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -18,13 +18,11 @@ from gis_radar.base import (
     compiled,
     ranges,
 )
-from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, Keys, Maker, days_with
-from gis_radar.dataset.files.parts import HOURS_PER_DAY
-from gis_radar.dataset.files.reading import Span
+from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, DayTables
+from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys
 from gis_radar.dataset.files.records import HourRecord
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import (
-    DAY_TABLES,
     HITS,
     OBSERVED,
     OCCUPIED,
@@ -45,24 +43,6 @@ def run_variance(steps: Integers, seen: Booleans) -> Floats:
     ends = np.minimum(END_SHARE * steps, END_MOST_S * STEPS_PER_SECOND)
     share = np.where(seen, FALSE_SHARE, INFERRED_SHARE)
     return np.asarray(ends**2 + (share * steps) ** 2, np.float64)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HourSpans:
-    """Disjoint spans of steps of an hour, ascending.
-
-    Parameters
-    ----------
-    first, last : (n,) int64 arrays
-        Steps from the hour's begin, inclusive.
-    """
-
-    first: Integers
-    last: Integers
-
-
-_BEGINS = np.arange(QUARTERS, dtype=np.int64) * STEPS_PER_QUARTER
-QUARTER_SPANS = HourSpans(first=_BEGINS, last=_BEGINS + STEPS_PER_QUARTER - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,16 +80,16 @@ class _Runs:
         count = np.searchsorted(others.first, self.last, side="right") - low
         return self._cut(count, others.first[at := ranges(low, count)], others.last[at])
 
-    def within(self, spans: HourSpans) -> _Runs:
-        """Return the parts of runs in each span of the hour."""
+    def within(self, first: Integers, last: Integers) -> _Runs:
+        """Return the parts of runs in each span of the hour, disjoint ones that ascend."""
         tile = self.first // STEPS_PER_HOUR
         begin = tile * STEPS_PER_HOUR
-        low = np.searchsorted(spans.last, self.first - begin)
-        count = np.searchsorted(spans.first, self.last - begin, side="right") - low
+        low = np.searchsorted(last, self.first - begin)
+        count = np.searchsorted(first, self.last - begin, side="right") - low
         span = ranges(low, count)
         at = np.repeat(begin, count)
-        found = self._cut(count, at + spans.first[span], at + spans.last[span])
-        return replace(found, cell=np.repeat(tile, count) * len(spans.first) + span)
+        found = self._cut(count, at + first[span], at + last[span])
+        return replace(found, cell=np.repeat(tile, count) * len(first) + span)
 
     def _cut(self, count: Integers, first: Integers, last: Integers) -> _Runs:
         """Repeat each run `count` times, and cut each copy to a span."""
@@ -149,7 +129,8 @@ def count_hour(folder: Path, record: HourRecord) -> pa.Table:
     InputError
         If a part of the hour is not what it should be.
     """
-    tiles, sums = count_spans(folder, record, QUARTER_SPANS)
+    begins = np.arange(QUARTERS, dtype=np.int64) * STEPS_PER_QUARTER
+    tiles, sums = count_spans(folder, record, begins, begins + STEPS_PER_QUARTER - 1)
     rows = np.flatnonzero(sums["observed_steps"])
     quarter = record.hour % HOURS_PER_DAY * QUARTERS + rows % QUARTERS
     counts = {"tile_id": tiles[rows // QUARTERS], "interval": quarter}
@@ -157,7 +138,7 @@ def count_hour(folder: Path, record: HourRecord) -> pa.Table:
 
 
 def count_spans(
-    folder: Path, record: HourRecord, spans: HourSpans
+    folder: Path, record: HourRecord, first: Integers, last: Integers
 ) -> tuple[Integers, dict[str, Floats]]:
     """Count the steps of the tiles in spans of an hour.
 
@@ -167,8 +148,8 @@ def count_spans(
         Of the dataset.
     record : HourRecord
         Of the hour.
-    spans : HourSpans
-        Spans of the hour.
+    first, last : (spans,) int64 arrays
+        Disjoint spans of the hour, ascending: steps from its begin, inclusive.
 
     Returns
     -------
@@ -184,18 +165,17 @@ def count_spans(
     """
 
     def read(table: TableSchema) -> pa.Table:
-        if table.name not in record.parts:
-            return table.empty()
-        with record.opened(folder, table) as file:
-            return file.read(columns=table.names)
+        return record.read(folder, table) if table.name in record.parts else table.empty()
 
     tables = {table.name: read(table) for table in (OBSERVED, VISIBLE, OCCUPIED)}
     ids = [table["tile_id"].to_numpy() for table in tables.values()]
     tiles = np.unique(np.concatenate(ids))
     observed, visible, occupied = (_Runs.of(table, tiles, record.hour) for table in tables.values())
     occupied = occupied.during(visible.joined())
-    observed, visible, occupied = (each.within(spans) for each in (observed, visible, occupied))
-    cells = len(tiles) * len(spans.first)
+    observed, visible, occupied = (
+        each.within(first, last) for each in (observed, visible, occupied)
+    )
+    cells = len(tiles) * len(first)
     variance = run_variance(occupied.steps, occupied.seen)
     sums = {
         "hit_steps": observed.total(_hits_in(observed, folder, record, tiles), cells),
@@ -242,91 +222,20 @@ def _count_hits(  # pragma: no cover - compiled
     reached[0], reached[1] = place, run
 
 
-def update_counts(
-    folder: Path, fingerprint: str, hour: int, known: Mapping[int, HourRecord] | None = None
-) -> None:
-    """Bring the tile counts of a date up to date; the caller is the only writer of that date.
-
-    Rows of hours that were not made again are carried over.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the dataset.
-    fingerprint : str
-        Of its tiles.
-    hour : int
-        Any hour of the date, since 1970.
-    known : mapping, optional
-        The records of all complete hours; read without it.
-
-    Raises
-    ------
-    InputError
-        If a part of an hour is not what it should be.
-    OutputError
-        If the counts cannot be written.
-    """
-    day = Day.of(folder, fingerprint, hour)
-    records = day.records(known)
-    day.update((TILE_COUNTS,), count_keys(records), _maker(folder, records))
-
-
 def count_keys(records: Mapping[int, HourRecord]) -> Keys:
     """Return the keys of the counts of each hour: the digests that they follow from."""
     return {hour: [each.origin.method, each.origin.inputs] for hour, each in records.items()}
 
 
-def _maker(folder: Path, records: Mapping[int, HourRecord]) -> Maker:
-    return lambda hour: (count_hour(folder, records[hour]),)
+class TileCounts(DayTables):
+    """Maker and reader of the tile counts of a dataset."""
 
+    tables = (TILE_COUNTS,)
 
-def check_counts(folder: Path, fingerprint: str, hours: Iterable[int]) -> None:
-    """Read the tile counts of the dates of some hours, where they are written, to check them.
+    def keys(self, _day: Day, records: Mapping[int, HourRecord]) -> Keys:
+        """Return the keys of the counts of hours."""
+        return count_keys(records)
 
-    Raises
-    ------
-    InputError
-        If they are damaged.
-    """
-    for day, _ in days_with(folder, fingerprint, list(hours)):
-        for table in DAY_TABLES:
-            if day.path(table).is_file():
-                with day.opened(table) as file:
-                    file.read()
-
-
-def read_counts(
-    folder: Path,
-    fingerprint: str,
-    records: Mapping[int, HourRecord],
-    span: Span | None = None,
-    columns: Sequence[str] | None = None,
-) -> Iterator[pa.Table]:
-    """Read the tile counts of complete hours, day by day.
-
-    Hours whose counts are not written yet, or older than the hour, are counted now.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the dataset.
-    fingerprint : str
-        Of its tiles.
-    records : mapping
-        Records of the complete hours, ascending.
-    span : (int, int), optional
-        First and last step in which intervals may begin.
-    columns : sequence of str, optional
-        Names of the columns; by default all.
-
-    Yields
-    ------
-    pyarrow.Table
-        Rows of a date by tile and interval, with a further column `first_step`, in which the
-        interval begins.
-    """
-    for day, hours in days_with(folder, fingerprint, list(records)):
-        keys = count_keys({hour: records[hour] for hour in hours})
-        (rows,) = day.rows((TILE_COUNTS,), keys, _maker(folder, records), columns=columns)
-        yield day.timed(rows, span, columns)
+    def make(self, record: HourRecord) -> tuple[pa.Table]:
+        """Count an hour."""
+        return (count_hour(self.folder, record),)

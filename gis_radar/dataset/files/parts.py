@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
@@ -32,6 +33,8 @@ ROWS_IN_GROUP = 131_072
 MEASURE_AGAIN = Text("remove its hour's file in hours/ and measure again; the hour is made anew")
 Values: TypeAlias = Mapping[str, Any] | pd.DataFrame | pa.Table
 """Arrays by column."""
+Keys: TypeAlias = Mapping[int, list[str | int]]
+"""What each hour, or date, since 1970 is now."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,28 +251,63 @@ def write_part(
         raise
 
 
+@dataclass(frozen=True, kw_only=True)
+class TableFile:
+    """A file of a table that is no part of an hour.
+
+    Parameters
+    ----------
+    table : TableSchema
+        Its columns.
+    path : Path
+        The file.
+    metadata : dict
+        What it is of, which is checked.
+    keyed : str
+        Entry of the metadata with the keys of the hours or dates that it was made from.
+    """
+
+    table: TableSchema
+    path: Path
+    metadata: dict[str, str]
+    keyed: str = ""
+
+    def opened(self) -> AbstractContextManager[pq.ParquetFile]:
+        """Open it, and check it; errors are as of :func:`opened_part`."""
+        return opened_part(self.table, self.path, self.metadata)
+
+    def read(self, columns: Sequence[str] | None = None) -> pa.Table:
+        """Read columns, by default all; errors are as of :func:`opened_part`."""
+        with self.opened() as file:
+            return file.read(columns=list(columns or self.table.names))
+
+    def keys(self) -> Keys:
+        """Read the keys, by hours or dates since 1970; none if it is damaged."""
+        with suppress(InputError, ValueError, KeyError), self.opened() as file:
+            known = json.loads(file.metadata.metadata[self.keyed.encode()])
+            return {int(number): key for number, key in known.items()}
+        return {}
+
+    def write(self, rows: Values, keys: Keys | None = None) -> None:
+        """Replace it by rows, made from what has these keys."""
+        stated = {} if keys is None else {self.keyed: json.dumps(dict(sorted(keys.items())))}
+        write_part(self.table, self.path, rows, self.metadata | stated)
+        rename_whole(unfinished(self.path), self.path)
+
+
+def whole_file(table: TableSchema, folder: Path, fingerprint: str) -> TableFile:
+    """Return the file of a table that is one file in the dataset."""
+    metadata = whole_metadata(table, fingerprint)
+    return TableFile(table=table, path=part_path(folder, table), metadata=metadata)
+
+
 def write_whole(table: TableSchema, folder: Path, values: Values, fingerprint: str) -> None:
     """Write a table that is one file in the dataset, replacing the present one."""
-    path = part_path(folder, table)
-    write_part(table, path, values, whole_metadata(table, fingerprint))
-    rename_whole(unfinished(path), path)
-
-
-def whole_table(table: TableSchema, folder: Path, fingerprint: str) -> pa.Table:
-    """Read a table that is one file in the dataset.
-
-    Raises
-    ------
-    InputError
-        If it is missing, damaged, of another table, or made from other tiles.
-    """
-    path = part_path(folder, table)
-    with opened_part(table, path, whole_metadata(table, fingerprint)) as file:
-        return file.read(columns=table.names)
+    whole_file(table, folder, fingerprint).write(values)
 
 
 def whole_metadata(table: TableSchema, fingerprint: str) -> dict[str, str]:
-    """Return the metadata of a table that is one file in the dataset."""
+    """Return the metadata that all files of a table of a dataset have."""
     return {"table": table.name, "schema": str(SCHEMA), "fingerprint": fingerprint}
 
 

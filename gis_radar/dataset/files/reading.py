@@ -56,8 +56,7 @@ def read_rows(
         if span is not None and (span[1] < begin or begin + STEPS_PER_HOUR <= span[0]):
             continue
         needed = wanted if inside else list(dict.fromkeys([*wanted, *(table.span or ())]))
-        with record.opened(folder, table) as file:
-            rows = file.read(columns=needed, use_threads=False)  # hours are read in parallel
+        rows = record.read(folder, table, needed)
         if not inside and span is not None and table.span is not None:
             rows = _within(table, rows, span)
         yield rows.select(wanted)

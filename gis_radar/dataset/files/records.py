@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
@@ -13,6 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gis_radar.base import InputError, output_errors, read_json, writing_errors
@@ -91,6 +91,13 @@ class HourRecord:
         with opened_part(table, path, metadata, self.parts[table.name]) as file:
             yield file
 
+    def read(
+        self, folder: Path, table: TableSchema, columns: Sequence[str] | None = None
+    ) -> pa.Table:
+        """Read the part of a table; errors are as of :meth:`opened`."""
+        with self.opened(folder, table) as file:  # hours are read in parallel
+            return file.read(columns=list(columns or table.names), use_threads=False)
+
     def check_bytes(self, folder: Path, table: TableSchema) -> None:
         """Compare the bytes of a part with this record, so that every flipped bit is found.
 
@@ -127,56 +134,37 @@ def read_hours(
     InputError
         If one is damaged or of a newer schema.
     """
-    found = (_read(path) for date in _dates(folder, first, last) for path in _hours(date))
-    return {
-        record.hour: record
-        for record in found
-        if record is not None
-        and (first is None or first <= record.hour)
-        and (last is None or record.hour <= last)
-    }
+    found = {hour: read_hour(folder, hour) for hour in listed_hours(folder, first, last)}
+    return {hour: record for hour, record in found.items() if record is not None}
 
 
-def _dates(folder: Path, first: int | None, last: int | None) -> list[Path]:
-    """Return the folders of the records of the dates of some hours, ascending."""
-    low, high = (str(date_of(min(hour, _LAST_HOUR))) for hour in (first or 0, last or _LAST_HOUR))
-    dates = sorted(path.name for path in (folder / HOURS).glob("????-??-??"))
-    return [folder / HOURS / name for name in dates if low <= name <= high]
-
-
-def _hours(date: Path) -> list[Path]:
-    """Return the records of a date, ascending."""
-    names = sorted(path.name for path in date.glob("??.json"))
-    return [path for name in names if _hour_of_path(path := date / name) is not None]
+def listed_hours(folder: Path, first: int | None = None, last: int | None = None) -> list[int]:
+    """List the hours since 1970 that have a record, as for :func:`read_hours`; none is read."""
+    return [hour for date in _dates(folder, first, last) for hour in _hours(date, first, last)]
 
 
 def hour_bounds(
     folder: Path, first: int | None = None, last: int | None = None
 ) -> tuple[int, int] | None:
-    """Return the first and the last complete hour, by the names of records; None without any.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the dataset.
-    first, last : int, optional
-        Only hours from `first` to `last`, inclusive.
-    """
-    low, high = -math.inf if first is None else first, math.inf if last is None else last
-    dates, found = _dates(folder, first, last), list[int]()
-    for way in (1, -1):
-        for date in dates[::way]:
-            hours = (_hour_of_path(path) for path in _hours(date))
-            if inside := [hour for hour in hours if hour is not None and low <= hour <= high]:
-                found += inside
-                break
-    return (min(found), max(found)) if found else None
+    """Return the first and the last of :func:`listed_hours`; None without any."""
+    dates = _dates(folder, first, last)
+    ascending = (hour for date in dates for hour in _hours(date, first, last))
+    descending = (hour for date in dates[::-1] for hour in _hours(date, first, last)[::-1])
+    return next(zip(ascending, descending, strict=False), None)
 
 
-def listed_hours(folder: Path) -> list[int]:
-    """List the hours since 1970 that have a record, ascending; no record is read."""
-    paths = (path for date in _dates(folder, None, None) for path in _hours(date))
-    return [hour for path in paths if (hour := _hour_of_path(path)) is not None]
+def _dates(folder: Path, first: int | None, last: int | None) -> list[Path]:
+    """Return the folders of the records of the dates of some hours, ascending."""
+    low, high = (str(date_of(min(hour, _LAST_HOUR))) for hour in (first or 0, last or _LAST_HOUR))
+    return sorted(path for path in (folder / HOURS).glob("????-??-??") if low <= path.name <= high)
+
+
+def _hours(date: Path, first: int | None, last: int | None) -> list[int]:
+    """Return the hours of a date that have a record, ascending."""
+    hours = sorted(
+        hour for path in date.glob("??.json") if (hour := _hour_of_path(path)) is not None
+    )
+    return [h for h in hours if (first is None or first <= h) and (last is None or h <= last)]
 
 
 def _hour_of_path(path: Path) -> int | None:
@@ -190,10 +178,7 @@ def _hour_of_path(path: Path) -> int | None:
 
 def read_hour(folder: Path, hour: int) -> HourRecord | None:
     """Read the record of an hour; None where it is not complete."""
-    return _read(record_path(folder, hour))
-
-
-def _read(path: Path) -> HourRecord | None:
+    path = record_path(folder, hour)
     if not path.is_file():
         return None
     document = read_json(path, what="the record of an hour", hint=MEASURE_AGAIN)
@@ -214,7 +199,7 @@ def _read(path: Path) -> HourRecord | None:
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=MEASURE_AGAIN) from error
-    if record.hour != _hour_of_path(path):
+    if record.hour != hour:
         raise InputError(
             "{}: is the record of {}", path, hour_text(record.hour), hint=MEASURE_AGAIN
         )

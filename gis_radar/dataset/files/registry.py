@@ -31,10 +31,10 @@ from gis_radar.base import (
     step_of,
 )
 from gis_radar.calibration import SensorClock
-from gis_radar.dataset.files.parts import hour_of_step, whole_table, write_whole
+from gis_radar.dataset.files.parts import hour_of_step, whole_file, write_whole
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SIGHTS
 from gis_radar.measures import PlacedRecording, PoseSight, pose_names
-from gis_radar.poses import PoseTrack, pose_from_dict
+from gis_radar.poses import ANGLES, POSITION, PoseTrack, pose_from_dict
 from gis_radar.recordings import Recording, has_height, open_recording
 
 LONGEST_GAP_S = 24 * 3600.0
@@ -193,8 +193,9 @@ class Registry:
         InputError
             If a table is damaged, or of another dataset.
         """
-        tables = (whole_table(table, folder, fingerprint) for table in (RECORDINGS, POSES, SIGHTS))
-        recordings, poses, sights = tables
+        recordings, poses, sights = (
+            whole_file(table, folder, fingerprint).read() for table in (RECORDINGS, POSES, SIGHTS)
+        )
         if hour is not None:  # a year's recordings as Python objects take seconds
             recordings = recordings.filter(_about(recordings, hour, margin))
         try:
@@ -419,9 +420,8 @@ def _poses_table(poses: PoseBook) -> Mapping[str, Any]:
         ):
             rows.append(
                 {
-                    "pose": own, "sensor": pose.sensor, "easting": pose.easting,
-                    "northing": pose.northing, "height": pose.height, "yaw": pose.yaw,
-                    "pitch": pose.pitch, "roll": pose.roll, "track": name, "since": begin,
+                    "pose": own, "sensor": pose.sensor, "track": name, "since": begin,
+                    **{part: getattr(pose, part) for part in (*POSITION, *ANGLES)},
                     "sight": sight.name,
                     "road_m": sight.road_m if math.isfinite(sight.road_m) else None,
                     "document": json.dumps(pose.as_dict(), sort_keys=True),

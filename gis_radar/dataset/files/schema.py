@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from gis_radar.base import Booleans, InputError, Integers
+from gis_radar.base import InputError
 
 _INT, _TEXT = pa.int64(), pa.string()
 
@@ -165,15 +165,8 @@ def _is_text(kind: pa.DataType) -> bool:
 
 def _ascends(columns: list[pa.ChunkedArray]) -> bool:
     """Return whether rows ascend strictly by columns without missing values."""
-    later: Booleans = np.zeros(max(len(columns[0]) - 1, 0), np.bool_)
+    later: Any = False
     for column in reversed(columns):
-        values = _ranks(column) if pa.types.is_string(column.type) else column.to_numpy()
-        later = (values[1:] > values[:-1]) | ((values[1:] == values[:-1]) & later)
-    return bool(later.all())
-
-
-def _ranks(texts: pa.ChunkedArray) -> Integers:
-    """Return the rank of each text among all of them."""
-    names = pc.unique(texts)
-    place = np.argsort(np.argsort(names.to_numpy(zero_copy_only=False).astype(str)))
-    return np.asarray(place[pc.index_in(texts, names).to_numpy()], np.int64)
+        before, after = column.slice(0, max(len(column) - 1, 0)), column.slice(1)
+        later = pc.or_(pc.greater(after, before), pc.and_(pc.equal(after, before), later))
+    return bool(pc.all(later, min_count=0).as_py())

@@ -53,36 +53,24 @@ HITS = TableSchema(
     span=("step", "step"),
 )
 
-OBSERVED = TableSchema(
-    name="observed",
-    means="a run of steps in which a tile was observed",
-    columns=(TILE, FIRST, LAST),
-    order=("tile_id", "first_step"),
-    span=("first_step", "last_step"),
-    runs=True,
+
+def _runs_of_tiles(name: str, means: str, *further: TableColumn) -> TableSchema:
+    return TableSchema(
+        name=name, means=means, columns=(TILE, FIRST, LAST, *further),
+        order=("tile_id", "first_step"), span=("first_step", "last_step"), runs=True,
+    )  # fmt: skip
+
+
+OBSERVED = _runs_of_tiles("observed", "a run of steps in which a tile was observed")
+VISIBLE = _runs_of_tiles(
+    "visible", "a run of steps in which a tile was visible, and `seen` the same",
+    TableColumn("seen", _FLAG, "not hidden by vehicles; else hidden for up to 10 s"),
+)  # fmt: skip
+OCCUPIED = _runs_of_tiles(
+    "occupied",
+    "a run of steps in which a tile was occupied, visible or not, and `seen` the same",
+    TableColumn("seen", _FLAG, "the vehicle was measured within 0.5 s"),
 )
-VISIBLE = TableSchema(
-    name="visible",
-    means="a run of steps in which a tile was visible, and `seen` the same",
-    columns=(
-        TILE, FIRST, LAST,
-        TableColumn("seen", _FLAG, "not hidden by vehicles; else hidden for up to 10 s"),
-    ),
-    order=("tile_id", "first_step"),
-    span=("first_step", "last_step"),
-    runs=True,
-)  # fmt: skip
-OCCUPIED = TableSchema(
-    name="occupied",
-    means="a run of steps in which a tile was occupied, visible or not, and `seen` the same",
-    columns=(
-        TILE, FIRST, LAST,
-        TableColumn("seen", _FLAG, "the vehicle was measured within 0.5 s"),
-    ),
-    order=("tile_id", "first_step"),
-    span=("first_step", "last_step"),
-    runs=True,
-)  # fmt: skip
 
 TRACKS = TableSchema(
     name="tracks",
@@ -222,6 +210,7 @@ TURNS = TableSchema(
     period="day",
 )  # fmt: skip
 
+_SUMMED = {_SHORT: _LONG, _SINGLE: _DOUBLE}
 _WEEKDAY = TableColumn("weekday", _SHORT, "day of the week by the site's clocks, 0: Monday")
 _HOUR = TableColumn("hour", _SHORT, "hour of the day by the site's clocks, 0 to 23")
 
@@ -259,13 +248,10 @@ TILE_MONTHS = TableSchema(
     columns=(
         TILE,
         _HOUR,
-        TableColumn("hit_steps", _LONG, "steps both hit and observed"),
-        TableColumn("observed_steps", _LONG, "steps observed"),
-        TableColumn("occupied_steps", _LONG, "steps both occupied and visible"),
-        TableColumn("visible_steps", _LONG, "steps visible"),
-        TableColumn("hidden_steps", _LONG, "steps observed and not visible"),
-        TableColumn("occupied_variance", _DOUBLE, "of occupied_steps by the tracks, steps^2"),
-        TableColumn("inferred_steps", _LONG, "steps visible while hidden by vehicles"),
+        *(
+            TableColumn(each.name, _SUMMED[each.type], each.means)
+            for each in TILE_COUNTS.columns[2:]
+        ),
     ),
     order=("tile_id", "hour"),
     period="month",
@@ -298,12 +284,8 @@ POSES = TableSchema(
     means="where a sensor stands and looks",
     columns=(
         POSE, SENSOR,
-        TableColumn("easting", _DOUBLE, "metres"),
-        TableColumn("northing", _DOUBLE, "metres"),
-        TableColumn("height", _DOUBLE, "metres"),
-        TableColumn("yaw", _DOUBLE, "degrees"),
-        TableColumn("pitch", _DOUBLE, "degrees"),
-        TableColumn("roll", _DOUBLE, "degrees"),
+        *(TableColumn(name, _DOUBLE, "metres") for name in ("easting", "northing", "height")),
+        *(TableColumn(name, _DOUBLE, "degrees") for name in ("yaw", "pitch", "roll")),
         TableColumn("track", _TEXT, "pose track that it is of, as in `recordings.pose`"),
         TableColumn("since", _DOUBLE, "from when on it holds, UNIX seconds; null: always", True),
         TableColumn("sight", _TEXT, "pose in `sights` that has seen the same, and in `frames`"),

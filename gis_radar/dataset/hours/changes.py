@@ -47,12 +47,9 @@ class Upkeep:
             If there is no such recording, one reaches out of the day, another needed one is missing
             or changed, or exact tables of their hours were deleted.
         """
-        from gis_radar.dataset.hours.upkeep import Withdrawal, withdraw  # noqa: PLC0415 - 0.6 s
+        from gis_radar.dataset.hours.upkeep import withdraw  # noqa: PLC0415 - 0.6 s
 
-        wanted = Withdrawal(recordings=recordings, sensor=sensor, day=day)
-        return withdraw(
-            self.folder, wanted, self.manifest.fingerprint, processes=processes, reporter=reporter
-        )  # fmt: skip
+        return withdraw(self, recordings, sensor, day, processes, reporter)
 
     def keep(self: Source, days: float, *, reporter: Reporter = QUIET) -> list[str]:
         """Delete the exact tables of old hours, so that room stays for new ones.

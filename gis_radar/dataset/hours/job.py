@@ -20,24 +20,13 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.base import InputError, Integers
+from gis_radar.dataset.files import tables
 from gis_radar.dataset.files.parts import Origin
 from gis_radar.dataset.files.records import HourWriter
-from gis_radar.dataset.files.tables import (
-    CONTINUED,
-    FRAMES,
-    HITS,
-    OBSERVED,
-    OCCUPIED,
-    PASSAGES,
-    TRACKS,
-    VEHICLES,
-    VISIBLE,
-)
 from gis_radar.hdmap import LaneGraph, TileGrid
 from gis_radar.measures import (
     LONGEST_VALID_STEPS,
     Filters,
-    HashedFrames,
     HitTarget,
     HourWindow,
     PlacedRecording,
@@ -132,11 +121,6 @@ class HourSite:
             rcs=self.settings.vehicles or self.settings.filters.min_rcs is not None,
         )  # fmt: skip
 
-    @property
-    def finds_vehicles(self) -> bool:
-        """Whether vehicles are looked for."""
-        return self.settings.vehicles and self.graph is not None
-
 
 @dataclass(frozen=True, kw_only=True)
 class MadeHour:
@@ -209,8 +193,11 @@ def make_hour(
         _write_hits(writer, sensors, valid, held, sights, site, window)
         # The counts of five sensors in an hour take 170 MB, and vehicles do not need them.
         sensors = [replace(each, counted=each.counted[:0].copy(), tile=[]) for each in sensors]
-        if site.finds_vehicles:
-            found = _vehicles(sensors, window, held, sights, site, processes)
+        if site.settings.vehicles and site.graph is not None:
+            found = vehicles_of_hour(
+                sensors, window, held=held, tiles=site.tiles, sights=sights, graph=site.graph,
+                processes=processes,
+            )  # fmt: skip
             _write_vehicles(writer, found, site.origin)
             vehicles, on_lanes = len(found.vehicles), found.on_lanes
     return MadeHour(hour=hour, evidence=evidence, vehicles=vehicles, on_lanes=on_lanes)
@@ -246,7 +233,8 @@ def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
     InputError
         If there are two such sensors.
     """
-    hashes = [np.unique(_compared_hashes(each.frames)) for each in sensors]
+    frames = [each.frames for each in sensors]
+    hashes = [np.unique(each.hash[each.detections >= LEAST_COMPARED]) for each in frames]
     found, counts = np.unique(np.concatenate([np.empty(0, np.uint64), *hashes]), return_counts=True)
     shared = found[counts > 1]  # usually few, so that comparing all pairs of sensors is cheap
     if len(shared) <= MOST_EQUAL_FRAMES:
@@ -268,10 +256,6 @@ def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
                 first.recording.path,
                 hint="give each sensor its own recording",
             )
-
-
-def _compared_hashes(frames: HashedFrames) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
-    return frames.hash[frames.detections >= LEAST_COMPARED]
 
 
 def digest_of_inputs(
@@ -314,21 +298,10 @@ def _write_hits(
 ) -> None:  # fmt: skip
     ids = site.target.road.tile_id
     pairs = zip(sensors, valid, strict=True)
-    writer.write(FRAMES, (frame_columns(each, frames, window) for each, frames in pairs))
-    writer.write(HITS, sorted_hits(sensors, valid, ids, window))
+    writer.write(tables.FRAMES, (frame_columns(each, frames, window) for each, frames in pairs))
+    writer.write(tables.HITS, sorted_hits(sensors, valid, ids, window))
     tile, first, last = observed_runs(held, sights, ids, window)
-    writer.write(OBSERVED, {"tile_id": ids[tile], "first_step": first, "last_step": last})
-
-
-def _vehicles(
-    sensors: Sequence[SensorHour], window: HourWindow, held: pd.DataFrame,
-    sights: Mapping[str, PoseSight], site: HourSite, processes: int,
-) -> HourVehicles:  # fmt: skip
-    assert site.graph is not None  # noqa: S101 - the caller has looked
-    return vehicles_of_hour(
-        sensors, window, held=held, tiles=site.tiles, sights=sights, graph=site.graph,
-        processes=processes,
-    )  # fmt: skip
+    writer.write(tables.OBSERVED, {"tile_id": ids[tile], "first_step": first, "last_step": last})
 
 
 def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, int]) -> None:
@@ -339,7 +312,7 @@ def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, 
     }
     lanelet = tracks["lanelet_id"].fillna(0).to_numpy(np.int64)
     writer.write(
-        TRACKS,
+        tables.TRACKS,
         {
             "vehicle": tracks["vehicle"], "step": tracks["step"],
             "x_cm": _hundredths(tracks["easting"] - origin[0]),
@@ -349,12 +322,12 @@ def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, 
             "lanelet_id": np.ma.masked_array(lanelet, ~on), **placed, "seen": tracks["seen"],
         },
     )  # fmt: skip
-    writer.write(VEHICLES, found.vehicles)
-    writer.write(CONTINUED, found.continued)
+    writer.write(tables.VEHICLES, found.vehicles)
+    writer.write(tables.CONTINUED, found.continued)
     speed = _hundredths(found.passages["speed"])
-    writer.write(PASSAGES, found.passages.assign(speed_cms=speed))
-    writer.write(OCCUPIED, found.occupied)
-    writer.write(VISIBLE, found.visible)
+    writer.write(tables.PASSAGES, found.passages.assign(speed_cms=speed))
+    writer.write(tables.OCCUPIED, found.occupied)
+    writer.write(tables.VISIBLE, found.visible)
 
 
 def _hundredths(values: pd.Series) -> Integers:

@@ -25,9 +25,8 @@ from gis_radar.base import (
     watch_parent,
     worker_pool,
 )
-from gis_radar.dataset.days.lane_measures import LaneTraffic
+from gis_radar.dataset.days.lane_measures import day_makers
 from gis_radar.dataset.days.rollups import RollUps
-from gis_radar.dataset.days.tile_counts import update_counts
 from gis_radar.dataset.files.manifest import Manifest
 from gis_radar.dataset.files.parts import clear_unfinished, days_of, hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord, read_hour, read_hours, remove_record
@@ -59,8 +58,6 @@ NOTED_EVERY_S = 2.0  # seconds between writes of the registry, which is long for
 RELINK = Text(
     "gis-radar dataset DATASET --relink FOLDER finds what was moved, --withdraw takes it out"
 )
-
-TOO_LATE = Text("leave such recordings away, or measure that time into another dataset")
 
 
 @contextmanager
@@ -124,10 +121,11 @@ def change(
     validity_s = validity_by_sensor(after.entries)
     known_before = {(each.key, each.pose) for each in before.entries}
     fresh = [each for each in after.entries if (each.key, each.pose) not in known_before]
-    _refuse_late(fresh, records, margin)
+    for each in fresh:
+        _refuse_dropped(each.path, each.reached_hours(margin), records)
     missing = hours_to_make(after, records, margin, touched_hours(after.hours, known, margin))
     missing = [hour for hour in missing if before_hour is None or hour < before_hour]
-    _refuse_dropped(site.folder, [records[hour] for hour in missing if hour in records])
+    _refuse_dropped(site.folder, missing, records)
     _require_recordings(after, missing, margin, {each.path for each in known})
     reaching = after.by_hour(margin)
     placings = {hour: [after.placing(each) for each in reaching[hour]] for hour in missing}
@@ -192,33 +190,19 @@ def _made_and_noted(
     return made
 
 
-def _refuse_late(
-    entries: Iterable[RecordingEntry], records: Mapping[int, HourRecord], margin: int
+def _refuse_dropped(
+    what: Path | str, hours: Iterable[int], records: Mapping[int, HourRecord]
 ) -> None:
-    """Refuse recordings that reach into hours whose exact tables were deleted."""
-    for each in entries:
-        for hour in each.reached_hours(margin):
-            if hour in records and records[hour].dropped:
-                raise InputError(
-                    "{}: {} takes no recordings any more: its {} were deleted after the time "
-                    "to keep them",
-                    each.path,
-                    hour_text(hour),
-                    records[hour].dropped[0],
-                    hint=TOO_LATE,
-                )
-
-
-def _refuse_dropped(folder: Path, records: Iterable[HourRecord]) -> None:
-    for record in records:
-        if record.dropped:
+    """Refuse to add to hours whose exact tables were deleted."""
+    for hour in hours:
+        if hour in records and records[hour].dropped:
             raise InputError(
                 "{}: {} takes no recordings any more: its {} were deleted after the time "
                 "to keep them",
-                folder,
-                hour_text(record.hour),
-                record.dropped[0],
-                hint=TOO_LATE,
+                what,
+                hour_text(hour),
+                records[hour].dropped[0],
+                hint="leave such recordings away, or measure that time into another dataset",
             )
 
 
@@ -281,10 +265,10 @@ def _count(folder: Path, hours: Iterable[int], records: Mapping[int, HourRecord]
     """Update the tables of the dates and months of some hours, and of the hour after each."""
     manifest = Manifest.read(folder)
     touched = {later for hour in hours for later in (hour, hour + 1)}
-    traffic = LaneTraffic(folder=folder, fingerprint=manifest.fingerprint)
+    makers = day_makers(folder, manifest.fingerprint)
     for day in days_of(touched):
-        update_counts(folder, manifest.fingerprint, day, records)
-        traffic.update(day, records)
+        for maker in makers:
+            maker.update(day, records)
     rolled = RollUps(folder=folder, fingerprint=manifest.fingerprint, timezone=manifest.timezone)
     rolled.update(touched, records)
 
@@ -338,7 +322,7 @@ def open_hours(folder: Path, reporter: Reporter) -> Iterator[OpenHours]:
         refused: dict[int, InputError] = {}
         for hour in missing:
             try:
-                _refuse_dropped(folder, [records[hour]] if hour in records else [])
+                _refuse_dropped(folder, [hour], records)
                 _require_recordings(registry, [hour], margin, there)
             except InputError as error:
                 refused[hour] = error

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from time import time as clock
 from zoneinfo import ZoneInfo
 
 from gis_radar.base import InputError, Reporter, Text, UsageError, output_errors, zone_of
-from gis_radar.dataset.days.lane_measures import LaneTraffic
-from gis_radar.dataset.days.tile_counts import check_counts, update_counts
+from gis_radar.dataset.days.lane_measures import day_makers
+from gis_radar.dataset.days.tables import check_days
 from gis_radar.dataset.files.manifest import Manifest
 from gis_radar.dataset.files.parts import days_of, hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord, read_hours, write_record
@@ -23,6 +23,7 @@ from gis_radar.dataset.files.registry import (
     digest_of,
     touched_hours,
 )
+from gis_radar.dataset.files.source import Source
 from gis_radar.dataset.files.tables import FRAMES, HITS, OBSERVED, OCCUPIED, TABLES, TRACKS, VISIBLE
 from gis_radar.dataset.hours.making import change, writing
 from gis_radar.dataset.hours.registered import measure_settings_of, site_of
@@ -33,66 +34,10 @@ OVER_S = 1.0
 """How far a recording of a day may reach out of it: loggers and clocks are no more exact."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Withdrawal:
-    """Recordings to withdraw: those that are named, or those of a sensor, of a day, of both.
-
-    Parameters
-    ----------
-    recordings : sequence of paths
-        Paths, or file names where these are unique.
-    sensor : str, optional
-        Name of a sensor.
-    day : date or str, optional
-        A day by the clocks of the site.
-
-    Raises
-    ------
-    UsageError
-        If there is nothing to choose by, or both ways of choosing are given, or the day is none.
-    """
-
-    recordings: Sequence[str | Path] = ()
-    sensor: str | None = None
-    day: date | str | None = None
-
-    def __post_init__(self) -> None:
-        by_what = self.sensor is not None or self.day is not None
-        if by_what == bool(self.recordings):
-            raise UsageError("name either recordings to withdraw, or a sensor, a day or both")
-        try:
-            if isinstance(self.day, str):
-                object.__setattr__(self, "day", date.fromisoformat(self.day))
-        except ValueError:
-            raise UsageError("{} is no day", repr(self.day), hint="such as 2026-10-05") from None
-
-    def chosen(self, registry: Registry, zone: ZoneInfo) -> list[RecordingEntry]:
-        """Return the recordings of a dataset that it means.
-
-        Raises
-        ------
-        InputError
-            If there are none, or one reaches out of the day.
-        """
-        if self.recordings:
-            return [_named(registry, each) for each in self.recordings]
-        found = list(registry.entries)
-        if self.sensor is not None:
-            found = [each for each in found if each.sensor == self.sensor]
-            if not found:
-                known = ", ".join(sorted({each.sensor for each in registry.entries}))
-                raise InputError(
-                    "{}: has no recording of {}", registry.folder, self.sensor,
-                    hint=Text("its sensors are {}", known),
-                )  # fmt: skip
-        return found if self.day is None else _of_day(registry.folder, found, self.day, zone)
-
-
 def _of_day(
-    folder: Path, entries: Iterable[RecordingEntry], day: date | str, zone: ZoneInfo
+    folder: Path, entries: Iterable[RecordingEntry], day: date, zone: ZoneInfo
 ) -> list[RecordingEntry]:
     """Return the recordings of a day; refuse one that reaches far into another."""
-    assert isinstance(day, date)  # noqa: S101 - a text is read when it is given
     begin, end = (
         datetime.combine(each, time.min, zone).timestamp() for each in (day, day + timedelta(1))
     )
@@ -119,15 +64,37 @@ def _of_day(
     return found
 
 
+def _of_sensor(registry: Registry, sensor: str | None) -> list[RecordingEntry]:
+    """Return the recordings of a sensor, or all."""
+    found = [each for each in registry.entries if sensor in (None, each.sensor)]
+    if sensor is not None and not found:
+        known = ", ".join(sorted({each.sensor for each in registry.entries}))
+        raise InputError(
+            "{}: has no recording of {}", registry.folder, sensor,
+            hint=Text("its sensors are {}", known),
+        )  # fmt: skip
+    return found
+
+
 def withdraw(
-    folder: Path, wanted: Withdrawal, fingerprint: str, *, processes: int, reporter: Reporter
-) -> list[str]:
+    dataset: Source, recordings: Sequence[str | Path], sensor: str | None, day: date | str | None,
+    processes: int, reporter: Reporter,
+) -> list[str]:  # fmt: skip
     """Withdraw recordings from a dataset; see :meth:`gis_radar.Dataset.withdraw`."""
+    if bool(recordings) == (sensor is not None or day is not None):
+        raise UsageError("name either recordings to withdraw, or a sensor, a day or both")
+    try:
+        day = date.fromisoformat(day) if isinstance(day, str) else day
+    except ValueError:
+        raise UsageError("{} is no day", repr(day), hint="such as 2026-10-05") from None
+    folder = dataset.folder
     with writing(folder, reporter):
         manifest = Manifest.read(folder)  # others may have written since it was opened
         settings = measure_settings_of(manifest, folder)
-        before = Registry.read(folder, fingerprint)
-        gone = wanted.chosen(before, zone_of(manifest.timezone))
+        before = Registry.read(folder, dataset.manifest.fingerprint)
+        gone = [_named(before, each) for each in recordings] or _of_sensor(before, sensor)
+        if day is not None:
+            gone = _of_day(folder, gone, day, zone_of(manifest.timezone))
         kept = tuple(each for each in before.entries if each not in gone)
         hours = touched_hours(before.hours, gone, settings.margin)
         _refuse_dropped(folder, hours)
@@ -215,11 +182,11 @@ def keep(folder: Path, days: float, fingerprint: str, *, reporter: Reporter) -> 
         old = [h for h in records if h + 1 < over and unmade.isdisjoint((h, h + 1))]
         dropped = {hour: _without_exact(records[hour]) for hour in old}
         fresh = [hour for hour in old if dropped[hour] != records[hour]]
-        traffic = LaneTraffic(folder=folder, fingerprint=fingerprint)
+        makers = day_makers(folder, fingerprint)
         for day in days_of(fresh):
-            update_counts(folder, fingerprint, day, records)
-            traffic.update(day, records)
-        check_counts(folder, fingerprint, fresh)
+            for maker in makers:
+                maker.update(day, records)
+        check_days(folder, fingerprint, fresh)
         for done, (hour, record) in enumerate(dropped.items()):
             if hour in fresh:
                 write_record(folder, record)  # whoever reads then knows that the parts go

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import get_args
 
 import pandas as pd
@@ -11,7 +10,7 @@ import pyarrow.compute as pc
 
 from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError, current_language, speaking
 from gis_radar.dataset.days.asked_time import AskedTime, Holidays, day_numbers, month_edges
-from gis_radar.dataset.days.rollups import RollUps
+from gis_radar.dataset.days.rollups import RollUps, with_month
 from gis_radar.dataset.files.parts import hour_of_step
 from gis_radar.dataset.files.reading import Span
 from gis_radar.dataset.files.records import hour_bounds
@@ -102,12 +101,10 @@ class Questions:
         rolled = roll_ups(self)
         lanes = _street_lanes(self, rolled, street, language)
         wanted = pa.array(lanes.lane), pa.array(sorted(day_numbers(days)), pa.int32())
-        empty = LANE_MONTHS.empty().select(columns)
-        parts = [empty.append_column("month", pa.array([], pa.string()))]
+        parts = [with_month(LANE_MONTHS.empty().select(columns), "")]
         for each, rows in rolled.sums_of(LANE_MONTHS, asked, columns):
             kept = pc.and_(pc.is_in(rows["lane"], wanted[0]), pc.is_in(rows["weekday"], wanted[1]))
-            mine = rows.filter(kept)
-            parts.append(mine.append_column("month", pa.array([each] * len(mine), pa.string())))
+            parts.append(with_month(rows.filter(kept), each))
         return street_profile(pa.concat_tables(parts).to_pandas(), asked, lanes, by)
 
 
@@ -118,7 +115,7 @@ def _street_lanes(
     key = ("street", street, language or current_language())
     if key not in dataset.found:
         layers = dataset.layer(LANES_LAYER), dataset.layer(TILES_LAYER)
-        with speaking(language) if language else nullcontext():
+        with speaking(language):
             dataset.found[key] = StreetLanes.of(*layers, rolled.traffic.network, street)
     lanes: StreetLanes = dataset.found[key]
     return lanes

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 
 import duckdb
 import pyarrow as pa
 
 from gis_radar.base import STEPS_PER_SECOND, Reporter
-from gis_radar.dataset.days.lane_measures import LaneTraffic
+from gis_radar.dataset.days.lane_measures import maker_of
+from gis_radar.dataset.days.rollups import with_month
 from gis_radar.dataset.days.tables import STEPS_PER_QUARTER, days_with
-from gis_radar.dataset.days.tile_counts import count_keys, read_counts
 from gis_radar.dataset.files.parts import hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord
 from gis_radar.dataset.files.schema import TableSchema
@@ -25,7 +24,6 @@ from gis_radar.dataset.files.tables import (
     RECORDINGS,
     SIGHTS,
     TABLES,
-    TILE_COUNTS,
 )
 from gis_radar.dataset.files.units import UNITS
 from gis_radar.dataset.questions.profiles import roll_ups
@@ -95,11 +93,11 @@ def make_views(
     InputError
         If a part is not the one of its hour's record.
     """
-    views = _Views(dataset, asked, prefix)
+    views = _Views(dataset, asked, prefix, reporter)
     records = dataset.records()
     paths = []
     for tables, view in (
-        (HOUR_TABLES, partial(views.hours, reporter=reporter)),
+        (HOUR_TABLES, views.hours),
         (DAY_TABLES, views.days),
         (MONTH_TABLES, views.months),
     ):
@@ -140,17 +138,18 @@ def catalogue_of(folders: Sequence[Path], place: str) -> str:
 class _Views:
     """Maker of views of tables."""
 
-    def __init__(self, dataset: Source, asked: duckdb.DuckDBPyConnection, prefix: str) -> None:
+    def __init__(
+        self, dataset: Source, asked: duckdb.DuckDBPyConnection, prefix: str, reporter: Reporter
+    ) -> None:
         self._dataset, self._connection, self._prefix = dataset, asked, prefix
+        self._reporter = reporter
 
-    def hours(
-        self, table: TableSchema, records: Mapping[int, HourRecord], *, reporter: Reporter
-    ) -> list[Path]:
+    def hours(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
         """Make the view of a table of hours; return its files, each checked."""
         folder, paths = self._dataset.folder, []
         there = {hour: each for hour, each in records.items() if table.name not in each.dropped}
         if gone := records.keys() - there.keys():
-            reporter.warn(
+            self._reporter.warn(
                 "{} up to {} were deleted, and are left out of the answer",
                 table.name, hour_text(max(gone) + 1),
             )  # fmt: skip
@@ -166,48 +165,44 @@ class _Views:
     def days(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
         """Make the view of a table of dates; dates that are not up to date are updated first."""
         folder, tiles = self._dataset.folder, self._dataset.manifest.fingerprint
-        traffic = LaneTraffic(folder=folder, fingerprint=tiles)
-        paths, odd = [], {}
+        maker, paths, odd = maker_of(table, folder, tiles), [], {}
         for day, hours in days_with(folder, tiles, list(records)):
             mine = {hour: records[hour] for hour in sorted(hours)}
-            keys = count_keys(mine) if table is TILE_COUNTS else traffic.keys(day, mine)
+            keys = maker.keys(day, mine)
             if keys and day.is_made((table,), keys):
-                paths.append(day.path(table))
+                paths.append(day.file(table).path)
             else:
                 odd.update(mine)
-        names = [*table.names, "first_step"]
-        empty = table.empty().append_column("first_step", pa.array([], pa.int64()))
-        counted = table is TILE_COUNTS
-        made = read_counts(folder, tiles, odd) if counted else traffic.read(table, odd)
-        held = f"_made_{self._prefix}{table.name}"
-        self._connection.register(held, pa.concat_tables([empty, *made]))
-        source = _select(names, held)
-        if paths:
-            files = f"read_parquet([{_list(paths)}], hive_types = {{'date': DATE}})"
-            begins = [*table.names, f"{_BEGIN} AS first_step"]
-            source = f"{source} UNION ALL {_select(begins, files)}"
-        self._view(table.name, names, f"({source})")
+        further = pa.field("first_step", pa.int64())
+        begins = f"{_BEGIN} AS first_step"
+        self._joined(table, further, maker.read(table, odd), paths, begins, "{'date': DATE}")
         return paths
 
     def months(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
         """Make the view of a roll-up; months that are not up to date are summed first."""
-        rolled, paths = roll_ups(self._dataset), []
-        made = [table.empty().append_column("month", pa.array([], pa.string()))]
+        rolled, paths, made = roll_ups(self._dataset), [], []
         for month in rolled.months(records):
             if rolled.is_whole(table, month):
-                paths.append(rolled.path(table, month))
+                paths.append(rolled.file(table, month).path)
             else:
-                rows = rolled.read(table, month)
-                made.append(rows.append_column("month", pa.array([month] * len(rows), pa.string())))
-        names = [*table.names, "month"]
-        held = f"_made_{self._prefix}{table.name}"
-        self._connection.register(held, pa.concat_tables(made))
+                made.append(with_month(rolled.read(table, month), month))
+        further = pa.field("month", pa.string())
+        self._joined(table, further, made, paths, "month", "{'month': VARCHAR}")
+        return paths
+
+    def _joined(
+        self, table: TableSchema, further: pa.Field, made: Iterable[pa.Table],
+        paths: Sequence[Path], column: str, types: str,
+    ) -> None:  # fmt: skip
+        """Make a view of rows held in memory and of files, which get a further `column`."""
+        names, held = [*table.names, further.name], f"_made_{self._prefix}{table.name}"
+        empty = table.schema.append(further).empty_table()
+        self._connection.register(held, pa.concat_tables([empty, *made]))
         source = _select(names, held)
         if paths:
-            files = f"read_parquet([{_list(paths)}], hive_types = {{'month': VARCHAR}})"
-            source = f"{source} UNION ALL {_select(names, files)}"
+            files = f"read_parquet([{_list(paths)}], hive_types = {types})"
+            source = f"{source} UNION ALL {_select([*table.names, column], files)}"
         self._view(table.name, names, f"({source})")
-        return paths
 
     def held(self, table: TableSchema, rows: pa.Table) -> None:
         """Make a view of rows held in memory."""

@@ -14,7 +14,6 @@ from gis_radar.base import (
     STEP_US,
     STEPS_PER_HOUR,
     InputError,
-    current_language,
     interval_steps,
     speaking,
     tr,
@@ -98,14 +97,14 @@ def cycles_of(
     """Return the cycles of signals; see :meth:`gis_radar.Dataset.signal_cycles`."""
     require_vehicles(dataset)
     network, hours = _exact(dataset, span)
-    with speaking(language or current_language()):
+    with speaking(language):
         names = np.array(lane_names(dataset.layer(LANES_LAYER), network), object)
     at = {str(each): k for name in (names, network.lane) for k, each in enumerate(name.tolist())}
     known = None if signals is None else read_signals(signals, at, zone_of(dataset.timezone))
     if off := [lane for lane in known or () if not network.has_stop_line[lane]]:
         raise InputError("{}: lane {} has no stop line", signals, int(network.lane[off[0]]))
     found = [each for hour in hours for each in cycles(network, *hour, known=known)]
-    with speaking(language or current_language()):
+    with speaking(language):
         reason = [tr(each.reason) if each.reason else "" for each in found]
     table = pd.DataFrame(found, columns=list(Cycle._fields))
     place, zone = table["lane"].to_numpy(np.int64), zone_of(dataset.timezone)
@@ -126,7 +125,7 @@ def _times(steps: pd.Series) -> pd.Series:
 
 def _exact(dataset: Source, span: Span | None) -> tuple[LaneNetwork, Iterator[_Hour]]:
     """Return the network, and of each hour its grid, states, vehicles and visible runs."""
-    traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
+    traffic = LaneTraffic.of(dataset)
     records = [each for each in dataset.records(span).values() if TRACKS.name in each.parts]
     hours = (
         (StepGrid(begin=each.hour * STEPS_PER_HOUR, steps=STEPS_PER_HOUR, count=1),

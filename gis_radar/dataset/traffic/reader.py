@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 from zoneinfo import ZoneInfo
@@ -53,8 +52,6 @@ class TrafficReader:
     ----------
     dataset : Source
         The dataset, of which complete hours are read.
-    traffic : LaneTraffic
-        Lane measures of the dataset.
     interval : str
         Length of the intervals: `1min`, `5min`, `15min`, `1h`, `24h`. They follow the clocks of the
         site, so that days may have 23 or 25 hours. Under 15 min they are measured from the
@@ -63,19 +60,24 @@ class TrafficReader:
         First and last step in which intervals may begin.
     language : str, optional
         Language of the names; by default the current one.
-    exact : bool
-        Whether intervals of 15 min and more are measured from the exact tables, too.
+    line_m : mapping
+        Counting lines, as of :class:`LaneTraffic`; with any, intervals of 15 min and more are
+        measured from the exact tables, too.
     whole : bool
         Whether all intervals are one, as for :meth:`gis_radar.Dataset.traffic`.
     """
 
     dataset: Source
-    traffic: LaneTraffic
     interval: str = "15min"
     span: Span | None = None
     language: str | None = None
-    exact: bool = False
+    line_m: Mapping[int, float] = field(default_factory=dict)
     whole: bool = False
+
+    @cached_property
+    def traffic(self) -> LaneTraffic:
+        """Lane measures of the dataset."""
+        return replace(LaneTraffic.of(self.dataset), line_m=self.line_m)
 
     def lanes(self) -> gpd.GeoDataFrame:
         """Return a row for each lane and interval, as :meth:`gis_radar.Dataset.traffic` does."""
@@ -85,7 +87,7 @@ class TrafficReader:
             table[f"{name}_se"] = np.sqrt(table[f"{name}_se"] ** 2 + left_open)
         layer = self.dataset.layer(LANES_LAYER)
         table["delay_s"] = delays(table, layer, network)
-        with self._in_language():
+        with speaking(self.language):
             names = lane_names(layer, network)
         at = np.searchsorted(network.lane, table["lane"].to_numpy(np.int64))
         lines = layer.set_index("lane").geometry.loc[network.lane.tolist()].array[at]
@@ -112,7 +114,7 @@ class TrafficReader:
         if lanes is not None and not table.empty:
             table = _like_approaches(table, lanes)
         ways, layer = network.turns(), self.dataset.layer(LANES_LAYER)
-        with self._in_language():
+        with speaking(self.language):
             names = np.array(lane_names(layer, network), object)
         words, lines = turn_lines(layer, network, ways)
         pairs = {
@@ -153,9 +155,6 @@ class TrafficReader:
         row = np.searchsorted(network.lane, table[lane].to_numpy(np.int64))
         return np.asarray(variance[row, wide.columns.get_indexer(table["begin"])])
 
-    def _in_language(self) -> AbstractContextManager[None]:
-        return speaking(self.language) if self.language else nullcontext()
-
     def _rows(self, table: TableSchema, lanes: pd.DataFrame | None = None) -> pd.DataFrame:
         """Return rows with `begin` and `end` by the clocks of the site.
 
@@ -163,7 +162,7 @@ class TrafficReader:
         """
         steps = _allowed(self.interval)
         zone = zone_of(self.dataset.manifest.timezone)
-        finer = self.exact or steps < STEPS_PER_QUARTER
+        finer = bool(self.line_m) or steps < STEPS_PER_QUARTER
         part_steps = min(steps, STEPS_PER_QUARTER)
         read, known = self.traffic.read, self.dataset.records(self.span)
         parts = self._finer(table, known, part_steps) if finer else read(table, known, self.span)

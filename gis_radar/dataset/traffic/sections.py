@@ -17,7 +17,6 @@ import shapely.ops
 from gis_radar.base import (
     Floats,
     InputError,
-    current_language,
     metric_crs,
     one_line,
     read_vector,
@@ -68,8 +67,7 @@ def section_counts(
     """Count vehicles by direction at sections; see :meth:`gis_radar.Dataset.count_sections`."""
     lines, what = _lines(sections, dataset.crs)
     require_vehicles(dataset)
-    layer, tiles = dataset.layer(LANES_LAYER), dataset.manifest.fingerprint
-    network = LaneTraffic(folder=dataset.folder, fingerprint=tiles).network
+    layer, network = dataset.layer(LANES_LAYER), LaneTraffic.of(dataset).network
     crossed = {
         name: _crossings(line, layer, network, f"{what}: section {name}")
         for name, line in lines.items()
@@ -77,12 +75,10 @@ def section_counts(
     found = dict[str, list[pd.DataFrame]]()
     for counted in _at_once(crossed):
         along = {each.lane: each.along_m for name in counted for each in crossed[name]}
-        traffic = LaneTraffic(folder=dataset.folder, fingerprint=tiles, line_m=along)
         rows = TrafficReader(
-            dataset=dataset, traffic=traffic, interval=interval, span=span,
-            language=language, exact=True,
-        ).lanes()  # fmt: skip
-        with speaking(language or current_language()):
+            dataset=dataset, interval=interval, span=span, language=language, line_m=along
+        ).lanes()
+        with speaking(language):
             found |= {name: _by_direction(rows, lines[name], crossed[name]) for name in counted}
     whole = pd.concat(
         [part.assign(section=name) for name in lines for part in found[name]], ignore_index=True

@@ -8,7 +8,6 @@ import geopandas as gpd
 import pandas as pd
 
 from gis_radar.base import UsageError
-from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.files.source import Moment, Source, require_vehicles
 from gis_radar.dataset.traffic.headways_cycles import add_headways, cycles_of
 from gis_radar.dataset.traffic.reader import TrafficReader
@@ -172,8 +171,7 @@ def _reader(
     whole: bool = False,
 ) -> TrafficReader:  # fmt: skip
     require_vehicles(dataset)
-    traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
     return TrafficReader(
-        dataset=dataset, traffic=traffic, interval=interval, span=dataset.span(begin, end),
-        language=language, whole=whole,
+        dataset=dataset, interval=interval, span=dataset.span(begin, end), language=language,
+        whole=whole,
     )  # fmt: skip

@@ -16,7 +16,6 @@ from gis_radar.base import (
     NoAnswerError,
     Text,
     UsageError,
-    current_language,
     speaking,
     tr,
 )
@@ -75,10 +74,9 @@ def compare(
     if other.folder.resolve() == dataset.folder.resolve():
         _require_apart(dataset, before, after)
     sources = ((dataset, before), (other, after))
-    options = {"language": language or current_language()}
-    rows = _rows(sources, day_numbers(days), options)
+    rows = _rows(sources, day_numbers(days), language)
     sights = [lane_sights(source, table) for (source, _), table in zip(sources, rows, strict=True)]
-    with speaking(options["language"]):
+    with speaking(language):
         together = tr("All stop lines together")
     return _compared(rows, sights, together, dataset.doubts, other.doubts)
 
@@ -125,21 +123,21 @@ def _require_apart(dataset: Dataset, before: Period, after: Period) -> None:
 
 
 def _rows(
-    sources: Sequence[tuple[Dataset, Period]], days: set[int], options: dict[str, Any]
+    sources: Sequence[tuple[Dataset, Period]], days: set[int], language: str | None
 ) -> list[gpd.GeoDataFrame]:
     """Read the traffic of both periods, by `FINER` intervals where the periods are short."""
     records = [dataset.records(dataset.span(*period)) for dataset, period in sources]
     few = max(map(len, records)) <= FEW_HOURS
     exact = not any(hour.dropped for each in records for hour in each.values())
     interval = FINER if few and exact else INTERVAL
-    return [_rows_of(*source, interval, days, options) for source in sources]
+    return [_rows_of(*source, interval, days, language) for source in sources]
 
 
 def _rows_of(
-    dataset: Dataset, period: Period, interval: str, days: set[int], options: dict[str, Any]
+    dataset: Dataset, period: Period, interval: str, days: set[int], language: str | None
 ) -> gpd.GeoDataFrame:
     begin, end = period
-    rows = dataset.traffic(interval, begin=begin, end=end, **options)
+    rows = dataset.traffic(interval, begin=begin, end=end, language=language)
     if rows.empty:
         raise InputError(
             "{}: no lane is observed from {} to {}",

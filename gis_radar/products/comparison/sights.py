@@ -102,7 +102,7 @@ def _tiles_by_lane(
     dataset: Dataset, recordings: pd.DataFrame, poses: pd.DataFrame
 ) -> dict[tuple[str, int], frozenset[int]]:
     """Return by sensor and lane the tiles in sight of the poses of its recordings."""
-    network = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint).network
+    network = LaneTraffic.of(dataset).network
     lane_of = pd.Series(network.lane[network.tile_lane], network.tile_id)
     heads = poses.loc[poses["track"].isin(recordings["pose"]), ["sensor", "sight"]]
     sights = dataset.sights().merge(heads.drop_duplicates(), left_on="pose", right_on="sight")

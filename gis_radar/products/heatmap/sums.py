@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 
 from gis_radar.base import STEPS_PER_HOUR, Floats, Integers, Reporter
-from gis_radar.dataset import STEPS_PER_QUARTER, TILE_COUNTS, Dataset, HourSpans, count_spans
+from gis_radar.dataset import STEPS_PER_QUARTER, TILE_COUNTS, Dataset, count_spans
 from gis_radar.measures import Runs
 from gis_radar.products.heatmap.intervals import Timeline
 
@@ -108,9 +108,7 @@ def _by_step(dataset: Dataset, timeline: Timeline) -> Iterator[_Counted]:
         high = int(np.searchsorted(timeline.begin, begin + STEPS_PER_HOUR))
         if low == high:
             continue
-        spans = HourSpans(
-            first=np.maximum(timeline.begin[low:high] - begin, 0),
-            last=np.minimum(timeline.end[low:high] - begin, STEPS_PER_HOUR) - 1,
-        )
-        tiles, sums = count_spans(dataset.folder, record, spans)
+        first = np.maximum(timeline.begin[low:high] - begin, 0)
+        last = np.minimum(timeline.end[low:high] - begin, STEPS_PER_HOUR) - 1
+        tiles, sums = count_spans(dataset.folder, record, first, last)
         yield np.repeat(tiles, high - low), np.tile(np.arange(low, high), len(tiles)), sums

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
@@ -121,7 +121,7 @@ def write_qgis_project(
         measure = _measure(package)
         layers = _heatmap_layers(Path(heatmap).resolve(), measure, played.step_s if played else 0.0)
     if sensors is not None:
-        layers |= _sensor_layers(Path(sensors).resolve())
+        layers |= _drawn(Path(sensors).resolve(), (SENSORS, UNCERTAINTY, VIEWS), read_style)
     if sight is not None:
         qml = files("gis_radar.scans.sight").joinpath("sight.qml").read_text(encoding="utf-8")
         layers["gis_radar_sight"] = LayerSource(Path(sight).resolve(), qml, SIGHT_LAYER)
@@ -206,12 +206,7 @@ def write_site_project(
 
 def _lane_layers(path: Path) -> dict[str, LayerSource]:
     """Return the layers of lanes of a file of tiles, if it has any."""
-    if not path.is_file():
-        return {}
-    return {
-        f"gis_radar_{table}": LayerSource(path, lane_style(table), table)
-        for table in _filled(path, (LANES_LAYER, STOP_LINES_LAYER))
-    }
+    return _drawn(path, (LANES_LAYER, STOP_LINES_LAYER), lane_style) if path.is_file() else {}
 
 
 def _write_sight(folder: Path, dataset: Dataset | None) -> Path | None:
@@ -280,22 +275,17 @@ def _local_time(since: str, until: str, timezone: str) -> str:
     return whole_span(begin, end, zone_of(timezone))
 
 
-def _sensor_layers(path: Path) -> dict[str, LayerSource]:
-    """Return the layers of a file of sensors."""
-    return {
-        f"gis_radar_{table}": LayerSource(path, read_style(table), table)
-        for table in _filled(path, (SENSORS, UNCERTAINTY, VIEWS))
-    }
-
-
-def _filled(path: Path, tables: Sequence[str]) -> list[str]:
-    """Return those of the tables that have rows, so that legends name no empty layers."""
+def _drawn(
+    path: Path, tables: Sequence[str], style_of: Callable[[str], str]
+) -> dict[str, LayerSource]:
+    """Return layers of a file that have rows, so that legends name no empty ones."""
     there = {str(name) for name, _ in pyogrio.list_layers(path)}
-    return [
-        table for table in tables
+    return {
+        f"gis_radar_{table}": LayerSource(path, style_of(table), table)
+        for table in tables
         if table in there
         and pyogrio.read_info(path, layer=table, force_feature_count=True)["features"] > 0
-    ]  # fmt: skip
+    }
 
 
 def _measure(package: Path) -> str:

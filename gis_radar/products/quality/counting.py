@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -39,59 +38,31 @@ STAGE = "data quality"
 Columns = dict[str, Integers]
 
 
-@dataclass(kw_only=True)
-class Count:
-    """Sums over the frames of a sensor in an hour.
-
-    Parameters
-    ----------
-    frames, dropped, doubled, repeated, high : int
-        Numbers of frames received; missing between them; less than half a cycle after the one
-        before; equal to the one before; with a high share of the seen tiles hit.
-    detections, moving, wild : int
-        Numbers of detections; of moving ones; of those too fast for any vehicle.
-    hits, fewest, most : int
-        Tiles hit: their sum over the frames, the least and the most in a frame.
-    share : float
-        Sum of the shares of the seen tiles that were hit.
-    seen : int
-        The most tiles seen.
-    shift_us : int
-        Sum of the corrections of the clock.
-    """
-
-    frames: int = 0
-    dropped: int = 0
-    doubled: int = 0
-    repeated: int = 0
-    high: int = 0
-    detections: int = 0
-    moving: int = 0
-    wild: int = 0
-    hits: int = 0
-    fewest: int = 1 << 62
-    most: int = 0
-    share: float = 0.0
-    seen: int = 0
-    shift_us: int = 0
-
-    def add(self, rows: Columns) -> None:
-        """Add frames."""
-        self.frames += len(rows["time_us"])
-        for name in ("detections", "moving", "wild", "shift_us", "doubled", "repeated"):
-            setattr(self, name, getattr(self, name) + int(rows[name].sum()))
-        hit, seen = rows["tiles_hit"], rows["tiles_seen"]
-        share = hit / np.maximum(seen, 1)
-        self.hits += int(hit.sum())
-        self.fewest, self.most = min(self.fewest, int(hit.min())), max(self.most, int(hit.max()))
-        self.share += float(share.sum())
-        self.high += int((share > HIGH).sum())
-        self.seen = max(self.seen, int(seen.max()))
-
-
 COLUMNS = (
     "time_us", "detections", "moving", "wild", "tiles_hit", "tiles_seen", "checksum", "shift_us",
 )  # fmt: skip
+
+
+_HOW = {
+    **dict.fromkeys(
+        ("frames", "doubled", "repeated", "high", "detections", "moving", "wild", "hits", "share",
+         "shift_us"), "sum",
+    ),
+    "fewest": "min", "most": "max", "seen": "max",
+}  # fmt: skip
+_REDUCE = {"sum": np.add, "min": np.minimum, "max": np.maximum}
+
+
+def _sums(rows: Columns, number: int, hours: Integers) -> pd.DataFrame:
+    """Return the sums over frames of a sensor by the hours that they are in."""
+    hit, seen = rows["tiles_hit"], rows["tiles_seen"]
+    share = hit / np.maximum(seen, 1)
+    high = (share > HIGH).astype(np.int64)
+    of_frames = rows | {"hits": hit, "fewest": hit, "most": hit, "share": share, "high": high,
+                        "seen": seen, "frames": np.ones(len(hit), np.int64)}  # fmt: skip
+    starts = np.flatnonzero(np.diff(hours, prepend=-1))
+    sums = {name: _REDUCE[how].reduceat(of_frames[name], starts) for name, how in _HOW.items()}
+    return pd.DataFrame({"number": number, "hour": hours[starts], **sums})
 
 
 def _frames(dataset: Dataset) -> Iterator[tuple[int, Columns]]:
@@ -114,14 +85,13 @@ def frame_times(dataset: Dataset) -> dict[int, FrameTimes]:
     return dict(found)
 
 
-Counts = dict[tuple[int, int], Count]
 Gap = tuple[int, int, int]  # the sensor's number, and when the gap begins and ends, us
 
 
 def count_frames(
     dataset: Dataset, times: dict[int, FrameTimes], zone: ZoneInfo,
     reporter: Reporter,
-) -> Counts:  # fmt: skip
+) -> pd.DataFrame:  # fmt: skip
     """Count by sensor (its number) and hour (the UTC second of its begin).
 
     Only hours in which some sensor has a frame count. In them frames are missing where a sensor's
@@ -138,8 +108,19 @@ def count_frames(
         Time zone of the hours.
     reporter : Reporter
         Receives the progress.
+
+    Returns
+    -------
+    DataFrame
+        By `number` and `hour`, for all hours in which any sensor has a frame: `frames` received;
+        `dropped`, missing between them; `doubled`, less than half a cycle after the one before;
+        `repeated`, equal to the one before; `high`, with a high share of the seen tiles hit. Of
+        them `detections`, `moving` ones, `wild` ones: too fast for any vehicle. `hits`, the sum of
+        the tiles hit, the `fewest` and the `most` in a frame; `share`, the sum of the shares of the
+        seen tiles that were hit; `seen`, the most tiles seen; `shift_us`, the sum of the
+        corrections of the clock.
     """
-    counts: Counts = defaultdict(Count)
+    parts = []
     begin_us = min(each.first_us for each in times.values())
     end_us = max(each.last_us for each in times.values())
     before: dict[int, Columns] = {}
@@ -148,10 +129,7 @@ def count_frames(
     for number, mine in _frames(dataset):
         lost += _compare(mine, before.get(number, mine), number, times[number].cycle_us)
         before[number] = {name: column[-1:] for name, column in mine.items()}
-        hours = hour_begins(mine["time_us"], zone)
-        for hour in np.unique(hours).tolist():
-            part = {name: column[hours == hour] for name, column in mine.items()}
-            counts[number, hour].add(part)
+        parts.append(_sums(mine, number, hour_begins(mine["time_us"], zone)))
         done += len(mine["time_us"])
         reporter.progress(STAGE, done, None)
     for number, each in times.items():
@@ -159,8 +137,12 @@ def count_frames(
         room_us = min(0.55 * each.cycle_us, LONGEST_CYCLE_S * 1e6)
         lost.append((number, int(begin_us - room_us), each.first_us))
         lost.append((number, each.last_us, int(end_us + room_us)))
-    _add_lost(counts, lost, times)
-    return dict(counts)
+    found = pd.concat(parts)
+    hours = np.unique(found["hour"].to_numpy(np.int64))
+    every = [(number, hour) for number in sorted(times) for hour in hours.tolist()]
+    dropped = _dropped(hours, lost, times)
+    counts = found.groupby(["number", "hour"]).agg(_HOW).reindex(every, fill_value=0)
+    return counts.assign(dropped=[dropped.get(each, 0) for each in every]).reset_index()
 
 
 def _compare(mine: Columns, before: Columns, number: int, cycle_us: float) -> list[Gap]:
@@ -182,9 +164,11 @@ def _compare(mine: Columns, before: Columns, number: int, cycle_us: float) -> li
     return [(number, int(time[i] - gap[i]), int(time[i])) for i in wide]
 
 
-def _add_lost(counts: Counts, lost: list[Gap], times: dict[int, FrameTimes]) -> None:
-    """Count the frames missing in gaps, in the hours in which any sensor has a frame."""
-    hours = np.unique([hour for _, hour in counts])
+def _dropped(
+    hours: Integers, lost: list[Gap], times: dict[int, FrameTimes]
+) -> dict[tuple[int, int], int]:
+    """Count the frames missing in gaps, by sensor and hour, of hours in which any has a frame."""
+    found: dict[tuple[int, int], int] = defaultdict(int)
     for number, begin_us, end_us in lost:
         cycle_us = times[number].cycle_us
         missing = round((end_us - begin_us) / cycle_us) - 1
@@ -195,4 +179,5 @@ def _add_lost(counts: Counts, lost: list[Gap], times: dict[int, FrameTimes]) -> 
             first = max(np.ceil((hour * 1e6 - begin_us) / cycle_us), 1)
             last = min(np.ceil(((hour + HOUR_S) * 1e6 - begin_us) / cycle_us) - 1, missing)
             if last >= first:
-                counts[number, hour].dropped += int(last - first + 1)
+                found[number, hour] += int(last - first + 1)
+    return found

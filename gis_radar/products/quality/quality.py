@@ -7,7 +7,7 @@ data, too few samples, never hit, hit too much, constant, and hits without motio
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC
 from pathlib import Path
@@ -33,7 +33,7 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.dataset import FRAMES, Dataset, hour_text, open_dataset
-from gis_radar.products.quality.counting import HIGH, HOUR_S, Count, count_frames, frame_times
+from gis_radar.products.quality.counting import HIGH, HOUR_S, count_frames, frame_times
 
 GOOD = "good"
 NO_DATA = "no data"
@@ -49,15 +49,13 @@ MOST_WILD = 0.02  # share of the detections faster than any vehicle: noise gives
 FRAMES_JUDGED = 100  # with fewer frames (5 s at 20 Hz) only their number is judged
 
 
-def faults_of(count: Count, hour: int) -> Iterator[str]:
+def faults_of(count: Any) -> Iterator[str]:
     """Yield the faults of a sensor in an hour, worst first.
 
     Parameters
     ----------
-    count : Count
+    count : row of count_frames
         Counts of its frames in that hour.
-    hour : int
-        UNIX second in which the hour began.
     """
     if count.frames == 0:
         yield NO_DATA
@@ -66,13 +64,13 @@ def faults_of(count: Count, hour: int) -> Iterator[str]:
     expected = single + count.dropped
     if single < LEAST_SHARE * expected:
         yield Text("{:.0f} % of the frames expected", 100 * single / expected)
-    if hour < CLOCK_SET_S:
+    if count.hour < CLOCK_SET_S:
         yield "clock not set"
     if count.frames >= FRAMES_JUDGED:
         yield from _faults_of_frames(count)
 
 
-def _faults_of_frames(count: Count) -> Iterator[str]:
+def _faults_of_frames(count: Any) -> Iterator[str]:
     if count.doubled > MOST_DOUBLED * count.frames:
         yield Text("{:.0f} % of the frames come twice", 100 * count.doubled / count.frames)
     if count.repeated > MOST_REPEATED * count.frames:
@@ -254,19 +252,10 @@ def measure_quality(
         reporter.warn("{}: {}, and are not judged", dataset.folder, why)
     counts = count_frames(dataset, times, zone, reporter)
     poses = _poses(dataset.poses())
-    hours = sorted({hour for _, hour in counts})
     # A sensor that came later lacks nothing before it.
-    first = {
-        number: min(h for (n, h), each in counts.items() if n == number and each.frames)
-        for number in times
-    }
-    rows = [
-        _row(sensor, hour, counts.get((number, hour)), poses.get(sensor, []), zone)
-        for number, sensor in enumerate(dataset.sensors)
-        if number in times
-        for hour in hours
-        if hour >= first[number]
-    ]
+    begun = counts["frames"].gt(0).groupby(counts["number"]).cummax()
+    sensors = dataset.sensors
+    rows = [_row(each, sensors, poses, zone) for each in counts[begun].itertuples()]
     recordings = dataset.recordings()
     level = set(recordings.loc[~recordings["has_elevation"], "sensor"])
     verdicts = {row["verdict"]: row["verdict"] for row in rows}
@@ -313,18 +302,18 @@ def _pose_at(poses: Poses, second: int) -> tuple[str, float]:
 
 
 def _row(
-    sensor: str, hour: int, count: Count | None, poses: Poses, zone: ZoneInfo,
-) -> dict[str, Any]:  # fmt: skip
-    count = count or Count()
-    begin = pd.Timestamp(hour, unit="s", tz=UTC)
+    count: Any, sensors: Sequence[str], poses: Mapping[str, Poses], zone: ZoneInfo
+) -> dict[str, Any]:
+    sensor = sensors[count.number]
+    begin = pd.Timestamp(count.hour, unit="s", tz=UTC)
     local = begin.tz_convert(zone)
-    pose, age_h = _pose_at(poses, hour)
+    pose, age_h = _pose_at(poses.get(sensor, []), count.hour)
     frames, detections = max(count.frames, 1), max(count.detections, 1)
     nothing = count.frames == 0
     return {
         "sensor": sensor,
         "begin": begin,
-        "end": pd.Timestamp(hour + HOUR_S, unit="s", tz=UTC),
+        "end": pd.Timestamp(count.hour + HOUR_S, unit="s", tz=UTC),
         "date": f"{local:%Y-%m-%d}",
         "hour": local.hour,
         "weekday": f"{local:%A}",
@@ -340,5 +329,5 @@ def _row(
         "clock_offset_s": np.nan if nothing else -count.shift_us / frames / 1e6,
         "pose": pose,
         "pose_age_h": age_h,
-        "verdict": Text("; ").join(faults_of(count, hour)) or GOOD,
+        "verdict": Text("; ").join(faults_of(count)) or GOOD,
     }

@@ -27,7 +27,7 @@ from gis_radar.measures import Runs
 from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.quality.quality import GOOD, Quality
 from gis_radar.products.report import names
-from gis_radar.products.report.content import Column, Fact, Table, text_rows
+from gis_radar.products.report.content import Column, Fact, Table, text_columns, text_rows
 from gis_radar.products.report.lanes import part_and_base
 from gis_radar.products.report.results import NOT_KNOWN, Results
 from gis_radar.products.report.traffic import ReportedTraffic
@@ -168,11 +168,7 @@ def basis_of(found: Findings) -> Table:
         recorded_row(found), _seen(found), *_tracked(found), *_counted(found), *_ranked(found),
         _placed(found.results), _hidden(found.results), _delivered(found), _made_of(found.results),
     ]  # fmt: skip
-    columns = (
-        Column(tr("What"), "", str, False),
-        Column(tr("Here"), "", str, False),
-        Column(tr("What follows"), "", str, False),
-    )
+    columns = text_columns(tr("What"), tr("Here"), tr("What follows"))
     caption = tr("What the figures of this report rest on")
     return Table(name="basis", caption=caption, columns=columns, rows=rows)
 

@@ -132,6 +132,11 @@ class Table:
     files: Sequence[tuple[str, str]] = ()
 
 
+def text_columns(*titles: str) -> list[Column]:
+    """Return columns of texts."""
+    return [Column(title, "", str, False) for title in titles]
+
+
 def text_rows(items: Iterable[Any], columns: Sequence[Column]) -> list[list[str]]:
     """Return a row of cells for each item."""
     return [[column.text(item) for column in columns] for item in items]

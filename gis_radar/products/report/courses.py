@@ -126,8 +126,8 @@ def _window(moment: datetime, begin: datetime, end: datetime) -> tuple[datetime,
 def _course(dataset: Dataset, lane: int, begin: datetime, end: datetime) -> list[QueueCourse]:
     """Return the course of a queue, a part an hour; none where exact tables were deleted."""
     span = dataset.span(begin, end)
-    made = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
-    return made.courses(dataset.records(span), lane, span) if span else []
+    traffic = LaneTraffic.of(dataset)
+    return traffic.courses(dataset.records(span), lane, span) if span else []
 
 
 def _drawn(

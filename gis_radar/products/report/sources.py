@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.base import THIN_SPACE, figure_text, listed, name_of, plural, tr
-from gis_radar.products.report.content import Column, Table
+from gis_radar.products.report.content import Table, text_columns
 from gis_radar.products.report.results import NOT_KNOWN, Results
 
 
@@ -22,7 +22,8 @@ def settings_of(results: Results) -> Table:
         [tr("Fingerprint of the tiles"), results.heat.fingerprint],
         [tr("Software"), _software(results)],
     ]
-    return Table(name="settings", caption=tr("Settings"), columns=_named(tr("Setting")), rows=rows)
+    columns = text_columns(tr("What"), tr("Setting"))
+    return Table(name="settings", caption=tr("Settings"), columns=columns, rows=rows)
 
 
 def sources_of(results: Results) -> Table:
@@ -46,15 +47,12 @@ def sources_of(results: Results) -> Table:
     if not rows:
         text = tr("{name}; what it was made of is not known here", name=results.name)
         rows = [[tr("Heat map"), text]]
-    return Table(name="sources", caption=tr("Data sources"), columns=_named(tr("Data")), rows=rows)
+    columns = text_columns(tr("What"), tr("Data"))
+    return Table(name="sources", caption=tr("Data sources"), columns=columns, rows=rows)
 
 
 def _detections(amount: int) -> str:
     return plural(amount, "{n} detection", "{n} detections")
-
-
-def _named(title: str) -> tuple[Column, Column]:
-    return Column(tr("What"), "", str, False), Column(title, "", str, False)
 
 
 def made_by() -> str:

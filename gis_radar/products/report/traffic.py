@@ -141,10 +141,9 @@ def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None
     turns, by_turn = (
         dataset.turns(interval, begin=first, end=end, whole=each) for each in (False, True)
     )
-    made = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
     return ReportedTraffic(
         dataset=dataset, begin=begin, end=end, interval=interval, lanes=lanes, turns=turns,
-        by_lane=by_lane, by_turn=by_turn, network=made.network,
+        by_lane=by_lane, by_turn=by_turn, network=LaneTraffic.of(dataset).network,
     )  # fmt: skip
 
 

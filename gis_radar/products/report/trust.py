@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gis_radar.base import NO_FIGURE, Clock, localised, plural, tr
 from gis_radar.calibration import FITS, WRONG, Finding
-from gis_radar.products.report.content import Column, Table
+from gis_radar.products.report.content import Table, text_columns
 from gis_radar.products.report.results import Results
 
 NOT_CHECKED = "not checked"
@@ -28,8 +28,7 @@ def trust_table(results: Results, clock: Clock) -> Table:
     known = results.findings
     names = sorted({*results.sensors, *results.lost, *known})
     rows = [_row(name, known.get(name), results, clock) for name in names]
-    titles = tr("Sensor"), tr("Verdict"), tr("Evidence"), tr("What to do")
-    columns = [Column(title, "", str, False) for title in titles]
+    columns = text_columns(tr("Sensor"), tr("Verdict"), tr("Evidence"), tr("What to do"))
     return Table(
         name="trust",
         caption=tr("Whether pose, recordings and map of each sensor fit together"),
