@@ -113,7 +113,7 @@ def localize(
     guess: Sequence[float],
     guess_crs: Any = None,
     heading: float | None = None,
-    compass: float | None = None,
+    compass: float | str | None = None,
     crs: Any = None,
     origin: tuple[float, float] | None = None,
     method: str = "lane",
@@ -147,8 +147,8 @@ def localize(
     heading : float, optional
         Yaw in degrees, counter-clockwise from grid east, within 25 degrees of the truth; without
         it the heading is searched.
-    compass : float, optional
-        The same as a bearing: degrees clockwise from true north.
+    compass : float or str, optional
+        The same as a bearing: degrees clockwise from true north, or a word such as `north-east`.
     crs : CRS, str or int, optional
         The map frame, where the map is a file; that of the road's file where it is not given.
     origin : (easting, northing), optional
@@ -238,7 +238,7 @@ def start_in_map(
     guess: Sequence[float],
     guess_crs: Any,
     heading: float | None,
-    compass: float | None,
+    compass: float | str | None,
 ) -> tuple[tuple[float, ...], float | None]:
     """Return guess (m) and heading (degrees, grid) in the coordinate system of a map."""
     place = tuple(float(number) for number in guess)
