@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
+from datasets import recordings_of, write_dataset
 
 import gis_radar as gr
 from gis_radar.base import GisRadarError, require_kinds
@@ -34,7 +35,7 @@ def test_an_argument_of_a_wrong_kind_is_refused_by_name(name):
     parameters = inspect.signature(function).parameters
     needed = [each for each, it in parameters.items() if it.default is it.empty]
     for value in OTHERS if needed else []:
-        with pytest.raises(GisRadarError, match=rf"{name}: \w+ is .*, expected"):
+        with pytest.raises(GisRadarError, match=rf"{name}: \w+ is .*, expected|holds no lanes"):
             function(**dict.fromkeys(needed, value))
 
 
@@ -57,6 +58,7 @@ def test_too_few_arguments_are_told_by_python():
         ("Sequence[str | Path]", [["a"], ("a", "b"), pd.Series(["a"]), []], ["a", [5], {"a": 1}]),
         ("tuple[float, float] | None", [(1.0, 2), [1, 2], None], [(1, 2, 3), ("a", 1.0), 5]),
         ("Mapping[str, float]", [{}], [[], "a"]),
+        ("Floats | str | Path", [np.zeros((2, 3)), "a"], [[[1.0, 2.0, 3.0]], 5]),
         ("gpd.GeoDataFrame", [OTHERS[-1]], [OTHERS[-2], "a"]),
         ("Any", [object(), None], []),
     ],
@@ -74,7 +76,7 @@ def test_a_kind_follows_from_the_annotation(annotation, good, bad):
     [
         ({"easting": "a"}, "Pose: easting is 'a', expected a number"),
         ({"height": float("nan")}, "Pose: height is nan, expected a number"),
-        ({"view": (120, 30)}, r"Pose: view is \(120, 30\), expected a View or None"),
+        ({"view": (120, 30)}, r"Pose: view is \(120, 30\), expected View or None"),
         ({"crs": 4326}, "geographic"),
         ({"crs": True}, "not a known coordinate system"),
     ],
@@ -89,7 +91,7 @@ def test_fields_of_views_filters_and_labels():
         (gr.View, {"azimuth_deg": "wide"}), (gr.Filters, {"clearance": (1.0, 2.0, 3.0)}),
         (gr.Filters, {"sigmas": float("nan")}), (gr.MapLabels, {"title": 5}),
     ]:  # fmt: skip
-        with pytest.raises(gr.InputError, match=f"{made.__name__}: .* expected"):
+        with pytest.raises(GisRadarError, match=f"{made.__name__}: .* expected"):
             made(**options)
     require_kinds(gr.View())
 
@@ -127,6 +129,16 @@ def test_tables_that_hold_no_tiles(tmp_path):
         with pytest.raises(gr.InputError, match="tiles lacks tile_id"):
             use()
     assert not list(tmp_path.iterdir())
+
+
+def test_steps_and_sensors_that_a_dataset_has_not(tmp_path):
+    measured = write_dataset(tmp_path, recordings=recordings_of({"R1": "a"}), hours=[485_000])
+    for seconds in (1_749_713_400, 1_749_713_400_000, True):
+        for question in ({"begin": seconds}, {"end": seconds}):
+            with pytest.raises(gr.UsageError, match="is no step of 50 ms"):
+                measured.hits(**question)
+    with pytest.raises(gr.UsageError, match="has no sensor 'R9'"):
+        measured.sight_of("R9")
 
 
 @pytest.mark.parametrize("period", [5, None, date(2026, 9, 7), ("2026-09-07",), ["a", "b", "c"]])

@@ -28,26 +28,27 @@ _WORDS = {
     "Path": Text("a path"),
     "float": Text("a number"),
     "int": Text("a whole number"),
-    "bool": Text("True or False"),
-    "None": Text("None"),
-    "Mapping": Text("a dict"),
-    "Floats": Text("an array"),
-    "GeoDataFrame": Text("a GeoDataFrame"),
+    "bool": "True, False",
+    "None": "None",
+    "Mapping": "dict",
+    "Floats": "array",
+    "GeoDataFrame": "GeoDataFrame",
     "Pose": Text("a pose (read_pose)"),
     "PoseTrack": Text("a pose track (read_track)"),
-    "View": Text("a View"),
-    "Filters": Text("Filters"),
-    "MapLabels": Text("MapLabels"),
-    "MaskSettings": Text("MaskSettings"),
+    "View": "View",
+    "Filters": "Filters",
+    "MapLabels": "MapLabels",
+    "MaskSettings": "MaskSettings",
     "LaneletMap": Text("a map (read_map)"),
-    "Roads": Text("roads"),
+    "Roads": "Roads",
     "Recording": Text("a recording (open_recording)"),
     "Dataset": Text("a dataset (open_dataset)"),
     "City": Text("a city (open_city)"),
-    "SightTiles": Text("tiles for sight"),
+    "SightTiles": "SightTiles",
 }
 _TYPES: dict[str, Any] = {
-    "str": str, "Path": str | os.PathLike, "int": Integral, "None": NoneType, "Mapping": Mapping,
+    "str": str, "Path": str | os.PathLike, "int": Integral, "Floats": np.ndarray,
+    "None": NoneType, "Mapping": Mapping,
 }  # fmt: skip
 _LISTS = {"Sequence", "Collection", "tuple"}
 _MOST_SHOWN = 60  # characters of a value in a message
@@ -81,19 +82,19 @@ def checked(function: Callable[Given, Answer], public: str) -> Callable[Given, A
     return call
 
 
-def require_kinds(record: Any) -> None:
-    """Refuse fields of a dataclass that are not as annotated; they may come from a file.
+def require_kinds(record: Any, error: type[GisRadarError] = InputError) -> None:
+    """Refuse fields of a dataclass that are not as annotated.
 
     Raises
     ------
-    InputError
-        It states what was given and what is wanted.
+    GisRadarError
+        Of the class given; it states what was given and what is wanted.
     """
     for each in fields(record):
         value = getattr(record, each.name)
         if value is not each.default:
             what = f"{type(record).__name__}: {each.name}"
-            require_kind(what, value, str(each.type), InputError)
+            require_kind(what, value, str(each.type), error)
 
 
 def require_kind(

@@ -41,7 +41,7 @@ class Filters:
     levels_apart_m: float = 2.5
 
     def __post_init__(self) -> None:
-        require_kinds(self)
+        require_kinds(self, UsageError)
         if self.min_speed is not None and not self.min_speed >= 0.0:
             raise UsageError("least speed is {} m/s, expected 0 or more", self.min_speed)
         if self.min_rcs is not None and not math.isfinite(self.min_rcs):

@@ -20,6 +20,7 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
+    as_points,
     looks_like_degrees,
     moved_position,
     paths_of,
@@ -196,7 +197,8 @@ def localize(
     look_at = None
     if scans:
         look_at = partial(check_against_scan, scans=scans, scan_crs=scan_crs, reporter=reporter)
-        ask = partial(decided_by_scan, localize=ask, look_at=look_at, reporter=reporter)
+        compare = partial(look_at, reporter=SILENT)  # of several poses one is told, in the end
+        ask = partial(decided_by_scan, localize=ask, look_at=compare, reporter=reporter)
     recording, found = _first_answer(_tried(recordings), ask, reporter)
     pose = replace(found.pose, sensor=sensor or found.pose.sensor, view=view)
     found = replace(found, pose=pose, recording=recording.name)
@@ -230,7 +232,7 @@ def read_ground(
     else:
         frame = road_crs(road) if crs is None and isinstance(road, str | Path) else crs
         roads = read_map(roads, crs=frame, origin=origin, reporter=reporter)
-    return roads, read_road(road, roads.crs) if isinstance(road, str | Path) else road
+    return roads, read_road(road, roads.crs) if isinstance(road, str | Path) else as_points(road)
 
 
 def start_in_map(
@@ -321,6 +323,7 @@ def decided_by_scan(
             return found[0]
         found = [answer for answer, look in looked if _preferred(look, looks)]
         if len(found) != 1:
+            refusal.hint = Text("record longer, or give a heading: the scan does not decide")
             raise
         reporter.warn("{}; what stands in the scan prefers one of them", refusal.message)
         return found[0]
