@@ -81,6 +81,26 @@ def test_lanes_are_there_though_qgis_does_not_know_how_many(provider, site, monk
     assert [each.name() for each in layers] == ["Lanes", "Stop lines"]
 
 
+def test_sheets_are_named_as_their_heat_map(provider, site, monkeypatch):
+    """The title and the sources of the site, unless others are given."""
+    from gis_radar_plugin.algorithms import report as sheets
+
+    class Asked:
+        def __init__(self, **given):
+            self.given = {"HEATMAP": str(site / "heatmap"), **given}
+
+        def text(self, name):
+            return self.given.get(name, "")
+
+    title, source = sheets._named(Asked())
+    assert title == "Sample junction (simulated)"
+    assert source.endswith("the place is invented")
+    assert sheets._named(Asked(TITLE="Ost", SOURCE="Stadt")) == ("Ost", "Stadt")
+    for told in ("{}", "[1]", "no JSON", '{"title": null, "sources": "x"}'):
+        monkeypatch.setattr("gis_radar_plugin.report.pages._told_in", lambda *_, told=told: told)
+        assert sheets._named(Asked()) == ("Traffic on the lanes", "roadside radar, gis_radar")
+
+
 def test_a_page_for_each_place_and_time(report):
     names = sorted(path.name for path in report.iterdir())
     times = ["20250612T073000Z", "20250612T073020Z", "20250612T073040Z", "20250612T073100Z",

@@ -14,7 +14,7 @@ from gis_radar.base import Booleans, Floats, NoAnswerError, Text, yaw_from_compa
 from gis_radar.calibration.check.excerpt import Excerpt
 from gis_radar.calibration.findings import sense, side
 from gis_radar.calibration.registration.certainty import z_score
-from gis_radar.calibration.registration.hypotheses import REFLECTION_M, find_hypotheses, mirrored
+from gis_radar.calibration.registration.hypotheses import find_hypotheses, mirrored
 from gis_radar.calibration.registration.lanes import (
     LANE_STEP_M,
     MARGIN_M,
@@ -33,8 +33,9 @@ from gis_radar.poses import Pose
 EDGE_M, EDGE_SHARE = 0.5, 0.01
 OTHERS = 0.1  # share of detections of anything else
 AREA_M = 8.0  # width and height over which these spread evenly
-# 1 sigma of the height of reflections, and of elevation as a share of the range.
-HEIGHT_M, HEIGHT_SHARE = 1.0, 0.012
+# Mean height over the road of all that vehicles reflect, where the fit's prior is of one track's; 1
+# sigma of it, and of elevation as a share of the range.
+REFLECTION_M, HEIGHT_M, HEIGHT_SHARE = 0.7, 1.0, 0.012
 FARTHEST_M = 20.0  # the search finds poses up to 15 m off; farther off is another place
 SAME_M = 0.3  # places so near, as the poses of a pose track, share sampled lanes
 LANES_KEPT = 4  # places around which the lanes are held at once, 25 MB each
