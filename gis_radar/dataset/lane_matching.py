@@ -139,8 +139,8 @@ def _lanes(source: Any) -> gpd.GeoDataFrame:
             raise
         lanes = gpd.GeoDataFrame()
     if "lane" not in lanes.columns or not len(lanes):
-        place = source.folder if isinstance(source, Dataset) else source
-        place = type(source).__name__ if isinstance(source, gpd.GeoDataFrame) else place
+        no_place = "GeoDataFrame" if isinstance(source, gpd.GeoDataFrame) else source
+        place = source.folder if isinstance(source, Dataset) else no_place
         raise InputError("{}: holds no lanes", place, hint="it was measured without a map")
     return lanes
 

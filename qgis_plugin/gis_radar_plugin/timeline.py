@@ -88,7 +88,7 @@ def _is_of_vehicles(layer: QgsMapLayer) -> bool:
     time = layer.temporalProperties()
     if not isinstance(layer, QgsVectorLayer) or not time.isActive():
         return False
-    return 0.0 < QgsInterval(time.fixedDuration(), time.durationUnits()).seconds() < 1.0
+    return bool(0.0 < QgsInterval(time.fixedDuration(), time.durationUnits()).seconds() < 1.0)
 
 
 def _drive(extent: QgsDateTimeRange, step: QgsInterval) -> None:

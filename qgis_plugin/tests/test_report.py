@@ -92,13 +92,16 @@ def test_sheets_are_named_as_their_heat_map(provider, site, monkeypatch):
         def text(self, name):
             return self.given.get(name, "")
 
-    title, source = sheets._named(Asked())
+    title, source = sheets.title_and_source(Asked())
     assert title == "Sample junction (simulated)"
     assert source.endswith("the place is invented")
-    assert sheets._named(Asked(TITLE="Ost", SOURCE="Stadt")) == ("Ost", "Stadt")
+    assert sheets.title_and_source(Asked(TITLE="Ost", SOURCE="Stadt")) == ("Ost", "Stadt")
     for told in ("{}", "[1]", "no JSON", '{"title": null, "sources": "x"}'):
         monkeypatch.setattr("gis_radar_plugin.report.pages._told_in", lambda *_, told=told: told)
-        assert sheets._named(Asked()) == ("Traffic on the lanes", "roadside radar, gis_radar")
+        assert sheets.title_and_source(Asked()) == (
+            "Traffic on the lanes",
+            "roadside radar, gis_radar",
+        )
 
 
 def test_a_page_for_each_place_and_time(report):

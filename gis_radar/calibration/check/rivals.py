@@ -33,8 +33,7 @@ from gis_radar.poses import Pose
 EDGE_M, EDGE_SHARE = 0.5, 0.01
 OTHERS = 0.1  # share of detections of anything else
 AREA_M = 8.0  # width and height over which these spread evenly
-# Mean height over the road of all that vehicles reflect, where the fit's prior is of one track's; 1
-# sigma of it, and of elevation as a share of the range.
+# Mean height of reflections over the road; 1 sigma of it, and of elevation as a share of the range.
 REFLECTION_M, HEIGHT_M, HEIGHT_SHARE = 0.7, 1.0, 0.012
 FARTHEST_M = 20.0  # the search finds poses up to 15 m off; farther off is another place
 SAME_M = 0.3  # places so near, as the poses of a pose track, share sampled lanes

@@ -146,7 +146,7 @@ class ExportReport(Algorithm):
             # Beside the target first: a report appears whole or not at all.
             with private_folder(dest) as folder:
                 project, pages = _project(given, folder, zone)
-                title, source = _named(given)
+                title, source = title_and_source(given)
                 texts = Texts(title, source, made=_today(zone))
                 layout = make_layout(project, pages, explained(project), texts)
                 feedback.pushInfo(tr("{count} pages").format(count=pages.featureCount()))
@@ -161,7 +161,7 @@ class ExportReport(Algorithm):
         return dest
 
 
-def _named(given: Given) -> tuple[str, str]:
+def title_and_source(given: Given) -> tuple[str, str]:
     """Return title and source: as given, as the heat map has them, or what they are in general."""
     known = labels_of(_package(given))
     title = str(known.get("title") or "") or tr("Traffic on the lanes")
