@@ -201,7 +201,7 @@ def _mark_others(layer: QgsVectorLayer) -> None:
     names.geometryGeneratorType = Qgis.GeometryType.Point
     names.placement = Qgis.LabelPlacement.OverPoint
     names.quadOffset = Qgis.LabelQuadrantPosition.BelowRight
-    names.dist = 1.0
+    names.xOffset = 1.0  # mm, off the frame
     look = QgsTextFormat()
     look.setColor(QColor(_FRAME["outline_color"]))
     look.setSize(9.0)
