@@ -139,9 +139,9 @@ def _lanes(source: Any) -> gpd.GeoDataFrame:
             raise
         lanes = gpd.GeoDataFrame()
     if "lane" not in lanes.columns or not len(lanes):
-        no_place = "GeoDataFrame" if isinstance(source, gpd.GeoDataFrame) else source
-        place = source.folder if isinstance(source, Dataset) else no_place
-        raise InputError("{}: holds no lanes", place, hint="it was measured without a map")
+        named = "GeoDataFrame" if isinstance(source, gpd.GeoDataFrame) else source
+        named = source.folder if isinstance(source, Dataset) else named
+        raise InputError("{}: holds no lanes", named, hint="it was measured without a map")
     return lanes
 
 
