@@ -71,6 +71,14 @@ def test_a_series_of_chosen_tiles_and_times(site, interval, steps):
     assert rows["hit_s"].sum() > 0.0
 
 
+def test_of_tiles_that_no_sensor_sees_nothing_is_known(site):
+    seen = {tile for tiles in site.seen.values() for tile in tiles}
+    unseen = sorted({*range(16)} - seen)[:2]
+    rows = gr.make_heatmap(site.dataset, interval="5s", tile_ids=unseen).long()
+    assert rows["tile_id"].unique().tolist() == unseen != []
+    compared(rows, counted(site, 100))
+
+
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [

@@ -194,6 +194,18 @@ def test_what_lies_outside_is_said(tmp_path):
     assert mask.density == pytest.approx(10.0, rel=0.05)
 
 
+def test_houses_on_the_roads_are_told(tmp_path):
+    """As a scan of the neighbouring town shows them, in which the roads run elsewhere."""
+    points = ground(AROUND, level)
+    for share, told in ((0.6, True), (0.95, False)):
+        house = points[:, 0] > share * 120.0
+        standing = points + house[:, None] * [0.0, 0.0, 9.0]
+        write_points(tmp_path / "scan.laz", standing, category=np.where(house, 6, 2))
+        listener = Listener()
+        gr.mask_road(tmp_path / "scan.laz", box_roads(ROAD), engine="laspy", reporter=listener)
+        assert told == any("are they of another place" in it for _, it in listener.messages)
+
+
 def test_tiles_off_the_site_are_skipped(tmp_path):
     near = write_points(tmp_path / "near.laz", ground(AROUND, level))
     far = write_points(tmp_path / "far.laz", ground((500.0, 0.0, 520.0, 20.0), level))

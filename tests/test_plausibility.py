@@ -74,6 +74,10 @@ def frozen(table):
     )
 
 
+def doubled(table):
+    return pd.concat([table, table]).sort_values("time", kind="stable")
+
+
 YAW, PITCH = POSES["R1"].yaw, POSES["R1"].pitch
 MISTAKES = {
     "turned": (turned("yaw", YAW + 180.0), None, "yaw is off by 180 deg", "set yaw to 21.7 deg"),
@@ -88,6 +92,7 @@ MISTAKES = {
     "infinite": (POSES["R1"], some_infinite, "damaged, or was converted wrongly", "has NaN"),
     "sign": (POSES["R1"], times("range_rate", -1.0), "positive where targets", "change the sign"),
     "absolute": (POSES["R1"], signless, "absolute values", "positive"),
+    "doubled": (POSES["R1"], doubled, "joined with a copy of itself", "each detection once"),
     "frozen": (POSES["R1"], frozen, "the recording is frozen", "leave"),
 }  # fmt: skip
 

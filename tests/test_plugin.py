@@ -252,6 +252,7 @@ def test_the_texts_are_found():
 
 # Qt 6 knows an enum's members by the enum only: Qt.AlignmentFlag.AlignRight, not Qt.AlignRight.
 NO_ENUM = {
+    "QgsRuleBasedRenderer.Rule",
     "QgsLayoutObject.DataDefinedProperty",  # the enums themselves
     "QWizard.WizardButton", "QgsFileWidget.StorageMode",
     "QgsProcessingParameterDefinition.Flag", "QgsMapLayer.StyleCategory",

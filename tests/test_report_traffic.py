@@ -116,9 +116,8 @@ def test_figures_are_those_of_the_dataset(folder, page):
         assert volume == pytest.approx(figures["volume"] / hours, abs=0.5)
         assert error == pytest.approx(figures["volume_se"] / hours, abs=0.5)
         assert float(row["Mean speed km/h, waiting included"]) == round(figures["speed_kmh"])
-        share, error = row["Mean occupancy of visible time"].removesuffix("\u202f%").split("±")
-        assert float(share) == pytest.approx(100 * figures["occupancy"], abs=0.05)
-        assert float(error) == pytest.approx(100 * figures["occupancy_se"], abs=0.05)
+        # the table of lanes has it, whose error counts a shift along the lane: no figure has two
+        assert not any("occupancy" in name for name in row)
     assert float(rows[APPROACH]["Longest queue m"]) == round(known.loc[APPROACH, "queue_max_m"])
     assert rows[STRAIGHT]["Longest queue m"] == "\u2013"  # it has no stop line
 

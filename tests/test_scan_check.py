@@ -456,9 +456,11 @@ def test_what_stands_decides_though_it_fits_elsewhere_too(monkeypatch):
     assert found.pose.easting == POSE.easting
     assert found.pose.evidence["scan_check"]["verdict"] == "nothing to compare"
     assert "R2: ambiguous; what stands in the scan prefers one of them" in str(heard.messages)
+    assert str(heard.messages).count("scan check: ") == 1  # of the pose that is the answer
     several[:] = [POSE, POSE]  # nothing to choose between
-    with pytest.raises(AmbiguousError):
+    with pytest.raises(AmbiguousError) as refused:
         gr.localize(*files, guess=POSE.position[:2], scans=[SCAN])
+    assert refused.value.hint == "record longer, or give a heading: the scan does not decide"
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 from collections.abc import Iterator
 from typing import Any
 
@@ -50,7 +51,7 @@ def other_names(target: str) -> Iterator[str]:
             return
         rest = parts[cut + 1 :]
         for public in gis_radar.__all__:
-            if getattr(gis_radar, public) is thing:
+            if inspect.unwrap(getattr(gis_radar, public)) is thing:  # functions are checked there
                 yield ".".join(["gis_radar", public, *rest])
         if hasattr(thing, "__qualname__"):
             room = thing.__module__.split(".")[:2]

@@ -1,3 +1,4 @@
+from .arguments import as_points, checked, require_kinds
 from .arrays import (
     Booleans,
     Floats,
@@ -195,6 +196,7 @@ __all__ = [
     "UsageError",
     "add_layer",
     "add_styles",
+    "as_points",
     "atomic_folder",
     "atomic_write",
     "atomic_writes",
@@ -202,6 +204,7 @@ __all__ = [
     "bearing_of",
     "by_number",
     "card",
+    "checked",
     "class_label",
     "compiled",
     "content_digest",
@@ -259,6 +262,7 @@ __all__ = [
     "refuse_foreign",
     "refuse_inputs",
     "require_folder",
+    "require_kinds",
     "require_on_earth",
     "require_same",
     "require_true_scale",

@@ -10,7 +10,7 @@ from pyproj import CRS, Geod, Proj, Transformer
 from pyproj.exceptions import CRSError as ProjError
 
 from gis_radar.base.arrays import Floats
-from gis_radar.base.errors import CrsError
+from gis_radar.base.errors import CrsError, UsageError
 from gis_radar.base.texts import Text
 from gis_radar.base.words import WINDS
 
@@ -44,11 +44,11 @@ def metric_crs(crs: Any, *, what: str) -> CRS:
         If it is missing, unknown, geographic, not in metres, or its axes do not point east and
         north; in which order they are listed does not matter.
     """
-    if crs is None or crs == "":
+    if crs is None or (isinstance(crs, str) and not crs):
         raise CrsError("{}: has no coordinate system", what, hint="state it, e.g. EPSG:25832")
     try:
         parsed = CRS.from_user_input(crs)
-    except (ProjError, UnicodeError) as error:
+    except (ProjError, TypeError, ValueError) as error:
         raise CrsError(
             "{}: {} is not a known coordinate system", what, repr(crs), hint="e.g. EPSG:25832"
         ) from error
@@ -319,17 +319,22 @@ def bearing_of(value: Any) -> float:
     return bearing
 
 
-def yaw_from_compass(bearing_deg: float, crs: CRS, easting: float, northing: float) -> float:
+def yaw_from_compass(bearing_deg: float | str, crs: Any, easting: float, northing: float) -> float:
     """Return the yaw of a compass bearing: degrees from grid east to the left, in (-180, 180].
 
     Parameters
     ----------
-    bearing_deg : float
-        Clockwise from true north.
-    crs : CRS
+    bearing_deg : float or str
+        Clockwise from true north; or a word such as `north-east`.
+    crs : CRS, str or int
         The projected system whose grid the yaw counts from.
     easting, northing : float
-        The place; grid north and true north differ from place to place.
+        The place, metres of this system; grid north and true north differ from place to place.
+
+    Raises
+    ------
+    UsageError
+        If the bearing is neither number nor word; CrsError if the place is none in this system.
 
     Examples
     --------
@@ -338,8 +343,15 @@ def yaw_from_compass(bearing_deg: float, crs: CRS, easting: float, northing: flo
     >>> round(gr.yaw_from_compass(45.0, pose.crs, pose.easting, pose.northing), 2)
     46.91
     """
-    projection = Proj(crs)
+    try:
+        bearing = bearing_of(bearing_deg)
+    except ValueError as error:
+        winds = ", ".join(WINDS)
+        raise UsageError("{} is neither degrees nor one of {}", bearing_deg, winds) from error
+    grid = metric_crs(crs, what="crs")
+    require_true_scale(grid, easting, northing, what="easting, northing")
+    projection = Proj(grid)
     longitude, latitude = projection(easting, northing, inverse=True)
     convergence_deg = projection.get_factors(longitude, latitude).meridian_convergence
-    yaw = 90.0 - (bearing_deg - convergence_deg)
+    yaw = 90.0 - (bearing - convergence_deg)
     return 180.0 - (180.0 - yaw) % 360.0

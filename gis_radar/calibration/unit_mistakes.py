@@ -8,8 +8,11 @@ from dataclasses import dataclass
 from gis_radar.base import NoAnswerError, Text
 from gis_radar.calibration.findings import UNKNOWN_CAUSE, Finding, either, wrong
 
-SIGMAS, LEAST_OFF = 3.0, 0.01  # a scale differs from 1 if it does by more than both
-LEAST_WRONG = 0.02  # as LEAST_OFF, where a pose is given: good radars are right to 2 %
+# A scale differs from 1 if it does by more than both. A pose that is found takes up all of it, 1 m
+# at 100 m, and nothing else would tell.
+SIGMAS, LEAST_OFF = 3.0, 0.01
+# As LEAST_OFF, where a pose is given: good radars are right to 2 %, and the lanes tell as well.
+LEAST_WRONG = 0.02
 LENGTHENED = 0.25  # farther off 1, the unit of the range rates is wrong, not a length
 KNOWN_SHARE = 0.05  # largest standard error, as a share of the scale, of a known scale
 LEAST_YARDS = 1.075  # scales from here on look like yards, a factor of 1.094

@@ -18,6 +18,7 @@ from gis_radar.base import (
     InputError,
     Integers,
     Reporter,
+    Text,
     UsageError,
     card,
     opened_package,
@@ -51,6 +52,7 @@ from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER, fingerpr
 from gis_radar.measures import Runs
 
 _LAST_STEP = 1 << 62
+_STEPS_TODAY = range(10_000_000_000, 100_000_000_000)  # 1985 to 2128: seconds are far fewer
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -223,6 +225,9 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
             for table in (tables.RECORDINGS, tables.POSES, tables.SIGHTS)
         )
         mine = recordings[recordings["sensor"] == sensor].sort_values("last_time")
+        if mine.empty:
+            raise UsageError("{}: has no sensor {}", self.folder, repr(sensor),
+                             hint=Text("it has {}", ", ".join(self.sensors)))  # fmt: skip
         head = poses.loc[poses["track"] == mine["pose"].iloc[-1], "sight"].iloc[-1]
         return np.asarray(sights.loc[sights["pose"] == head, "tile_id"], np.int64)
 
@@ -395,6 +400,11 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
         return whole_file(table, self.folder, self.manifest.fingerprint).read()
 
     def _step(self, value: Moment, what: str) -> int | None:
+        if isinstance(value, int) and value not in _STEPS_TODAY:
+            raise UsageError(
+                "{} is {}, which is no step of 50 ms since 1970", what, value,
+                hint="give a time such as 2026-11-20 09:00",
+            )  # fmt: skip
         if value is None or isinstance(value, int):
             return value
         return step_at(value, zone_of(self.manifest.timezone), what=what)

@@ -126,10 +126,10 @@ def write_lane_matches(table: pd.DataFrame, path: Path) -> None:
 
 
 def _lanes(source: Any) -> gpd.GeoDataFrame:
-    if isinstance(source, gpd.GeoDataFrame):
-        return source
     try:
-        if isinstance(source, Dataset) or Path(source).is_dir():
+        if isinstance(source, gpd.GeoDataFrame):
+            lanes = source
+        elif isinstance(source, Dataset) or Path(source).is_dir():
             lanes = open_dataset(source).lanes()
         else:
             with opened_package(source, what="tiles with their lanes") as place:
@@ -138,9 +138,10 @@ def _lanes(source: Any) -> gpd.GeoDataFrame:
         if LANES_LAYER not in str(error.message):
             raise
         lanes = gpd.GeoDataFrame()
-    if not len(lanes):
-        place = source.folder if isinstance(source, Dataset) else source
-        raise InputError("{}: holds no lanes", place, hint="it was measured without a map")
+    if "lane" not in lanes.columns or not len(lanes):
+        named = "GeoDataFrame" if isinstance(source, gpd.GeoDataFrame) else source
+        named = source.folder if isinstance(source, Dataset) else named
+        raise InputError("{}: holds no lanes", named, hint="it was measured without a map")
     return lanes
 
 

@@ -51,7 +51,7 @@ from gis_radar.dataset.files.registry import (
 from gis_radar.dataset.hours.job import HourSite, MadeHour, MeasureSettings
 from gis_radar.dataset.hours.making import change, writing
 from gis_radar.dataset.hours.remarks import Examined, remark_on_recordings, remark_on_vehicles
-from gis_radar.hdmap import LaneGraph, LaneletMap, fingerprint, lane_graph
+from gis_radar.hdmap import LaneGraph, LaneletMap, fingerprint, lane_graph, require_tiles
 from gis_radar.measures import Filters, PlacedRecording, RecordingCounts, SightBook, validity_of
 from gis_radar.poses import Pose, PoseTrack, as_tracks
 from gis_radar.recordings import Recording, as_recordings
@@ -204,6 +204,7 @@ def measure(
         )
     settings = MeasureSettings(filters=filters or Filters(), vehicles=not hits_only)
     zone_of(timezone)
+    require_tiles(tiles, what="tiles")
     tiles = tiles.sort_values("tile_id", ignore_index=True)
     road = SightTiles.of(tiles)
     scan = open_sight(

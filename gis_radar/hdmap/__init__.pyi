@@ -35,6 +35,7 @@ from .tiles import (
     polygons,
     quads,
     read_tiles,
+    require_tiles,
     write_tiles,
 )
 
@@ -78,6 +79,7 @@ __all__ = [
     "read_map",
     "read_osm",
     "read_tiles",
+    "require_tiles",
     "rungs",
     "slices",
     "sound",

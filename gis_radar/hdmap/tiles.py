@@ -240,6 +240,7 @@ def write_tiles(
     path = Path(path)
     if path.suffix.lower() != ".gpkg":
         raise UsageError("{}: tiles are written as GeoPackage", path, hint="end the name in .gpkg")
+    require_tiles(tiles, what="tiles")
     # Without the CRS: GeoPackage changes the text of one that has no EPSG code.
     seal = {_COUNT: str(len(tiles)), _CONTENT: _digest(tiles)}
     if problems is None:
@@ -280,13 +281,8 @@ def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
         :func:`write_tiles` left it; CrsError if its coordinate system is missing or not metric.
     """
     tiles, seal = _layer(path)
-    missing = [name for name in TILE_COLUMNS if name not in tiles.columns]
-    if missing or not isinstance(tiles, gpd.GeoDataFrame):
-        raise InputError(
-            "{}: layer {} lacks {}", path, TILES_LAYER, ", ".join(missing) or "geometry"
-        )
+    require_tiles(tiles, what=Text("{}: layer {}", path, TILES_LAYER))
     tiles = tiles.set_crs(metric_crs(tiles.crs, what=str(path)), allow_override=True)
-    _refuse_odd_tiles(tiles, path)
     try:
         tiles["height_m"] = tiles["height_m"].astype(np.float64)
     except (ValueError, TypeError) as error:
@@ -323,25 +319,36 @@ def _refuse_other_tiles(tiles: gpd.GeoDataFrame, seal: dict[str, str], path: str
     )
 
 
-def _refuse_odd_tiles(tiles: gpd.GeoDataFrame, path: str | Path) -> None:
+def require_tiles(tiles: gpd.GeoDataFrame, *, what: str) -> None:
+    """Refuse a table that is none of tiles, as :func:`make_tiles` returns them.
+
+    Raises
+    ------
+    InputError
+        If it lacks columns, has no rows, or a tile has not four vertices or is there twice.
+    """
+    missing = [name for name in TILE_COLUMNS if name not in tiles.columns]
+    if missing or not isinstance(tiles, gpd.GeoDataFrame):
+        lacking = ", ".join(missing) or "geometry"
+        raise InputError("{} lacks {}", what, lacking, hint=_MAKE_ONE)
     if tiles.empty:
-        raise InputError("{}: layer {} is empty", path, TILES_LAYER)
+        raise InputError("{} is empty", what)
     for column in IDS:
         if not pd.api.types.is_integer_dtype(tiles[column]) or tiles[column].hasnans:
-            raise InputError("{}: column {} holds something else than whole numbers", path, column)
+            raise InputError("{}: column {} holds something else than whole numbers", what, column)
     shapes = tiles.geometry.array
     odd = (shapely.get_type_id(shapes) != shapely.GeometryType.POLYGON) | (
         shapely.get_num_coordinates(shapes) != 5
     )
     if odd.any():
         raise InputError(
-            "{}: tile {} has not four vertices", path, tiles["tile_id"].to_numpy()[odd][0]
+            "{}: tile {} has not four vertices", what, tiles["tile_id"].to_numpy()[odd][0]
         )
     if not np.isfinite(shapely.get_coordinates(shapes)).all():
-        raise InputError("{}: a tile has corners that are no numbers", path)
+        raise InputError("{}: a tile has corners that are no numbers", what)
     if tiles["tile_id"].duplicated().any():
         twice = tiles["tile_id"][tiles["tile_id"].duplicated()].iloc[0]
-        raise InputError("{}: tile {} is there twice", path, twice)
+        raise InputError("{}: tile {} is there twice", what, twice)
 
 
 SAME_LEVEL_M = 2.0  # of the contract; bridges are over 4 m above

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gis_radar.base import UsageError
+from gis_radar.base import UsageError, require_kinds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +41,7 @@ class Filters:
     levels_apart_m: float = 2.5
 
     def __post_init__(self) -> None:
+        require_kinds(self, UsageError)
         if self.min_speed is not None and not self.min_speed >= 0.0:
             raise UsageError("least speed is {} m/s, expected 0 or more", self.min_speed)
         if self.min_rcs is not None and not math.isfinite(self.min_rcs):
@@ -48,6 +49,9 @@ class Filters:
         if self.clearance is not None and not self.clearance[0] < self.clearance[1]:
             low, high = self.clearance
             raise UsageError("clearance is {} to {} m, expected lowest before highest", low, high)
+        if not (self.sigmas >= 0.0 and self.levels_apart_m >= 0.0):
+            raise UsageError("sigmas and levels_apart_m are {} and {}, expected 0 or more",
+                             self.sigmas, self.levels_apart_m)  # fmt: skip
         if not 0.0 <= self.elevation_error_deg < 45.0:
             raise UsageError(
                 "elevation error is {} deg, expected 0 to 45", self.elevation_error_deg

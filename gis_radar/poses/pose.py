@@ -19,6 +19,7 @@ from gis_radar.base import (
     Floats,
     InputError,
     Text,
+    as_points,
     atomic_write,
     axes_or_new,
     card,
@@ -26,6 +27,7 @@ from gis_radar.base import (
     metric_crs,
     name_of,
     placed,
+    require_kinds,
     require_on_earth,
     tr,
 )
@@ -64,6 +66,7 @@ class View:
     max_range_m: float = 300.0
 
     def __post_init__(self) -> None:
+        require_kinds(self)
         if not 0.0 < self.azimuth_deg <= 360.0:
             raise InputError("view: azimuth_deg is {}, expected 0 to 360", self.azimuth_deg)
         if not 0.0 < self.elevation_deg <= 180.0:
@@ -88,7 +91,7 @@ class View:
         -------
         (n,) bool array
         """
-        x, y, z = points.T
+        x, y, z = as_points(points).T
         flat_m = np.hypot(x, y)
         height_m = np.nan_to_num(z, nan=0.0)
         slant_m = np.hypot(flat_m, height_m)
@@ -131,9 +134,7 @@ class Pose:
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in (*POSITION, *ANGLES):
-            if not math.isfinite(getattr(self, name)):
-                raise InputError("pose of {}: {} is {}", self.sensor, name, getattr(self, name))
+        require_kinds(self)
         crs = metric_crs(self.crs, what=Text("pose of {}", self.sensor))
         object.__setattr__(self, "crs", crs)
 
@@ -176,7 +177,7 @@ class Pose:
         """
         # The last digits of a matrix product depend on the number of points and on the machine.
         # The counting loop adds in the same order.
-        points = np.asarray(points, np.float64)
+        points = as_points(points)
         x, y, z = points.T
         turned = np.stack([(x * r[0] + z * r[2]) + y * r[1] for r in self.R_map_sensor], axis=1)
         level = np.isnan(points[:, 2]) & ~np.isnan(points[:, 0])
@@ -197,7 +198,7 @@ class Pose:
 
     def to_sensor(self, points: Floats) -> Floats:
         """Move (n, 3) points from the map (easting, northing, height) to the sensor frame."""
-        return (np.asarray(points, dtype=np.float64) - self.position) @ self.R_map_sensor
+        return (as_points(points) - self.position) @ self.R_map_sensor
 
     def with_view(self, view: View) -> Pose:
         """Return the same pose with a view, unless it has one."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -44,6 +45,9 @@ DATUM_M = 110.0  # no vertical datums differ by more: geoid undulations are unde
 # Share of the road's cells inside the scans' extents below which there is no mask, and below which
 # a warning is logged. A scan of 1 point/m2 fills 0.2 of the cells of 0.5 m.
 LEAST_COVERED, WARN_COVERED = 0.02, 0.1
+# The same share over that of a bare road at the density of the points, below which a warning is
+# logged: 0.79 to 0.99 in scans of the place, 0.46 to 0.57 in those of a neighbouring town.
+WARN_BARE = 0.65
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -320,6 +324,17 @@ def _inside_share(mask: RoadMask, scans: Sequence[Scan]) -> float:
     return mask.covered / share if share > 0.0 else 0.0
 
 
+def _bare_share(mask: RoadMask) -> float:
+    """Return the share of a bare road's cells that strewn points would fill (Poisson).
+
+    Of `share` cells with a point, each holds `points / share` on average.
+    """
+    share, points = 1.0, mask.cells.used / max(len(mask.points), 1)
+    for _ in range(100):
+        share = 1.0 - math.exp(-points * share)
+    return share
+
+
 def _refuse_bare(mask: RoadMask, scans: Sequence[Scan]) -> None:
     """Refuse a mask that has points on less than `LEAST_COVERED` of the road inside the scans."""
     share = _inside_share(mask, scans)
@@ -355,6 +370,13 @@ def _remark(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
     covered = _inside_share(mask, mask.pipeline.scans)
     if covered < WARN_COVERED:
         reporter.warn("only {:.0%} of the road inside the scans has points", covered)
+    elif covered < WARN_BARE * (bare := _bare_share(mask)):
+        reporter.warn(
+            "only {:.0%} of the road inside the scans is road in them, where so many points fill "
+            "{:.0%}: are they of another place, or older than the map?",
+            covered,
+            bare,
+        )
     offset = mask.cells.offset_m
     if abs(offset) > WARN_OFFSET_M:
         text = Text(

@@ -196,14 +196,14 @@ def write_road(points: Floats, path: Path, *, crs: CRS, settings: MaskSettings =
     las.write(path)
 
 
-def read_road(path: str | Path, crs: CRS) -> Floats:
+def read_road(path: str | Path, crs: Any) -> Floats:
     """Read the points of a road, as :func:`write_road` writes them.
 
     Parameters
     ----------
     path : str or Path
         LAS or LAZ.
-    crs : CRS
+    crs : CRS, str or int
         The map's coordinate system, which the scan must have.
 
     Returns
@@ -216,7 +216,8 @@ def read_road(path: str | Path, crs: CRS) -> Floats:
     InputError
         If the file is damaged or empty; CrsError if its CRS is missing or another.
     """
-    require_same(road_crs(path), crs, what=str(path), other_what="the map")
+    frame = metric_crs(crs, what="crs")
+    require_same(road_crs(path), frame, what=str(path), other_what="the map")
     with scan_errors(path):
         las = laspy.read(path)
         refuse_outside(las.points, las.header, Path(path))

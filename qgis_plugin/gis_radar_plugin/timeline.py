@@ -7,6 +7,7 @@ from qgis.core import (
     QgsDateTimeRange,
     QgsFeatureRequest,
     QgsInterval,
+    QgsMapLayer,
     QgsProject,
     QgsTemporalNavigationObject,
     QgsVectorLayer,
@@ -68,7 +69,10 @@ def show_time(layer: QgsVectorLayer) -> None:
     extent, step = extent_of(layer), step_of(layer)
     if extent.begin().isNull():
         return
-    settings = QgsProject.instance().timeSettings()
+    project = QgsProject.instance()
+    if step.seconds() >= 1.0 and any(map(_is_of_vehicles, project.mapLayers().values())):
+        return  # at longer steps they would smear
+    settings = project.timeSettings()
     settings.setTemporalRange(extent)
     seconds = step.seconds()
     unit, length = Qgis.TemporalUnit.Seconds, seconds
@@ -77,6 +81,14 @@ def show_time(layer: QgsVectorLayer) -> None:
     settings.setTimeStepUnit(unit)
     settings.setTimeStep(length)
     _drive(extent, QgsInterval(length, unit))
+
+
+def _is_of_vehicles(layer: QgsMapLayer) -> bool:
+    """Return whether a layer plays single vehicles, by steps under a second."""
+    time = layer.temporalProperties()
+    if not isinstance(layer, QgsVectorLayer) or not time.isActive():
+        return False
+    return bool(0.0 < QgsInterval(time.fixedDuration(), time.durationUnits()).seconds() < 1.0)
 
 
 def _drive(extent: QgsDateTimeRange, step: QgsInterval) -> None:

@@ -81,6 +81,29 @@ def test_lanes_are_there_though_qgis_does_not_know_how_many(provider, site, monk
     assert [each.name() for each in layers] == ["Lanes", "Stop lines"]
 
 
+def test_sheets_are_named_as_their_heat_map(provider, site, monkeypatch):
+    """The title and the sources of the site, unless others are given."""
+    from gis_radar_plugin.algorithms import report as sheets
+
+    class Asked:
+        def __init__(self, **given):
+            self.given = {"HEATMAP": str(site / "heatmap"), **given}
+
+        def text(self, name):
+            return self.given.get(name, "")
+
+    title, source = sheets.title_and_source(Asked())
+    assert title == "Sample junction (simulated)"
+    assert source.endswith("the place is invented")
+    assert sheets.title_and_source(Asked(TITLE="Ost", SOURCE="Stadt")) == ("Ost", "Stadt")
+    for told in ({}, {"title": None, "sources": "x"}, {"title": "", "sources": []}):
+        monkeypatch.setattr(sheets, "labels_of", lambda _, told=told: told)
+        assert sheets.title_and_source(Asked()) == (
+            "Traffic on the lanes",
+            "roadside radar, gis_radar",
+        )
+
+
 def test_a_page_for_each_place_and_time(report):
     names = sorted(path.name for path in report.iterdir())
     times = ["20250612T073000Z", "20250612T073020Z", "20250612T073040Z", "20250612T073100Z",
@@ -185,14 +208,14 @@ def test_a_report_replaces_an_earlier_one(run, earlier_report, site):
 def test_places_are_found_without_a_layer(run, site, tmp_path):
     """Nothing but a heat map is given: the overview marks the frame of the junction."""
     out, places = tmp_path / "report", ["Junction_1", "Overview"]
-    call = {"HEATMAP": str(site / "heatmap"), "WHAT": 1, "DPI": 60}
+    call = {"HEATMAP": str(site / "heatmap"), "WHAT": 1, "DPI": 110}
     results, heard = run("exportreport", call | {"OUTPUT": str(out)})
     assert heard.errors == []
     assert sorted(path.stem for path in out.glob("*.png")) == [f"{name}_whole" for name in places]
     assert QgsProject.instance().read(str(out / "report.qgz"))
     assert len(QgsProject.instance().mapLayersByName("Sensors")) == 1
     overview, junction = (QImage(str(out / f"{name}_whole.png")) for name in reversed(places))
-    assert blue_dots(overview) > 100 > blue_dots(junction)
+    assert blue_dots(overview) > 50 + 2 * blue_dots(junction)  # without a frame of its own
 
 
 def blue_dots(picture):

@@ -155,6 +155,25 @@ def test_time_is_on_at_once(heatmap):
     assert (settings.timeStep(), settings.timeStepUnit()) == (20, Qgis.TemporalUnit.Seconds)
 
 
+def test_steps_of_single_vehicles_stay(heatmap):
+    """At the longer steps of a layer that is loaded later, all vehicles of a step would show."""
+    from gis_radar_plugin.timeline import show_time
+
+    layer = layer_called("Occupancy by interval")
+    vehicles = QgsVectorLayer("Point?field=begin:datetime&field=end:datetime", "v", "memory")
+    vehicles.temporalProperties().setFixedDuration(490)
+    vehicles.temporalProperties().setDurationUnits(Qgis.TemporalUnit.Milliseconds)
+    vehicles.temporalProperties().setIsActive(True)
+    project = QgsProject.instance()
+    project.addMapLayer(vehicles)
+    for kept in (0.5, 20.0):
+        project.timeSettings().setTimeStepUnit(Qgis.TemporalUnit.Seconds)
+        project.timeSettings().setTimeStep(0.5)
+        show_time(layer)
+        assert project.timeSettings().timeStep() == kept
+        project.removeMapLayers([vehicles.id()] if kept == 0.5 else [])
+
+
 def begins_shown(layer, after_s, length_s):
     """Tell which intervals a layer shows in a span of time, and how many rows."""
     context = QgsVectorLayerTemporalContext()

@@ -50,6 +50,8 @@ class Excerpt:
         Index in `poses` of the pose in force at each moving detection.
     frozen : (begin, end, frames) or None
         The longest run of equal frames: its begin and end, UNIX seconds, and number of frames.
+    doubled : float
+        Share of the moving detections that are in their frame a second time.
     scene_change : SceneChange or None
         Whether the static surroundings of the sensor change; None where too little stands.
     wild : int
@@ -68,6 +70,7 @@ class Excerpt:
     track: Integers
     held: Integers
     frozen: tuple[float, float, int] | None
+    doubled: float
     scene_change: SceneChange | None = None
     wild: int
     time: Floats
@@ -241,7 +244,8 @@ def _excerpt(rows: _Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
     kept = kept[~_cycling(level, number, vehicle)[number[kept]]]
     poses, held = _in_force(moving.time, rows.source[moves], tracks)
     return Excerpt(
-        moving=moving, track=number, held=held, frozen=_frozen(rows), wild=wild,
+        moving=moving, track=number, held=held, frozen=_frozen(rows),
+        doubled=_doubled(moving, rows.source[moves]), wild=wild,
         time=moving.time[kept],
         points=moving.points[kept], range_rate=moving.range_rate[kept],
         vehicle=vehicle[number[kept]], pose=held[kept], poses=poses,
@@ -316,6 +320,13 @@ def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
     last = int(run.argmax())
     length = int(run[last])
     return (float(frames[last - length]), float(frames[last]), length + 1) if length else None
+
+
+def _doubled(moving: Moving, source: Integers) -> float:
+    """Return the share of detections that are in their frame of one recording a second time."""
+    values = np.column_stack([source, moving.time, moving.points, moving.range_rate])
+    values = np.nan_to_num(values[np.lexsort(values.T)])
+    return float((np.diff(values, axis=0) == 0.0).all(axis=1).sum() / max(len(values), 1))
 
 
 def iso(time: float) -> str:

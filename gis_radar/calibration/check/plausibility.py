@@ -51,6 +51,7 @@ from gis_radar.recordings import Recording
 
 STAGE = "checking poses and recordings"
 
+MOST_DOUBLED = 0.1  # share of a recording's detections; by chance there are none
 FROZEN_FRAMES = 20  # equal frames in a row: a second at 20 Hz; by chance there are no two
 # Least vehicles on either side of a change, and its log likelihood ratio over no change: odds of
 # 3,000, and of 20 where a mistake explains the traffic on one side.
@@ -226,6 +227,10 @@ def _odd_recording(excerpt: Excerpt) -> Finding | None:
         begin, end, frames = excerpt.frozen
         evidence = Text("{} frames from {} to {} are the same", frames, iso(begin), iso(end))
         return wrong(evidence, Text("the recording is frozen"), Text("leave that time out"))
+    if excerpt.doubled > MOST_DOUBLED:
+        evidence = Text("{:.0%} of the moving detections are twice in it", excerpt.doubled)
+        cause = Text("a file was joined with a copy of itself")
+        return wrong(evidence, cause, Text("leave each detection once"))
     infinite = int(np.isinf(excerpt.moving.range_rate).sum())
     if excerpt.wild and 2 * infinite > excerpt.wild:  # another unit makes all of them large
         evidence = Text("{:,} range rates are infinite", infinite)

@@ -55,7 +55,8 @@ BESIDE = 0.25
 # Peaks closer than this are one.
 NEAR_M = 3.0
 NEAR_RAD = math.radians(5.0)
-# Prior of the mean height of reflections: between wheel hubs and belt lines.
+# Prior of the mean height of reflections: between wheel hubs and belt lines. (The check of a
+# given pose takes 0.7: with it the sample's height is right to 0.05 m, with 0.6 to 0.1 m.)
 REFLECTION_M = 0.6
 REFLECTION_SIGMA_M = 0.25
 ROUGH_SAMPLES = 1000  # enough to rank hypotheses; cost in proportion

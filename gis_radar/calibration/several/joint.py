@@ -14,6 +14,7 @@ import numpy as np
 
 from gis_radar.base import (
     QUIET,
+    SILENT,
     Floats,
     InputError,
     Level,
@@ -216,8 +217,9 @@ def locate_all(
         for guess, heading in zip(guesses, sure, strict=True)
     ]  # fmt: skip
     if look_at is not None:
+        compare = partial(look_at, reporter=SILENT)
         asks = [
-            partial(decided_by_scan, localize=ask, look_at=look_at, reporter=reporter)
+            partial(decided_by_scan, localize=ask, look_at=compare, reporter=reporter)
             for ask in asks
         ]
     answers, refused = _alone(recordings, asks, reporter)
@@ -229,7 +231,7 @@ def locate_all(
     reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
     kept: dict[str, Localization] = {}
     if look_at is not None:
-        kept = _confirmed({name: answers[name] for name in solved.refused}, used, look_at)
+        kept = _confirmed({name: answers[name] for name in solved.refused}, used, compare)
     for name in kept:
         reporter.warn("{}; what stands in the scan confirms that of {}", solved.refused[name], name)
     if not solved.poses and not kept:

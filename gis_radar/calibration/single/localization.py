@@ -20,6 +20,7 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
+    as_points,
     looks_like_degrees,
     moved_position,
     paths_of,
@@ -116,7 +117,7 @@ def localize(
     guess: Sequence[float],
     guess_crs: Any = None,
     heading: float | None = None,
-    compass: float | None = None,
+    compass: float | str | None = None,
     crs: Any = None,
     origin: tuple[float, float] | None = None,
     method: str = "lane",
@@ -150,8 +151,8 @@ def localize(
     heading : float, optional
         Yaw in degrees, counter-clockwise from grid east, within 25 degrees of the truth; without
         it the heading is searched.
-    compass : float, optional
-        The same as a bearing: degrees clockwise from true north.
+    compass : float or str, optional
+        The same as a bearing: degrees clockwise from true north, or a word such as `north-east`.
     crs : CRS, str or int, optional
         The map frame, where the map is a file; that of the road's file where it is not given.
     origin : (easting, northing), optional
@@ -199,7 +200,8 @@ def localize(
     look_at = None
     if scans:
         look_at = partial(check_against_scan, scans=scans, scan_crs=scan_crs, reporter=reporter)
-        ask = partial(decided_by_scan, localize=ask, look_at=look_at, reporter=reporter)
+        compare = partial(look_at, reporter=SILENT)  # of several poses one is told, in the end
+        ask = partial(decided_by_scan, localize=ask, look_at=compare, reporter=reporter)
     recording, found = _first_answer(_tried(recordings), ask, reporter)
     pose = replace(found.pose, sensor=sensor or found.pose.sensor, view=view)
     found = replace(found, pose=pose, recording=recording.name)
@@ -233,7 +235,7 @@ def read_ground(
     else:
         frame = road_crs(road) if crs is None and isinstance(road, str | Path) else crs
         roads = read_map(roads, crs=frame, origin=origin, reporter=reporter)
-    return roads, read_road(road, roads.crs) if isinstance(road, str | Path) else road
+    return roads, read_road(road, roads.crs) if isinstance(road, str | Path) else as_points(road)
 
 
 def start_in_map(
@@ -241,7 +243,7 @@ def start_in_map(
     guess: Sequence[float],
     guess_crs: Any,
     heading: float | None,
-    compass: float | None,
+    compass: float | str | None,
 ) -> tuple[tuple[float, ...], float | None]:
     """Return guess (m) and heading (degrees, grid) in the coordinate system of a map."""
     place = tuple(float(number) for number in guess)
@@ -342,6 +344,7 @@ def _decided(
             return found[0]
         found = [answer for answer, look in looked if _preferred(look, looks)]
         if len(found) != 1:
+            refusal.hint = Text("record longer, or give a heading: the scan does not decide")
             raise
         reporter.warn("{}; what stands in the scan prefers one of them", refusal.message)
         return found[0]

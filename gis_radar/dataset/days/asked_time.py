@@ -91,9 +91,12 @@ def holiday_dates(holidays: Holidays) -> Integers:
     InputError
         If the file is no such table.
     """
-    periods = [_period(*each) for each in _stated(holidays)]
-    days = [np.arange(first, last + 1) for first, last in periods]
-    return np.unique(np.concatenate([np.empty(0, np.int64), *days]))
+    periods = np.array([_period(*each) for each in _stated(holidays)], np.int64).reshape(-1, 2)
+    low = int(periods.min(initial=0))
+    more = np.zeros(int(periods.max(initial=0)) - low + 2, np.int64)  # periods that hold a day
+    np.add.at(more, periods[:, 0] - low, 1)
+    np.add.at(more, periods[:, 1] + 1 - low, -1)
+    return low + np.flatnonzero(np.cumsum(more))
 
 
 def _stated(holidays: Holidays) -> Iterator[tuple[Any, Any]]:

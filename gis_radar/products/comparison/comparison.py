@@ -65,9 +65,7 @@ def compare(
     NoAnswerError
         If no lane was seen alike in both periods.
     """
-    before, after = (
-        _read_period(each) if isinstance(each, str) else each for each in (before, after)
-    )
+    before, after = map(_as_period, (before, after))
     dataset = open_dataset(dataset)
     other = dataset if other is None else open_dataset(other)
     _require_alike(dataset, other)
@@ -81,18 +79,18 @@ def compare(
     return _compared(rows, sights, together, dataset.doubts, other.doubts)
 
 
-def _read_period(text: str) -> Period:
-    """Return begin and end of a period such as `2026-09-07/2026-09-21`.
+def _as_period(period: Period | str) -> Period:
+    """Return begin and end of a period, given as such or as `2026-09-07/2026-09-21`.
 
     Raises
     ------
     UsageError
-        If the text is none.
+        If it is none.
     """
-    begin, slash, end = (part.strip() for part in text.partition("/"))
-    if not (begin and slash and end):
-        raise UsageError("{} is no period, expected as 2026-09-07/2026-09-21", repr(text))
-    return begin, end
+    ends = [each.strip() for each in period.split("/")] if isinstance(period, str) else period
+    if not (isinstance(ends, list | tuple) and len(ends) == 2 and all(ends)):
+        raise UsageError("{} is no period, expected as 2026-09-07/2026-09-21", repr(period))
+    return ends[0], ends[1]
 
 
 def _require_alike(dataset: Dataset, other: Dataset) -> None:

@@ -24,6 +24,7 @@ from gis_radar.base import (
     known_language,
     moment_in,
     ranges,
+    require_kinds,
     seconds_from_iso,
     step_at,
     step_begin,
@@ -60,6 +61,7 @@ class MapLabels:
 
     def __post_init__(self) -> None:
         """Refuse a time zone or language that there is not; keep sources as a tuple."""
+        require_kinds(self)
         zone_of(self.timezone)
         known_language(self.language)
         object.__setattr__(self, "sources", tuple(self.sources))

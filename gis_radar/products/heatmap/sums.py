@@ -67,8 +67,8 @@ def _sums(
     sums = {name: np.zeros((len(timeline), len(ids))) for name in COUNTED}
     source = _by_quarter if of_quarters else _by_step
     for done, (tile, interval, counts) in enumerate(source(dataset, timeline)):
-        place = np.minimum(np.searchsorted(ids, tile), len(ids) - 1)
-        kept = (interval >= 0) & (ids[place] == tile)
+        place = np.searchsorted(ids, tile)
+        kept = (interval >= 0) & (np.append(ids, -1)[place] == tile)
         cell = interval[kept] * len(ids) + place[kept]
         for name, total in sums.items():
             more = np.bincount(cell, counts[name][kept], total.size)

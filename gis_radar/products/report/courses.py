@@ -107,8 +107,8 @@ def draw_courses(
 
 
 _QUEUES = Text(
-    "The lanes with the longest queues. Red is the queue, from the stop line back to its end. "
-    "Grey: not seen."
+    "The lanes with the longest queues. Outlined and red is the queue, from the stop line back to "
+    "its end. Grey without an outline: not seen."
 )
 _WAYS = Text(
     "Each thin line is the way of one vehicle to the stop line, level where it stands; a line that "

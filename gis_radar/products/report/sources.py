@@ -62,7 +62,7 @@ def made_by() -> str:
 
 def _file(part: Mapping[str, Any]) -> str:
     files = part.get("files") or [part.get("road")] if "files" in part else [part.get("file")]
-    named = listed([str(each) for each in files if each])
+    named = listed([Path(each).name for each in files if each])
     return f"{named} ({part['source']})" if part.get("source") else named
 
 

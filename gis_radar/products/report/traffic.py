@@ -250,8 +250,6 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
         Column(tr("Heavy"), tr("of those counted"), heavy),
         Column(tr("Mean speed"), tr("km/h, waiting included"),
                lambda row: figure_text(row["speed_kmh"])),
-        Column(tr("Mean occupancy"), tr("of visible time"),
-               lambda row: percent(row["occupancy"], off=row["occupancy_se"])),
         Column(tr("Longest queue"), "m", queue),
     ]  # fmt: skip
 
@@ -269,8 +267,8 @@ def _volume_notes(traffic: ReportedTraffic, known: pd.DataFrame, shown: int) -> 
     notes = [
         tr("Vehicles are counted at the stop line, elsewhere in the middle of the lane. Volume is "
            "the estimate for an hour like this time, ± its standard error; the other figures have "
-           "no known error but that of the occupancy. From {time} nothing follows about other "
-           "hours or days.", time=seconds_text(seconds)),
+           "no known error. From {time} nothing follows about other hours or days.",
+           time=seconds_text(seconds)),
     ]  # fmt: skip
     share = percent(LEAST_SHARE, 0)
     if known["volume"].isna().any():

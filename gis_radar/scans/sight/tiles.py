@@ -11,7 +11,7 @@ import shapely
 from pyproj import CRS
 
 from gis_radar.base import Floats, Integers, metric_crs
-from gis_radar.hdmap import fingerprint, quads
+from gis_radar.hdmap import fingerprint, quads, require_tiles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +42,7 @@ class SightTiles:
     @classmethod
     def of(cls, tiles: gpd.GeoDataFrame) -> SightTiles:
         """Return the tiles of a table from :func:`gis_radar.read_tiles`."""
+        require_tiles(tiles, what="tiles")
         return cls(
             tile_id=tiles["tile_id"].to_numpy(np.int64),
             lanelet_id=tiles["lanelet_id"].to_numpy(np.int64),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +48,7 @@ from ..report.pages import (
     Page,
     Place,
     junction_places,
+    labels_of,
     pages_of,
     places_of,
     recorded_in,
@@ -57,7 +57,6 @@ from ..report.pages import (
 )
 from ..timeline import intervals_of
 from ..words import speaks_german, tr
-from . import shared
 
 MOST_PAGES = 2000
 JUNCTIONS = 0  # what the pages go over
@@ -101,8 +100,8 @@ class ExportReport(Algorithm):
             advanced=False, default=1,
             labels=("whole time and each interval", "whole time", "each interval"),
         ),
-        replace(shared.MAP_TITLE, optional=False, advanced=False, default="Traffic on the lanes"),
-        replace(shared.SOURCE, optional=False, advanced=False, default="roadside radar, gis_radar"),
+        Text("TITLE", "Title", "Without one that of the heat map.", advanced=False),
+        Text("SOURCE", "Source", "Without one those of the heat map.", advanced=False),
         Text(
             "TIME_ZONE", "Time zone", "Such as Europe/Berlin; without one that of the heat map.",
             advanced=False,
@@ -147,7 +146,8 @@ class ExportReport(Algorithm):
             # Beside the target first: a report appears whole or not at all.
             with private_folder(dest) as folder:
                 project, pages = _project(given, folder, zone)
-                texts = Texts(given.text("TITLE"), given.text("SOURCE"), made=_today(zone))
+                title, source = title_and_source(given)
+                texts = Texts(title, source, made=_today(zone))
                 layout = make_layout(project, pages, explained(project), texts)
                 feedback.pushInfo(tr("{count} pages").format(count=pages.featureCount()))
                 files = export(layout, folder, given.number("DPI"), feedback)
@@ -159,6 +159,16 @@ class ExportReport(Algorithm):
         text = tr("The sheets are in {folder}; the report is {pdf}.")
         feedback.pushInfo(text.format(folder=dest, pdf=dest / PDF))
         return dest
+
+
+def title_and_source(given: Given) -> tuple[str, str]:
+    """Return title and source: as given, as the heat map has them, or what they are in general."""
+    known = labels_of(_package(given))
+    title = str(known.get("title") or "") or tr("Traffic on the lanes")
+    sources = known.get("sources")
+    named = "; ".join(map(str, sources)) if isinstance(sources, list) else ""
+    source = named or tr("roadside radar, gis_radar")
+    return given.text("TITLE") or title, given.text("SOURCE") or source
 
 
 def _package(given: Given) -> Path:

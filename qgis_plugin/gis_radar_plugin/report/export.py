@@ -7,18 +7,24 @@ from pathlib import Path
 from typing import Any
 
 from qgis.core import (
+    Qgis,
     QgsFeature,
     QgsFeatureRequest,
     QgsFillSymbol,
     QgsLayoutExporter,
     QgsMapLayer,
+    QgsPalLayerSettings,
     QgsPrintLayout,
     QgsProcessingException,
     QgsProject,
     QgsRasterLayer,
+    QgsRuleBasedRenderer,
+    QgsTextFormat,
     QgsVectorLayer,
+    QgsVectorLayerSimpleLabeling,
 )
 from qgis.PyQt.QtCore import QTimeZone
+from qgis.PyQt.QtGui import QColor
 from qgis.PyQt.QtXml import QDomDocument
 
 from ..inputs import write_package
@@ -148,6 +154,7 @@ def copied(layers: Sequence[QgsMapLayer]) -> list[QgsMapLayer]:
 
 # Of the sheets, on the overview.
 _FRAME = {"style": "no", "outline_color": "#1d4ed8", "outline_width": "0.6"}
+_IS_OTHER = "\"place\" <> attribute(@atlas_feature, 'place')"
 _PAGE = "Polygon?" + "&".join(
     f"field={name}" for name in (
         "place:string", "file:string", "time:string", "note:string", "layers:string",
@@ -176,8 +183,31 @@ def write_pages(
     written.dataProvider().addFeatures(rows)
     write_package(written, str(path), "pages")
     layer = QgsVectorLayer(f"{path}|layername=pages", tr("Pages"), "ogr")
-    layer.renderer().setSymbol(QgsFillSymbol.createSimple(_FRAME))
+    _mark_others(layer)
     return layer
+
+
+def _mark_others(layer: QgsVectorLayer) -> None:
+    """Draw the frames of the places of other pages, with their names in the upper left corner."""
+    root = QgsRuleBasedRenderer.Rule(None)
+    frames = QgsRuleBasedRenderer.Rule(QgsFillSymbol.createSimple(_FRAME))
+    frames.setFilterExpression(_IS_OTHER)
+    root.appendChild(frames)
+    layer.setRenderer(QgsRuleBasedRenderer(root))
+    names = QgsPalLayerSettings()
+    names.isExpression, names.fieldName = True, f'if({_IS_OTHER}, "place", NULL)'
+    names.geometryGeneratorEnabled = True
+    names.geometryGenerator = "make_point(x_min($geometry), y_max($geometry))"
+    names.geometryGeneratorType = Qgis.GeometryType.Point
+    names.placement = Qgis.LabelPlacement.OverPoint
+    names.quadOffset = Qgis.LabelQuadrantPosition.BelowRight
+    names.xOffset = 1.0  # mm, off the frame
+    look = QgsTextFormat()
+    look.setColor(QColor(_FRAME["outline_color"]))
+    look.setSize(9.0)
+    names.setFormat(look)
+    layer.setLabeling(QgsVectorLayerSimpleLabeling(names))
+    layer.setLabelsEnabled(True)
 
 
 def export(layout: QgsPrintLayout, folder: Path, dpi: float, feedback: Any) -> list[Path]:

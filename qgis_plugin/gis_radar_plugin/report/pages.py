@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from osgeo import ogr
 from qgis.core import (
@@ -168,12 +169,18 @@ def pages_of(
                 yield Page(place, begin, end, whole=False)
 
 
+def labels_of(package: Path) -> dict[str, Any]:
+    """Return title, time zone and sources that a heat map was made with, where it holds them."""
+    try:
+        found = json.loads(_told_in(package, "labels") or "{}")
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
 def zone_name(package: Path) -> str:
     """Return the site's time zone that a heat map was made with; nothing where it holds none."""
-    try:
-        return str(json.loads(_told_in(package, "labels") or "{}").get("timezone", ""))
-    except (ValueError, AttributeError):
-        return ""
+    return str(labels_of(package).get("timezone", ""))
 
 
 def recorded_in(package: Path) -> Interval | None:
