@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +23,8 @@ import gis_radar as gr
 from gis_radar.base import GisRadarError, InputError, OutputError, Reporter, UsageError, only_writer
 from gis_radar.city import is_city_file
 from gis_radar.city.executors import OtherSoftwareError, Workers, run_task, workers_of
+from gis_radar.city.tasks import make_site_hour
+from gis_radar.dataset.hours.job import MadeHour
 from gis_radar.site import software
 
 HOURS = 4
@@ -121,6 +123,9 @@ def test_only_new_hours_are_made(site, whole, tmp_path):
     assert gr.run_city(city, tmp_path / "root", jobs=2).sites["one"].hours == 2
     dataset = tmp_path / "root" / "site=one"
     before = {path: path.stat().st_mtime_ns for path in dataset.glob("h*/**/*.*")}
+    left = dataset / "tile_counts" / "date=2020-01-01" / "day.parquet"  # by a killed withdrawal
+    left.parent.mkdir()
+    left.touch()
     assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
     for hour in range(2, HOURS):
         os.link(site / f"R1_{hour}.parquet", tmp_path / "one" / f"R1_{hour}.parquet")
@@ -128,6 +133,7 @@ def test_only_new_hours_are_made(site, whole, tmp_path):
     assert gr.run_city(city, tmp_path / "root", jobs=1, reporter=said).sites["one"].hours == 2
     assert ("hours", 2, 2) in said.stages
     assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert not left.exists()
     made, wanted = bytes_of(dataset), bytes_of(whole / "root" / "site=one")
     assert [name for name in wanted if made[name] != wanted[name]] == []
 
@@ -154,9 +160,15 @@ def test_recordings_of_one_name_in_two_folders_are_both_converted(site, tmp_path
     text = file.read_text(encoding="utf-8").replace("R1_*", "day*/R1")
     table = 'pose = "R1.json"\n[sensor.convert]\n'
     file.write_text(text.replace('pose = "R1.json"\n', table), encoding="utf-8")
-    run = gr.run_city(city_file(tmp_path, one=file), tmp_path / "root", jobs=1)
+    city = city_file(tmp_path, one=file)
+    run = gr.run_city(city, tmp_path / "root", jobs=1)
     assert run.failure is None
     assert run.sites["one"].hours == 2
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
+    columns = '[sensor.convert]\ncolumns = { rcs = "-rcs" }'
+    changed = file.read_text(encoding="utf-8").replace("[sensor.convert]", columns)
+    file.write_text(changed, encoding="utf-8")
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 2
 
 
 def test_a_run_that_ended_before_its_page_makes_it_when_it_goes_on(site, tmp_path, monkeypatch):
@@ -360,6 +372,24 @@ def test_workers_that_are_lost_whatever_they_do_end_the_run():
     calls = dict.fromkeys(range(9), (end_always,))
     with pytest.raises(OutputError, match="lost 4 times"), workers_of(None, 1, Said()) as workers:
         list(workers.results(calls))
+
+
+def test_a_worker_waits_for_another_that_makes_the_same_hour(tmp_path, monkeypatch):
+    at_work, most = [], []
+
+    def make(*_):
+        at_work.append(1)
+        most.append(len(at_work))
+        time.sleep(0.2)
+        at_work.pop()
+        return MadeHour(hour=7, evidence={}, vehicles=len(most), on_lanes=[])
+
+    monkeypatch.setattr("gis_radar.city.tasks.make_registered", make)
+    with ThreadPoolExecutor(2) as pool:
+        made = [pool.submit(make_site_hour, tmp_path, 7, 1) for _ in range(2)]
+        assert sorted(each.result() for each in made) == [1, 2]
+    assert most == [1, 1]
+    assert list(tmp_path.iterdir()) == []
 
 
 def wrong():
