@@ -521,3 +521,63 @@ def test_a_cluster_that_is_not_there_is_named():
 def test_what_is_no_address_is_refused_at_once(address):
     with pytest.raises(UsageError, match="no address"), workers_of(address, None, Said()):
         pass
+
+
+def day_site(source, folder):
+    """Write a site of two radars with a recording of each on two dates."""
+    folder.mkdir(parents=True)
+    for name in ("map.osm", "scan_1.laz", "R1.json", "R2.json"):
+        os.link(source / name, folder / name)
+    for day, hours in ((1, 0), (2, 24)):
+        for sensor, recording in (("R1", "R1"), ("R2", "R2_0")):
+            path = folder / f"{sensor}_day{day}.parquet"
+            shifted(source / f"{recording}.parquet", path, hours)
+    return folder / "SITE.toml"
+
+
+def stated(source, folder, days, sensors):
+    """Write the site file of some sensors, with their recordings of some days."""
+    text = (source / "SITE.toml").read_text(encoding="utf-8")
+    head = text.partition("[[sensor]]")[0]
+    for sensor in sensors:
+        paths = json.dumps([f"{sensor}_day{day}.parquet" for day in days])
+        head += f'[[sensor]]\nname = "{sensor}"\npose = "{sensor}.json"\nrecordings = {paths}\n'
+    (folder / "SITE.toml").write_text(head, encoding="utf-8")
+
+
+def files_of(root):
+    """Return all files of the datasets of a city; of their manifests all but what was checked."""
+    found = {p.relative_to(root).as_posix(): p.read_bytes() for p in root.glob("site=*/**/*.*")}
+    for name in (each for each in found if each.endswith("dataset.json")):
+        manifest = json.loads(found[name])
+        assert manifest.pop("checks").keys() == {"R1"}
+        manifest.pop("texts", None)
+        found[name] = manifest
+    return found
+
+
+@pytest.mark.skipif(os.environ.get("GIS_RADAR_LIVE") != "all", reason="takes long: make live-test")
+def test_days_in_any_order_without_a_sensor_as_if_it_had_never_been(site, tmp_path):
+    names = ("one", "two")
+    places = {name: day_site(site, tmp_path / name) for name in names}
+    city = city_file(tmp_path, **places)
+
+    def run(root, days, sensors, **how):
+        for name in names:
+            stated(site, tmp_path / name, days, sensors)
+        made = gr.run_city(city, tmp_path / root, **how)
+        assert made.failure is None
+        return sum(each.hours for each in made.sites.values())
+
+    assert run("days", [1], ["R1", "R2"], jobs=2) == 2
+    assert run("days", [1, 2], ["R1", "R2"], jobs=2) == 2
+    for name in names:
+        gr.open_dataset(tmp_path / "days" / f"site={name}").withdraw(sensor="R2")
+    with started() as cluster:
+        assert run("whole", [2], ["R1"], executor=cluster.address) == 2
+        assert run("whole", [2, 1], ["R1"], executor=cluster.address) == 2
+    made, wanted = (files_of(tmp_path / root) for root in ("days", "whole"))
+    assert made.keys() == wanted.keys()
+    assert [name for name in made if made[name] != wanted[name]] == []
+    tables = {name.split("/")[1] for name in made}
+    assert tables >= {"lane_measures", "turns", "lane_months", "tile_months", "tracks"}

@@ -288,7 +288,7 @@ def amend(folder, path):
     from gis_radar.dataset import write_record
 
     record = read_hour(folder, HOUR)
-    digest = replace(record.parts["hits"], size=path.stat().st_size)
+    digest = record.parts["hits"]._replace(size=path.stat().st_size)
     write_record(folder, replace(record, parts={**record.parts, "hits": digest}))
 
 

@@ -114,7 +114,10 @@ class LaneTraffic:
         """
         day = Day.of(self.folder, self.fingerprint, hour)
         records = day.records(known)
-        self.note(known or {})
+        before = day.first_hour - 1
+        self.note(
+            records if known is None or before not in known else records | {before: known[before]}
+        )
         keys = self.keys(day, records)
         day.update(TRAFFIC_TABLES, keys, lambda each: self._quarters(records[each]))
 

@@ -96,18 +96,18 @@ class Day:
     def made(self, table: TableSchema) -> Keys:
         """Read the keys of the hours from which a table was made; none if it is damaged."""
         with suppress(InputError, ValueError, KeyError), self.opened(table) as file:
-            known = json.loads(file.metadata.metadata[_HOURS.encode()])
-            return {int(hour): key for hour, key in known.items()}
+            return _keys_in(file)
         return {}
 
     def is_made(self, tables: Sequence[TableSchema], keys: Keys) -> bool:
         """Return whether tables have all columns and were made from exactly these keys."""
-        return all(self.made(table) == keys and self._is_whole(table) for table in tables)
+        return all(self._is_made(table, keys) for table in tables)
 
-    def _is_whole(self, table: TableSchema) -> bool:
-        """Return whether a table has all columns, including those added since it was made."""
-        with self.opened(table) as file:
-            return {*table.names} <= {*file.schema_arrow.names}
+    def _is_made(self, table: TableSchema, keys: Keys) -> bool:
+        with suppress(InputError, ValueError, KeyError), self.opened(table) as file:
+            has_all = {*table.names} <= {*file.schema_arrow.names}
+            return has_all and _keys_in(file) == keys
+        return False
 
     def update(self, tables: Sequence[TableSchema], keys: Keys, make: Maker) -> None:
         """Bring tables up to date; the caller is the only writer of the date.
@@ -198,6 +198,11 @@ class Day:
 
     def _metadata(self, table: TableSchema) -> dict[str, str]:
         return whole_metadata(table, self.fingerprint) | {"hour": hour_text(self.first_hour)}
+
+
+def _keys_in(file: pq.ParquetFile) -> Keys:
+    known = json.loads(file.metadata.metadata[_HOURS.encode()])
+    return {int(hour): key for hour, key in known.items()}
 
 
 def days_with(

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import pandas as pd
 import pyarrow as pa
@@ -62,8 +62,7 @@ class Origin:
         }
 
 
-@dataclass(frozen=True, kw_only=True)
-class PartDigest:
+class PartDigest(NamedTuple):
     """Digest and size of a part.
 
     Parameters

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
@@ -35,6 +37,7 @@ from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import HOUR_TABLES, SCHEMA, TABLES
 
 HOURS = "hours"
+_RECORD = re.compile(r"([01][0-9]|2[0-3])\.json")
 _LAST_HOUR = 70_000_000  # of a year with four digits: what is open ends later
 
 
@@ -127,27 +130,37 @@ def read_hours(
     InputError
         If one is damaged or of a newer schema.
     """
-    found = (_read(path) for date in _dates(folder, first, last) for path in _hours(date))
-    return {
-        record.hour: record
-        for record in found
-        if record is not None
-        and (first is None or first <= record.hour)
-        and (last is None or record.hour <= last)
-    }
+    low, high = -math.inf if first is None else first, math.inf if last is None else last
+    found = (
+        _read(path, hour)
+        for date in _dates(folder, first, last) for hour, path in _listed(folder, date)
+        if low <= hour <= high
+    )  # fmt: skip
+    return {record.hour: record for record in found if record is not None}
 
 
-def _dates(folder: Path, first: int | None, last: int | None) -> list[Path]:
-    """Return the folders of the records of the dates of some hours, ascending."""
+def _dates(folder: Path, first: int | None, last: int | None) -> list[str]:
+    """Return the dates of the records of some hours, ascending."""
     low, high = (str(date_of(min(hour, _LAST_HOUR))) for hour in (first or 0, last or _LAST_HOUR))
-    dates = sorted(path.name for path in (folder / HOURS).glob("????-??-??"))
-    return [folder / HOURS / name for name in dates if low <= name <= high]
+    return sorted(name for name in _names(folder / HOURS) if low <= name <= high)
 
 
-def _hours(date: Path) -> list[Path]:
-    """Return the records of a date, ascending."""
-    names = sorted(path.name for path in date.glob("??.json"))
-    return [path for name in names if _hour_of_path(path := date / name) is not None]
+def _listed(folder: Path, date: str) -> list[tuple[int, Path]]:
+    """Return the hours since 1970 of a date that have a record, ascending, with its path."""
+    try:
+        first = int(datetime.fromisoformat(f"{date}T00:00Z").timestamp()) // 3600
+    except ValueError:
+        return []
+    place = folder / HOURS / date
+    names = sorted(name for name in _names(place) if _RECORD.fullmatch(name))
+    return [(first + int(name[:2]), place / name) for name in names]
+
+
+def _names(folder: Path) -> list[str]:
+    """Return the names in a folder; none where there is no such folder."""
+    with suppress(FileNotFoundError, NotADirectoryError):
+        return [each.name for each in os.scandir(folder)]
+    return []
 
 
 def hour_bounds(
@@ -166,8 +179,7 @@ def hour_bounds(
     dates, found = _dates(folder, first, last), list[int]()
     for way in (1, -1):
         for date in dates[::way]:
-            hours = (_hour_of_path(path) for path in _hours(date))
-            if inside := [hour for hour in hours if hour is not None and low <= hour <= high]:
+            if inside := [hour for hour, _ in _listed(folder, date) if low <= hour <= high]:
                 found += inside
                 break
     return (min(found), max(found)) if found else None
@@ -175,28 +187,21 @@ def hour_bounds(
 
 def listed_hours(folder: Path) -> list[int]:
     """List the hours since 1970 that have a record, ascending; no record is read."""
-    paths = (path for date in _dates(folder, None, None) for path in _hours(date))
-    return [hour for path in paths if (hour := _hour_of_path(path)) is not None]
-
-
-def _hour_of_path(path: Path) -> int | None:
-    """Return the hour in the name of a record, None for other files."""
-    try:
-        begin = datetime.fromisoformat(f"{path.parent.name}T{path.stem}:00Z")
-    except ValueError:
-        return None
-    return int(begin.timestamp()) // 3600
+    return [hour for date in _dates(folder, None, None) for hour, _ in _listed(folder, date)]
 
 
 def read_hour(folder: Path, hour: int) -> HourRecord | None:
     """Read the record of an hour; None where it is not complete."""
-    return _read(record_path(folder, hour))
+    return _read(record_path(folder, hour), hour)
 
 
-def _read(path: Path) -> HourRecord | None:
-    if not path.is_file():
-        return None
-    document = read_json(path, what="the record of an hour", hint=MEASURE_AGAIN)
+def _read(path: Path, hour: int) -> HourRecord | None:
+    try:
+        document = read_json(path, what="the record of an hour", hint=MEASURE_AGAIN)
+    except InputError as error:
+        if isinstance(error.__cause__, FileNotFoundError | NotADirectoryError):
+            return None
+        raise
     try:
         if document["schema"] > SCHEMA:
             raise InputError(
@@ -214,7 +219,7 @@ def _read(path: Path) -> HourRecord | None:
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=MEASURE_AGAIN) from error
-    if record.hour != _hour_of_path(path):
+    if record.hour != hour:
         raise InputError(
             "{}: is the record of {}", path, hour_text(record.hour), hint=MEASURE_AGAIN
         )
@@ -233,7 +238,7 @@ def _origin(document: dict[str, Any]) -> Origin:
 def write_record(folder: Path, record: HourRecord) -> None:
     """Write the record of an hour whose parts are all there."""
     path = record_path(folder, record.hour)
-    parts = {name: asdict(record.parts[name]) for name in TABLES if name in record.parts}
+    parts = {name: record.parts[name]._asdict() for name in TABLES if name in record.parts}
     document = {
         "schema": SCHEMA, "hour": hour_text(record.hour), **asdict(record.origin),
         "dropped": list(record.dropped), "parts": parts,
