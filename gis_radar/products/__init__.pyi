@@ -3,7 +3,7 @@ from .comparison.comparison import compare
 from .comparison.result import Comparison, change_rows
 from .comparison.rows import with_verdicts
 from .heatmap.by_lane import lane_totals, lanes_with_tiles
-from .heatmap.heatmap import HeatMap, make_heatmap, read_heatmap
+from .heatmap.heatmap import HeatMap, joined, make_heatmap, read_heatmap, write_together
 from .heatmap.intervals import MapLabels
 from .heatmap.style import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_classes
 from .postgis import Publication, publish
@@ -47,6 +47,7 @@ __all__ = [
     "colour_classes",
     "compare",
     "is_city",
+    "joined",
     "lane_totals",
     "lanes_with_tiles",
     "lost_sensors",
@@ -70,4 +71,5 @@ __all__ = [
     "write_qgis_project",
     "write_report",
     "write_site_project",
+    "write_together",
 ]

@@ -11,6 +11,7 @@ from .traffic import (
     ConvertRecordings,
     KeepDataset,
     MakeHeatMap,
+    MapMonth,
     MeasureTraffic,
     RunSite,
     ShowDetections,
@@ -19,9 +20,9 @@ from .traffic import (
 
 ALGORITHMS = (
     SplitLanelets, MaskRoad, LocalizeRadar, FollowPose, FindSight, CheckSite, ConvertRecordings,
-    CompareClocks, MeasureTraffic, MakeHeatMap, CountTraffic, ComparePeriods, ShowVehicles,
-    ShowDetections, CheckQuality, KeepDataset, RunSite, ExportReport, WriteReport, WriteProject,
-    SetUpWorker, SampleSite,
+    CompareClocks, MeasureTraffic, MakeHeatMap, MapMonth, CountTraffic, ComparePeriods,
+    ShowVehicles, ShowDetections, CheckQuality, KeepDataset, RunSite, ExportReport, WriteReport,
+    WriteProject, SetUpWorker, SampleSite,
 )  # fmt: skip
 
 __all__ = ["ALGORITHMS"]

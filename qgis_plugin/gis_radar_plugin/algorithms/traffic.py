@@ -279,6 +279,45 @@ def load_heatmap(
     load(context, source, tr("Road, not observed"), group=group, order=0, finish=as_ground)
 
 
+class MapMonth(WorkerAlgorithm):
+    """An algorithm that asks a dataset, or all sites of a city, for the map of a month."""
+
+    NAME = "monthmap"
+    COMMAND = "heatmap"
+    TITLE = "Map of a month"
+    GROUP = TRAFFIC
+    HELP = (
+        "Makes the map of occupancy over a month, of a dataset or of all sites of a city: the "
+        "folder with a dataset for each site (site=...), as 'gis-radar run CITY.toml' makes it. It "
+        "comes from the sums that are kept of each month, in seconds, also where older exact "
+        "tables were deleted.\n"
+        "Colours are the same on every map, so that months and places compare."
+    )
+    KEYWORDS = ("city", "occupancy", "heat map")
+    PARAMETERS = (
+        Folder("DATASET", "Dataset or city", "A dataset, or a folder with one for each site.", ""),
+        Text(
+            "MONTH", "Month", "By the clocks of the sites: 2026-10.", advanced=False,
+            optional=False,
+        ),
+        Switch(
+            "LOAD", "Load the layers", "Switch it off in a model that continues with the files.",
+            None, default=True,
+        ),
+        OutputFolder("OUTPUT", "Heat map", "A folder."),
+        Result("HEATMAP", "Map of the month", kind=QgsProcessingOutputVectorLayer),
+    )  # fmt: skip
+
+    def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
+        del answer
+        folder = Path(given.outputs["OUTPUT"])
+        layer = layers_of(folder)["HEATMAP"]
+        if given.is_on("LOAD"):
+            load(given.context, layer, f"{tr('Occupancy')} {given.text('MONTH')}")
+        self.made = [(tr("Show the folder"), folder)]
+        return {"HEATMAP": layer}
+
+
 class ShowVehicles(WorkerAlgorithm):
     """An algorithm that makes a layer of the footprints of vehicles, half second by half second."""
 
