@@ -29,9 +29,9 @@ from gis_radar.products import (
     Comparison,
     HeatMap,
     compare,
-    joined,
+    joint_layer,
     make_heatmap,
-    write_together,
+    write_joint_layer,
 )
 
 SITE_COLUMN = "site"
@@ -98,7 +98,7 @@ class CityQuestions(SqlQueries):
         UsageError, InputError
             If it is no month, or no site was measured in it.
         """
-        return joined(self._maps(month, crs), crs)
+        return joint_layer(self._maps(month, crs), crs)
 
     def write_map(self, month: str, folder: str | Path, *, crs: Any = None) -> Path:
         """Write :meth:`map` as `heatmap.gpkg`: one layer, with the style of all heat maps.
@@ -120,7 +120,7 @@ class CityQuestions(SqlQueries):
         OutputError
             If the folder cannot be written or holds other files; others as :meth:`map`.
         """
-        return write_together(self._maps(month, crs), Path(folder), crs)
+        return write_joint_layer(self._maps(month, crs), Path(folder), crs)
 
     def _maps(self, month: str, crs: Any) -> dict[str, HeatMap]:
         systems = {dataset.crs: name for name, dataset in self.sites.items()}

@@ -3,7 +3,7 @@ from .comparison.comparison import compare
 from .comparison.result import Comparison, change_rows
 from .comparison.rows import with_verdicts
 from .heatmap.by_lane import lane_totals, lanes_with_tiles
-from .heatmap.heatmap import HeatMap, joined, make_heatmap, read_heatmap, write_together
+from .heatmap.heatmap import HeatMap, joint_layer, make_heatmap, read_heatmap, write_joint_layer
 from .heatmap.intervals import MapLabels
 from .heatmap.style import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_classes
 from .postgis import Publication, publish
@@ -47,7 +47,7 @@ __all__ = [
     "colour_classes",
     "compare",
     "is_city",
-    "joined",
+    "joint_layer",
     "lane_totals",
     "lanes_with_tiles",
     "lost_sensors",
@@ -67,9 +67,9 @@ __all__ = [
     "text_rows",
     "was_edited",
     "with_verdicts",
+    "write_joint_layer",
     "write_projection",
     "write_qgis_project",
     "write_report",
     "write_site_project",
-    "write_together",
 ]

@@ -241,8 +241,8 @@ def make_heatmap(
     )  # fmt: skip
 
 
-def write_together(maps: Mapping[str, HeatMap], folder: Path, crs: Any = None) -> Path:
-    """Write heat maps of several sites as one layer, `heatmap.gpkg`; see :func:`joined`.
+def write_joint_layer(maps: Mapping[str, HeatMap], folder: Path, crs: Any = None) -> Path:
+    """Write heat maps of several sites as one layer, `heatmap.gpkg`; see :func:`joint_layer`.
 
     Parameters
     ----------
@@ -263,12 +263,12 @@ def write_together(maps: Mapping[str, HeatMap], folder: Path, crs: Any = None) -
     with (
         atomic_folder(folder, owned=OWNED) as fresh, output_errors(path), writing_errors(path)
     ):  # fmt: skip
-        write_one_layer(joined(maps, crs), fresh / path.name, least_s)
+        write_one_layer(joint_layer(maps, crs), fresh / path.name, least_s)
         keep_styles(fresh / path.name, earlier=path)
     return path
 
 
-def joined(maps: Mapping[str, HeatMap], crs: Any = None) -> gpd.GeoDataFrame:
+def joint_layer(maps: Mapping[str, HeatMap], crs: Any = None) -> gpd.GeoDataFrame:
     """Return the tiles of heat maps of several sites, with a column `site`."""
     tables = []
     for name, each in maps.items():

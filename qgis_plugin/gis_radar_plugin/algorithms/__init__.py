@@ -1,5 +1,6 @@
 """The algorithms of the toolbox: each a table of parameters, and what comes after its command."""
 
+from .heat_maps import MakeHeatMap, MapMonth
 from .lanes import ComparePeriods, CountTraffic
 from .report import ExportReport
 from .results import WriteProject, WriteReport
@@ -10,8 +11,6 @@ from .traffic import (
     CompareClocks,
     ConvertRecordings,
     KeepDataset,
-    MakeHeatMap,
-    MapMonth,
     MeasureTraffic,
     RunSite,
     ShowDetections,
