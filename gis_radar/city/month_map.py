@@ -22,7 +22,7 @@ MOST_LABEL = 26  # letters
 DEEP_FROM = 0.02  # occupancy from which its class has a deep colour
 FINEST = 1.0  # lanes are drawn so fine
 METRES_PER_DEGREE = 111_195.0
-BAR_X = 20.0  # of the scale bar from the edge
+BAR_X, BAR_ROOM = 20.0, 30.0  # of the scale bar from the edge; below the marks, for its text
 BAR_SHARE = 0.25  # longest scale bar, of the width
 
 
@@ -108,7 +108,7 @@ def draw_city(
     scale = min(inner / size[0], (WIDTH * TALLEST - 2 * MARGIN) / size[1])
     height = max(size[1] * scale + 2 * MARGIN, WIDTH * FLATTEST)
     corner = (places.min(axis=0) + places.max(axis=0)) / 2.0 - np.array([WIDTH, height]) / 2 / scale
-    at = (places - corner) * scale
+    at, height = (places - corner) * scale, height + BAR_ROOM
     volumes = np.array([each.volume[0] for each in sites])
     most = np.nanmax(volumes, initial=1.0)
     radius = np.where(
