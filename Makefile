@@ -70,9 +70,10 @@ test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 faults: set-up-dev ## Run every input kind with every fault; `make test` runs a sample
 	GIS_RADAR_FAULTS=all $(ONE_THREAD) $(BIN)/pytest -n 3 --dist worksteal tests/faults tests/fuzz
 
-live-test: set-up-dev ## Run the live system through all that breaks, minutes long; `make test` runs the short part
+live-test: set-up-dev ## Run the live system through all that breaks, and days of a city in two ways, minutes long; `make test` runs the short part
 	@sh tools/get_mosquitto.sh
-	GIS_RADAR_LIVE=all $(ONE_THREAD) $(BIN)/pytest --durations=10 $(wildcard tests/test_live*.py)
+	GIS_RADAR_LIVE=all $(ONE_THREAD) $(BIN)/pytest --durations=10 $(wildcard tests/test_live*.py) \
+		tests/test_city_run.py::test_days_in_any_order_without_a_sensor_as_if_it_had_never_been
 
 soak: set-up-dev ## Run 100 simulated sensors for SOAK_MINUTES (15): losses, lateness, memory, CPU
 	@sh tools/get_mosquitto.sh

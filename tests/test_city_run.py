@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +23,8 @@ import gis_radar as gr
 from gis_radar.base import GisRadarError, InputError, OutputError, Reporter, UsageError, only_writer
 from gis_radar.city import is_city_file
 from gis_radar.city.executors import OtherSoftwareError, Workers, run_task, workers_of
+from gis_radar.city.tasks import make_site_hour
+from gis_radar.dataset.hours.job import MadeHour
 from gis_radar.site import software
 
 HOURS = 4
@@ -121,6 +123,9 @@ def test_only_new_hours_are_made(site, whole, tmp_path):
     assert gr.run_city(city, tmp_path / "root", jobs=2).sites["one"].hours == 2
     dataset = tmp_path / "root" / "site=one"
     before = {path: path.stat().st_mtime_ns for path in dataset.glob("h*/**/*.*")}
+    left = dataset / "tile_counts" / "date=2020-01-01" / "day.parquet"  # by a killed withdrawal
+    left.parent.mkdir()
+    left.touch()
     assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
     for hour in range(2, HOURS):
         os.link(site / f"R1_{hour}.parquet", tmp_path / "one" / f"R1_{hour}.parquet")
@@ -128,6 +133,7 @@ def test_only_new_hours_are_made(site, whole, tmp_path):
     assert gr.run_city(city, tmp_path / "root", jobs=1, reporter=said).sites["one"].hours == 2
     assert ("hours", 2, 2) in said.stages
     assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert not left.exists()
     made, wanted = bytes_of(dataset), bytes_of(whole / "root" / "site=one")
     assert [name for name in wanted if made[name] != wanted[name]] == []
 
@@ -154,9 +160,15 @@ def test_recordings_of_one_name_in_two_folders_are_both_converted(site, tmp_path
     text = file.read_text(encoding="utf-8").replace("R1_*", "day*/R1")
     table = 'pose = "R1.json"\n[sensor.convert]\n'
     file.write_text(text.replace('pose = "R1.json"\n', table), encoding="utf-8")
-    run = gr.run_city(city_file(tmp_path, one=file), tmp_path / "root", jobs=1)
+    city = city_file(tmp_path, one=file)
+    run = gr.run_city(city, tmp_path / "root", jobs=1)
     assert run.failure is None
     assert run.sites["one"].hours == 2
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
+    columns = '[sensor.convert]\ncolumns = { rcs = "-rcs" }'
+    changed = file.read_text(encoding="utf-8").replace("[sensor.convert]", columns)
+    file.write_text(changed, encoding="utf-8")
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 2
 
 
 def test_a_run_that_ended_before_its_page_makes_it_when_it_goes_on(site, tmp_path, monkeypatch):
@@ -362,6 +374,24 @@ def test_workers_that_are_lost_whatever_they_do_end_the_run():
         list(workers.results(calls))
 
 
+def test_a_worker_waits_for_another_that_makes_the_same_hour(tmp_path, monkeypatch):
+    at_work, most = [], []
+
+    def make(*_):
+        at_work.append(1)
+        most.append(len(at_work))
+        time.sleep(0.2)
+        at_work.pop()
+        return MadeHour(hour=7, evidence={}, vehicles=len(most), on_lanes=[])
+
+    monkeypatch.setattr("gis_radar.city.tasks.make_registered", make)
+    with ThreadPoolExecutor(2) as pool:
+        made = [pool.submit(make_site_hour, tmp_path, 7, 1) for _ in range(2)]
+        assert sorted(each.result() for each in made) == [1, 2]
+    assert most == [1, 1]
+    assert list(tmp_path.iterdir()) == []
+
+
 def wrong():
     return {}["gone"]
 
@@ -491,3 +521,63 @@ def test_a_cluster_that_is_not_there_is_named():
 def test_what_is_no_address_is_refused_at_once(address):
     with pytest.raises(UsageError, match="no address"), workers_of(address, None, Said()):
         pass
+
+
+def day_site(source, folder):
+    """Write a site of two radars with a recording of each on two dates."""
+    folder.mkdir(parents=True)
+    for name in ("map.osm", "scan_1.laz", "R1.json", "R2.json"):
+        os.link(source / name, folder / name)
+    for day, hours in ((1, 0), (2, 24)):
+        for sensor, recording in (("R1", "R1"), ("R2", "R2_0")):
+            path = folder / f"{sensor}_day{day}.parquet"
+            shifted(source / f"{recording}.parquet", path, hours)
+    return folder / "SITE.toml"
+
+
+def stated(source, folder, days, sensors):
+    """Write the site file of some sensors, with their recordings of some days."""
+    text = (source / "SITE.toml").read_text(encoding="utf-8")
+    head = text.partition("[[sensor]]")[0]
+    for sensor in sensors:
+        paths = json.dumps([f"{sensor}_day{day}.parquet" for day in days])
+        head += f'[[sensor]]\nname = "{sensor}"\npose = "{sensor}.json"\nrecordings = {paths}\n'
+    (folder / "SITE.toml").write_text(head, encoding="utf-8")
+
+
+def files_of(root):
+    """Return all files of the datasets of a city; of their manifests all but what was checked."""
+    found = {p.relative_to(root).as_posix(): p.read_bytes() for p in root.glob("site=*/**/*.*")}
+    for name in (each for each in found if each.endswith("dataset.json")):
+        manifest = json.loads(found[name])
+        assert manifest.pop("checks").keys() == {"R1"}
+        manifest.pop("texts", None)
+        found[name] = manifest
+    return found
+
+
+@pytest.mark.skipif(os.environ.get("GIS_RADAR_LIVE") != "all", reason="takes long: make live-test")
+def test_days_in_any_order_without_a_sensor_as_if_it_had_never_been(site, tmp_path):
+    names = ("one", "two")
+    places = {name: day_site(site, tmp_path / name) for name in names}
+    city = city_file(tmp_path, **places)
+
+    def run(root, days, sensors, **how):
+        for name in names:
+            stated(site, tmp_path / name, days, sensors)
+        made = gr.run_city(city, tmp_path / root, **how)
+        assert made.failure is None
+        return sum(each.hours for each in made.sites.values())
+
+    assert run("days", [1], ["R1", "R2"], jobs=2) == 2
+    assert run("days", [1, 2], ["R1", "R2"], jobs=2) == 2
+    for name in names:
+        gr.open_dataset(tmp_path / "days" / f"site={name}").withdraw(sensor="R2")
+    with started() as cluster:
+        assert run("whole", [2], ["R1"], executor=cluster.address) == 2
+        assert run("whole", [2, 1], ["R1"], executor=cluster.address) == 2
+    made, wanted = (files_of(tmp_path / root) for root in ("days", "whole"))
+    assert made.keys() == wanted.keys()
+    assert [name for name in made if made[name] != wanted[name]] == []
+    tables = {name.split("/")[1] for name in made}
+    assert tables >= {"lane_measures", "turns", "lane_months", "tile_months", "tracks"}

@@ -3,6 +3,8 @@
 import json
 import re
 from dataclasses import replace
+from functools import reduce
+from itertools import permutations
 
 import numpy as np
 import pandas as pd
@@ -138,6 +140,25 @@ def test_who_is_accepted_lets_no_other_pass_and_each_doubt_is_told():
         f"{one.line}; it is accepted anyway", f"{other.line}; it is accepted anyway",
         *(each.line for each in doubted),
     ]  # fmt: skip
+
+
+def test_findings_on_several_times_join_alike_in_any_order():
+    """The worst one stays; its words are the latest, and it holds since the first of its kind."""
+
+    def of(day, verdict, cause=""):
+        time = f"2026-10-0{day}T00:00:00Z"
+        evidence = f"of day {day}"
+        return Finding(
+            sensor="R1", verdict=verdict, evidence=evidence, cause=cause, since=time, until=time
+        )
+
+    days = [of(1, FITS), of(2, FITS, "it may be off"), of(3, UNKNOWN), of(4, FITS, "it may be off")]
+    for order in permutations(days):
+        found = reduce(Finding.joined, order)
+        assert (found.evidence, found.since[:10]) == ("of day 4", "2026-10-02")
+    assert reduce(Finding.joined, days[::2]) == days[2]
+    turned = replace(wrong("few", "turned", "turn"), sensor="R1")
+    assert turned.joined(days[3]) == days[3].joined(turned) == turned
 
 
 @pytest.fixture

@@ -238,7 +238,7 @@ def test_the_page_on_qgis_gives_its_names_in_german():
     table = page.split("<!-- names in German -->")[1].split("<!-- end of names in German -->")[0]
     rows = dict(re.findall(r"\| \*([^*]+)\* \| \*([^*]+)\* \|", table))
     german = catalogue("de")
-    assert len(rows) == 12
+    assert len(rows) == 13
     assert rows == {name: german[name] for name in rows}
 
 

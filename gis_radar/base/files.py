@@ -409,7 +409,7 @@ def output_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def only_writer(
-    path: Path, *, lock: Path | None = None, reporter: Reporter = QUIET
+    path: Path, *, lock: Path | None = None, waits: bool = False, reporter: Reporter = QUIET
 ) -> Iterator[None]:
     """Keep other runs from writing the same result while the block runs.
 
@@ -423,6 +423,8 @@ def only_writer(
     lock : Path, optional
         The file that is locked, removed afterwards; by default a hidden one beside the result. It
         holds the process id of the holder.
+    waits : bool
+        Wait for another run to end, rather than refuse.
     reporter : Reporter
         Receives a warning where the file system has no locks; the block then runs without one.
 
@@ -433,7 +435,7 @@ def only_writer(
     """
     lock = lock or path.with_name(f"{hidden_stem(path)}.lock")
     with output_errors(path):
-        handle = _taken(lock, path, reporter)
+        handle = _taken(lock, path, reporter, waits=waits)
     try:
         os.truncate(handle, 0)
         # From the second byte on: Windows lets nobody else read the first, which is the locked one.
@@ -449,14 +451,14 @@ def only_writer(
                 lock.unlink()
 
 
-def _taken(lock: Path, path: Path, reporter: Reporter) -> int:
+def _taken(lock: Path, path: Path, reporter: Reporter, *, waits: bool) -> int:
     """Return the descriptor of the locked file; made anew if the last holder has removed it."""
     from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
 
     while True:
         handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            free = lock_descriptor(handle, blocking=False)
+            free = lock_descriptor(handle, blocking=waits)
         except OSError as error:
             reporter.warn("{}: cannot be locked: {}", path, error.strerror)
             return handle

@@ -50,7 +50,7 @@ def read_json(path: str | Path, *, what: str, hint: str = "") -> Any:
         If it cannot be read, or is no JSON that Python can hold.
     """
     try:
-        return parsed_json(Path(path).read_text(encoding="utf-8-sig"))
+        return parsed_json(Path(path).read_bytes().decode("utf-8-sig"))
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError("{}: cannot be read: {}", path, reason, hint=hint) from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from gis_radar.base import NoAnswerError, Reporter, Text
@@ -19,6 +19,7 @@ ONE_PLACE = Text(
 CLOCKS_APART = "its clock and that of {} are apart"
 HEADS = (Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do"))
 RECORD = ("verdict", "evidence", "cause", "advice")
+SPAN = ("since", "until")
 SIDES = (
     Text("east"), Text("north-east"), Text("north"), Text("north-west"), Text("west"),
     Text("south-west"), Text("south"), Text("south-east"),
@@ -40,6 +41,8 @@ class Finding:
         The numbers behind the verdict.
     cause, advice : str
         What is probably wrong and what to do; empty where nothing is.
+    since, until : str
+        First and last frame of the recordings on which it rests, ISO 8601; empty where not stated.
     """
 
     sensor: str
@@ -47,11 +50,30 @@ class Finding:
     evidence: str
     cause: str = ""
     advice: str = ""
+    since: str = ""
+    until: str = ""
 
     @property
     def record(self) -> dict[str, str]:
         """All fields but the sensor's name, as a dataset stores them."""
-        return {name: getattr(self, name) for name in RECORD}
+        span = {name: value for name in SPAN if (value := getattr(self, name))}
+        return {name: getattr(self, name) for name in RECORD} | span
+
+    def joined(self, other: Finding) -> Finding:
+        """Join the findings on recordings of two times, in either order.
+
+        The worse one counts; of equally bad ones the words of the later, since the earlier.
+        """
+        worst = max(self, other, key=lambda each: (each.severity, each.until, each.evidence))
+        both = self.severity == other.severity
+        return replace(worst, since=min(self.since, other.since)) if both else worst
+
+    @property
+    def severity(self) -> int:
+        """How bad it is, from 0 for a sensor that fits."""
+        if self.verdict == FITS:
+            return 2 if self.cause else 0
+        return 3 if self.refused else 1
 
     @property
     def row(self) -> list[str]:
@@ -113,7 +135,7 @@ def is_record(value: object) -> bool:
     """Return whether a value is a finding as a dataset keeps it."""
     return (
         isinstance(value, dict)
-        and value.keys() == {*RECORD}
+        and {*RECORD} <= value.keys() <= {*RECORD, *SPAN}
         and all(isinstance(each, str) for each in value.values())
     )
 

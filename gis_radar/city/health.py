@@ -36,6 +36,7 @@ SILENT_S = 3600.0  # without data, after which a sensor counts as silent, or as 
 LEAST_SHARE_SEEN = 0.95  # least share of the month with data of a sensor that works
 CLOCK_S = 0.025  # half of a step: a clock that is off by more is wrong
 MOVED_M, MOVED_DEG = 0.5, 1.0  # a pose that changes by more is that of a sensor that was moved
+LEAST_TOLD_M = 0.05  # moves that are told, not only the turn
 STATES = (
     Text("no data"), Text("silent"), Text("moved"), Text("pose doubtful"), Text("clock off"),
     Text("gaps"), Text("pose not confirmed"), Text("works"),
@@ -123,7 +124,7 @@ def _site_rows(site: str, month: CityMonth) -> Iterator[dict[str, Any]]:
         its_poses = poses[poses["sensor"] == name]
         reasons = [
             *_silence(mine, begin_s, end_s), *_moves(its_poses, begin_s, end_s),
-            *_doubts(dataset, name), *_clocks(mine, begin_s, end_s), *_missing(gaps, share),
+            *_doubts(dataset, name, end_s), *_clocks(mine, begin_s, end_s), *_missing(gaps, share),
         ]  # fmt: skip
         yield _row(site, name, reasons, share=share, gaps=gaps, recordings=mine)
     for name in sorted(lost.keys() - set(recordings["sensor"])):
@@ -201,18 +202,21 @@ def _moves(poses: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reaso
     turn_deg = np.abs((np.diff(angles, axis=0) + 180.0) % 360.0 - 180.0).max(axis=1)
     moved = (poses["event"].to_numpy()[1:] == "moved") | (step_m > MOVED_M) | (turn_deg > MOVED_DEG)
     for k in np.flatnonzero(moved & (begin[1:] > begin_s) & (begin[1:] < end_s)):
-        words = tr("moved by {m} m and {deg}°", m=figure_text(step_m[k], 1),
-                   deg=figure_text(turn_deg[k], 1))  # fmt: skip
+        text = "moved by {m} m and {deg}°" if step_m[k] >= LEAST_TOLD_M else "turned by {deg}°"
+        words = tr(text, m=figure_text(step_m[k], 1), deg=figure_text(turn_deg[k], 1))
         yield _Reason(MOVED, float(begin[k + 1]), words)
 
 
-def _doubts(dataset: Dataset, sensor: str) -> Iterator[_Reason]:
-    """Yield what the check of pose and recordings found."""
+def _doubts(dataset: Dataset, sensor: str, end_s: float) -> Iterator[_Reason]:
+    """Yield what the check of pose and recordings found, unless in later ones."""
     found = dataset.manifest.findings.get(sensor)
     if found is None or not found.doubt:
         return
-    state = DOUBTFUL if found.verdict in (WRONG, FITS) else NOT_CONFIRMED
-    yield _Reason(CLOCK_OFF if found.is_of_clocks else state, np.nan, tr(found.text))
+    since = pd.to_datetime(found.since, utc=True, errors="coerce")
+    since_s = np.nan if pd.isna(since) else since.timestamp()
+    if not since_s >= end_s:
+        state = DOUBTFUL if found.verdict in (WRONG, FITS) else NOT_CONFIRMED
+        yield _Reason(CLOCK_OFF if found.is_of_clocks else state, since_s, tr(found.text))
 
 
 def _clocks(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:

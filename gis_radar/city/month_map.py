@@ -22,6 +22,7 @@ MOST_LABEL = 26  # letters
 DEEP_FROM = 0.02  # occupancy from which its class has a deep colour
 FINEST = 1.0  # lanes are drawn so fine
 METRES_PER_DEGREE = 111_195.0
+BAR_X, BAR_ROOM = 20.0, 30.0  # of the scale bar from the edge; below the marks, for its text
 BAR_SHARE = 0.25  # longest scale bar, of the width
 
 
@@ -71,8 +72,8 @@ class CityMap(NamedTuple):
         The path of all lanes.
     marks : sequence of SiteMark
         The sites.
-    bar : (length, text)
-        The scale bar, units.
+    bar : (x, length, text)
+        The scale bar at the lower edge, units: in the corner that is farther from a mark.
     classes : sequence of (name, colour, text)
         The legend, lowest class first.
     """
@@ -81,7 +82,7 @@ class CityMap(NamedTuple):
     height: float
     lanes: str
     marks: Sequence[SiteMark]
-    bar: tuple[float, str]
+    bar: tuple[float, float, str]
     classes: Sequence[tuple[str, str, str]]
 
 
@@ -107,7 +108,7 @@ def draw_city(
     scale = min(inner / size[0], (WIDTH * TALLEST - 2 * MARGIN) / size[1])
     height = max(size[1] * scale + 2 * MARGIN, WIDTH * FLATTEST)
     corner = (places.min(axis=0) + places.max(axis=0)) / 2.0 - np.array([WIDTH, height]) / 2 / scale
-    at = (places - corner) * scale
+    at, height = (places - corner) * scale, height + BAR_ROOM
     volumes = np.array([each.volume[0] for each in sites])
     most = np.nanmax(volumes, initial=1.0)
     radius = np.where(
@@ -115,7 +116,8 @@ def draw_city(
         RADIUS[0] + (RADIUS[1] - RADIUS[0]) * np.sqrt(np.nan_to_num(volumes) / most),
         UNKNOWN_RADIUS,
     )
-    labels = _labels([each.title for each in sites], at, radius, height)
+    bar = _bar(scale, at, height)
+    labels = _labels([each.title for each in sites], at, radius, height, bar)
     marks = [
         SiteMark(
             number=k + 1, x=round(float(at[k, 0]), 1), y=round(float(at[k, 1]), 1),
@@ -129,7 +131,7 @@ def draw_city(
         _path(((way - middle) * metres * [1.0, -1.0] - corner) * scale)
         for each in sites for way in each.ways
     )  # fmt: skip
-    return CityMap(WIDTH, round(float(height)), lanes, marks, _bar(scale), _classes(legend))
+    return CityMap(WIDTH, round(float(height)), lanes, marks, bar, _classes(legend))
 
 
 def _colour(site: SiteMonth) -> str:
@@ -152,11 +154,12 @@ def _words(site: SiteMonth, ill: int) -> str:
 
 
 def _labels(
-    names: Sequence[str], at: Floats, radius: Floats, height: float
+    names: Sequence[str], at: Floats, radius: Floats, height: float, bar: tuple[float, float, str]
 ) -> list[tuple[float, float, str, str] | None]:
     """Return where names stand: beside their marks, none over another; None without room."""
     bounds = shapely.box(0.0, 0.0, WIDTH, height)
     taken = [shapely.Point(*p).buffer(r) for p, r in zip(at, radius, strict=True)]
+    taken += [_box_of_bar(bar[0], bar[1], height), shapely.box(WIDTH - 50.0, 0.0, WIDTH, 80.0)]
     found: list[tuple[float, float, str, str] | None] = []
     for name, (x, y), r in zip(names, at, radius, strict=True):
         text = name if len(name) <= MOST_LABEL else name[: MOST_LABEL - 1] + "\u2026"
@@ -181,12 +184,20 @@ def _path(points: Floats) -> str:
     return "M" + " ".join(f"{x:.0f} {y:.0f}" for x, y in kept)
 
 
-def _bar(scale: float) -> tuple[float, str]:
+def _bar(scale: float, at: Floats, height: float) -> tuple[float, float, str]:
     longest = WIDTH * BAR_SHARE / scale
     power = 10.0 ** np.floor(np.log10(longest))
     metres = max(each for each in (power, 2 * power, 5 * power) if each <= longest)
     text = f"{metres / 1000:g} km" if metres >= 1000 else f"{metres:g} m"
-    return round(float(metres * scale), 1), text
+    length, marks = round(float(metres * scale), 1), shapely.MultiPoint(at)
+    x = max(
+        BAR_X, WIDTH - BAR_X - length, key=lambda x: _box_of_bar(x, length, height).distance(marks)
+    )
+    return x, length, text
+
+
+def _box_of_bar(x: float, length: float, height: float) -> shapely.Polygon:
+    return shapely.box(x - 5.0, height - 60.0, x + length + 5.0, height)
 
 
 def _classes(legend: Sequence[tuple[str, str]]) -> list[tuple[str, str, str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
@@ -33,6 +33,7 @@ from gis_radar.base import (
     tr,
     zone_of,
 )
+from gis_radar.city.executors import Workers, workers_of
 from gis_radar.city.health import WORKS, health_of, worst_first
 from gis_radar.city.month import CityMonth, month_of
 from gis_radar.city.month_map import draw_city
@@ -63,6 +64,7 @@ from gis_radar.products import (
 MONTH_PAGE = "month.html"
 PROFILES = 12  # sites whose profiles are drawn
 HOURS = 24
+MANY_SITES = 6  # from which on new processes pay
 TOPS = (50, 100, 200, 300, 500, 750, 1000, 1500, 2000, 3000, 5000, 7500, 10_000)
 
 
@@ -96,6 +98,7 @@ def write_month_page(
     title: str | None = None,
     timezone: str | None = None,
     language: str | None = None,
+    workers: Workers | None = None,
     reporter: Reporter = QUIET,
 ) -> Report:
     """Write the page of a city's month, `month.html`: one file that opens without a network.
@@ -114,6 +117,8 @@ def write_month_page(
         Whose clocks the page's times follow; by default those of its run, else of most sites.
     language : str, optional
         `en` or `de`; by default that of its run, else of most sites' results, else `en`.
+    workers : Workers, optional
+        Who read the sites; by default processes of this machine, for a few sites this one.
     reporter : Reporter
         Receives progress, and a warning for each site that is left out.
 
@@ -145,7 +150,7 @@ def write_month_page(
         clock = Clock(
             zone=zone_of(zone), first=step_begin(first), last=step_begin(end), to_seconds=False
         )
-        sites, health, left_out = _sites(chosen, place, reporter)
+        sites, health, left_out = _sites(chosen, place.absolute(), workers, reporter)
         name = title or noted.get("title") or city.root.resolve().name
         page, summary = _page(chosen, sites, health, clock, name, left_out)
     with folder_to_fill(place), atomic_write(place / MONTH_PAGE) as private:
@@ -164,23 +169,49 @@ def _language_of(city: City) -> str:
 
 
 def _sites(
-    month: CityMonth, place: Path, reporter: Reporter
+    month: CityMonth, place: Path, workers: Workers | None, reporter: Reporter
 ) -> tuple[list[SiteMonth], pd.DataFrame, dict[str, str]]:
     """Gather the sites and the health of the fleet; a site that cannot be read is left out."""
-    found, health, left_out = [], [], dict[str, str]()
-    for done, name in enumerate(month.city.sites, start=1):
-        try:
-            site = site_month(month, name, place)
-            health.append(health_of(month, [name]))
-            found.append(site)
-        except GisRadarError as error:
-            left_out[name] = str(error)
-            reporter.warn("site {} is left out: {}", name, error)
-        reporter.progress("reading the sites", done, len(month.city.sites))
+    names, found = list(month.city.sites), dict[str, tuple[SiteMonth, pd.DataFrame]]()
+    left_out = dict[str, str]()
+    tasks = {name: (_site, month, name, place, current_language()) for name in names}
+    for done, (name, site) in enumerate(_read(tasks, workers, reporter), start=1):
+        if isinstance(site, GisRadarError):
+            left_out[name] = str(site)
+            reporter.warn("site {} is left out: {}", name, site)
+        else:
+            found[name] = site
+        reporter.progress("reading the sites", done, len(names))
     if not found:
         why = next(iter(left_out.values()))
         raise InputError("{}: no site can be read: {}", month.city.root, why)
-    return found, worst_first(pd.concat(health, ignore_index=True)), left_out
+    sites, health = zip(*(found[name] for name in names if name in found), strict=True)
+    return list(sites), worst_first(pd.concat(health, ignore_index=True)), left_out
+
+
+def _read(
+    tasks: Mapping[str, Sequence[Any]], workers: Workers | None, reporter: Reporter
+) -> Iterator[tuple[str, Any]]:
+    """Yield what is read of each site, or the error, as it comes."""
+    if workers is not None:
+        yield from workers.results(tasks)
+    elif len(tasks) >= MANY_SITES:
+        with workers_of(None, None, reporter) as processes:
+            yield from processes.results(tasks)
+    else:
+        for name, (work, *given) in tasks.items():
+            try:
+                yield name, work(*given)
+            except GisRadarError as error:
+                yield name, error
+
+
+def _site(
+    month: CityMonth, name: str, place: Path, language: str
+) -> tuple[SiteMonth, pd.DataFrame]:
+    """Return a site's month and the health of its sensors."""
+    with speaking(language):
+        return site_month(month, name, place), health_of(month, [name])
 
 
 def _page(

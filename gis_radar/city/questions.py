@@ -25,7 +25,14 @@ from gis_radar.dataset import (
     SqlQueries,
     UnknownStreetError,
 )
-from gis_radar.products import Comparison, compare, make_heatmap
+from gis_radar.products import (
+    Comparison,
+    HeatMap,
+    compare,
+    joint_layer,
+    make_heatmap,
+    write_joint_layer,
+)
 
 SITE_COLUMN = "site"
 
@@ -64,7 +71,9 @@ class CityQuestions(SqlQueries):
             If no site was measured in that time, with vehicles.
         """
         profiles = self._of_sites(lambda dataset: dataset.profile(street, **asked))
-        whole: pd.DataFrame = pd.concat(profiles, ignore_index=True)
+        for name, each in profiles.items():
+            each.insert(0, SITE_COLUMN, name)
+        whole: pd.DataFrame = pd.concat(profiles.values(), ignore_index=True)
         return whole
 
     def map(self, month: str, *, crs: Any = None) -> gpd.GeoDataFrame:
@@ -89,6 +98,31 @@ class CityQuestions(SqlQueries):
         UsageError, InputError
             If it is no month, or no site was measured in it.
         """
+        return joint_layer(self._maps(month, crs), crs)
+
+    def write_map(self, month: str, folder: str | Path, *, crs: Any = None) -> Path:
+        """Write :meth:`map` as `heatmap.gpkg`: one layer, with the style of all heat maps.
+
+        Parameters
+        ----------
+        month, crs
+            As for :meth:`map`.
+        folder : str or Path
+            The folder; an earlier heat map there is replaced as a whole.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written or holds other files; others as :meth:`map`.
+        """
+        return write_joint_layer(self._maps(month, crs), Path(folder), crs)
+
+    def _maps(self, month: str, crs: Any) -> dict[str, HeatMap]:
         systems = {dataset.crs: name for name, dataset in self.sites.items()}
         if crs is None and len(systems) > 1:
             (one, here), (other, there), *_ = systems.items()
@@ -96,9 +130,7 @@ class CityQuestions(SqlQueries):
                 "{}: site {} lies in {}, site {} in {}", self.root, here, one, there, other,
                 hint="name the map's coordinate system by crs=",
             )  # fmt: skip
-        maps = self._of_sites(lambda dataset: make_heatmap(dataset, month=month).wide())
-        maps = [each if crs is None else each.to_crs(crs) for each in maps]
-        return gpd.GeoDataFrame(pd.concat(maps, ignore_index=True))
+        return self._of_sites(lambda dataset: make_heatmap(dataset, month=month))
 
     def compare(
         self, *, before: Any, after: Any, days: str | None = None, language: str | None = None,
@@ -165,17 +197,14 @@ class CityQuestions(SqlQueries):
             views = catalogue_of(folders, f"{place.rstrip('/')}/site=*")
             part.write_text(views, encoding="utf-8")
 
-    def _of_sites(self, ask: Callable[[Dataset], Any]) -> list[Any]:
-        """Return the answers of the sites that have one, each with the name of its site."""
-        answers, refused = [], list[InputError | UsageError]()
+    def _of_sites(self, ask: Callable[[Dataset], Any]) -> dict[str, Any]:
+        """Return the answers of the sites that have one, by name."""
+        answers, refused = dict[str, Any](), list[InputError | UsageError]()
         for name, dataset in self.sites.items():
             try:
-                answer = ask(dataset)
+                answers[name] = ask(dataset)
             except (NotMeasuredError, UnknownStreetError, NoVehiclesError) as error:
                 refused.append(error)
-                continue
-            answer.insert(0, SITE_COLUMN, name)
-            answers.append(answer)
         if not answers:  # a street that some site has is told from one that none has
             raise next((each for each in refused if isinstance(each, NotMeasuredError)), refused[0])
         return answers

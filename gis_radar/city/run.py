@@ -276,7 +276,7 @@ class CitySteps:
         try:
             write_month_page(
                 self.root, f"{begin:%Y-%m}", title=self.city.title, timezone=self.city.timezone,
-                language=self.city.language, reporter=self.reporter,
+                language=self.city.language, workers=self.workers, reporter=self.reporter,
             )  # fmt: skip
         except (
             InputError,

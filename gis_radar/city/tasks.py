@@ -20,6 +20,7 @@ from gis_radar.base import (
     Reporter,
     atomic_write,
     json_text,
+    only_writer,
     read_json,
 )
 from gis_radar.city.root import RESULTS
@@ -37,6 +38,7 @@ from gis_radar.site import (
 
 POSES = "poses"  # folder of a city with the poses that were found
 CONVERTED = "recordings"  # folder of a city with the recordings that were converted
+OPTIONS = "options.json"  # beside a converted recording: how it was converted
 SEEN = ".gis-radar/recordings.json"  # what was registered, below the results of a site
 
 Failure = tuple[str, GisRadarError]
@@ -126,21 +128,31 @@ def _converted(site: Site, task: SiteTask) -> Site:
     for sensor in site.sensor:
         paths = [each for each in sensor.recordings if each not in sensor.foreign]
         options = sensor.convert.model_dump() if sensor.convert else {}
+        stated = json_text(options)
         for path in sensor.foreign:
             place = hashlib.sha256(os.fsencode(path.absolute())).hexdigest()[:12]
             made = task.root / CONVERTED / task.name / sensor.name / place / f"{path.stem}.parquet"
-            if not made.exists() or made.stat().st_mtime < path.stat().st_mtime:
-                made.parent.mkdir(parents=True, exist_ok=True)
+            if not _is_converted(path, made, stated):
                 try:
                     convert_stage(recordings=[path], outputs=[made], reporter=task, **options)
                 except GisRadarError as error:
                     task.failures.append((sensor.name, error))
                     continue
+                made.with_name(OPTIONS).write_text(stated, encoding="utf-8")
             paths.append(made)
         if paths:
             found = {"recordings": tuple(paths), "convert": None}
             sensors.append(sensor.model_copy(update=found))
     return site.model_copy(update={"sensor": tuple(sensors)})
+
+
+def _is_converted(path: Path, made: Path, stated: str) -> bool:
+    """Return whether a recording was converted as it is now, by the options as stated."""
+    made.parent.mkdir(parents=True, exist_ok=True)
+    if not made.exists() or made.stat().st_mtime < path.stat().st_mtime:
+        return False
+    noted = made.with_name(OPTIONS)
+    return noted.exists() and noted.read_text(encoding="utf-8") == stated
 
 
 def _pose_path(sensor: Sensor, task: SiteTask) -> Path:
@@ -189,7 +201,7 @@ def _seen(task: SiteTask) -> dict[str, list[int]]:
 
 def _keep_seen(task: SiteTask, states: Mapping[str, list[int]]) -> None:
     known = {*open_dataset(task.dataset).recordings()["path"]}
-    kept = {path: state for path, state in states.items() if path in known}
+    kept = {path: state for path, state in sorted(states.items()) if path in known}
     with atomic_write(task.results / SEEN) as part:
         part.write_text(json_text(kept, indent=1) + "\n", encoding="utf-8")
 
@@ -239,8 +251,13 @@ def _damaged(sensor: Sensor, error: GisRadarError) -> list[Path]:
 
 
 def make_site_hour(dataset: Path, hour: int, processes: int) -> int:
-    """Make an hour of a dataset from its registered recordings; return its number of vehicles."""
-    return make_registered(dataset, hour, processes).vehicles
+    """Make an hour of a dataset from its registered recordings; return its number of vehicles.
+
+    A worker that an earlier run has left behind, or that was taken for lost, may still be making
+    it: this one waits, so that what is written last follows from what is registered now.
+    """
+    with only_writer(dataset, lock=dataset / f".{hour}.lock", waits=True):
+        return make_registered(dataset, hour, processes).vehicles
 
 
 def is_older(path: Path, dataset: Path) -> bool:

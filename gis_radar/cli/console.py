@@ -52,8 +52,9 @@ from gis_radar.cli.result_tables import (
 from gis_radar.cli.usage import text_of_click
 
 WIDE = 160  # characters
-# Shown with --json only: constants in effect, and findings that `remarks` has as sentences.
-FOR_PROGRAMS = {"settings", "found"}
+# Shown with --json only: constants in effect, findings that `remarks` has as sentences, and errors
+# that follow.
+FOR_PROGRAMS = {"settings", "found", "failed"}
 SILENT_S = 30.0  # between lines of progress in a log
 MOST_BARS = 8  # with more than that, full bars are hidden
 

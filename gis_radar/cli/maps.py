@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 import gis_radar as gr
-from gis_radar.base import Reporter
+from gis_radar.base import Reporter, UsageError
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import (
     FILE,
@@ -105,13 +105,36 @@ def heatmap(
     *, folder: Path, output: Path, title: str, language: str, sources: tuple[str, ...],
     reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
-    """Make heat maps of occupancy: GeoPackage, GeoTIFF, GeoParquet, picture."""
+    """Make heat maps of occupancy: GeoPackage, GeoTIFF, GeoParquet, picture.
+
+    Of a city, DIR with a dataset a site, --month makes one layer of all sites (GeoPackage).
+    """
+    from gis_radar.products import is_city  # noqa: PLC0415 - --help needs no NumPy
+
+    if is_city(folder):
+        others = {**options, "title": title, "language": language if language != "en" else "",
+                  "source": sources}  # fmt: skip
+        return _map_of_city(folder, output, **others)
     measured = gr.open_dataset(folder)
     zone = options["timezone"] = options["timezone"] or measured.timezone
     options["labels"] = gr.MapLabels(title=title, timezone=zone, sources=sources, language=language)
     heat = gr.make_heatmap(measured, reporter=reporter, **options)
     outputs = heat.write(output, reporter=reporter)
     return Result(outputs=outputs, summary=heat.figures(), timezone=zone)
+
+
+def _map_of_city(folder: Path, output: Path, *, month: str | None, **others: Any) -> Result:
+    """Write the map of a city's month; refuse options of other maps."""
+    if month is None:
+        raise UsageError("{} is a city: which month?", folder, hint="name it by --month 2026-10")
+    if given := [name for name, value in others.items() if value]:
+        raise UsageError(
+            "{} is of the map of a dataset, not of a city",
+            f"--{given[0].replace('further', 'map-of')}",
+        )
+    city = gr.open_city(folder)
+    path = city.write_map(month, output)
+    return Result(outputs=[path], summary={"sites": len(city.sites), "month": month})
 
 
 @command(example="gis-radar footprints dataset/ -o footprints.gpkg")

@@ -31,7 +31,11 @@ def _site_template() -> str:
 @command(example="gis-radar run SITE.toml -o results")
 @click.argument("site", metavar="SITE.toml", type=FILE)
 @output
-@click.option("--jobs", type=int, help="Stages at once; by default as cores and memory allow.")
+@click.option(
+    "--jobs",
+    type=int,
+    help="Stages, or hours of a city, at once; by default as cores and memory allow.",
+)
 @click.option("--fresh", is_flag=True, help="Do all again, also what an earlier run has done.")
 @click.option(
     "--executor", metavar="tcp://HOST:PORT",

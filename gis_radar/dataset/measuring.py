@@ -19,6 +19,7 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
+    iso_from_step,
     name_of,
     output_errors,
     zone_of,
@@ -76,13 +77,13 @@ class _Given:
     findings: tuple[Finding, ...] = ()
 
     def checked(self, before: Manifest, registry: Registry) -> Manifest:
-        """Add the findings to a manifest; a doubt stays while other recordings rest on it."""
+        """Add the findings to a manifest; earlier ones stay while recordings rest on them."""
         mine = {each.digest for each in self.entries}
         other = {each.sensor for each in registry.entries if each.digest not in mine}
+        earlier = {name: each for name, each in before.findings.items() if name in other}
         found = {
-            each.sensor: each.record
+            each.sensor: each.joined(earlier.get(each.sensor, each)).record
             for each in self.findings
-            if each.doubt or each.sensor not in {*other} & before.doubts.keys()
         }
         return replace(before, checks=before.checks | found)
 
@@ -277,7 +278,13 @@ def _checked(given: _Given, accept: Collection[str], reporter: Reporter) -> _Giv
         raise UsageError("{}: no sensor of that name is given", Text(", ").join(unknown))
     findings = check_plausibility(sensors, lanes, reporter=reporter)
     refuse_implausible(findings, accept, reporter)
-    return replace(given, findings=findings)
+    return replace(given, findings=tuple(_dated(each, given.entries) for each in findings))
+
+
+def _dated(finding: Finding, entries: Sequence[RecordingEntry]) -> Finding:
+    """Return a finding with the times of the recordings that it rests on."""
+    steps = [step for each in entries if each.sensor == finding.sensor for step in each.steps]
+    return replace(finding, since=iso_from_step(min(steps)), until=iso_from_step(max(steps)))
 
 
 def manifest_of(

@@ -3,7 +3,7 @@ from .comparison.comparison import compare
 from .comparison.result import Comparison, change_rows
 from .comparison.rows import with_verdicts
 from .heatmap.by_lane import lane_totals, lanes_with_tiles
-from .heatmap.heatmap import HeatMap, make_heatmap, read_heatmap
+from .heatmap.heatmap import HeatMap, joint_layer, make_heatmap, read_heatmap, write_joint_layer
 from .heatmap.intervals import MapLabels
 from .heatmap.style import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_classes
 from .postgis import Publication, publish
@@ -47,6 +47,7 @@ __all__ = [
     "colour_classes",
     "compare",
     "is_city",
+    "joint_layer",
     "lane_totals",
     "lanes_with_tiles",
     "lost_sensors",
@@ -66,6 +67,7 @@ __all__ = [
     "text_rows",
     "was_edited",
     "with_verdicts",
+    "write_joint_layer",
     "write_projection",
     "write_qgis_project",
     "write_report",

@@ -41,7 +41,9 @@ from gis_radar.site.values import (  # fmt: skip
 
 SpeedKmh = Annotated[float, Meaning("km/h, 1 to 300"), within(1.0, 300.0)]
 
-_HINT = Text("begin with: gis-radar run --template > SITE.toml")
+_HINT = Text(
+    "begin with: gis-radar run --template > SITE.toml, for a city --city-template > CITY.toml"
+)
 
 
 class MapTable(TomlTable):

@@ -18,9 +18,9 @@ from qgis.core import (
 
 IDS = (
     "splitlanelets", "maskroad", "localizeradar", "trackpose", "sight", "checksite",
-    "convertrecordings", "clocks", "measure", "heatmap", "footprints", "detections", "quality",
-    "dataset", "traffic", "compare", "runsite", "exportreport", "sitereport", "qgisproject",
-    "setupworker", "samplesite",
+    "convertrecordings", "clocks", "measure", "heatmap", "monthmap", "footprints", "detections",
+    "quality", "dataset", "traffic", "compare", "runsite", "exportreport", "sitereport",
+    "qgisproject", "setupworker", "samplesite",
 )  # fmt: skip
 # One class turns all into the worker's command; of these one has two commands.
 BY_WORKER = ("heatmap", "localizeradar")

@@ -51,7 +51,7 @@ LEFT_OUT = {
     },
     "compare": {"site": "QGIS renames lanes in the layer"},
     "report": {"month": "a page of many sites, for a browser; the command writes it"},
-    "heatmap": {"month": "begin and end of the month do the same in QGIS"},
+    "heatmap": {"month": "'Map of a month' has it"},
     "run": {
         "template": "the site wizard writes the file",
         "city_template": "a city is run by an administrator, every night",

@@ -1,6 +1,7 @@
 """What planners see: style, legend, transparency, time, groups, and the project of a run."""
 
 import runpy
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -37,6 +38,18 @@ def heatmap(run, site, tmp_path, copying_worker):
     results, heard = run("heatmap", parameters, load=True)
     assert heard.errors == []
     return results
+
+
+def test_the_map_of_a_month_holds_all_sites_of_a_city(run, site, tmp_path):
+    for name in ("a", "b"):
+        shutil.copytree(site / "dataset", tmp_path / "city" / f"site={name}")
+    given = {"DATASET": str(tmp_path / "city"), "MONTH": "2025-06"}
+    results, heard = run("monthmap", given | {"OUTPUT": str(tmp_path / "map")}, load=True)
+    assert heard.errors == []
+    layer = layer_called("Occupancy 2025-06")
+    assert layer.uniqueValues(layer.fields().indexOf("site")) == {"a", "b"}
+    assert layer.renderer().classAttribute() == "occupancy"
+    assert QgsVectorLayer(results["HEATMAP"]).featureCount() == layer.featureCount()
 
 
 def drawn(layer, *, seconds=None, size=300):

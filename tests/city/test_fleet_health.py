@@ -126,6 +126,13 @@ def test_a_pose_that_does_not_fit_and_a_clock(tmp_path, source):
     assert "0.250 s" in table["reasons"][0]
     with speaking("de"):
         assert "0,250 s" in gr.fleet_health(tmp_path, MONTH)["reasons"][0]
+    since = pd.Timestamp(HOURS[1] * 3600, unit="s", tz="UTC")
+    dated = replace(found, since=since.isoformat(), until="2030-01-01T00:00:00Z")
+    replace(dataset.manifest, checks={"R1": dated.record}).write(dataset.folder)
+    assert states(tmp_path)[1]["since"][0] == since
+    later = replace(found, since="2030-01-01T00:00:00Z", until="2030-01-02T00:00:00Z")
+    replace(dataset.manifest, checks={"R1": later.record}).write(dataset.folder)
+    assert states(tmp_path)[0] == {("a", "R1"): "clock off"}
 
 
 def test_a_sensor_of_the_site_file_that_never_came(tmp_path, source):

@@ -27,7 +27,7 @@ from gis_radar.dataset import (
     record_path,
     unfinished,
 )
-from gis_radar.dataset.files.parts import ROWS_IN_GROUP, PartWriter
+from gis_radar.dataset.files.parts import ROWS_IN_GROUP, PartDigest, PartWriter
 from gis_radar.dataset.files.tables import (
     HITS,
     HOUR_TABLES,
@@ -288,7 +288,8 @@ def amend(folder, path):
     from gis_radar.dataset import write_record
 
     record = read_hour(folder, HOUR)
-    digest = replace(record.parts["hits"], size=path.stat().st_size)
+    known = record.parts["hits"]
+    digest = PartDigest(rows=known.rows, size=path.stat().st_size, sha256=known.sha256)
     write_record(folder, replace(record, parts={**record.parts, "hits": digest}))
 
 

@@ -234,6 +234,7 @@ class RollUps:
         known : mapping
             The records of all complete hours.
         """
+        self.traffic.note(known)
         last = max(days_of(known), default=0)
         for month in self.months(hours):
             for table in MONTH_TABLES:
@@ -382,7 +383,6 @@ class RollUps:
         By the first hour of the date. The number is 0 where all exact tables were deleted: then the
         measures stay as the version that made them counted.
         """
-        self.traffic.note(known)
         found: dict[int, list[str | int]] = {}
         for day in self.days(month):
             hours = self._hours(day, self._in_month(day, month), known)

@@ -81,13 +81,7 @@ class Day:
 
     def is_made(self, tables: Sequence[TableSchema], keys: Keys) -> bool:
         """Return whether tables have all columns and were made from exactly these keys."""
-        for each in map(self.file, tables):
-            if each.keys() != keys:
-                return False
-            with each.opened() as file:
-                if not {*each.table.names} <= {*file.schema_arrow.names}:
-                    return False
-        return True
+        return all(self.file(each).is_made_of(keys) for each in tables)
 
     def update(self, tables: Sequence[TableSchema], keys: Keys, make: Maker) -> None:
         """Bring tables up to date; the caller is the only writer of the date.
@@ -235,8 +229,10 @@ class DayTables:
             If a table cannot be written.
         """
         day = Day.of(self.folder, self.fingerprint, hour)
-        records = day.records(known)
-        self.note(known or {})
+        records, before = day.records(known), day.first_hour - 1
+        self.note(
+            records if known is None or before not in known else records | {before: known[before]}
+        )
         keys = self.keys(day, records)
         day.update(self.tables, keys, lambda each: self.make(records[each]))
 

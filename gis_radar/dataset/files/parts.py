@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import pandas as pd
 import pyarrow as pa
@@ -65,8 +65,7 @@ class Origin:
         }
 
 
-@dataclass(frozen=True, kw_only=True)
-class PartDigest:
+class PartDigest(NamedTuple):
     """Digest and size of a part.
 
     Parameters
@@ -284,9 +283,19 @@ class TableFile:
     def keys(self) -> Keys:
         """Read the keys, by hours or dates since 1970; none if it is damaged."""
         with suppress(InputError, ValueError, KeyError), self.opened() as file:
-            known = json.loads(file.metadata.metadata[self.keyed.encode()])
-            return {int(number): key for number, key in known.items()}
+            return self._keys_in(file)
         return {}
+
+    def is_made_of(self, keys: Keys) -> bool:
+        """Return whether it has all columns and was made from exactly these keys."""
+        with suppress(InputError, ValueError, KeyError), self.opened() as file:
+            has_all = {*self.table.names} <= {*file.schema_arrow.names}
+            return has_all and self._keys_in(file) == keys
+        return False
+
+    def _keys_in(self, file: pq.ParquetFile) -> Keys:
+        known = json.loads(file.metadata.metadata[self.keyed.encode()])
+        return {int(number): key for number, key in known.items()}
 
     def write(self, rows: Values, keys: Keys | None = None) -> None:
         """Replace it by rows, made from what has these keys."""

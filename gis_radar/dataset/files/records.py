@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
@@ -35,6 +38,7 @@ from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import HOUR_TABLES, SCHEMA, TABLES
 
 HOURS = "hours"
+_RECORD = re.compile(r"([01][0-9]|2[0-3])\.json")
 _LAST_HOUR = 70_000_000  # of a year with four digits: what is open ends later
 
 
@@ -134,54 +138,82 @@ def read_hours(
     InputError
         If one is damaged or of a newer schema.
     """
-    found = {hour: read_hour(folder, hour) for hour in listed_hours(folder, first, last)}
-    return {hour: record for hour, record in found.items() if record is not None}
+    found = (_read(path, hour) for hour, path in _records(folder, first, last))
+    return {record.hour: record for record in found if record is not None}
 
 
-def listed_hours(folder: Path, first: int | None = None, last: int | None = None) -> list[int]:
-    """List the hours since 1970 that have a record, as for :func:`read_hours`; none is read."""
-    return [hour for date in _dates(folder, first, last) for hour in _hours(date, first, last)]
+def _records(folder: Path, first: int | None, last: int | None) -> Iterator[tuple[int, Path]]:
+    """Yield the hours from `first` to `last` that have a record, with its path."""
+    low, high = -math.inf if first is None else first, math.inf if last is None else last
+    for date in _dates(folder, first, last):
+        for hour, path in _listed(folder, date):
+            if low <= hour <= high:
+                yield hour, path
+
+
+def _dates(folder: Path, first: int | None, last: int | None) -> list[str]:
+    """Return the dates of the records of some hours, ascending."""
+    low, high = (str(date_of(min(hour, _LAST_HOUR))) for hour in (first or 0, last or _LAST_HOUR))
+    return sorted(name for name in _names(folder / HOURS) if low <= name <= high)
+
+
+def _listed(folder: Path, date: str) -> list[tuple[int, Path]]:
+    """Return the hours since 1970 of a date that have a record, ascending, with its path."""
+    try:
+        first = int(datetime.fromisoformat(f"{date}T00:00Z").timestamp()) // 3600
+    except ValueError:
+        return []
+    place = folder / HOURS / date
+    names = sorted(name for name in _names(place) if _RECORD.fullmatch(name))
+    return [(first + int(name[:2]), place / name) for name in names]
+
+
+def _names(folder: Path) -> list[str]:
+    """Return the names in a folder; none where there is no such folder."""
+    with suppress(FileNotFoundError, NotADirectoryError):
+        return [each.name for each in os.scandir(folder)]
+    return []
 
 
 def hour_bounds(
     folder: Path, first: int | None = None, last: int | None = None
 ) -> tuple[int, int] | None:
-    """Return the first and the last of :func:`listed_hours`; None without any."""
-    dates = _dates(folder, first, last)
-    ascending = (hour for date in dates for hour in _hours(date, first, last))
-    descending = (hour for date in dates[::-1] for hour in _hours(date, first, last)[::-1])
-    return next(zip(ascending, descending, strict=False), None)
+    """Return the first and the last complete hour, by the names of records; None without any.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    first, last : int, optional
+        Only hours from `first` to `last`, inclusive.
+    """
+    low, high = -math.inf if first is None else first, math.inf if last is None else last
+    dates, found = _dates(folder, first, last), list[int]()
+    for way in (1, -1):
+        for date in dates[::way]:
+            if inside := [hour for hour, _ in _listed(folder, date) if low <= hour <= high]:
+                found += inside
+                break
+    return (min(found), max(found)) if found else None
 
 
-def _dates(folder: Path, first: int | None, last: int | None) -> list[Path]:
-    """Return the folders of the records of the dates of some hours, ascending."""
-    low, high = (str(date_of(min(hour, _LAST_HOUR))) for hour in (first or 0, last or _LAST_HOUR))
-    return sorted(path for path in (folder / HOURS).glob("????-??-??") if low <= path.name <= high)
-
-
-def _hours(date: Path, first: int | None, last: int | None) -> list[int]:
-    """Return the hours of a date that have a record, ascending."""
-    hours = sorted(
-        hour for path in date.glob("??.json") if (hour := _hour_of_path(path)) is not None
-    )
-    return [h for h in hours if (first is None or first <= h) and (last is None or h <= last)]
-
-
-def _hour_of_path(path: Path) -> int | None:
-    """Return the hour in the name of a record, None for other files."""
-    try:
-        begin = datetime.fromisoformat(f"{path.parent.name}T{path.stem}:00Z")
-    except ValueError:
-        return None
-    return int(begin.timestamp()) // 3600
+def listed_hours(folder: Path, first: int | None = None, last: int | None = None) -> list[int]:
+    """List the hours since 1970 that have a record, as for :func:`read_hours`; none is read."""
+    return [hour for hour, _ in _records(folder, first, last)]
 
 
 def read_hour(folder: Path, hour: int) -> HourRecord | None:
     """Read the record of an hour; None where it is not complete."""
-    path = record_path(folder, hour)
-    if not path.is_file():
-        return None
-    document = read_json(path, what="the record of an hour", hint=MEASURE_AGAIN)
+    return _read(record_path(folder, hour), hour)
+
+
+def _read(path: Path, hour: int) -> HourRecord | None:
+    try:
+        document = read_json(path, what="the record of an hour", hint=MEASURE_AGAIN)
+    except InputError as error:
+        if isinstance(error.__cause__, FileNotFoundError | NotADirectoryError):
+            return None
+        raise
     try:
         if document["schema"] > SCHEMA:
             raise InputError(
@@ -218,7 +250,7 @@ def _origin(document: dict[str, Any]) -> Origin:
 def write_record(folder: Path, record: HourRecord) -> None:
     """Write the record of an hour whose parts are all there."""
     path = record_path(folder, record.hour)
-    parts = {name: asdict(record.parts[name]) for name in TABLES if name in record.parts}
+    parts = {name: record.parts[name]._asdict() for name in TABLES if name in record.parts}
     document = {
         "schema": SCHEMA, "hour": hour_text(record.hour), **asdict(record.origin),
         "dropped": list(record.dropped), "parts": parts,

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
 from gis_radar.base import (
@@ -39,7 +40,7 @@ from gis_radar.dataset.files.registry import (
     touched_hours,
     validity_by_sensor,
 )
-from gis_radar.dataset.files.tables import HOUR_TABLES
+from gis_radar.dataset.files.tables import DAY_TABLES, HOUR_TABLES
 from gis_radar.dataset.hours.job import HourSite, MadeHour, make_hour, read_sensors
 from gis_radar.dataset.hours.registered import (
     hours_to_make,
@@ -258,7 +259,16 @@ def update_days(folder: Path, reporter: Reporter) -> None:
     """
     with writing(folder, reporter):
         records = read_hours(folder)
-        _count(folder, records, records)
+        _count(folder, {*records, *_dates_counted(folder)}, records)
+
+
+def _dates_counted(folder: Path) -> set[int]:
+    """Return the first hours of the dates that have tables, also where all hours are gone."""
+    names = {
+        path.parent.name.removeprefix("date=")
+        for table in DAY_TABLES for path in (folder / table.name).glob("date=????-??-??/*.parquet")
+    }  # fmt: skip
+    return {int(datetime.fromisoformat(f"{name}T00:00Z").timestamp()) // 3600 for name in names}
 
 
 def _count(folder: Path, hours: Iterable[int], records: Mapping[int, HourRecord]) -> None:

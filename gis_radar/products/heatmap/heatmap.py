@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import geopandas as gpd
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from gis_radar.base import (
@@ -38,6 +40,7 @@ from gis_radar.products.heatmap.layers import (
     long_layer,
     read_package,
     wide_layer,
+    write_one_layer,
     write_package,
     write_table,
 )
@@ -236,6 +239,43 @@ def make_heatmap(
         dataset, whole, timeline, chosen=chosen, labels=labels, further=further, month=month,
         reporter=reporter,
     )  # fmt: skip
+
+
+def write_joint_layer(maps: Mapping[str, HeatMap], folder: Path, crs: Any = None) -> Path:
+    """Write heat maps of several sites as one layer, `heatmap.gpkg`; see :func:`joint_layer`.
+
+    Parameters
+    ----------
+    maps : mapping
+        Heat map of each site, by its name.
+    folder : Path
+        The folder; an earlier heat map there is replaced as a whole.
+    crs : optional
+        Coordinate system of the layer; by default that of the first.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written or holds other files.
+    """
+    path = folder / "heatmap.gpkg"
+    least_s = min(each.least_visible_s() for each in maps.values())
+    with (
+        atomic_folder(folder, owned=OWNED) as fresh, output_errors(path), writing_errors(path)
+    ):  # fmt: skip
+        write_one_layer(joint_layer(maps, crs), fresh / path.name, least_s)
+        keep_styles(fresh / path.name, earlier=path)
+    return path
+
+
+def joint_layer(maps: Mapping[str, HeatMap], crs: Any = None) -> gpd.GeoDataFrame:
+    """Return the tiles of heat maps of several sites, with a column `site`."""
+    tables = []
+    for name, each in maps.items():
+        table = each.wide() if crs is None else each.wide().to_crs(crs)
+        table.insert(0, "site", name)
+        tables.append(table)
+    return gpd.GeoDataFrame(pd.concat(tables, ignore_index=True))
 
 
 def _month(dataset: Dataset, month: str) -> Timeline:

@@ -144,6 +144,26 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
         add_styles(database, styles, name=measure, about=about)
 
 
+def write_one_layer(table: gpd.GeoDataFrame, path: Path, least_s: float) -> None:
+    """Write tiles of several heat maps over their whole time as one layer with their style.
+
+    Parameters
+    ----------
+    table : GeoDataFrame
+        Rows of :func:`wide_layer` without intervals.
+    path : Path
+        The GeoPackage.
+    least_s : float
+        Visible time below which the occupancy of a tile is uncertain, seconds.
+    """
+    measure = "occupancy" if "occupancy" in table else "hit_share"
+    styles = own_styles(measure, 0.0, {WIDE: least_s, LONG: least_s})
+    add_layer(table, path, WIDE, use_arrow=True, geometry_type="Polygon")
+    about = f"fixed classes of {measure}, so that maps compare"
+    with closing(sqlite3.connect(path)) as database, database:
+        add_styles(database, {WIDE: styles[WIDE]}, name=measure, about=about)
+
+
 def read_own_styles(path: Path, measure: str, length_s: float) -> dict[str, str]:
     """Return our QGIS styles of both layers of a heat map.
 

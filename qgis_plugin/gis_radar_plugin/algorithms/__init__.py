@@ -1,5 +1,6 @@
 """The algorithms of the toolbox: each a table of parameters, and what comes after its command."""
 
+from .heat_maps import MakeHeatMap, MapMonth
 from .lanes import ComparePeriods, CountTraffic
 from .report import ExportReport
 from .results import WriteProject, WriteReport
@@ -10,7 +11,6 @@ from .traffic import (
     CompareClocks,
     ConvertRecordings,
     KeepDataset,
-    MakeHeatMap,
     MeasureTraffic,
     RunSite,
     ShowDetections,
@@ -19,9 +19,9 @@ from .traffic import (
 
 ALGORITHMS = (
     SplitLanelets, MaskRoad, LocalizeRadar, FollowPose, FindSight, CheckSite, ConvertRecordings,
-    CompareClocks, MeasureTraffic, MakeHeatMap, CountTraffic, ComparePeriods, ShowVehicles,
-    ShowDetections, CheckQuality, KeepDataset, RunSite, ExportReport, WriteReport, WriteProject,
-    SetUpWorker, SampleSite,
+    CompareClocks, MeasureTraffic, MakeHeatMap, MapMonth, CountTraffic, ComparePeriods,
+    ShowVehicles, ShowDetections, CheckQuality, KeepDataset, RunSite, ExportReport, WriteReport,
+    WriteProject, SetUpWorker, SampleSite,
 )  # fmt: skip
 
 __all__ = ["ALGORITHMS"]

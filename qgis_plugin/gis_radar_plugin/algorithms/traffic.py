@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,14 +10,11 @@ from typing import Any
 
 from qgis.core import (
     QgsProcessingContext,
-    QgsProcessingOutputFile,
     QgsProcessingOutputFolder,
-    QgsProcessingOutputRasterLayer,
-    QgsProcessingOutputVectorLayer,
 )
 
 from ..base import TRAFFIC, WorkerAlgorithm
-from ..loading import INTERVALS, as_ground, dress, dress_only, heatmap_titles, load, shows_occupancy
+from ..loading import load
 from ..opening import open_dialog
 from ..parameters import (
     Choice,
@@ -35,11 +31,11 @@ from ..parameters import (
     Result,
     Switch,
     Text,
-    names_in,
 )
 from ..runner import Answer
 from ..words import tr
 from . import shared
+from .heat_maps import layers_of, load_heatmap
 
 
 class ConvertRecordings(WorkerAlgorithm):
@@ -172,111 +168,6 @@ class MeasureTraffic(WorkerAlgorithm):
         del answer
         self.made = [(tr("Show the folder"), Path(given.outputs["OUTPUT"]))]
         return {}
-
-
-class MakeHeatMap(WorkerAlgorithm):
-    """An algorithm that makes layers of shares of time which compare over places and times."""
-
-    NAME = "heatmap"
-    COMMAND = "heatmap"
-    TITLE = "Heat map"
-    GROUP = TRAFFIC
-    HELP = (
-        "Makes maps of occupancy: the estimated share of time that a vehicle is on a tile, moving "
-        "or waiting. A dataset without vehicles gives maps of the hit share: the share of the "
-        "observed time in which radar hit a tile, which is several times lower. What was never "
-        "observed is left out, not 0; occupancy that is uncertain is hatched.\n"
-        "The result is a GeoPackage (the whole time, and by interval), a GeoTIFF with a band an "
-        "interval, a GeoParquet and a picture. Colours are the same on every map, so that maps "
-        "compare.\n"
-        "The layer 'by interval' is animated by the temporal controller as it is loaded. The data "
-        "are in UTC; the picture and the clock on the map show the local time."
-    )
-    KEYWORDS = ("hits", "occupancy", "raster", "animation")
-    PARAMETERS = (
-        shared.DATASET,
-        Text(
-            "INTERVAL", "Interval",
-            "Length of the intervals: 20s, 15min, 1h; empty for the whole time only.",
-            advanced=False, default="15min",
-        ),
-        replace(
-            shared.TIMEZONE,
-            about="Whose hours and days the intervals follow, such as Europe/Berlin; by "
-            "default the dataset's.",
-        ),
-        Text(
-            "BEGIN", "Begin", "Only from this time on, in the time zone: 2025-06-12 07:30.",
-        ),
-        Text("END", "End", "Only before this time."),
-        shared.LANGUAGE,
-        shared.MAP_TITLE,
-        replace(shared.SOURCE, about="Where the data come from, to stand under the picture."),
-        Text(
-            "AT", "One moment only", "The map of one step of 50 ms, in UTC: 2025-06-12T07:30:10Z.",
-        ),
-        Names(
-            "MAP_OF", "Maps of further columns",
-            "Columns of the table 'tile_counts', with a comma between them: hidden_steps maps the "
-            "share of the time in which vehicles hid a tile.",
-        ),
-        Switch(
-            "LOAD", "Load the layers", "Switch it off in a model that continues with the files.",
-            None, default=True,
-        ),
-        OutputFolder("OUTPUT", "Heat map", "A folder."),
-        Result("HEATMAP", "Heat map, whole time", kind=QgsProcessingOutputVectorLayer),
-        Result("INTERVALS", "Heat map by interval", kind=QgsProcessingOutputVectorLayer),
-        Result("RASTER", "Heat map, raster", kind=QgsProcessingOutputRasterLayer),
-        Result("PICTURE", "Picture", kind=QgsProcessingOutputFile),
-    )  # fmt: skip
-
-    def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
-        del answer
-        folder = Path(given.outputs["OUTPUT"])
-        if given.is_on("LOAD"):
-            further = names_in(given.text("MAP_OF"))
-            load_heatmap(given.context, folder, folder.name, further=further)
-        self.made = [
-            (tr("Open the picture"), folder / "heatmap.png"), (tr("Show the folder"), folder)
-        ]  # fmt: skip
-        return layers_of(folder)
-
-
-def layers_of(folder: Path) -> dict[str, str]:
-    """Return what is in a heat map's folder, by output."""
-    package = folder / "heatmap.gpkg"
-    return {
-        "HEATMAP": f"{package}|layername=heatmap",
-        "INTERVALS": f"{package}|layername={INTERVALS}",
-        "RASTER": str(folder / ("heatmap.tif" if shows_occupancy(folder) else "hits.tif")),
-        "PICTURE": str(folder / "heatmap.png"),
-    }
-
-
-def load_heatmap(
-    context: QgsProcessingContext,
-    folder: Path,
-    group: str,
-    *,
-    sets_time: bool = True,
-    further: Sequence[str] = (),
-) -> None:
-    """Have QGIS load a heat map as a group, the layer by interval on top and switched on.
-
-    The project steps by its intervals, unless `sets_time` is false. Each of the `further` columns
-    has a raster, switched off.
-    """
-    layers, titles = layers_of(folder), heatmap_titles(folder)
-    finish = dress if sets_time else dress_only
-    load(context, layers["INTERVALS"], titles[INTERVALS], group=group, order=3, finish=finish)
-    load(context, layers["HEATMAP"], titles["heatmap"], group=group, order=2, visible=False)
-    rasters = {column: str(folder / f"{column}.tif") for column in further}
-    for name, source in {titles["raster"]: layers["RASTER"], **rasters}.items():
-        load(context, source, name, group=group, order=1, visible=False)
-    # In other words, as Processing loads a source once.
-    source = f"{layers['HEATMAP']}|geometrytype=Polygon"
-    load(context, source, tr("Road, not observed"), group=group, order=0, finish=as_ground)
 
 
 class ShowVehicles(WorkerAlgorithm):
