@@ -23,8 +23,8 @@ from gis_radar.base import Floats, NoAnswerError  # noqa: E402
 
 NAMES = ("easting", "northing", "height", "roll", "pitch", "yaw")
 SCENES = (
-    "town-991", "junction-993", "gridlock-934", "arterial-933", "tee-932", "town-981", "tee-982",
-    "gridlock-983", "arterial-984", "roundabout-985",
+    "town-981", "tee-982", "gridlock-983", "arterial-984", "roundabout-985", "town-941",
+    "arterial-943", "town-951", "gridlock-956",
 )  # fmt: skip
 GUESS_M = 10.0
 
