@@ -224,10 +224,10 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
             self.whole(table).to_pandas()
             for table in (tables.RECORDINGS, tables.POSES, tables.SIGHTS)
         )
-        mine = recordings[recordings["sensor"] == sensor].sort_values("last_time")
-        if mine.empty:
+        if not (isinstance(sensor, str) and sensor in self.sensors):
             raise UsageError("{}: has no sensor {}", self.folder, repr(sensor),
                              hint=Text("it has {}", ", ".join(self.sensors)))  # fmt: skip
+        mine = recordings[recordings["sensor"] == sensor].sort_values("last_time")
         head = poses.loc[poses["track"] == mine["pose"].iloc[-1], "sight"].iloc[-1]
         return np.asarray(sights.loc[sights["pose"] == head, "tile_id"], np.int64)
 

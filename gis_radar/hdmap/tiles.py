@@ -25,6 +25,7 @@ from gis_radar.base import (
     Text,
     UsageError,
     add_layer,
+    as_points,
     atomic_write,
     dress_layers,
     keep_styles,
@@ -375,6 +376,7 @@ def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame
         If no tile gets a height: scan and map do not overlap.
     """
     known = tiles["height_m"].to_numpy(np.float64)
+    road = as_points(road)
     point, tile = TileGrid(quads(tiles)).assign(road[:, 0], road[:, 1])
     level = ~(np.abs(road[point, 2] - known[tile]) > SAME_LEVEL_M)
     inside = pd.Series(road[point[level], 2]).groupby(tile[level]).median()

@@ -10,7 +10,6 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from gis_radar.base import (
     QUIET,
@@ -146,7 +145,7 @@ def make_heatmap(
     begin: Any = None,
     end: Any = None,
     month: str | None = None,
-    tile_ids: ArrayLike | None = None,
+    tile_ids: Sequence[int] | None = None,
     timezone: str | None = None,
     labels: MapLabels | None = None,
     further: Sequence[str] = (),
@@ -171,7 +170,7 @@ def make_heatmap(
     month : str, optional
         A month by the clocks of the site, such as `2026-10`, in place of times and intervals. It is
         made from the roll-up of the month, exact tables or not.
-    tile_ids : array of int, optional
+    tile_ids : sequence of int, optional
         Ids of the tiles to count; by default all.
     timezone : str, optional
         Time zone of the intervals' hours and days, such as Europe/Berlin, and of pictures where
@@ -329,7 +328,7 @@ def read_heatmap(path: str | Path) -> HeatMap:
     return HeatMap(**read_package(Path(path)))
 
 
-def _chosen(all_ids: Integers, tile_ids: ArrayLike) -> Integers:
+def _chosen(all_ids: Integers, tile_ids: Sequence[int]) -> Integers:
     """Return the positions of the chosen tiles, ascending."""
     wanted = np.unique(np.asarray(tile_ids, dtype=np.int64))
     if len(wanted) == 0:
