@@ -22,7 +22,7 @@ from small_site import write_site
 import gis_radar as gr
 from gis_radar.base import GisRadarError, InputError, OutputError, Reporter, UsageError, only_writer
 from gis_radar.city import is_city_file
-from gis_radar.city.executors import OtherSoftwareError, Workers, run_task, workers_of
+from gis_radar.city.executors import OtherSoftwareError, Processes, Workers, run_task, workers_of
 from gis_radar.city.tasks import make_site_hour
 from gis_radar.dataset.hours.job import MadeHour
 from gis_radar.site import software
@@ -93,6 +93,13 @@ def bytes_of(dataset):
     }
 
 
+@pytest.fixture
+def in_a_thread(monkeypatch):
+    """Make the hours in a thread of this process: new processes load for seconds each."""
+    monkeypatch.setattr(Processes, "begin", lambda _: ThreadPoolExecutor(1))
+    monkeypatch.setattr(Processes, "end", lambda _, threads: threads.shutdown(cancel_futures=True))
+
+
 @pytest.fixture(scope="module")
 def whole(site, tmp_path_factory):
     """Make the dataset of the site by `measure`, in one piece."""
@@ -138,6 +145,7 @@ def test_only_new_hours_are_made(site, whole, tmp_path):
     assert [name for name in wanted if made[name] != wanted[name]] == []
 
 
+@pytest.mark.usefixtures("in_a_thread")
 def test_a_recording_that_was_changed_is_found_whenever_it_was(site, tmp_path):
     city = city_file(tmp_path, one=copied(site, tmp_path / "one", hours=2))
     gr.run_city(city, tmp_path / "root", jobs=1)
@@ -150,6 +158,7 @@ def test_a_recording_that_was_changed_is_found_whenever_it_was(site, tmp_path):
     assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
 
 
+@pytest.mark.usefixtures("in_a_thread")
 def test_recordings_of_one_name_in_two_folders_are_both_converted(site, tmp_path):
     file = copied(site, tmp_path / "one", hours=2)
     for hour in range(2):
@@ -171,6 +180,7 @@ def test_recordings_of_one_name_in_two_folders_are_both_converted(site, tmp_path
     assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 2
 
 
+@pytest.mark.usefixtures("in_a_thread")
 def test_a_run_that_ended_before_its_page_makes_it_when_it_goes_on(site, tmp_path, monkeypatch):
     city = city_file(tmp_path, one=copied(site, tmp_path / "one", hours=1))
     gr.run_city(city, tmp_path / "root", jobs=1)
@@ -192,6 +202,7 @@ def interrupted(*_, **__):
     raise KeyboardInterrupt
 
 
+@pytest.mark.usefixtures("in_a_thread")
 def test_hours_of_an_earlier_method_are_made_again(site, whole, tmp_path):
     city = city_file(tmp_path, one=copied(site, tmp_path / "one", hours=2))
     gr.run_city(city, tmp_path / "root", jobs=1)
@@ -206,6 +217,7 @@ def test_hours_of_an_earlier_method_are_made_again(site, whole, tmp_path):
     assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
 
 
+@pytest.mark.usefixtures("in_a_thread")
 def test_a_bad_site_stops_no_other(site, tmp_path):
     damaged = copied(site, tmp_path / "damaged", hours=1)
     cut(tmp_path / "damaged" / "R1_0.parquet")
@@ -230,6 +242,7 @@ def cut(path):
     path.write_bytes(held[: len(held) // 2])
 
 
+@pytest.mark.usefixtures("in_a_thread")
 def test_damaged_recordings_stop_no_others_of_their_sensor(site, whole, tmp_path):
     file = copied(site, tmp_path / "one")
     for damaged in ("R1_8", "R1_9"):
@@ -242,6 +255,7 @@ def test_damaged_recordings_stop_no_others_of_their_sensor(site, whole, tmp_path
     assert made == wanted
 
 
+@pytest.mark.usefixtures("in_a_thread")
 def test_a_broken_site_file_leaves_its_hours_to_be_made(site, tmp_path):
     city = city_file(tmp_path, one=copied(site, tmp_path / "one", hours=2))
     gr.run_city(city, tmp_path / "root", jobs=1)
@@ -254,6 +268,7 @@ def test_a_broken_site_file_leaves_its_hours_to_be_made(site, tmp_path):
     assert [what for what, _ in run.sites["one"].failures] == ["one"]
 
 
+@pytest.mark.usefixtures("in_a_thread")
 def test_a_recording_that_is_gone_leaves_its_hour_as_it_is(site, tmp_path):
     city = city_file(tmp_path, one=copied(site, tmp_path / "one", hours=2))
     gr.run_city(city, tmp_path / "root", jobs=1)
@@ -264,6 +279,7 @@ def test_a_recording_that_is_gone_leaves_its_hour_as_it_is(site, tmp_path):
     assert "R1_0.parquet: is not there" in run.failure.message
 
 
+@pytest.mark.usefixtures("in_a_thread")
 def test_poses_that_were_found_are_kept(site, tmp_path):
     file = copied(site, tmp_path / "one", hours=1)
     text = file.read_text(encoding="utf-8")
@@ -294,6 +310,7 @@ def test_a_bad_city_file_is_refused(tmp_path, lines, message):
         gr.run_city(path, tmp_path / "root")
 
 
+@pytest.mark.usefixtures("in_a_thread")
 def test_an_hour_that_cannot_be_made_again_stays(site, tmp_path):
     file = copied(site, tmp_path / "one", hours=1)
     city = city_file(tmp_path, one=file)
