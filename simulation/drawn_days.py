@@ -143,7 +143,7 @@ class DayDrawer:
             if (day := _midnight(begin) + k * _DAY) < end
         ]
         with ThreadPoolExecutor(_AT_ONCE) as pool:  # each waits for the disk most of the time
-            drawn = [hour for hours in pool.map(self._draw_day, days) for hour in hours]
+            drawn = [hour for hours in pool.map(self.draw_day, days) for hour in hours]
         margin = MeasureSettings.from_dict(manifest.settings).margin
         registry = Registry.read(folder, manifest.fingerprint)
         entries = [entry for day in days for entry in self._entries(registry, *day)]
@@ -154,7 +154,7 @@ class DayDrawer:
         sums.update(drawn, records)
         return open_dataset(folder)
 
-    def _draw_day(self, span: tuple[datetime, datetime]) -> list[int]:
+    def draw_day(self, span: tuple[datetime, datetime]) -> list[int]:
         """Write tables and records of a day; return its hours in which a sensor was heard."""
         midnight = _midnight(span[0])
         first = _hour(midnight)

@@ -58,7 +58,7 @@ from gis_radar.cli.options import (
 )  # fmt: skip
 @click.option(
     "--scan", "scans", metavar="SCAN.laz", type=FILE, multiple=True,
-    help="Airborne scan to check each pose: what stands against canopy and walls. May be repeated.",
+    help="Airborne scan, whole: what stands in it measures and checks each pose. May be repeated.",
 )  # fmt: skip
 @scan_crs
 @click.option("--figure", type=FILE, help="Draw the traces over lanes and scan (PNG).")

@@ -33,8 +33,8 @@ from gis_radar.calibration.scan.scan_check_result import CONFIRMS, ScanCheck
 from gis_radar.calibration.several.network import CLASH_HINT, Solved, solve_network
 from gis_radar.calibration.several.placing import Station
 from gis_radar.calibration.single.localization import (
-    decided_by_scan,
     localize_one,
+    localize_with_scan,
     read_ground,
     refuse_both,
     start_in_map,
@@ -219,7 +219,7 @@ def locate_all(
     if look_at is not None:
         compare = partial(look_at, reporter=SILENT)
         asks = [
-            partial(decided_by_scan, localize=ask, look_at=compare, reporter=reporter)
+            partial(localize_with_scan, localize=ask, look_at=compare, reporter=reporter)
             for ask in asks
         ]
     answers, refused = _alone(recordings, asks, reporter)

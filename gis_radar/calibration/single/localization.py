@@ -201,7 +201,7 @@ def localize(
     if scans:
         look_at = partial(check_against_scan, scans=scans, scan_crs=scan_crs, reporter=reporter)
         compare = partial(look_at, reporter=SILENT)  # of several poses one is told, in the end
-        ask = partial(decided_by_scan, localize=ask, look_at=compare, reporter=reporter)
+        ask = partial(localize_with_scan, localize=ask, look_at=compare, reporter=reporter)
     recording, found = _first_answer(_tried(recordings), ask, reporter)
     pose = replace(found.pose, sensor=sensor or found.pose.sensor, view=view)
     found = replace(found, pose=pose, recording=recording.name)
@@ -287,11 +287,11 @@ def _first_answer(
     raise refusals[0]
 
 
-def decided_by_scan(
+def localize_with_scan(
     recording: Path,
     *,
     localize: Callable[[Path], Localization],
-    look_at: Callable[..., ScanCheck],
+    look_at: Callable[[Path, Pose], ScanCheck],
     reporter: Reporter,
 ) -> Localization:
     """Localize by traffic and by what stands in a scan.
@@ -309,7 +309,7 @@ def decided_by_scan(
     localize : callable
         Finds a pose from a recording.
     look_at : callable
-        Checks a pose against the scan, and takes a `reporter`.
+        Checks a pose against the scan.
     reporter : Reporter
         Receives a warning where the scan decided.
 
@@ -321,17 +321,19 @@ def decided_by_scan(
     found = _decided(recording, localize, look_at, reporter)
     if found.pose.evidence.get("method") != "lane":
         return found  # the paper's method is kept as it is
-    look = look_at(recording, found.pose, reporter=SILENT)
+    look = look_at(recording, found.pose)
     if look.best is not None and look.best.beyond(SAME_M, SAME_DEG):
-        look = look_at(recording, look.best_pose, reporter=SILENT)
+        look = look_at(recording, look.best_pose)
     pose = updated_by_scan(found.pose, look)
     return replace(found, pose=pose, observable=bool(pose.evidence["observable"]))
 
 
 def _decided(
-    recording: Path, localize: Callable[[Path], Localization], look_at: Callable[..., ScanCheck],
+    recording: Path,
+    localize: Callable[[Path], Localization],
+    look_at: Callable[[Path, Pose], ScanCheck],
     reporter: Reporter,
-) -> Localization:  # fmt: skip
+) -> Localization:
     """Localize; where several poses fit, choose the one that the scan confirms or prefers."""
     try:
         return localize(recording)
