@@ -9,7 +9,7 @@ from test_scan_check import POSE, R2, SAMPLE, SCAN, moved
 import gis_radar as gr
 from gis_radar.calibration import Localization
 from gis_radar.calibration.registration.certainty import stated
-from gis_radar.calibration.scan.pose_update import offset_covariance, updated_by_scan
+from gis_radar.calibration.scan.pose_update import closed_along, offset_covariance, updated_by_scan
 from gis_radar.calibration.scan.scan_check import Alignment
 from gis_radar.calibration.scan.surroundings import Standing
 from gis_radar.calibration.single import localization as localizing
@@ -17,10 +17,12 @@ from gis_radar.calibration.single import localization as localizing
 SIGMAS = (0.3, 0.3, 0.2, 0.003, 0.003, 0.005)
 
 
-def by_traffic(pose, sigmas=SIGMAS):
-    """Give a pose as localization does, with its covariance."""
-    covariance = np.diag(np.square(sigmas))
-    evidence = {"method": "lane", "observable": max(sigmas[:2]) < 1.0, **stated(covariance)}
+def by_traffic(pose, sigmas=SIGMAS, open_m=0.0):
+    """Give a pose as localization does, with its covariance, open towards the truth or not."""
+    covariance, gap = np.diag(np.square(sigmas)), (POSE.position - pose.position)[:2]
+    if open_m:
+        covariance[:2, :2] += open_m**2 * np.outer(gap, gap) / (gap @ gap)
+    evidence = {"method": "lane", "observable": open_m < 1.0, **stated(covariance)}
     return replace(pose, evidence=evidence)
 
 
@@ -41,9 +43,11 @@ def test_both_are_nearer_to_the_truth_than_traffic_alone():
 
 
 def test_what_it_contradicts_or_cannot_measure_stays_as_it_is():
-    look = gr.check_against_scan(R2, POSE, [SCAN])
     elsewhere = by_traffic(moved(POSE, left=1.5), (0.1, 0.1, *SIGMAS[2:]))
+    look = gr.check_against_scan(R2, elsewhere, [SCAN])
+    assert look.verdict == "confirms"
     assert updated_by_scan(elsewhere, look) is elsewhere
+    assert closed_along(elsewhere, look) is elsewhere  # nothing is open
     assert updated_by_scan(POSE, look) is POSE  # without a covariance
     given = by_traffic(POSE)
     assert updated_by_scan(given, replace(look, verdict="undecided")) is given
@@ -51,7 +55,7 @@ def test_what_it_contradicts_or_cannot_measure_stays_as_it_is():
 
 def test_a_direction_that_traffic_leaves_open_is_closed(monkeypatch):
     """As on a straight road: 5 m off along it, which the stated covariance allows."""
-    given = by_traffic(moved(POSE, ahead=4.0, left=3.0), (6.0, 6.0, *SIGMAS[2:]))
+    given = by_traffic(moved(POSE, ahead=4.0, left=3.0), open_m=6.0)
     answer = Localization(pose=given, fitness=0.95, observable=False)
     monkeypatch.setattr(localizing, "localize_one", lambda *_, **__: answer)
     files = (R2, SAMPLE / "junction.osm", SCAN)

@@ -15,15 +15,62 @@ import numpy as np
 from gis_radar.base import Floats
 from gis_radar.calibration.registration.certainty import MAP_SIGMA_M, UNITS, is_fixed, stated
 from gis_radar.calibration.registration.state import LEVER_M
-from gis_radar.calibration.scan.scan_check import CLOSE_M, Alignment, align
-from gis_radar.calibration.scan.scan_check_result import CONFIRMS, PoseOffset, ScanCheck
+from gis_radar.calibration.scan.scan_check import CLEAR_SIGMAS, CLOSE_M, Alignment, align
+from gis_radar.calibration.scan.scan_check_result import CONFIRMS, SHIFT_M, PoseOffset, ScanCheck
 from gis_radar.calibration.scan.surroundings import Standing
 from gis_radar.poses import COMPONENTS, Pose
 
+ALONG_M, TOPS = 0.25, 200  # step of the places along an open direction, and draws of their patches
+SMALL = 1e-9
 DRAWS = 20  # of patches, for the covariance: it is known to a sixth then
 START = np.array([1.0, 1.0, 1.0])  # farthest start of a climb from the top: m, m, deg
-MOST_CHI2 = 16.0  # of three components, from which on both contradict each other (99.9 %)
+MOST_CHI2 = 16.0  # of up to three components, from which on both contradict each other (99.9 %)
 PLANE = [0, 1, 5]  # of a covariance: easting, northing, yaw
+
+
+def closed_along(pose: Pose, look: ScanCheck) -> Pose:
+    """Return a pose that traffic leaves open, as along a straight road, closed in that direction.
+
+    Only places that the traffic allows are compared with the scan: those along the direction that
+    it knows least, up to 10 m away.
+
+    Parameters
+    ----------
+    pose : Pose
+        With its covariance, by traffic.
+    look : ScanCheck
+        The check of this pose.
+
+    Returns
+    -------
+    Pose
+        The same pose where traffic leaves nothing open, or where scan and traffic together do not
+        clearly prefer one place, by the sum of their squared standard deviations.
+    """
+    known = _covariance(pose)
+    if known is None or is_fixed(known) or look.best is None:
+        return pose
+    lever = np.array([1.0, 1.0, LEVER_M])
+    variances, ways = np.linalg.eigh(known[np.ix_(PLANE, PLANE)] * np.outer(lever, lever))
+    way = ways[:, -1] / lever  # the step of easting, northing (m), yaw (rad) for a metre
+    places = np.arange(-SHIFT_M, SHIFT_M + 0.5 * ALONG_M, ALONG_M)
+    offsets = places[:, None] * (np.linalg.inv(_to_map(pose)) @ way)
+    alignment, patch = align(look.standing, look.structure), look.standing.patch
+    patches = np.array([np.bincount(patch, alignment.at(each.tolist())) for each in offsets])
+    top = int(np.argmax(patches.sum(axis=1)))
+    gains = patches[top] - patches
+    by_scan = gains.sum(axis=1) / np.maximum(np.sqrt((gains**2).sum(axis=1)), SMALL)
+    by_traffic = (places**2 - places[top] ** 2) / variances[-1]
+    near = by_scan**2 + by_traffic < CLEAR_SIGMAS**2
+    if near[[0, -1]].any() or np.count_nonzero(np.diff(near)) > 2:
+        return pose  # it goes on beyond, or places apart from each other may be right
+    count = patches.shape[1]
+    drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), size=TOPS)
+    tops = places[near][np.argmax(patches[near] @ drawn.T, axis=0)]
+    row = np.zeros((1, 6))
+    row[0, PLANE] = way * lever**2
+    noise = np.array([[float(np.var(tops)) + MAP_SIGMA_M**2]])
+    return _measured(pose, known, row, np.array([tops.mean()]), noise)
 
 
 def updated_by_scan(pose: Pose, look: ScanCheck) -> Pose:
@@ -34,31 +81,45 @@ def updated_by_scan(pose: Pose, look: ScanCheck) -> Pose:
     pose : Pose
         With its covariance, by traffic.
     look : ScanCheck
-        The check of this pose, or of one nearby.
+        The check of this pose.
 
     Returns
     -------
     Pose
-        The same pose where it states no covariance, where the check does not confirm the pose that
-        it looked at, or where what stands leaves a direction open or contradicts the traffic.
+        The same pose where it states no covariance, where the check does not confirm it, or where
+        what stands leaves a direction open or contradicts the traffic.
     """
-    given = pose.evidence.get("covariance")
-    if given is None or look.verdict != CONFIRMS or look.best is None:
+    known = _covariance(pose)
+    if known is None or look.verdict != CONFIRMS or look.best is None:
         return pose
-    known = np.asarray(given, np.float64)
     measured = offset_covariance(align(look.standing, look.structure), look.best)
     if measured is None:
         return pose
-    to_map, gap = _to_map(look.pose), _between(pose, look.best_pose)
+    to_map, rows = _to_map(pose), np.eye(6)[PLANE]
     # the scan lies as far off as the map, here and at the usual distance of what stands
     place = np.diag(np.square([MAP_SIGMA_M, MAP_SIGMA_M, MAP_SIGMA_M / LEVER_M]))
-    noise = to_map @ measured @ to_map.T + place
-    total = np.linalg.inv(known[np.ix_(PLANE, PLANE)] + noise)
+    gap = to_map @ np.array(look.best.place)
+    return _measured(pose, known, rows, gap, to_map @ measured @ to_map.T + place)
+
+
+def _covariance(pose: Pose) -> Floats | None:
+    given = pose.evidence.get("covariance")
+    return None if given is None else np.asarray(given, np.float64)
+
+
+def _measured(pose: Pose, known: Floats, rows: Floats, gap: Floats, noise: Floats) -> Pose:
+    """Return a pose after the measurement of some linear functions of it, if it is consistent."""
+    total = np.linalg.inv(rows @ known @ rows.T + noise)
     if gap @ total @ gap > MOST_CHI2:
         return pose
-    gain = known[:, PLANE] @ total
-    left = known - gain @ known[PLANE]
-    return _moved(pose, gain @ gap, (left + left.T) / 2.0)
+    gain = known @ rows.T @ total
+    left = known - gain @ rows @ known
+    covariance = (left + left.T) / 2.0
+    steps = dict(zip(COMPONENTS, (gain @ gap * UNITS).tolist(), strict=True))
+    moved = {name: getattr(pose, name) + value for name, value in steps.items()}
+    moved["yaw"] = math.remainder(moved["yaw"], 360.0)
+    evidence = {**pose.evidence, **stated(covariance), "observable": is_fixed(covariance)}
+    return replace(pose, **moved, evidence=evidence)
 
 
 def offset_covariance(alignment: Alignment, best: PoseOffset) -> Floats | None:
@@ -91,18 +152,3 @@ def _to_map(pose: Pose) -> Floats:
     yaw = math.radians(pose.yaw)
     cos, sin = math.cos(yaw), math.sin(yaw)
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, math.radians(1.0)]])
-
-
-def _between(pose: Pose, other: Pose) -> Floats:
-    """Return the step from a pose to another: easting, northing (m), yaw (rad)."""
-    turn = math.radians(math.remainder(other.yaw - pose.yaw, 360.0))
-    return np.array([*(other.position - pose.position)[:2], turn])
-
-
-def _moved(pose: Pose, step: Floats, covariance: Floats) -> Pose:
-    """Return a pose after a step, in the order of a covariance, with its new covariance."""
-    steps = dict(zip(COMPONENTS, (step * UNITS).tolist(), strict=True))
-    moved = {name: getattr(pose, name) + value for name, value in steps.items()}
-    moved["yaw"] = math.remainder(moved["yaw"], 360.0)
-    evidence = {**pose.evidence, **stated(covariance), "observable": is_fixed(covariance)}
-    return replace(pose, **moved, evidence=evidence)

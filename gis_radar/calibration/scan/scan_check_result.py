@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -139,16 +139,6 @@ class ScanCheck:
         """The frame of the cells and the structure."""
         return LevelFrame(pose=self.pose)
 
-    @property
-    def best_pose(self) -> Pose:
-        """The pose moved and turned to where the score is highest."""
-        if self.best is None:
-            return self.pose
-        beside = np.array([[self.best.ahead_m, self.best.left_m]])
-        east, north = self.level.to_map(beside)[0].tolist()
-        yaw = self.pose.yaw + self.best.turn_deg
-        return replace(self.pose, easting=east, northing=north, yaw=yaw)
-
     def __repr__(self) -> str:
         return f"ScanCheck({self.pose.sensor}: {self.verdict}: {self.reason})"
 
@@ -165,7 +155,8 @@ class ScanCheck:
             "scan_classified": self.structure.classified,
         }
         if self.best is not None:
-            east, north = (self.best_pose.position - self.pose.position)[:2].tolist()
+            beside = np.array([[self.best.ahead_m, self.best.left_m]])
+            east, north = (self.level.to_map(beside)[0] - self.pose.position[:2]).tolist()
             found |= {
                 "covered": round(self.covered, 3),
                 "score": round(self.score, 3),

@@ -28,12 +28,10 @@ from gis_radar.base import (
 )
 from gis_radar.calibration.range_scale import measure_range_scale
 from gis_radar.calibration.registration.traces import LEAST_FRAMES, Moving
-from gis_radar.calibration.scan.pose_update import updated_by_scan
+from gis_radar.calibration.scan.pose_update import closed_along, updated_by_scan
 from gis_radar.calibration.scan.scan_check import (
     CLEAR_SIGMAS,
     LEAST_COVERED,
-    SAME_DEG,
-    SAME_M,
     align,
     check_against_scan,
     require_scans_near,
@@ -296,8 +294,9 @@ def localize_with_scan(
 ) -> Localization:
     """Localize by traffic and by what stands in a scan.
 
-    Where the traffic fits several poses, the scan check decides. The pose is then updated by where
-    what stands fits the scan best: see :func:`updated_by_scan`.
+    Where the traffic fits several poses, the scan check decides. The pose is then closed along a
+    direction that the traffic leaves open, and updated by where what stands fits the scan best: see
+    :mod:`gis_radar.calibration.scan.pose_update`.
 
     The scan decides where it confirms exactly one pose, or where it does not doubt and prefers to
     each of the others exactly one. Places that the traffic rules out are not compared then.
@@ -322,9 +321,8 @@ def localize_with_scan(
     if found.pose.evidence.get("method") != "lane":
         return found  # the paper's method is kept as it is
     look = look_at(recording, found.pose)
-    if look.best is not None and look.best.beyond(SAME_M, SAME_DEG):
-        look = look_at(recording, look.best_pose)
-    pose = updated_by_scan(found.pose, look)
+    pose = closed_along(found.pose, look)
+    pose = updated_by_scan(pose, look if pose is found.pose else look_at(recording, pose))
     return replace(found, pose=pose, observable=bool(pose.evidence["observable"]))
 
 
