@@ -9,8 +9,6 @@ from .files.manifest import (
     create_dataset,
     require_same_settings,
     require_same_site,
-    site_folder,
-    site_folders,
 )
 from .files.parts import (
     Origin,
@@ -35,6 +33,7 @@ from .files.records import (
     write_record,
 )
 from .files.schema import TableSchema
+from .files.sites import site_folder, site_folders, warn_of_copies
 from .files.source import NoVehiclesError
 from .files.tables import FRAMES, PASSAGES, POSES, RECORDINGS, TILE_COUNTS
 from .hours.job import MeasureSettings
@@ -112,6 +111,7 @@ __all__ = [
     "sync_folder",
     "unfinished",
     "update_days",
+    "warn_of_copies",
     "write_lane_matches",
     "write_record",
     "write_whole",
