@@ -1,5 +1,5 @@
 from .dataset import Dataset, open_dataset
-from .days.asked_time import day_numbers
+from .days.asked_time import Holidays, day_numbers
 from .days.lane_measures import LaneTraffic
 from .days.rollups import RollUps
 from .days.tables import STEPS_PER_QUARTER
@@ -34,7 +34,7 @@ from .files.records import (
 )
 from .files.schema import TableSchema
 from .files.sites import site_folder, site_folders, warn_of_copies
-from .files.source import NoVehiclesError
+from .files.source import Moment, NoVehiclesError
 from .files.tables import FRAMES, PASSAGES, POSES, RECORDINGS, TILE_COUNTS
 from .hours.job import MeasureSettings
 from .hours.making import OpenHours, open_hours, update_days
@@ -43,7 +43,7 @@ from .lane_matching import match_lanes, write_lane_matches
 from .measuring import manifest_of, measure
 from .questions.profiles import NotMeasuredError, measured_span
 from .questions.sql import SqlQueries
-from .questions.street_profile import UnknownStreetError
+from .questions.street_profile import By, UnknownStreetError
 from .questions.views import catalogue_of
 from .traffic.shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .traffic.stated_lanes import stated_lanes
@@ -59,12 +59,15 @@ __all__ = [
     "SHOWN_S",
     "STEPS_PER_QUARTER",
     "TILE_COUNTS",
+    "By",
     "Dataset",
+    "Holidays",
     "HourRecord",
     "HourWriter",
     "LaneTraffic",
     "Manifest",
     "MeasureSettings",
+    "Moment",
     "NoVehiclesError",
     "NotMeasuredError",
     "OpenHours",
