@@ -11,6 +11,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -109,7 +110,7 @@ def add_recordings(task: SiteTask) -> SiteTask:
         if sensor.pose is None and sensor.name not in lost:
             _keep_pose(sensor, site, task)
     found = {path: _state_of(path) for each in site.sensor for path in each.recordings}
-    seen = _seen(task)
+    seen = seen_recordings(task)
     new = {
         each.name: [path for path in each.recordings if seen.get(_name_of(path)) != found[path]]
         for each in site.sensor if each.name not in lost
@@ -119,8 +120,8 @@ def add_recordings(task: SiteTask) -> SiteTask:
         for each in site.sensor if new.get(each.name)
     ]  # fmt: skip
     if sensors:
-        _register(site.model_copy(update={"sensor": tuple(sensors)}), task)
-        _keep_seen(task, seen | {_name_of(path): state for path, state in found.items()})
+        register_checked(site.model_copy(update={"sensor": tuple(sensors)}), task)
+        keep_seen(task, seen | {_name_of(path): state for path, state in found.items()})
     return task
 
 
@@ -167,9 +168,10 @@ def _with_known_poses(site: Site, task: SiteTask) -> Site:
     Where guess, heading or map were changed, the pose is found again, from the recordings that the
     dataset does not have: those that it has keep theirs.
     """
-    sensors, seen = [], _seen(task)
+    sensors, seen = [], seen_recordings(task)
     for each in site.sensor:
-        path, found = _pose_path(each, task), {}
+        path = _pose_path(each, task)
+        found: dict[str, Any] = {}
         if each.pose is None and path.is_file():
             new = tuple(p for p in each.recordings if seen.get(_name_of(p)) != _state_of(p))
             basis = path.with_suffix(BASIS)
@@ -204,7 +206,7 @@ def _state_of(recording: Path) -> list[int]:
     return [state.st_mtime_ns, state.st_size]
 
 
-def _seen(task: SiteTask) -> dict[str, list[int]]:
+def seen_recordings(task: SiteTask) -> dict[str, list[int]]:
     """Return the recordings of the dataset, each as its file was when it was read."""
     if not Manifest.is_there(task.dataset):
         return {}
@@ -216,14 +218,15 @@ def _seen(task: SiteTask) -> dict[str, list[int]]:
         return {}  # all are looked at again: those that are the same change no hour
 
 
-def _keep_seen(task: SiteTask, states: Mapping[str, list[int]]) -> None:
+def keep_seen(task: SiteTask, states: Mapping[str, list[int]]) -> None:
+    """Write which recordings the dataset has, and as they were when they were read."""
     known = {*open_dataset(task.dataset).recordings()["path"]}
     kept = {path: state for path, state in sorted(states.items()) if path in known}
     with atomic_write(task.results / SEEN) as part:
         part.write_text(json_text(kept, indent=1) + "\n", encoding="utf-8")
 
 
-def _register(site: Site, task: SiteTask) -> None:
+def register_checked(site: Site, task: SiteTask) -> None:
     """Check recordings and add them to the dataset, without making their hours.
 
     A damaged recording is named and left out; what was refused with it is tried again.

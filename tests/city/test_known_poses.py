@@ -22,9 +22,9 @@ def city(tmp_path, monkeypatch):
     found.write_text("{}", encoding="utf-8")
     seen, prepared = {}, []
     monkeypatch.setattr(tasks, "prepare_site", lambda site, *_, **__: prepared.append(site) or [])
-    monkeypatch.setattr(tasks, "_register", lambda *_: None)
-    monkeypatch.setattr(tasks, "_seen", lambda _: seen)
-    monkeypatch.setattr(tasks, "_keep_seen", lambda _, states: seen.update(states))
+    monkeypatch.setattr(tasks, "register_checked", lambda *_: None)
+    monkeypatch.setattr(tasks, "seen_recordings", lambda _: seen)
+    monkeypatch.setattr(tasks, "keep_seen", lambda _, states: seen.update(states))
 
     def run():
         tasks.add_recordings(task)
