@@ -265,7 +265,7 @@ def test_lines_are_those_of_the_keys(tables, spaced):
     tomllib.loads("\n".join(lines))
 
 
-@pytest.mark.parametrize("name", ["R+", "R#1"])
-def test_wildcards_of_mqtt_are_no_names(name):
+@pytest.mark.parametrize("name", ["R+", "R#1", 101 * "\u00fc"])
+def test_wildcards_of_mqtt_and_long_words_are_no_names(name):
     with pytest.raises(ValueError, match="a name that a folder can have"):
         TypeAdapter(Name).validate_python(name)

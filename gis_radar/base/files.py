@@ -40,7 +40,21 @@ _FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", 
 LEAST_FREE = 1 << 16  # bytes: a disk with less is full, whatever a library's error states
 
 _unfinished: set[Path] = set()
+LONGEST_NAME = 200  # bytes: file systems take 255, and names get endings
+_NOT_IN_NAMES = frozenset('/\\:*?"<>|+#')  # + and # are wildcards of MQTT
 _CLEARING_FILES = 4  # file descriptors that the removal of a nested folder needs
+
+
+def is_folder_name(text: str) -> bool:
+    """Return whether folders can have a name on all systems, and topics of MQTT too."""
+    return (
+        text.isprintable()
+        and text == text.strip()
+        and text[:1] not in {"", "."}
+        and text[-1] != "."
+        and not _NOT_IN_NAMES & {*text}
+        and len(text.encode()) <= LONGEST_NAME
+    )
 
 
 def refuse_inputs(output: str | Path, *inputs: str | Path) -> None:

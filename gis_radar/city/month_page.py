@@ -136,7 +136,7 @@ def write_month_page(
     OutputError
         If the page cannot be written.
     """
-    city = open_city(root)
+    city = open_city(root, reporter=reporter)
     chosen = month_of(city, month)
     if title is not None and not title.strip():
         raise UsageError("the title is empty", hint="leave it out, or give the name of the city")

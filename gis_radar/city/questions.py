@@ -19,7 +19,10 @@ from gis_radar.base import (
     atomic_write,
 )
 from gis_radar.dataset import (
+    By,
     Dataset,
+    Holidays,
+    Moment,
     NotMeasuredError,
     NoVehiclesError,
     SqlQueries,
@@ -47,14 +50,18 @@ class CityQuestions(SqlQueries):
         """Return folder and sites, which SQL queries are asked of; see :meth:`query`."""
         return self.root, self.sites
 
-    def profile(self, street: str | None = None, **asked: Any) -> pd.DataFrame:
+    def profile(
+        self, street: str | None = None, *, by: By = "hour", days: str | None = None,
+        begin: Moment = None, end: Moment = None, month: str | None = None,
+        without: Holidays = None, language: str | None = None,
+    ) -> pd.DataFrame:  # fmt: skip
         """Return the usual traffic of streets by site and direction.
 
         Parameters
         ----------
         street : str, optional
             Name of a street; of the sites that are on it. By default all streets.
-        **asked
+        by, days, begin, end, month, without, language
             As for :meth:`gis_radar.Dataset.profile`.
 
         Returns
@@ -70,7 +77,12 @@ class CityQuestions(SqlQueries):
         InputError
             If no site was measured in that time, with vehicles.
         """
-        profiles = self._of_sites(lambda dataset: dataset.profile(street, **asked))
+        profiles = self._of_sites(
+            lambda dataset: dataset.profile(
+                street, by=by, days=days, begin=begin, end=end, month=month, without=without,
+                language=language,
+            )
+        )  # fmt: skip
         for name, each in profiles.items():
             each.insert(0, SITE_COLUMN, name)
         whole: pd.DataFrame = pd.concat(profiles.values(), ignore_index=True)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from gis_radar.base import InputError
+from gis_radar.base import QUIET, InputError, Reporter
 from gis_radar.city.questions import CityQuestions
-from gis_radar.dataset import Dataset, open_dataset, site_folders
+from gis_radar.dataset import Dataset, open_dataset, site_folders, warn_of_copies
 
 RESULTS = "results"
 """Folder of a city with the results of each site."""
@@ -33,19 +33,22 @@ class City(CityQuestions):
         return f"City({str(self.root)!r}: {', '.join(self.sites)})"
 
 
-def open_city(root: str | Path | City) -> City:
+def open_city(root: str | Path | City, *, reporter: Reporter = QUIET) -> City:
     """Open a city; the tables of its sites are read when they are asked for.
 
     Parameters
     ----------
     root : str, Path or City
         A folder with a dataset a site, `ROOT/site=NAME/`; an open city stays as it is.
+    reporter : Reporter
+        Receives a warning where two sites have the same recordings, or hours of a site were made by
+        different methods.
 
     Raises
     ------
     InputError
-        If it is no such folder, two names of sites differ by case only, or a dataset is damaged or
-        of a newer schema.
+        If it is no such folder, two sites have one name or are one folder, or a dataset is damaged
+        or of a newer schema.
     """
     if isinstance(root, City):
         return root
@@ -58,11 +61,6 @@ def open_city(root: str | Path | City) -> City:
             "{}: is no city: has no dataset {}", root, "site=NAME/",
             hint="name the folder that holds the datasets of the sites",
         )  # fmt: skip
-    known: dict[str, str] = {}
-    for name in places:
-        if (other := known.setdefault(name.casefold(), name)) != name:
-            raise InputError(
-                "{}: two sites have one name: {} and {}", root, other, name,
-                hint="rename the folder of one",
-            )  # fmt: skip
-    return City(root=root, sites={name: open_dataset(place) for name, place in places.items()})
+    sites = {name: open_dataset(place, reporter=reporter) for name, place in places.items()}
+    warn_of_copies(places, reporter)
+    return City(root=root, sites=sites)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -66,6 +67,19 @@ class CityFile(TomlTable):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _files_differ(self) -> Self:
+        files = dict[str, str]()
+        for place, each in enumerate(self.site):
+            file = os.path.realpath(each.file)  # pathlib raises where links go round in circles
+            if (other := files.setdefault(file, each.name)) != each.name:
+                raise Unfit(
+                    message=Text("sites {} and {} have one file", repr(other), repr(each.name)),
+                    hint=Text("their traffic would count twice: state each site once"),
+                    at=("site", place, "file"),
+                )
+        return self
+
     @property
     def path(self) -> Path:
         """The file it was read from."""
@@ -84,7 +98,7 @@ def read_city_file(path: str | Path) -> CityFile:
     ------
     InputError
         If it is no TOML, a key is unknown or missing, a value does not fit, or two sites have one
-        name.
+        name or one file.
     """
     city = read_toml(Path(path), CityFile, of_site=False, hint=_HINT)
     city._path = Path(path)  # noqa: SLF001 - not a key of the file

@@ -11,6 +11,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -37,6 +38,8 @@ from gis_radar.site import (
 )
 
 POSES = "poses"  # folder of a city with the poses that were found
+BASIS = ".basis"  # beside such a pose: what it was found from
+KNOWN = {"guess": None, "view": None}  # not needed where a pose is known
 CONVERTED = "recordings"  # folder of a city with the recordings that were converted
 OPTIONS = "options.json"  # beside a converted recording: how it was converted
 SEEN = ".gis-radar/recordings.json"  # what was registered, below the results of a site
@@ -89,8 +92,8 @@ def add_recordings(task: SiteTask) -> SiteTask:
     """Prepare a site, and register its new recordings in its dataset; no hour is made yet.
 
     Poses are found once, from the first recordings, and kept in the city's folder `poses`:
-    recordings that come later change none of them. Recordings that the dataset has keep the pose
-    that they were measured with.
+    recordings that come later change none of them; a changed guess, heading or map does. Recordings
+    that the dataset has keep the pose that they were measured with.
 
     Raises
     ------
@@ -105,9 +108,9 @@ def add_recordings(task: SiteTask) -> SiteTask:
     task.failures += [(name, error) for name, error in lost.items() if error is not None]
     for sensor in site.sensor:
         if sensor.pose is None and sensor.name not in lost:
-            _keep_pose(sensor, task)
+            _keep_pose(sensor, site, task)
     found = {path: _state_of(path) for each in site.sensor for path in each.recordings}
-    seen = _seen(task)
+    seen = seen_recordings(task)
     new = {
         each.name: [path for path in each.recordings if seen.get(_name_of(path)) != found[path]]
         for each in site.sensor if each.name not in lost
@@ -117,8 +120,8 @@ def add_recordings(task: SiteTask) -> SiteTask:
         for each in site.sensor if new.get(each.name)
     ]  # fmt: skip
     if sensors:
-        _register(site.model_copy(update={"sensor": tuple(sensors)}), task)
-        _keep_seen(task, seen | {_name_of(path): state for path, state in found.items()})
+        register_checked(site.model_copy(update={"sensor": tuple(sensors)}), task)
+        keep_seen(task, seen | {_name_of(path): state for path, state in found.items()})
     return task
 
 
@@ -160,21 +163,37 @@ def _pose_path(sensor: Sensor, task: SiteTask) -> Path:
 
 
 def _with_known_poses(site: Site, task: SiteTask) -> Site:
-    """Give sensors the poses that an earlier run found."""
-    sensors = [
-        each.model_copy(update={"pose": path, "guess": None, "view": None})
-        if each.pose is None and (path := _pose_path(each, task)).is_file()
-        else each
-        for each in site.sensor
-    ]
+    """Give sensors the poses that an earlier run found, from what is stated now.
+
+    Where guess, heading or map were changed, the pose is found again, from the recordings that the
+    dataset does not have: those that it has keep theirs.
+    """
+    sensors, seen = [], seen_recordings(task)
+    for each in site.sensor:
+        path = _pose_path(each, task)
+        found: dict[str, Any] = {}
+        if each.pose is None and path.is_file():
+            new = tuple(p for p in each.recordings if seen.get(_name_of(p)) != _state_of(p))
+            basis = path.with_suffix(BASIS)
+            same = not basis.is_file() or basis.read_text(encoding="utf-8") == _basis(each, site)
+            found = {"recordings": new} if new and not same else KNOWN | {"pose": path}
+        sensors.append(each.model_copy(update=found))
     return site.model_copy(update={"sensor": tuple(sensors)})
 
 
-def _keep_pose(sensor: Sensor, task: SiteTask) -> None:
+def _basis(sensor: Sensor, site: Site) -> str:
+    """Return what the pose of a sensor is found from, but for its recordings."""
+    stated = sensor.model_dump(include={"guess", "heading", "compass", "method"})
+    return json_text({**stated, "map": hashlib.sha256(site.map.file.read_bytes()).hexdigest()})
+
+
+def _keep_pose(sensor: Sensor, site: Site, task: SiteTask) -> None:
     path = _pose_path(sensor, task)
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as part:
         part.write_bytes((task.results / "sensors" / sensor.name / "pose.json").read_bytes())
+    with atomic_write(path.with_suffix(BASIS)) as part:
+        part.write_text(_basis(sensor, site), encoding="utf-8")
 
 
 def _name_of(recording: Path) -> str:
@@ -187,7 +206,7 @@ def _state_of(recording: Path) -> list[int]:
     return [state.st_mtime_ns, state.st_size]
 
 
-def _seen(task: SiteTask) -> dict[str, list[int]]:
+def seen_recordings(task: SiteTask) -> dict[str, list[int]]:
     """Return the recordings of the dataset, each as its file was when it was read."""
     if not Manifest.is_there(task.dataset):
         return {}
@@ -199,14 +218,15 @@ def _seen(task: SiteTask) -> dict[str, list[int]]:
         return {}  # all are looked at again: those that are the same change no hour
 
 
-def _keep_seen(task: SiteTask, states: Mapping[str, list[int]]) -> None:
+def keep_seen(task: SiteTask, states: Mapping[str, list[int]]) -> None:
+    """Write which recordings the dataset has, and as they were when they were read."""
     known = {*open_dataset(task.dataset).recordings()["path"]}
     kept = {path: state for path, state in sorted(states.items()) if path in known}
     with atomic_write(task.results / SEEN) as part:
         part.write_text(json_text(kept, indent=1) + "\n", encoding="utf-8")
 
 
-def _register(site: Site, task: SiteTask) -> None:
+def register_checked(site: Site, task: SiteTask) -> None:
     """Check recordings and add them to the dataset, without making their hours.
 
     A damaged recording is named and left out; what was refused with it is tried again.

@@ -49,7 +49,7 @@ def _dataset_or_city(folder: Path, reporter: Reporter) -> gr.Dataset | gr.City:
     from gis_radar.products import is_city  # noqa: PLC0415 - --help needs no NumPy
 
     if is_city(folder):
-        return gr.open_city(folder)
+        return gr.open_city(folder, reporter=reporter)
     return gr.open_dataset(folder, reporter=reporter)
 
 

@@ -114,7 +114,7 @@ def heatmap(
     if is_city(folder):
         others = {**options, "title": title, "language": language if language != "en" else "",
                   "source": sources}  # fmt: skip
-        return _map_of_city(folder, output, **others)
+        return _map_of_city(folder, output, reporter, **others)
     measured = gr.open_dataset(folder)
     zone = options["timezone"] = options["timezone"] or measured.timezone
     options["labels"] = gr.MapLabels(title=title, timezone=zone, sources=sources, language=language)
@@ -123,7 +123,9 @@ def heatmap(
     return Result(outputs=outputs, summary=heat.figures(), timezone=zone)
 
 
-def _map_of_city(folder: Path, output: Path, *, month: str | None, **others: Any) -> Result:
+def _map_of_city(
+    folder: Path, output: Path, reporter: Reporter, *, month: str | None, **others: Any
+) -> Result:
     """Write the map of a city's month; refuse options of other maps."""
     if month is None:
         raise UsageError("{} is a city: which month?", folder, hint="name it by --month 2026-10")
@@ -132,7 +134,7 @@ def _map_of_city(folder: Path, output: Path, *, month: str | None, **others: Any
             "{} is of the map of a dataset, not of a city",
             f"--{given[0].replace('further', 'map-of')}",
         )
-    city = gr.open_city(folder)
+    city = gr.open_city(folder, reporter=reporter)
     path = city.write_map(month, output)
     return Result(outputs=[path], summary={"sites": len(city.sites), "month": month})
 

@@ -1,5 +1,5 @@
 from .dataset import Dataset, open_dataset
-from .days.asked_time import day_numbers
+from .days.asked_time import Holidays, day_numbers
 from .days.lane_measures import LaneTraffic
 from .days.rollups import RollUps
 from .days.tables import STEPS_PER_QUARTER
@@ -9,8 +9,6 @@ from .files.manifest import (
     create_dataset,
     require_same_settings,
     require_same_site,
-    site_folder,
-    site_folders,
 )
 from .files.parts import (
     Origin,
@@ -35,7 +33,8 @@ from .files.records import (
     write_record,
 )
 from .files.schema import TableSchema
-from .files.source import NoVehiclesError
+from .files.sites import site_folder, site_folders, warn_of_copies
+from .files.source import Moment, NoVehiclesError
 from .files.tables import FRAMES, PASSAGES, POSES, RECORDINGS, TILE_COUNTS
 from .hours.job import MeasureSettings
 from .hours.making import OpenHours, open_hours, update_days
@@ -44,7 +43,7 @@ from .lane_matching import match_lanes, write_lane_matches
 from .measuring import manifest_of, measure
 from .questions.profiles import NotMeasuredError, measured_span
 from .questions.sql import SqlQueries
-from .questions.street_profile import UnknownStreetError
+from .questions.street_profile import By, UnknownStreetError
 from .questions.views import catalogue_of
 from .traffic.shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .traffic.stated_lanes import stated_lanes
@@ -60,12 +59,15 @@ __all__ = [
     "SHOWN_S",
     "STEPS_PER_QUARTER",
     "TILE_COUNTS",
+    "By",
     "Dataset",
+    "Holidays",
     "HourRecord",
     "HourWriter",
     "LaneTraffic",
     "Manifest",
     "MeasureSettings",
+    "Moment",
     "NoVehiclesError",
     "NotMeasuredError",
     "OpenHours",
@@ -112,6 +114,7 @@ __all__ = [
     "sync_folder",
     "unfinished",
     "update_days",
+    "warn_of_copies",
     "write_lane_matches",
     "write_record",
     "write_whole",

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.base import QUIET, GisRadarError, InputError, OutputError, Reporter
-from gis_radar.dataset import site_folders
+from gis_radar.dataset import site_folders, warn_of_copies
 from gis_radar.products.postgis import (
     MARK,
     VERSION,
@@ -84,7 +84,7 @@ def publish_city(
     schema : str
         Schema of the views, and the beginning of those of the sites.
     reporter : Reporter
-        Receives the progress, and a warning for each site that fails.
+        Receives the progress, and a warning for each site that fails or has recordings of another.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def publish_city(
     Raises
     ------
     InputError
-        If there is no site, or two have one name in the database.
+        If there is no site, or two are one folder or have one name in the database.
     OutputError
         If the database cannot be reached, or SCHEMA holds something else; then nothing is sent. If
         sites failed, which stay as they were; the others are published.
@@ -103,6 +103,7 @@ def publish_city(
     if not places:
         raise InputError("{}: has no dataset {}", root, "site=NAME/")
     schemas = _schemas(Path(root), list(places), schema)
+    warn_of_copies(places, reporter)
     with connected(url, schema) as (connection, place):
         session = Session(cursor=connection.cursor(), schema=schema, place=place, srid=0)
         session.prepare_schema(f"{MARK} a city of version {VERSION}")

@@ -31,13 +31,13 @@ from gis_radar.base import (
     duration_s,
     first_line,
     interval_steps,
+    is_folder_name,
     looks_like_degrees,
     metric_crs,
     zone_of,
 )
 
 _WILD = frozenset("*?[")
-_NOT_IN_NAMES = frozenset('/\\:*?"<>|+#')  # + and # are wildcards of MQTT
 
 Steps = tuple[str | int, ...]
 Value = TypeVar("Value")
@@ -68,9 +68,12 @@ def _text(value: Any) -> str:
 
 def _name(value: Any) -> str:
     text = _text(value)
-    if text.startswith(".") or text != text.strip() or text[-1] == "." or _NOT_IN_NAMES & {*text}:
+    if not is_folder_name(text):
         raise Unfit(
-            Text('a name that a folder can have: without / \\ : * ? " < > | + # and no leading dot')
+            Text(
+                "a name that a folder can have: up to 200 bytes, "
+                'without / \\ : * ? " < > | + # and no leading dot'
+            )
         )
     return text
 

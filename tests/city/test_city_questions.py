@@ -40,8 +40,13 @@ def test_a_profile_is_that_of_each_site(city):
     assert city.profile(month="2026-10")["site"].unique().tolist() == ["east"]
     with pytest.raises(InputError, match="nothing was measured in that time"):
         city.profile(month="2027-01")
+    for left_out in ({"without": "1970-01-01/2069-12-31"}, {"month": "2026-11", "days": "We"}):
+        with pytest.raises(InputError, match="no day is left of those that were measured"):
+            city.profile(**left_out)
     with pytest.raises(UsageError, match="there is no street 'Allee'"):
         city.profile("Allee")
+    with pytest.raises(TypeError, match=r"CityQuestions.profile\(\) got .* 'holidays'"):
+        city.profile(holidays="2026-11-02")
     with pytest.raises(UsageError, match="names no days of the week"):
         city.profile(days="Mon")
 

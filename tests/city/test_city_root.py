@@ -1,9 +1,11 @@
 """A city's folder: which datasets it holds, and what is refused."""
 
 import json
+import shutil
 
 import pytest
-from datasets import HOUR, write_dataset
+from datasets import HOUR, recordings_of, write_dataset
+from maps import Listener
 
 import gis_radar as gr
 
@@ -43,3 +45,30 @@ def test_a_dataset_of_a_newer_schema_is_named(tmp_path):
     path.write_text(json.dumps(json.loads(path.read_text()) | {"schema": 99}))
     with pytest.raises(gr.InputError, match="site=west: has schema 99, newer than 1"):
         gr.open_city(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["*", "\u00fc\n", ".hidden", "a:b", "end.", 201 * "x"])
+def test_names_that_no_city_file_can_state_are_refused(tmp_path, name):
+    (tmp_path / f"site={name}").mkdir()
+    (tmp_path / f"site={name}" / "dataset.json").touch()
+    with pytest.raises(gr.InputError, match="is no name of a site"):
+        gr.open_city(tmp_path)
+
+
+def test_two_names_of_one_folder_are_refused(tmp_path):
+    write_dataset(tmp_path / "site=east", hours=[HOUR])
+    (tmp_path / "site=copy").symlink_to("site=east")
+    with pytest.raises(gr.InputError, match="two sites are one folder: copy and east"):
+        gr.open_city(tmp_path)
+
+
+def test_copies_of_recordings_are_told(tmp_path):
+    write_dataset(tmp_path / "site=east", hours=[HOUR], recordings=recordings_of(["R1", "R2"]))
+    write_dataset(tmp_path / "site=west", hours=[HOUR])
+    said = Listener()
+    gr.open_city(tmp_path, reporter=said)
+    assert said.lines == []
+    shutil.copytree(tmp_path / "site=east", tmp_path / "site=copy")
+    gr.open_city(tmp_path, reporter=said)
+    (line,) = said.lines
+    assert line.startswith("sites copy and east have the same recordings")

@@ -26,7 +26,6 @@ from gis_radar.dataset.files.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
 from gis_radar.hdmap import write_tiles
 
 MANIFEST, TILES, MAP = "dataset.json", "tiles.gpkg", "map.osm"
-SITE = "site="  # with which the names of a city's datasets begin
 MAKE_ONE = Text("a folder that gis-radar measure wrote is needed")
 
 
@@ -168,17 +167,6 @@ def create_dataset(
     for table in (RECORDINGS, POSES, SIGHTS):
         write_whole(table, folder, table.empty(), manifest.fingerprint)
     manifest.write(folder)
-
-
-def site_folder(root: Path, name: str) -> Path:
-    """Return the folder of the dataset of a city's site, `ROOT/site=NAME/`."""
-    return root / f"{SITE}{name}"
-
-
-def site_folders(root: Path) -> dict[str, Path]:
-    """Return the folders of the datasets of a city by the names of their sites, ascending."""
-    found = sorted(root.glob(f"{SITE}?*"))
-    return {each.name.removeprefix(SITE): each for each in found if Manifest.is_there(each)}
 
 
 def remove_dataset(folder: Path) -> None:

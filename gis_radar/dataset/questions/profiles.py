@@ -23,7 +23,7 @@ from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 
 
 class NotMeasuredError(InputError):
-    """A time in which a dataset has no complete hour."""
+    """A time of which a dataset has no complete hour, or only days that do not count."""
 
 
 class Questions:
@@ -90,13 +90,19 @@ class Questions:
             If there is no such street, day, date or month, or an end lies within a quarter of an
             hour.
         InputError
-            If vehicles were not looked for, or nothing was measured in that time.
+            If vehicles were not looked for, nothing was measured in that time, or holidays and days
+            of the week leave nothing of it.
         """
         require_vehicles(self)
         if by not in get_args(By):
             raise UsageError("by is {}, expected hour, weekday or month", repr(by))
         span, measured = _asked_span(self, begin, end, month)
         asked = AskedTime.of(span, self.timezone, days, without, measured)
+        if not (asked.asked & asked.measured).any():
+            raise NotMeasuredError(
+                "{}: no day is left of those that were measured", self.folder,
+                hint="holidays (without) and days of the week leave none",
+            )  # fmt: skip
         columns = ["lane", "weekday", "hour", *SUMMED]
         rolled = roll_ups(self)
         lanes = _street_lanes(self, rolled, street, language)
