@@ -387,11 +387,11 @@ def run_group(group: click.Group) -> NoReturn:
     except GisRadarError as error:
         _fail(console, error)
     except (KeyboardInterrupt, click.Abort):
-        _fail(console, _InterruptedError(INTERRUPTION))
+        _end_interrupted(console)
     except SystemError as error:
         if not isinstance(error.__cause__, KeyboardInterrupt):  # in compiled code
             raise
-        _fail(console, _InterruptedError(INTERRUPTION))
+        _end_interrupted(console)
     except Exception as error:  # noqa: BLE001 - a person shall see one line of any error
         _fail(console, _error_of(error))
     sys.exit(0)
@@ -437,6 +437,13 @@ def _fail(console: Console, error: GisRadarError) -> NoReturn:
     except MemoryError:
         os.write(sys.stderr.fileno(), f"gis-radar: {NO_MEMORY}\n".encode())
     sys.exit(error.exit_code)
+
+
+def _end_interrupted(console: Console) -> NoReturn:
+    """Exit after an interruption; another one meanwhile would end Python with another exit code."""
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)
+    _fail(console, _InterruptedError(INTERRUPTION))
 
 
 def _output_is_open() -> bool:

@@ -17,13 +17,13 @@ def run(profiles, name, **inputs):
 
 def test_all_algorithms_are_there(profiles):
     done = call(profiles, "list")
-    assert done.stdout.count("gisradar:") == 22
+    assert done.stdout.count("gisradar:") == 23
     assert "Traceback" not in done.stdout + done.stderr
 
 
 def test_they_are_there_in_german(profiles):
     done = call(profiles, "list", LANGUAGE="de", LANG="de_DE.UTF-8", LC_ALL="de_DE.UTF-8")
-    assert done.stdout.count("gisradar:") == 22
+    assert done.stdout.count("gisradar:") == 23
     assert "Standortdatei ausführen" in done.stdout
     assert "Run a site file" not in done.stdout
 

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from gis_radar.base import (
     STEPS_PER_SECOND,
+    GisRadarError,
     InputError,
     Integers,
     LayerNotes,
     Reporter,
     Text,
-    UsageError,
     add_layer,
     add_styles,
     describe_layers,
@@ -295,7 +295,7 @@ def _labels_of(text: str, path: Path) -> MapLabels:
     """Return labels from their stored text; refuse a text that holds none."""
     try:
         return MapLabels(**json.loads(text))
-    except (TypeError, ValueError, UsageError) as error:
+    except (TypeError, ValueError, GisRadarError) as error:
         raise InputError("{}: its labels cannot be read: {}", path, error, hint=_HINT) from error
 
 
