@@ -31,6 +31,9 @@ def main() -> int:
         f"gis_radar-docs-{version}.zip": "the documentation: open `index.html`, no network needed",
     }
     *built, docs = purposes
+    if not (DOCS / "index.html").is_file():
+        print(f"{DOCS}: no documentation; build it by make docs", file=sys.stderr)
+        return 1
     _zip_documentation(DIST / docs)
     ours = {*purposes, "FILES.md", "SHA256SUMS"}
     missing = [name for name in built if not (DIST / name).is_file()]

@@ -141,7 +141,9 @@ def _kinds(annotation: str) -> tuple[tuple[str, str], ...]:
 def _is_of(value: Any, name: str, inner: str) -> bool:
     if name in _LISTS:
         kinds = _kinds(inner)
-        if not _is_list(value) or (name == "tuple" and len(value) != len(kinds)):
+        if not _is_list(value) or (
+            name == "tuple" and "..." not in inner and len(value) != len(kinds)
+        ):
             return False
         return all(any(_is_of(each, *kind) for kind in kinds) for each in value)
     is_bool = type(value).__name__ in {"bool", "bool_"}  # Python's and NumPy's
@@ -162,7 +164,7 @@ def _is_list(value: Any) -> bool:
 
 def _in_words(kinds: Iterable[tuple[str, str]]) -> Text:
     words = (
-        Text("a list ({})", _in_words(_kinds(inner))) if name in _LISTS else _WORDS[name]
+        Text("a list ({})", _in_words(_kinds(inner))) if name in _LISTS else _WORDS.get(name, name)
         for name, inner in kinds
     )
     return Text(" or ").join(dict.fromkeys(words))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import pandas as pd
@@ -26,11 +26,20 @@ class CityMonth:
         The month, such as `2026-10`.
     hours : mapping
         By site, the complete hours since 1970 of each month.
+    newest : int, optional
+        The newest hour of the whole city in the month; by default of these sites.
     """
 
     city: City
     month: str
     hours: Mapping[str, Mapping[str, list[int]]]
+    newest: int | None = None
+
+    def of_site(self, name: str) -> CityMonth:
+        """Return the month of one of the sites: what its workers need."""
+        city = replace(self.city, sites={name: self.city.sites[name]})
+        newest = self.last_step // STEPS_PER_HOUR
+        return replace(self, city=city, hours={name: self.hours[name]}, newest=newest)
 
     @cached_property
     def before(self) -> CityMonth:
@@ -57,7 +66,8 @@ class CityMonth:
     @cached_property
     def last_step(self) -> int:
         """Last step of the newest hour of any site in the month: no data are there after it."""
-        newest = max(hours[-1] for each in self.hours.values() if (hours := each.get(self.month)))
+        months = (each.get(self.month) for each in self.hours.values())
+        newest = max(hours[-1] for hours in months if hours) if self.newest is None else self.newest
         return (newest + 1) * STEPS_PER_HOUR - 1
 
     @property

@@ -174,7 +174,7 @@ def _sites(
     """Gather the sites and the health of the fleet; a site that cannot be read is left out."""
     names, found = list(month.city.sites), dict[str, tuple[SiteMonth, pd.DataFrame]]()
     left_out = dict[str, str]()
-    tasks = {name: (_site, month, name, place, current_language()) for name in names}
+    tasks = {name: (_site, month.of_site(name), name, place, current_language()) for name in names}
     for done, (name, site) in enumerate(_read(tasks, workers, reporter), start=1):
         if isinstance(site, GisRadarError):
             left_out[name] = str(site)

@@ -140,7 +140,7 @@ class CityQuestions(SqlQueries):
             (one, here), (other, there), *_ = systems.items()
             raise CrsError(
                 "{}: site {} lies in {}, site {} in {}", self.root, here, one, there, other,
-                hint="name the map's coordinate system by crs=",
+                hint="name one for all sites, in Python: city.write_map(month, folder, crs=...)",
             )  # fmt: skip
         return self._of_sites(lambda dataset: make_heatmap(dataset, month=month))
 

@@ -182,7 +182,7 @@ def _with_known_poses(site: Site, task: SiteTask) -> Site:
 
 
 def _basis(sensor: Sensor, site: Site) -> str:
-    """Return what the pose of a sensor is found from, but for its recordings."""
+    """Return what the pose of a sensor is found from, but for its recordings and the scans."""
     stated = sensor.model_dump(include={"guess", "heading", "compass", "method"})
     return json_text({**stated, "map": hashlib.sha256(site.map.file.read_bytes()).hexdigest()})
 

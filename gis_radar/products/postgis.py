@@ -23,7 +23,6 @@ from pyproj import CRS
 
 from gis_radar.base import (
     QUIET,
-    STEPS_PER_HOUR,
     CrsError,
     GisRadarError,
     OutputError,
@@ -44,7 +43,6 @@ VERSION = 2  # of the tables; raised when they change
 MARK = "gis_radar,"  # begin of the comment on a schema of ours
 CHANNEL = "qgis"  # channel on which QGIS listens for "Refresh layer on notification"
 CONNECT_S = 10  # longest wait for a server's answer, seconds
-_STEPS_PER_DAY = 24 * STEPS_PER_HOUR
 _EPOCH = date(1970, 1, 1)
 _NAME = re.compile(r"[a-z_][a-z0-9_]{0,62}")
 _TYPES = {
@@ -384,8 +382,8 @@ class Session:
 
     def send_day(self, dataset: Dataset, day: date, digest: str) -> None:
         """Send the measures of a date."""
-        begin = (day - _EPOCH).days * _STEPS_PER_DAY
-        end = begin + _STEPS_PER_DAY
+        begin = datetime.combine(day, datetime.min.time(), UTC)
+        end = begin + timedelta(days=1)
         counts = dataset.tile_counts(begin=begin, end=end)
         tables: dict[str, pd.DataFrame] = {"tile_counts": counts.drop(columns="interval")}
         if dataset.has_vehicles:
@@ -397,8 +395,7 @@ class Session:
         for name, table in tables.items():
             self._create(name, table)
             self._copy(name, table)
-        since = datetime.combine(day, datetime.min.time(), UTC)
-        self.run(_ADD_SUMS, since, since + timedelta(days=1))
+        self.run(_ADD_SUMS, begin, end)
         self.run("INSERT INTO {schema}.publication VALUES (%s, %s)", day, digest)
 
     def make_views(self) -> None:

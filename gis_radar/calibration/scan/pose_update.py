@@ -13,9 +13,16 @@ from dataclasses import replace
 import numpy as np
 
 from gis_radar.base import Floats
-from gis_radar.calibration.registration.certainty import MAP_SIGMA_M, UNITS, is_fixed, stated
+from gis_radar.calibration.registration.certainty import (
+    MAP_SIGMA_M,
+    UNFIXED,
+    UNITS,
+    is_fixed,
+    longest_m,
+    stated,
+)
 from gis_radar.calibration.registration.state import LEVER_M
-from gis_radar.calibration.scan.scan_check import CLEAR_SIGMAS, CLOSE_M, Alignment, align
+from gis_radar.calibration.scan.scan_check import CLEAR_SIGMAS, LEAST_COVERED, Alignment, align
 from gis_radar.calibration.scan.scan_check_result import CONFIRMS, SHIFT_M, PoseOffset, ScanCheck
 from gis_radar.calibration.scan.surroundings import Standing
 from gis_radar.poses import COMPONENTS, Pose
@@ -24,6 +31,7 @@ ALONG_M, TOPS = 0.25, 200  # step of the places along an open direction, and dra
 SMALL = 1e-9
 DRAWS = 20  # of patches, for the covariance: it is known to a sixth then
 START = np.array([1.0, 1.0, 1.0])  # farthest start of a climb from the top: m, m, deg
+OPEN_M = 0.5  # spread of the tops of an open direction: the starts spread 0.58 m
 MOST_CHI2 = 16.0  # of up to three components, from which on both contradict each other (99.9 %)
 PLANE = [0, 1, 5]  # of a covariance: easting, northing, yaw
 
@@ -48,7 +56,7 @@ def closed_along(pose: Pose, look: ScanCheck) -> Pose:
         clearly prefer one place, by the sum of their squared standard deviations.
     """
     known = _covariance(pose)
-    if known is None or is_fixed(known) or look.best is None:
+    if known is None or longest_m(known) < UNFIXED[0] or not look.covered >= LEAST_COVERED:
         return pose
     lever = np.array([1.0, 1.0, LEVER_M])
     variances, ways = np.linalg.eigh(known[np.ix_(PLANE, PLANE)] * np.outer(lever, lever))
@@ -61,7 +69,8 @@ def closed_along(pose: Pose, look: ScanCheck) -> Pose:
     gains = patches[top] - patches
     by_scan = gains.sum(axis=1) / np.maximum(np.sqrt((gains**2).sum(axis=1)), SMALL)
     by_traffic = (places**2 - places[top] ** 2) / variances[-1]
-    near = by_scan**2 + by_traffic < CLEAR_SIGMAS**2
+    both = by_scan**2 + by_traffic
+    near = both - both.min() < CLEAR_SIGMAS**2
     if near[[0, -1]].any() or np.count_nonzero(np.diff(near)) > 2:
         return pose  # it goes on beyond, or places apart from each other may be right
     count = patches.shape[1]
@@ -81,13 +90,13 @@ def updated_by_scan(pose: Pose, look: ScanCheck) -> Pose:
     pose : Pose
         With its covariance, by traffic.
     look : ScanCheck
-        The check of this pose.
+        The check of this pose, or of one nearby.
 
     Returns
     -------
     Pose
-        The same pose where it states no covariance, where the check does not confirm it, or where
-        what stands leaves a direction open or contradicts the traffic.
+        The same pose where it states no covariance, where the check does not confirm the pose that
+        it looked at, or where what stands leaves a direction open or contradicts the traffic.
     """
     known = _covariance(pose)
     if known is None or look.verdict != CONFIRMS or look.best is None:
@@ -95,10 +104,12 @@ def updated_by_scan(pose: Pose, look: ScanCheck) -> Pose:
     measured = offset_covariance(align(look.standing, look.structure), look.best)
     if measured is None:
         return pose
-    to_map, rows = _to_map(pose), np.eye(6)[PLANE]
+    to_map, rows = _to_map(look.pose), np.eye(6)[PLANE]
     # the scan lies as far off as the map, here and at the usual distance of what stands
     place = np.diag(np.square([MAP_SIGMA_M, MAP_SIGMA_M, MAP_SIGMA_M / LEVER_M]))
+    turn = math.radians(math.remainder(look.pose.yaw - pose.yaw, 360.0))
     gap = to_map @ np.array(look.best.place)
+    gap += [*(look.pose.position - pose.position)[:2], turn]
     return _measured(pose, known, rows, gap, to_map @ measured @ to_map.T + place)
 
 
@@ -143,8 +154,8 @@ def offset_covariance(alignment: Alignment, best: PoseOffset) -> Floats | None:
         tops.append(replace(alignment, standing=drawn).climbed(start.tolist()).place)
     covariance = np.cov(tops, rowvar=False)
     lengths = np.diag([1.0, 1.0, math.radians(LEVER_M)])
-    longest_m = math.sqrt(float(np.linalg.eigvalsh(lengths @ covariance @ lengths)[-1]))
-    return None if longest_m > CLOSE_M else np.asarray(covariance)
+    longest_spread_m = math.sqrt(float(np.linalg.eigvalsh(lengths @ covariance @ lengths)[-1]))
+    return None if longest_spread_m > OPEN_M else np.asarray(covariance)
 
 
 def _to_map(pose: Pose) -> Floats:

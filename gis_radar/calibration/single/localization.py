@@ -321,8 +321,14 @@ def localize_with_scan(
     if found.pose.evidence.get("method") != "lane":
         return found  # the paper's method is kept as it is
     look = look_at(recording, found.pose)
-    pose = closed_along(found.pose, look)
-    pose = updated_by_scan(pose, look if pose is found.pose else look_at(recording, pose))
+    closed = closed_along(found.pose, look)
+    if closed is not found.pose:
+        look = look_at(recording, closed)
+    pose = updated_by_scan(found.pose, look)  # by the same scan: it does not count twice
+    if pose is found.pose and look.verdict != DOUBTS:
+        pose = closed
+    moved_m = float(np.hypot(*(pose.position - found.pose.position)[:2]))
+    pose = replace(pose, evidence={**pose.evidence, "moved_by_scan_m": round(moved_m, 3)})
     return replace(found, pose=pose, observable=bool(pose.evidence["observable"]))
 
 
