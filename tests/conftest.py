@@ -189,17 +189,22 @@ def pytest_terminal_summary(terminalreporter):
 
 
 @pytest.fixture
-def run(capfd, monkeypatch):
+def handlers_stay():
+    """Leave this process its handlers of signals: a command has its own until it ends."""
+    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for each, handler in before.items():
+        signal.signal(each, handler)
+
+
+@pytest.fixture
+def run(capfd, monkeypatch, handlers_stay):
     """Run a command in this process; return exit code, standard output and standard error."""
 
     def call(*words):
         monkeypatch.setattr(sys, "argv", ["gis-radar", *map(str, words)])
-        before = signal.getsignal(signal.SIGTERM)
-        try:
-            with pytest.raises(SystemExit) as leave:
-                run_group(group)
-        finally:
-            signal.signal(signal.SIGTERM, before)
+        with pytest.raises(SystemExit) as leave:
+            run_group(group)
         out, err = capfd.readouterr()
         return leave.value.code, out, err
 

@@ -317,7 +317,7 @@ run_group(waits)
     assert time.monotonic() - begun < 25.0
 
 
-def test_an_interruption_of_compiled_code_is_one(capfd, monkeypatch):
+def test_an_interruption_of_compiled_code_is_one(capfd, monkeypatch, handlers_stay):
     """Numba reports an error of its own for an interruption that reaches it."""
 
     @command(example="work")

@@ -66,8 +66,13 @@ def oracle(dataset, by, days, begin, end, without):
 
 
 def assert_as_oracle(dataset, by, days, begin, end, without):
-    found = dataset.profile("ring", by=by, days=days, begin=begin, end=end, without=without)
     wanted = oracle(dataset, by, days, begin, end, without)
+    try:
+        found = dataset.profile("ring", by=by, days=days, begin=begin, end=end, without=without)
+    except InputError:  # no day is left
+        if wanted.empty or not wanted["days"].any():
+            return
+        raise
     known = found[found["visible_share"] > 0].set_index(["direction", by])
     assert known["visible_share"].between(0.0, 1.0).all()
     for name in wanted:
