@@ -74,9 +74,9 @@ def test_a_kind_follows_from_the_annotation(annotation, good, bad):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"easting": "a"}, "Pose: easting is 'a', expected a number"),
-        ({"height": float("nan")}, "Pose: height is nan, expected a number"),
-        ({"view": (120, 30)}, r"Pose: view is \(120, 30\), expected View or None"),
+        ({"easting": "a"}, "pose of R1: easting is 'a', expected a number"),
+        ({"height": float("nan")}, "pose of R1: height is nan, expected a number"),
+        ({"view": (120, 30)}, r"pose of R1: view is \(120, 30\), expected View or None"),
         ({"crs": 4326}, "geographic"),
         ({"crs": True}, "not a known coordinate system"),
     ],

@@ -82,8 +82,8 @@ def checked(function: Callable[Given, Answer], public: str) -> Callable[Given, A
     return call
 
 
-def require_kinds(record: Any, error: type[GisRadarError] = InputError) -> None:
-    """Refuse fields of a dataclass that are not as annotated.
+def require_kinds(record: Any, error: type[GisRadarError] = InputError, *, what: str = "") -> None:
+    """Refuse fields of a dataclass that are not as annotated; `what` names it, or its class.
 
     Raises
     ------
@@ -93,8 +93,8 @@ def require_kinds(record: Any, error: type[GisRadarError] = InputError) -> None:
     for each in fields(record):
         value = getattr(record, each.name)
         if value is not each.default:
-            what = f"{type(record).__name__}: {each.name}"
-            require_kind(what, value, str(each.type), error)
+            field = Text("{}: {}", what or type(record).__name__, each.name)
+            require_kind(field, value, str(each.type), error)
 
 
 def require_kind(

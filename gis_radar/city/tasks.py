@@ -136,6 +136,7 @@ def _converted(site: Site, task: SiteTask) -> Site:
             place = hashlib.sha256(os.fsencode(path.absolute())).hexdigest()[:12]
             made = task.root / CONVERTED / task.name / sensor.name / place / f"{path.stem}.parquet"
             if not _is_converted(path, made, stated):
+                made.with_name(OPTIONS).unlink(missing_ok=True)  # it is of the file before
                 try:
                     convert_stage(recordings=[path], outputs=[made], reporter=task, **options)
                 except GisRadarError as error:

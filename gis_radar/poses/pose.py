@@ -134,7 +134,7 @@ class Pose:
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        require_kinds(self)
+        require_kinds(self, what=Text("pose of {}", self.sensor))
         crs = metric_crs(self.crs, what=Text("pose of {}", self.sensor))
         object.__setattr__(self, "crs", crs)
 
