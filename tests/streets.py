@@ -23,17 +23,30 @@ STRAIGHT = CROSSING[:2]
 
 @dataclass(frozen=True, kw_only=True)
 class Street:
-    """Straight lanes around a middle, turned by `turn_deg`, on a sloped plane."""
+    """Lanes around a middle, straight or bent to a circle, turned by `turn_deg`, on a slope."""
 
     lanes: tuple = JUNCTION
     turn_deg: float = 0.0
     middle: tuple = (EAST, NORTH)
     one_way: bool = True
     slope: tuple = (0.01, -0.006)
+    radius_m: float = np.inf  # of the circle to which lines along x are bent, to the left
     crs: CRS = field(default=UTM)
 
     def placed(self, xy):
-        return np.asarray(xy, dtype=float) @ _turned(self.turn_deg).T + self.middle
+        xy, radius_m = np.asarray(xy, dtype=float), self.radius_m
+        if np.isfinite(radius_m):
+            turn, away = xy[:, 0] / radius_m, radius_m - xy[:, 1]
+            xy = np.column_stack([away * np.sin(turn), radius_m - away * np.cos(turn)])
+        return xy @ _turned(self.turn_deg).T + self.middle
+
+    def local(self, place):
+        """The place of the unturned, local plan that lies at a place of the map."""
+        x, y = (np.asarray(place) - self.middle) @ _turned(self.turn_deg)
+        if not np.isfinite(self.radius_m):
+            return np.array([x, y])
+        turn, away = np.arctan2(x, self.radius_m - y), np.hypot(x, self.radius_m - y)
+        return np.array([self.radius_m * turn, self.radius_m - away])
 
     def ground(self, xy):
         """Height of the road at places of the unturned, local plan."""
@@ -119,7 +132,7 @@ class Street:
                 )
             )
             centre = lane[0] + (moment * speed)[:, None] * along + beside.normal(0.0, 0.1) * left
-            eye = (pose.position[:2] - self.middle) @ _turned(self.turn_deg)
+            eye = self.local(pose.position[:2])
             local = np.stack([(eye - centre) @ along, (eye - centre) @ left], axis=1)
             side = np.abs(local[:, 1]) / np.abs(local).sum(axis=1) > drawn.uniform(0, 1, count)
             off = np.sign(local) * [2.2, 0.9]
@@ -129,8 +142,8 @@ class Street:
             height = self.ground(plan) + drawn.uniform(0.3, 0.9, count)
             point = np.column_stack([self.placed(plan), height])
             sight = point - pose.position
-            motion = (self.placed([along]) - self.middle)[0] * speed
-            rate.append(sight[:, :2] @ motion / np.linalg.norm(sight, axis=1))
+            motion = (self.placed(plan + along / 2) - self.placed(plan - along / 2)) * speed
+            rate.append((sight[:, :2] * motion).sum(axis=1) / np.linalg.norm(sight, axis=1))
             xyz.append(pose.to_sensor(point))
             time.append(np.floor((moment + begin) / 0.05) * 0.05)
         time, xyz, rate = np.concatenate(time), np.vstack(xyz), np.concatenate(rate)

@@ -65,6 +65,22 @@ def test_the_search_covers_all_headings(tmp_path, yaw):
     assert (np.abs(errors(found.pose, pose)) < CLOSE).all(), errors(found.pose, pose)
 
 
+@pytest.mark.parametrize("along_m", [-10.0, 10.0])
+def test_round_an_even_bend_a_pose_is_open_and_neither_refused_nor_sure(tmp_path, along_m):
+    """All poses on a circle explain the traffic: they are one answer, near the guess."""
+    street = Street(lanes=STRAIGHT, radius_m=80.0, slope=(0.0, 0.0))
+    pose = street.pose()
+    street.record(tmp_path / "R1.parquet", pose)
+    guess = street.placed([(-14.0 + along_m, 11.0)])[0]
+    found = find(street, tmp_path / "R1.parquet", guess)
+    assert not found.observable
+    assert np.hypot(*(found.pose.position[:2] - guess)) < 15.0
+    sigma = found.pose.evidence["sigma"]
+    across = np.hypot(sigma["easting"], sigma["northing"])
+    assert np.hypot(*errors(found.pose, pose)[:2]) < 2.0 * across
+    assert abs(errors(found.pose, pose)[5]) < 2.0 * sigma["yaw"]
+
+
 def test_the_answer_moves_with_the_site(scene, answer):
     street, pose, path = scene
     other = replace(street, turn_deg=73.0, middle=(EAST - 4321.0, NORTH + 987.0))

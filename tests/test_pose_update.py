@@ -1,5 +1,6 @@
 """Poses by traffic and by what stands: both together are nearer to the truth, and say how near."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from test_scan_check import POSE, R2, SAMPLE, SCAN, moved
 import gis_radar as gr
 from gis_radar.calibration import Localization
 from gis_radar.calibration.registration.certainty import stated
+from gis_radar.calibration.registration.state import along_arc, from_arc, rotation
 from gis_radar.calibration.scan.pose_update import closed_along, offset_covariance, updated_by_scan
 from gis_radar.calibration.scan.scan_check import Alignment
 from gis_radar.calibration.scan.surroundings import Standing
@@ -47,7 +49,7 @@ def test_what_it_contradicts_or_cannot_measure_stays_as_it_is():
     look = gr.check_against_scan(R2, elsewhere, [SCAN])
     assert look.verdict == "confirms"
     assert updated_by_scan(elsewhere, look) is elsewhere
-    assert closed_along(elsewhere, look) is elsewhere  # nothing is open
+    assert closed_along(elsewhere, look) == (elsewhere, elsewhere)  # nothing is open
     assert updated_by_scan(POSE, look) is POSE  # without a covariance
     given = by_traffic(POSE)
     assert updated_by_scan(given, replace(look, verdict="undecided")) is given
@@ -66,6 +68,31 @@ def test_a_direction_that_traffic_leaves_open_is_closed(monkeypatch):
     assert found.observable
     assert found.pose.evidence["observable"]
     assert found.pose.evidence["scan_check"]["verdict"] == "confirms"
+
+
+def test_a_direction_round_a_bend_is_closed_along_its_circle():
+    """17 m off round a circle of 60 m, where a straight line would end 2.4 m beside it."""
+    turn, way = math.radians(16.0), np.array([math.cos(2.0), math.sin(2.0)])
+    gap = np.array(along_arc(*(-60.0 * turn * way), -turn))
+    there = np.array(from_arc(*(60.0 * turn * (rotation(-turn) @ way)), 0.0))
+    assert np.array(along_arc(*there, turn)) == pytest.approx(-gap)  # back to the truth
+    given = replace(
+        POSE,
+        easting=POSE.easting + gap[0],
+        northing=POSE.northing + gap[1],
+        yaw=math.remainder(POSE.yaw - math.degrees(turn), 360.0),
+    )
+    covariance, along = np.diag(np.square(SIGMAS)), np.zeros(6)
+    along[[0, 1, 5]] = [*(rotation(-turn) @ way), 1.0 / 60.0]
+    covariance += 10.0**2 * np.outer(along, along)
+    given = replace(given, evidence={"method": "lane", "observable": False, **stated(covariance)})
+    moved, closed = closed_along(given, gr.check_against_scan(R2, given, [SCAN]))
+    assert away(given) > 16.0
+    assert away(closed) < 0.5
+    assert abs(closed.yaw - POSE.yaw) < 1.0
+    assert closed.evidence["observable"]
+    assert moved.position == pytest.approx(closed.position)
+    assert moved.evidence["sigma"]["yaw"] == pytest.approx(given.evidence["sigma"]["yaw"])
 
 
 def test_the_paper_s_method_is_kept_as_it_is(monkeypatch):

@@ -22,6 +22,7 @@ from gis_radar.calibration.registration.certainty import (
     along_valley,
     certainty,
     narrowed_by_exclusion,
+    preference,
     sigma_along,
     with_information_along,
 )
@@ -40,8 +41,15 @@ from gis_radar.calibration.registration.residuals import (
     height_over_road,
     lateral,
 )
-from gis_radar.calibration.registration.solver import Schedule, at_least, solve
-from gis_radar.calibration.registration.state import POSE, SIZE, TURN, State, angles_from_turn
+from gis_radar.calibration.registration.solver import Rest, Schedule, at_least, settle, solve
+from gis_radar.calibration.registration.state import (
+    POSE,
+    SIZE,
+    TURN,
+    State,
+    angles_from_turn,
+    from_arc,
+)
 from gis_radar.calibration.registration.traces import SPELL_S, Moving, Samples, link_tracks, thin
 from gis_radar.poses import Pose
 
@@ -471,6 +479,47 @@ def test_a_fit_of_the_last_look_is_measured_where_it_came_to_rest(scene, monkeyp
     found = along_valley(scene, bump, prior, MODEL)
     assert found.state.position == pytest.approx(known.state.position)
     assert found.information == pytest.approx(known.information)
+
+
+@given(parts=st.integers(1, 6), turn=st.floats(-3.0, 3.0), way=st.floats(-20.0, 20.0))
+def test_parts_of_a_step_along_an_arc_lead_to_its_end(parts, turn, way):
+    begin = State(position=np.zeros(3), R_map_sensor=np.eye(3), reflection=0.6)
+    step = np.array([way, -0.3 * way, 0.1, 0.0, 0.0, turn, 0.0])
+    end, state = begin.moved_along_arc(step), begin
+    for _ in range(parts):
+        state = state.moved_along_arc(state.to_heading(step, begin) / parts)
+    assert np.abs(state.difference(end)).max() < 1e-9
+    gap = end.difference(begin)
+    assert from_arc(gap[0], gap[1], turn) == pytest.approx(step[:2], abs=1e-9)
+
+
+def test_what_all_drivers_of_a_lane_do_alike_is_no_preference(scene):
+    scene, state, _ = scene
+    fit = solve(scene, state, prior_at(state))
+    prior_cost = 1.5
+    there = Rest(
+        state=fit.state,
+        cost=fit.cost + 0.2 * np.count_nonzero(fit.costs) + prior_cost,
+        costs=fit.costs + 0.2 * (fit.costs != 0.0),
+        by_offset=fit.by_offset,
+        effects=fit.effects,
+    )
+    agreed = preference(fit, there, fit.groups)  # by all vehicles alike, so it counts in full
+    assert agreed == pytest.approx(there.cost - fit.cost)
+    aside = replace(there, by_offset=fit.by_offset + 5.0 * (fit.costs != 0.0))
+    assert prior_cost < preference(fit, aside, fit.groups) < prior_cost + 0.1
+
+
+def test_a_fit_starts_where_another_one_stopped_with_its_vehicles_places(scene):
+    scene, state, _ = scene
+    prior, hold = prior_at(state), np.array([1.0, 0, 0, 0, 0, 0, 0])
+    schedule = Schedule(scales_m=(0.0,), rounds=20)
+    rest = settle(scene, state, prior, schedule=schedule, model=MODEL, hold=hold)
+    none = Schedule(scales_m=(0.0,), rounds=0)
+    assert solve(scene, rest, prior, schedule=none).cost == pytest.approx(rest.cost)
+    assert rest.costs.sum() < rest.cost < solve(scene, rest.state, prior, schedule=none).cost
+    held = solve(scene, rest, prior, schedule=schedule, hold=hold)
+    assert held.state.position[0] == pytest.approx(state.position[0])
 
 
 def test_a_rival_that_is_the_same_answer_widens_sigma(scene):

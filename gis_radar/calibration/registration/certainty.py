@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from gis_radar.calibration.registration.lanes import Scene
 from gis_radar.calibration.registration.model import Model
 from gis_radar.calibration.registration.solver import (
     Fit,
+    Groups,
     Prior,
     Rest,
     Schedule,
@@ -31,7 +33,7 @@ MAP_SIGMA_M = 0.15
 # one metre is the paper's accuracy; with 2 degrees a far trace is a lane off.
 UNFIXED = (1.0, 1.0, 0.5, math.radians(2.0), math.radians(2.0), math.radians(1.0))
 # Distances along the least-known direction at which the likelihood's profile is taken.
-VALLEY_STEPS_M: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+VALLEY_STEPS_M: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0)
 VALLEY = Schedule(scales_m=(0.3, 0.0), rounds=4)  # fit at each step along the least-known direction
 # Rise of the cost at one standard deviation, and at ten, from which on a place is excluded.
 LEAST_RISE = 0.5
@@ -40,6 +42,9 @@ CLEAR_RISE = 50.0
 FINE = Schedule(scales_m=(0.2, 0.1, 0.0), rounds=30)  # fit to all samples
 # The same from a lower place of the valley: with wider spreads the fit would leave it again.
 THERE = Schedule(scales_m=(0.0,), rounds=30)
+# Standard deviations by which the vehicles must prefer an answer to every other (99.4 %,
+# one-sided).
+CLEAR = 2.5
 LOOKS = 4  # most searches for a better optimum, each around the last best one
 LOOK_GAIN = 1.0  # least gain in cost of a better optimum: one sigma costs 0.5
 
@@ -220,19 +225,39 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
             _profile(scene, fit, side * way / curved_m**2, hold, prior, model)
             for side in (-1.0, 1.0)
         ]
-        sigma_m = max(_deviation(fit, side) for side in sides)
-        lowest = min(
-            (other for side in sides for _, other in side), key=lambda each: each.cost, default=fit
-        )
-        if look == LOOKS or lowest.cost > fit.cost - LOOK_GAIN:
+        places = (other for side in sides for _, other in side)
+        lowest = min(places, key=partial(preference, fit, groups=fit.groups))
+        if look == LOOKS or preference(fit, lowest, fit.groups) > -LOOK_GAIN:
             break
-        again = solve(scene, lowest.state, prior, schedule=THERE, model=model)
-        if not again.converged or again.cost > fit.cost - LOOK_GAIN:
-            break
-        fit = again
-    if sigma_m > curved_m:
-        fit = with_information_along(fit, hold, curved_m**-2, sigma_m**-2)
+        fit = _kept(scene, lowest, hold, prior, model)
+    fit = _widened_along(fit, hold, max(_deviation(fit, side) for side in sides))
     return narrowed_by_exclusion(fit, hold, sides)
+
+
+def preference(fit: Fit | Rest, other: Rest, groups: Groups) -> float:
+    """Return the rise of the cost to another place, as far as the vehicles agree on it.
+
+    Their losses differ by more than the model says, and drivers share offsets in their lanes. What
+    they do not clearly prefer rises by half the square of their z score (Vuong 1989), as a normal
+    variable's cost; what they do prefer by twice its square, as for independent vehicles.
+    """
+    gain, by_offset = other.costs - fit.costs, other.by_offset - fit.by_offset
+    shared = sum(
+        float(np.square(sigma_m * np.bincount(group, by_offset, len(sigma_m))).sum())
+        for group, sigma_m in groups
+    )
+    z = z_score(gain[gain != 0.0], shared=shared)
+    rise = 2.0 * z**2 if abs(z) >= CLEAR else 0.5 * z**2
+    by_prior = other.cost - other.costs.sum() - (fit.cost - fit.costs.sum())
+    return float(by_prior + np.sign(z) * min(abs(float(gain.sum())), rise))
+
+
+def _kept(scene: Scene, there: Rest, hold: Floats, prior: Prior, model: Model) -> Fit:
+    """Return the fit at a place along a valley, held there where it would leave it again."""
+    free = solve(scene, there, prior, schedule=THERE, model=model)
+    if abs(hold @ free.state.difference(there.state)) < VALLEY_STEPS_M[0] and free.converged:
+        return free
+    return solve(scene, there, prior, schedule=THERE, model=model, hold=hold)
 
 
 def with_information_along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
@@ -319,9 +344,13 @@ def sigma_along(fit: Fit, hold: Floats) -> float:
     float
         Metres.
     """
-    to_angles = fit.state.to_angles
-    way = np.linalg.solve(to_angles.T, hold[POSE])
-    return float(np.sqrt(way @ certainty(fit).covariance @ way))
+    return math.sqrt(_along(fit, hold, certainty(fit).covariance))
+
+
+def _along(fit: Fit, hold: Floats, covariance: Floats) -> float:
+    """Return the variance, m^2, of a linear combination of a pose's components."""
+    way = np.linalg.solve(fit.state.to_angles.T, hold[POSE])
+    return float(way @ covariance @ way)
 
 
 def _weakest(fit: Fit) -> tuple[Floats, Floats]:
@@ -340,7 +369,7 @@ def _profile(
     """Return fits at some distances along a valley, metres, all else fitted anew."""
     found, state, at_m = list[tuple[float, Rest]](), fit.state, 0.0
     for step_m in VALLEY_STEPS_M:
-        start = state.moved((step_m - at_m) * way)
+        start = state.moved_along_arc((step_m - at_m) * state.to_heading(way, fit.state))
         here = settle(scene, start, prior, schedule=VALLEY, model=model, hold=hold)
         state, at_m = here.state, step_m
         found.append((step_m, here))
@@ -348,14 +377,28 @@ def _profile(
 
 
 def _deviation(fit: Fit, side: list[tuple[float, Rest]]) -> float:
-    """Return the largest standard deviation, metres, by the rise of the cost along a valley."""
-    sigma_m = 0.0
-    for step_m, here in side:
-        rise = max(here.cost - fit.cost, LEAST_RISE)
-        if rise > CLEAR_RISE:
-            continue  # this place is excluded, however far it is
-        sigma_m = max(sigma_m, step_m / float(np.sqrt(2.0 * rise)))
+    """Return the standard deviation, metres, by the rise of the cost along a valley.
+
+    It rises from the nearest place on: a fit is the lowest of many local optima within a metre,
+    lower than a smooth cost would be.
+    """
+    (near_m, near), sigma_m = side[0], 0.0
+    for step_m, other in side[1:]:
+        if other.cost - fit.cost <= CLEAR_RISE:  # else the cost excludes it, however far it is
+            rise = max(preference(near, other, fit.groups), LEAST_RISE)
+            sigma_m = max(sigma_m, math.sqrt((step_m**2 - near_m**2) / (2.0 * rise)))
     return sigma_m
+
+
+def _widened_along(fit: Fit, hold: Floats, sigma_m: float) -> Fit:
+    """Widen sigma along a linear combination of the state's components, where it is smaller."""
+    known = certainty(fit)
+    drawn, stated = (_along(fit, hold, each) for each in (known.noise, known.covariance))
+    if sigma_m**2 <= stated:
+        return fit
+    before = 1.0 / float(hold @ np.linalg.solve(fit.information, hold))
+    after = before * drawn / (drawn + sigma_m**2 - stated)  # what vehicles share stays
+    return with_information_along(fit, hold, before, after)
 
 
 def stated(covariance: Floats) -> dict[str, Any]:

@@ -34,6 +34,8 @@ from gis_radar.calibration.registration.residuals import (
 from gis_radar.calibration.registration.state import LEVER_M, SIZE, State
 from gis_radar.calibration.registration.traces import Samples
 
+Groups = list[tuple[Integers, Floats]]
+
 STREET_M = 60.0  # length of a street section with a bias of its own
 
 
@@ -108,6 +110,11 @@ class Fit:
         Gradient of each vehicle's rows, for the cluster-robust covariance; zeros beyond the last.
     habits : float
         Variance of the loss by an offset in the lane that all drivers of a street share.
+    by_offset : (tracks,) array
+        Change of the cost of each vehicle by an offset of all drivers across their lane, 1/m.
+    groups : list of (tracks,) int array, (groups,) array
+        Of vehicles whose offsets are shared, by street section and by lane: the group of each, and
+        one standard deviation of the offset of each group, metres.
     biases : (biases, 7) array
         Change of the gradient by one standard deviation of each bias that vehicles share: of map
         and scan on a street section in one direction, of all drivers on a lane.
@@ -137,6 +144,8 @@ class Fit:
     data_information: Floats
     scores: Floats
     habits: float
+    by_offset: Floats
+    groups: Groups
     biases: Floats
     cost: float
     loss: Floats
@@ -156,11 +165,12 @@ class Fit:
 
 def solve(
     scene: Scene,
-    start: State,
+    start: State | Rest,
     prior: Prior,
     *,
     schedule: Schedule = FAR,
     model: Model = MODEL,
+    hold: Floats | None = None,
 ) -> Fit:
     """Find the pose near a start at which the traces lie on the lanes and on the road.
 
@@ -171,16 +181,18 @@ def solve(
     ----------
     scene : Scene
         The map and the traces.
-    start : State
-        The start.
+    start : State or Rest
+        The start; from where another fit stopped with the vehicles' random effects found there.
     prior : Prior
         Prior of the state.
     schedule : Schedule
         Widening of all spreads, stage by stage; by default for starts up to a lane off.
     model : Model
         How vehicles drive and reflect.
+    hold : (7,) array, optional
+        Weights of a linear combination of the state's components that is kept as at the start.
     """
-    return _described(*_descended(scene, start, prior, schedule, model, None))
+    return _described(*_descended(scene, start, prior, schedule, model, hold))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,16 +205,25 @@ class Rest:
         A local optimum.
     cost : float
         The cost, as in :class:`Fit`.
+    costs : (tracks,) array
+        Cost of each vehicle, as in :class:`Fit`; the rest is that of the prior.
+    by_offset : (tracks,) array
+        As in :class:`Fit`.
+    effects : list of (tracks, k) arrays
+        Random effects, as in :class:`Fit`.
     """
 
     state: State
     cost: float
+    costs: Floats
+    by_offset: Floats
+    effects: list[Floats]
 
 
 def settle(
     scene: Scene, start: State, prior: Prior, *, schedule: Schedule, model: Model, hold: Floats
 ) -> Rest:
-    """Find a pose as :func:`solve` does, but return only its state and cost.
+    """Find a pose as :func:`solve` does, but return only where it stopped.
 
     Parameters
     ----------
@@ -212,14 +233,28 @@ def settle(
         Weights of a linear combination of the state's components that is kept as at the start.
     """
     _, here, _ = _descended(scene, start, prior, schedule, model, hold)
-    return Rest(state=here.point.state, cost=here.total)
+    return Rest(
+        state=here.point.state,
+        cost=here.total,
+        costs=_costs(scene.samples, here),
+        by_offset=_by_offset(here),
+        effects=here.point.effects,
+    )
 
 
 def _descended(
-    scene: Scene, start: State, prior: Prior, schedule: Schedule, model: Model, hold: Floats | None
+    scene: Scene,
+    start: State | Rest,
+    prior: Prior,
+    schedule: Schedule,
+    model: Model,
+    hold: Floats | None,
 ) -> tuple[_Cost, _Here, bool]:
     """Return the cost function of the last stage, the point reached, and whether it converged."""
-    point = _at_rest(scene, start)
+    if isinstance(start, State):
+        point = _at_rest(scene, start)
+    else:
+        point = _Point(start.state, start.effects)
     converged, lever_m = False, np.repeat([1.0, LEVER_M], 3)
     for scale_m in schedule.scales_m:
         cost = _Cost(scene, prior, model, scale_m, hold)
@@ -360,13 +395,15 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
         normal.information + cost.prior.information,
         LEAST_CURVATURE * known + FLOOR * np.eye(len(known)),
     )
-    street, biases = _biases(cost.scene, here.matches, normal.offsets)
+    groups, biases = _biases(cost.scene, here.matches, normal.offsets)
     return Fit(
         state=here.point.state,
         information=information,
         data_information=information - cost.prior.information,
         scores=sums(cost.scene.samples.vehicles, normal.scores, cost.scene.samples.tracks),
-        habits=_habits(here, normal, street),
+        habits=_habits(here, normal, groups[0][0]),
+        by_offset=_by_offset(here),
+        groups=groups,
         biases=biases,
         cost=here.total,
         loss=across.weight * across.loss + here.matches.path_cost,
@@ -405,11 +442,16 @@ def _habits(here: _Here, normal: Normal, street: Integers) -> float:
     With the vehicles' own effects at their optimum the loss changes with the offset c of a street
     as `c sum b_k / tau^2 + c^2 / 2 sum 1 / (tau^2 + 1 / P_k)`; c is normal.
     """
-    own, stiff = here.point.effects[0][:, 0], here.families[0].stiffness[:, 0, 0]
-    variance, sigma_m = normal.shared[0][2][:, 0, 0], STREET_SIGMA_M[0]
-    linear = np.bincount(street, weights=own * stiff)
+    stiff, variance = here.families[0].stiffness[:, 0, 0], normal.shared[0][2][:, 0, 0]
+    sigma_m = STREET_SIGMA_M[0]
+    linear = np.bincount(street, weights=_by_offset(here))
     square = np.bincount(street, weights=(1.0 - variance * stiff) * stiff)
     return float(np.sum((sigma_m * linear) ** 2 + 0.5 * (sigma_m**2 * square) ** 2))
+
+
+def _by_offset(here: _Here) -> Floats:
+    """Return the change of each vehicle's cost by an offset of all drivers, 1/m."""
+    return np.asarray(here.point.effects[0][:, 0] * here.families[0].stiffness[:, 0, 0])
 
 
 def _considered(cost: _Cost, here: _Here) -> Floats:
@@ -431,8 +473,8 @@ def _considered(cost: _Cost, here: _Here) -> Floats:
     return np.array(changes)
 
 
-def _biases(scene: Scene, matches: Matches, offsets: Sequence[Floats]) -> tuple[Integers, Floats]:
-    """Return each track's street section, and the biases of all sections and lanes (:class:`Fit`).
+def _biases(scene: Scene, matches: Matches, offsets: Sequence[Floats]) -> tuple[Groups, Floats]:
+    """Return the groups of tracks whose offsets are shared, and all biases (:class:`Fit`).
 
     Parameters
     ----------
@@ -453,7 +495,8 @@ def _biases(scene: Scene, matches: Matches, offsets: Sequence[Floats]) -> tuple[
     straight_m, bend_m = scene.lane_sigma_m
     driven_m = np.append(np.where(lanes.bends[sample[first]], bend_m, straight_m), 0.0)
     biases.append(driven_m[:, None] * sums(lane, across, count))
-    return street, np.vstack(biases)
+    groups = [(street, np.full(int(street.max()) + 1, drawn_m)), (lane, driven_m)]
+    return groups, np.vstack(biases)
 
 
 def _sections(lanes: Lanes, sample: Integers) -> Integers:

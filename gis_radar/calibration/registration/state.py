@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -47,6 +48,16 @@ class State:
             reflection=self.reflection + float(step[REFLECTION]),
         )
 
+    def moved_along_arc(self, step: Floats) -> State:
+        """Return the state after a step whose way across the map turns as the sensor does."""
+        x, y = along_arc(step[0], step[1], step[TURN][2])
+        return self.moved(np.array([x, y, *step[2:]]))
+
+    def to_heading(self, step: Floats, other: State) -> Floats:
+        """Return the step that is to this state's heading as a step is to that of another one."""
+        turn = rotation(float(self.yaw_pitch_roll[0] - other.yaw_pitch_roll[0]))
+        return np.concatenate([turn @ step[:2], step[2:]])
+
     def to_map(self, points: Floats) -> Floats:
         """Move (n, 3) points from the sensor frame to local map coordinates."""
         return np.asarray(points @ self.R_map_sensor.T + self.position)
@@ -70,6 +81,35 @@ class State:
         return np.concatenate(
             [self.position - other.position, turn, [self.reflection - other.reflection]]
         )
+
+
+def along_arc(x: Any, y: Any, turn: Any) -> tuple[Any, Any]:
+    """Return the way across the map of steps whose direction turns with the sensor.
+
+    Steps with one turn for each metre lie on one circle (exponential map of SE(2)).
+
+    Parameters
+    ----------
+    x, y : float or array
+        The way if its direction did not turn, metres.
+    turn : float or array
+        Turn of the sensor on this way, radians.
+    """
+    chord, cos, sin = np.sinc(turn / (2.0 * np.pi)), np.cos(turn / 2.0), np.sin(turn / 2.0)
+    return chord * (cos * x - sin * y), chord * (sin * x + cos * y)
+
+
+def from_arc(x: float, y: float, turn: float) -> tuple[float, float]:
+    """Return the way if its direction did not turn: the inverse of :func:`along_arc`."""
+    x, y = along_arc(x, y, -turn)
+    chord = float(np.sinc(turn / (2.0 * np.pi))) ** 2
+    return x / chord, y / chord
+
+
+def rotation(angle: float) -> Floats:
+    """Return the (2, 2) matrix that turns by an angle, radians, counter-clockwise."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return np.array([[cos, -sin], [sin, cos]])
 
 
 def _matrix(turn: Floats) -> Floats:

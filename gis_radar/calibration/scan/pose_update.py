@@ -21,13 +21,15 @@ from gis_radar.calibration.registration.certainty import (
     longest_m,
     stated,
 )
-from gis_radar.calibration.registration.state import LEVER_M
+from gis_radar.calibration.registration.state import LEVER_M, along_arc, rotation
 from gis_radar.calibration.scan.scan_check import CLEAR_SIGMAS, LEAST_COVERED, Alignment, align
-from gis_radar.calibration.scan.scan_check_result import CONFIRMS, SHIFT_M, PoseOffset, ScanCheck
+from gis_radar.calibration.scan.scan_check_result import CONFIRMS, PoseOffset, ScanCheck
 from gis_radar.calibration.scan.surroundings import Standing
 from gis_radar.poses import COMPONENTS, Pose
 
-ALONG_M, TOPS = 0.25, 200  # step of the places along an open direction, and draws of their patches
+# Places along an open direction: a pose and the truth may be that far from the guess, each to its
+# own side; their step; and draws of their patches.
+ALONG_M, STEP_M, TOPS = 20.0, 0.25, 200
 SMALL = 1e-9
 DRAWS = 20  # of patches, for the covariance: it is known to a sixth then
 START = np.array([1.0, 1.0, 1.0])  # farthest start of a climb from the top: m, m, deg
@@ -36,11 +38,11 @@ MOST_CHI2 = 16.0  # of up to three components, from which on both contradict eac
 PLANE = [0, 1, 5]  # of a covariance: easting, northing, yaw
 
 
-def closed_along(pose: Pose, look: ScanCheck) -> Pose:
-    """Return a pose that traffic leaves open, as along a straight road, closed in that direction.
+def closed_along(pose: Pose, look: ScanCheck) -> tuple[Pose, Pose]:
+    """Return a pose that traffic leaves open, as along a road, closed in that direction.
 
     Only places that the traffic allows are compared with the scan: those along the direction that
-    it knows least, up to 10 m away.
+    it knows least, on a line or, where the pose turns along it, on a circle as round a bend.
 
     Parameters
     ----------
@@ -51,35 +53,60 @@ def closed_along(pose: Pose, look: ScanCheck) -> Pose:
 
     Returns
     -------
-    Pose
-        The same pose where traffic leaves nothing open, or where scan and traffic together do not
-        clearly prefer one place, by the sum of their squared standard deviations.
+    moved, closed : Pose
+        The pose at the likeliest place, as certain as by traffic, and by both; the same pose where
+        traffic leaves nothing open, or where scan and traffic together do not clearly prefer one
+        place, by the sum of their squared standard deviations.
     """
     known = _covariance(pose)
     if known is None or longest_m(known) < UNFIXED[0] or not look.covered >= LEAST_COVERED:
-        return pose
+        return pose, pose
     lever = np.array([1.0, 1.0, LEVER_M])
     variances, ways = np.linalg.eigh(known[np.ix_(PLANE, PLANE)] * np.outer(lever, lever))
-    way = ways[:, -1] / lever  # the step of easting, northing (m), yaw (rad) for a metre
-    places = np.arange(-SHIFT_M, SHIFT_M + 0.5 * ALONG_M, ALONG_M)
-    offsets = places[:, None] * (np.linalg.inv(_to_map(pose)) @ way)
+    way = ways[:, -1] / lever
+    length = float(np.hypot(*way[:2]))
+    way /= length  # the step of easting, northing (m), yaw (rad) for a metre
+    places = np.arange(-ALONG_M, ALONG_M + 0.5 * STEP_M, STEP_M)
+    ahead, left = rotation(-math.radians(pose.yaw)) @ way[:2]
+    turns = way[2] * places
+    offsets = [*along_arc(ahead * places, left * places, turns), np.degrees(turns)]
     alignment, patch = align(look.standing, look.structure), look.standing.patch
-    patches = np.array([np.bincount(patch, alignment.at(each.tolist())) for each in offsets])
+    patches = np.array([
+        np.bincount(patch, alignment.at(each)) for each in np.transpose(offsets).tolist()
+    ])  # fmt: skip
     top = int(np.argmax(patches.sum(axis=1)))
     gains = patches[top] - patches
     by_scan = gains.sum(axis=1) / np.maximum(np.sqrt((gains**2).sum(axis=1)), SMALL)
-    by_traffic = (places**2 - places[top] ** 2) / variances[-1]
+    by_traffic = (places**2 - places[top] ** 2) / (length**2 * variances[-1])
     both = by_scan**2 + by_traffic
     near = both - both.min() < CLEAR_SIGMAS**2
     if near[[0, -1]].any() or np.count_nonzero(np.diff(near)) > 2:
-        return pose  # it goes on beyond, or places apart from each other may be right
+        return pose, pose  # it goes on beyond, or places apart from each other may be right
     count = patches.shape[1]
     drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), size=TOPS)
     tops = places[near][np.argmax(patches[near] @ drawn.T, axis=0)]
+    moved, way = _moved_along(pose, known, way, float(tops.mean()))
     row = np.zeros((1, 6))
-    row[0, PLANE] = way * lever**2
+    row[0, PLANE] = way * (length * lever) ** 2  # how far along, of a step of the pose
     noise = np.array([[float(np.var(tops)) + MAP_SIGMA_M**2]])
-    return _measured(pose, known, row, np.array([tops.mean()]), noise)
+    return moved, _measured(moved, np.asarray(_covariance(moved)), row, np.zeros(1), noise)
+
+
+def _moved_along(pose: Pose, known: Floats, way: Floats, place: float) -> tuple[Pose, Floats]:
+    """Return a pose moved on a line or circle, with its covariance turned, and the way there."""
+    turn = float(way[2]) * place
+    frame = np.eye(6)
+    frame[:2, :2] = rotation(turn)
+    easting, northing = along_arc(way[0] * place, way[1] * place, turn)
+    yaw = math.remainder(pose.yaw + math.degrees(turn), 360.0)
+    moved = replace(
+        pose,
+        easting=pose.easting + float(easting),
+        northing=pose.northing + float(northing),
+        yaw=yaw,
+        evidence={**pose.evidence, **stated(frame @ known @ frame.T)},
+    )
+    return moved, np.array([*(frame[:2, :2] @ way[:2]), way[2]])
 
 
 def updated_by_scan(pose: Pose, look: ScanCheck) -> Pose:

@@ -8,7 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from gis_radar.base import InputError, NoAnswerError, Reporter, Text
-from gis_radar.calibration.registration.certainty import advantage, certainty, stated
+from gis_radar.calibration.registration.certainty import (
+    CLEAR,
+    PLANE,
+    advantage,
+    certainty,
+    stated,
+)
 from gis_radar.calibration.registration.hypotheses import (
     GUESS_M,
     HEADING_TOLERANCE,
@@ -21,15 +27,13 @@ from gis_radar.calibration.registration.hypotheses import (
     widen_by_profile,
 )
 from gis_radar.calibration.registration.lanes import MARGIN_M, Lanes, Scene, sample_lanes
+from gis_radar.calibration.registration.state import POSE, from_arc
 from gis_radar.calibration.registration.traces import Moving, Samples, link_tracks, thin
 from gis_radar.calibration.single.result import STAGE, AmbiguousError, Localization, Problem, common
 
 LEAST_TRACKS = 5  # vehicles; fewer leave the seven components of the state unfixed
 # Least share of samples on lanes: 0.8 to 0.99 at right answers, 0.6 to 0.8 a lane off.
 LEAST_FITNESS = 0.6
-# Standard deviations by which the vehicles must prefer an answer to every other (99.4 %,
-# one-sided).
-CLEAR = 2.5
 # Squared standard deviations within which two answers are one (99.9 %, 3 components).
 SAME_CHI2 = 16.0
 # Optima as near to each other are one answer with a larger sigma: they are nearer than lanes are,
@@ -59,10 +63,10 @@ def by_lanes(problem: Problem, moving: Moving, reporter: Reporter) -> Localizati
     reporter.progress(STAGE, 3, 5)
     _refuse_mirrored(scene, tried, heading)
     reporter.progress(STAGE, 4, 5)
-    answers = _within_reach(problem, refine(scene, tried), scene)
-    _refuse_unfit(problem, answers[0])
-    best = widen_by_profile(scene, answers[0])
-    others = answers[1:]
+    best, *others = refine(scene, tried)
+    # along a valley the fit may have gone beyond reach, and this brings it back
+    best, *others = _within_reach(problem, [widen_by_profile(scene, best), *others], scene)
+    _refuse_unfit(problem, best)
     beside = [h for h in others if _one_answer(best, h)]
     z_score, rival = _z_score(best, [h for h in others if not any(h is b for b in beside)], scene)
     reporter.progress(STAGE, 5, 5)
@@ -151,12 +155,13 @@ def _z_score(
         away_m = float(np.hypot(*other.fit.state.position[:2]))
         if away_m > GUESS_M or other.fit.fitness < LEAST_FITNESS:
             continue  # no rival: too far from the guess, or not acceptable as an answer itself
-        gap = other.fit.state.difference(best.state)[:6]
-        # answers that differ only in a direction that the scene does not fix are one
-        apart = gap[:2] @ np.linalg.solve(known.covariance[:2, :2], gap[:2])
-        turned = (gap[5] / known.sigma[5]) ** 2
+        x, y, *_, turn = other.fit.state.difference(best.state)[POSE]
+        gap = np.array([*from_arc(x, y, turn), turn])
+        # answers that differ only in a direction that the scene does not fix, as round a bend, are
+        # one
+        apart = gap @ np.linalg.solve(known.covariance[np.ix_(PLANE, PLANE)], gap)
         ahead = advantage(best, other.fit, scene.samples)
-        if apart + turned > SAME_CHI2 and ahead < z_score:
+        if apart > SAME_CHI2 and ahead < z_score:
             z_score, closest = ahead, other
     return z_score, closest
 

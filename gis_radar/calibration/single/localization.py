@@ -321,12 +321,12 @@ def localize_with_scan(
     if found.pose.evidence.get("method") != "lane":
         return found  # the paper's method is kept as it is
     look = look_at(recording, found.pose)
-    closed = closed_along(found.pose, look)
+    moved, closed = closed_along(found.pose, look)
     if closed is not found.pose:
         look = look_at(recording, closed)
-    pose = updated_by_scan(found.pose, look)  # by the same scan: it does not count twice
-    if pose is found.pose and look.verdict != DOUBTS:
-        pose = closed
+    pose = updated_by_scan(moved, look)  # by the same scan: it does not count twice
+    if pose is moved:
+        pose = closed if look.verdict != DOUBTS else found.pose
     moved_m = float(np.hypot(*(pose.position - found.pose.position)[:2]))
     pose = replace(pose, evidence={**pose.evidence, "moved_by_scan_m": round(moved_m, 3)})
     return replace(found, pose=pose, observable=bool(pose.evidence["observable"]))
