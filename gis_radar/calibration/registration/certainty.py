@@ -12,9 +12,9 @@ import numpy as np
 from gis_radar.base import Floats
 from gis_radar.calibration.registration.lanes import Scene
 from gis_radar.calibration.registration.model import Model
+from gis_radar.calibration.registration.shared_offsets import Groups, shared_variance
 from gis_radar.calibration.registration.solver import (
     Fit,
-    Groups,
     Prior,
     Rest,
     Schedule,
@@ -242,11 +242,7 @@ def preference(fit: Fit | Rest, other: Rest, groups: Groups) -> float:
     variable's cost; what they do prefer by twice its square, as for independent vehicles.
     """
     gain, by_offset = other.costs - fit.costs, other.by_offset - fit.by_offset
-    shared = sum(
-        float(np.square(sigma_m * np.bincount(group, by_offset, len(sigma_m))).sum())
-        for group, sigma_m in groups
-    )
-    z = z_score(gain[gain != 0.0], shared=shared)
+    z = z_score(gain[gain != 0.0], shared=shared_variance(groups, by_offset))
     rise = 2.0 * z**2 if abs(z) >= CLEAR else 0.5 * z**2
     by_prior = other.cost - other.costs.sum() - (fit.cost - fit.costs.sum())
     return float(by_prior + np.sign(z) * min(abs(float(gain.sum())), rise))

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
 
-from gis_radar.base import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats
 from gis_radar.calibration.registration.lane_paths import match_paths
 from gis_radar.calibration.registration.lanes import (
-    LANE_BINS,
-    STREET_SIGMA_M,
-    Lanes,
     Placed,
     Scene,
-    direction_bin,
     place,
 )
 from gis_radar.calibration.registration.matches import Matches, match
@@ -24,19 +20,15 @@ from gis_radar.calibration.registration.model import MODEL, Model
 from gis_radar.calibration.registration.residuals import (
     NO_VEHICLE,
     LaneComparison,
-    Normal,
     Residuals,
     assemble,
     height,
     lateral,
     sums,
 )
+from gis_radar.calibration.registration.shared_offsets import Groups, biases_of, habits_of
 from gis_radar.calibration.registration.state import LEVER_M, SIZE, State
 from gis_radar.calibration.registration.traces import Samples
-
-Groups = list[tuple[Integers, Floats]]
-
-STREET_M = 60.0  # length of a street section with a bias of its own
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,9 +104,9 @@ class Fit:
         Variance of the loss by an offset in the lane that all drivers of a street share.
     by_offset : (tracks,) array
         Change of the cost of each vehicle by an offset of all drivers across their lane, 1/m.
-    groups : list of (tracks,) int array, (groups,) array
-        Of vehicles whose offsets are shared, by street section and by lane: the group of each, and
-        one standard deviation of the offset of each group, metres.
+    groups : Groups
+        Vehicles whose offsets are shared, as for
+        :func:`gis_radar.calibration.registration.shared_offsets.shared_variance`.
     biases : (biases, 7) array
         Change of the gradient by one standard deviation of each bias that vehicles share: of map
         and scan on a street section in one direction, of all drivers on a lane.
@@ -395,14 +387,17 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
         normal.information + cost.prior.information,
         LEAST_CURVATURE * known + FLOOR * np.eye(len(known)),
     )
-    groups, biases = _biases(cost.scene, here.matches, normal.offsets)
+    by_offset = _by_offset(here)
+    groups, biases = biases_of(cost.scene, here.matches, normal.offsets)
     return Fit(
         state=here.point.state,
         information=information,
         data_information=information - cost.prior.information,
         scores=sums(cost.scene.samples.vehicles, normal.scores, cost.scene.samples.tracks),
-        habits=_habits(here, normal, groups[0][0]),
-        by_offset=_by_offset(here),
+        habits=habits_of(
+            by_offset, across.stiffness[:, 0, 0], normal.shared[0][2][:, 0, 0], groups[0][0]
+        ),
+        by_offset=by_offset,
         groups=groups,
         biases=biases,
         cost=here.total,
@@ -436,19 +431,6 @@ def _costs(samples: Samples, here: _Here) -> Floats:
     return np.asarray(joined, dtype=np.float64)
 
 
-def _habits(here: _Here, normal: Normal, street: Integers) -> float:
-    """Return the variance of the loss by an offset that the drivers of a street share.
-
-    With the vehicles' own effects at their optimum the loss changes with the offset c of a street
-    as `c sum b_k / tau^2 + c^2 / 2 sum 1 / (tau^2 + 1 / P_k)`; c is normal.
-    """
-    stiff, variance = here.families[0].stiffness[:, 0, 0], normal.shared[0][2][:, 0, 0]
-    sigma_m = STREET_SIGMA_M[0]
-    linear = np.bincount(street, weights=_by_offset(here))
-    square = np.bincount(street, weights=(1.0 - variance * stiff) * stiff)
-    return float(np.sum((sigma_m * linear) ** 2 + 0.5 * (sigma_m**2 * square) ** 2))
-
-
 def _by_offset(here: _Here) -> Floats:
     """Return the change of each vehicle's cost by an offset of all drivers, 1/m."""
     return np.asarray(here.point.effects[0][:, 0] * here.families[0].stiffness[:, 0, 0])
@@ -471,51 +453,6 @@ def _considered(cost: _Cost, here: _Here) -> Floats:
         which = FAMILIES.index(height if name in OF_HEIGHT else lateral)
         changes.append((gradient(more, which) - gradient(less, which)) / 2.0)
     return np.array(changes)
-
-
-def _biases(scene: Scene, matches: Matches, offsets: Sequence[Floats]) -> tuple[Groups, Floats]:
-    """Return the groups of tracks whose offsets are shared, and all biases (:class:`Fit`).
-
-    Parameters
-    ----------
-    scene : Scene
-        The map and the traces.
-    matches : Matches
-        The lane of each sample.
-    offsets : (tracks, 7) arrays
-        As in :class:`gis_radar.calibration.registration.residuals.Normal`.
-    """
-    lanes, (across, up) = scene.lanes, offsets
-    sample = matches.lane[matches.found]
-    drawn_m, scanned_m = STREET_SIGMA_M
-    street, count = _most_driven(scene.samples, matches, _sections(lanes, sample))
-    biases = [drawn_m * sums(street, across, count), scanned_m * sums(street, up, count)]
-    lane, count = _most_driven(scene.samples, matches, lanes.lane[sample])
-    _, first = np.unique(lanes.lane[sample], return_index=True)
-    straight_m, bend_m = scene.lane_sigma_m
-    driven_m = np.append(np.where(lanes.bends[sample[first]], bend_m, straight_m), 0.0)
-    biases.append(driven_m[:, None] * sums(lane, across, count))
-    groups = [(street, np.full(int(street.max()) + 1, drawn_m)), (lane, driven_m)]
-    return groups, np.vstack(biases)
-
-
-def _sections(lanes: Lanes, sample: Integers) -> Integers:
-    """Return for samples of lanes the number of their street section in one direction."""
-    way = direction_bin(lanes.along[sample], LANE_BINS) // 2
-    cell = np.floor(lanes.points[sample, :2] / STREET_M).astype(np.int64)
-    low = cell.min(axis=0, initial=0)
-    span = cell.max(axis=0, initial=0) - low + 1
-    return np.ravel_multi_index((*(cell - low).T, way), (*span, LANE_BINS))
-
-
-def _most_driven(samples: Samples, matches: Matches, keys: Integers) -> tuple[Integers, int]:
-    """Return the number of the commonest key of each track's samples, and how many there are."""
-    numbers, number = np.unique(keys, return_inverse=True)
-    count = len(numbers) + 1
-    votes = np.bincount(
-        samples.track[matches.found] * count + number, minlength=samples.tracks * count
-    )
-    return votes.reshape(samples.tracks, count).argmax(axis=1), count
 
 
 def at_least(information: Floats, floor: Floats) -> Floats:

@@ -15,14 +15,21 @@ import numpy as np
 from gis_radar.base import Floats
 from gis_radar.calibration.registration.certainty import (
     MAP_SIGMA_M,
-    UNFIXED,
     UNITS,
     is_fixed,
     longest_m,
     stated,
 )
 from gis_radar.calibration.registration.state import LEVER_M, along_arc, rotation
-from gis_radar.calibration.scan.scan_check import CLEAR_SIGMAS, LEAST_COVERED, Alignment, align
+from gis_radar.calibration.scan.scan_check import (
+    BETTER_SIGMAS,
+    CLEAR_SIGMAS,
+    LEAST_COVERED,
+    SAME_DEG,
+    SAME_M,
+    Alignment,
+    align,
+)
 from gis_radar.calibration.scan.scan_check_result import CONFIRMS, PoseOffset, ScanCheck
 from gis_radar.calibration.scan.surroundings import Standing
 from gis_radar.poses import COMPONENTS, Pose
@@ -39,7 +46,7 @@ PLANE = [0, 1, 5]  # of a covariance: easting, northing, yaw
 
 
 def closed_along(pose: Pose, look: ScanCheck) -> tuple[Pose, Pose]:
-    """Return a pose that traffic leaves open, as along a road, closed in that direction.
+    """Return a pose that traffic hardly fixes, as along a road, closed in that direction.
 
     Only places that the traffic allows are compared with the scan: those along the direction that
     it knows least, on a line or, where the pose turns along it, on a circle as round a bend.
@@ -59,7 +66,7 @@ def closed_along(pose: Pose, look: ScanCheck) -> tuple[Pose, Pose]:
         place, by the sum of their squared standard deviations.
     """
     known = _covariance(pose)
-    if known is None or longest_m(known) < UNFIXED[0] or not look.covered >= LEAST_COVERED:
+    if known is None or not _is_open(known) or not look.covered >= LEAST_COVERED:
         return pose, pose
     lever = np.array([1.0, 1.0, LEVER_M])
     variances, ways = np.linalg.eigh(known[np.ix_(PLANE, PLANE)] * np.outer(lever, lever))
@@ -85,11 +92,18 @@ def closed_along(pose: Pose, look: ScanCheck) -> tuple[Pose, Pose]:
     count = patches.shape[1]
     drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), size=TOPS)
     tops = places[near][np.argmax(patches[near] @ drawn.T, axis=0)]
+    # traffic's own place along it no longer counts: it is known far worse than by the scan
     moved, way = _moved_along(pose, known, way, float(tops.mean()))
     row = np.zeros((1, 6))
     row[0, PLANE] = way * (length * lever) ** 2  # how far along, of a step of the pose
     noise = np.array([[float(np.var(tops)) + MAP_SIGMA_M**2]])
     return moved, _measured(moved, np.asarray(_covariance(moved)), row, np.zeros(1), noise)
+
+
+def _is_open(known: Floats) -> bool:
+    """Return whether traffic allows poses that the check at this one does not take for the same."""
+    yaw_deg = math.degrees(math.sqrt(known[5, 5]))
+    return BETTER_SIGMAS * longest_m(known) > SAME_M or BETTER_SIGMAS * yaw_deg > SAME_DEG
 
 
 def _moved_along(pose: Pose, known: Floats, way: Floats, place: float) -> tuple[Pose, Floats]:

@@ -1,0 +1,107 @@
+"""Offsets that drivers share on a section of a street, or in a lane; they do not average out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gis_radar.base import Floats, Integers
+from gis_radar.calibration.registration.lanes import (
+    LANE_BINS,
+    STREET_SIGMA_M,
+    Lanes,
+    Scene,
+    direction_bin,
+)
+from gis_radar.calibration.registration.matches import Matches
+from gis_radar.calibration.registration.residuals import sums
+from gis_radar.calibration.registration.traces import Samples
+
+Groups = list[tuple[Integers, Floats]]
+
+STREET_M = 60.0  # length of a street section with a bias of its own
+
+
+def biases_of(scene: Scene, matches: Matches, offsets: Sequence[Floats]) -> tuple[Groups, Floats]:
+    """Return the groups of tracks whose offsets are shared, and all biases (:class:`Fit`).
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    matches : Matches
+        The lane of each sample.
+    offsets : (tracks, 7) arrays
+        As in :class:`gis_radar.calibration.registration.residuals.Normal`.
+    """
+    lanes, (across, up) = scene.lanes, offsets
+    sample = matches.lane[matches.found]
+    drawn_m, scanned_m = STREET_SIGMA_M
+    street, count = _most_driven(scene.samples, matches, _sections(lanes, sample))
+    biases = [drawn_m * sums(street, across, count), scanned_m * sums(street, up, count)]
+    lane, count = _most_driven(scene.samples, matches, lanes.lane[sample])
+    _, first = np.unique(lanes.lane[sample], return_index=True)
+    straight_m, bend_m = scene.lane_sigma_m
+    driven_m = np.append(np.where(lanes.bends[sample[first]], bend_m, straight_m), 0.0)
+    biases.append(driven_m[:, None] * sums(lane, across, count))
+    groups = [(street, np.full(int(street.max()) + 1, drawn_m)), (lane, driven_m)]
+    return groups, np.vstack(biases)
+
+
+def _sections(lanes: Lanes, sample: Integers) -> Integers:
+    """Return for samples of lanes the number of their street section in one direction."""
+    way = direction_bin(lanes.along[sample], LANE_BINS) // 2
+    cell = np.floor(lanes.points[sample, :2] / STREET_M).astype(np.int64)
+    low = cell.min(axis=0, initial=0)
+    span = cell.max(axis=0, initial=0) - low + 1
+    return np.ravel_multi_index((*(cell - low).T, way), (*span, LANE_BINS))
+
+
+def _most_driven(samples: Samples, matches: Matches, keys: Integers) -> tuple[Integers, int]:
+    """Return the number of the commonest key of each track's samples, and how many there are."""
+    numbers, number = np.unique(keys, return_inverse=True)
+    count = len(numbers) + 1
+    votes = np.bincount(
+        samples.track[matches.found] * count + number, minlength=samples.tracks * count
+    )
+    return votes.reshape(samples.tracks, count).argmax(axis=1), count
+
+
+def habits_of(by_offset: Floats, stiff: Floats, variance: Floats, street: Integers) -> float:
+    """Return the variance of the loss by an offset that the drivers of a street share.
+
+    With the vehicles' own effects at their optimum the loss changes with the offset c of a street
+    as `c sum b_k / tau^2 + c^2 / 2 sum 1 / (tau^2 + 1 / P_k)`; c is normal.
+
+    Parameters
+    ----------
+    by_offset : (tracks,) array
+        Change of the cost of each vehicle by an offset of all drivers, 1/m.
+    stiff, variance : (tracks,) arrays
+        Inverse variance of a vehicle's own offset by the prior (1/m^2), and its variance by all
+        (m^2).
+    street : (tracks,) int array
+        Street section of each.
+    """
+    sigma_m = STREET_SIGMA_M[0]
+    linear = np.bincount(street, weights=by_offset)
+    square = np.bincount(street, weights=(1.0 - variance * stiff) * stiff)
+    return float(np.sum((sigma_m * linear) ** 2 + 0.5 * (sigma_m**2 * square) ** 2))
+
+
+def shared_variance(groups: Groups, by_offset: Floats) -> float:
+    """Return the variance of a change of cost by the offsets that drivers share.
+
+    Parameters
+    ----------
+    groups : Groups
+        By street section and by lane: the group of each vehicle, and one standard deviation of the
+        offset of each group, metres.
+    by_offset : (tracks,) array
+        Change of each vehicle's change of cost by an offset, 1/m.
+    """
+    return sum(
+        float(np.square(sigma_m * np.bincount(group, by_offset, len(sigma_m))).sum())
+        for group, sigma_m in groups
+    )
