@@ -1,6 +1,7 @@
 """Poses by traffic alone, and by traffic and what stands in the scan, beside the truth.
 
     python bench/scan_poses.py --scene town-991,tee-932
+    python bench/scan_poses.py --scene bends    round bends, where traffic leaves the place open
 
 One line a sensor of the scenes of bench/vehicles; guesses up to 10 m off, no heading.
 """
@@ -26,6 +27,7 @@ SCENES = (
     "town-981", "tee-982", "gridlock-983", "arterial-984", "roundabout-985", "town-941",
     "arterial-943", "town-951", "gridlock-956",
 )  # fmt: skip
+BENDS = tuple(f"bend-{seed}" for seed in (*range(8301, 8307), *range(8401, 8405)))
 GUESS_M = 10.0
 
 
@@ -34,7 +36,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scene", default=",".join(SCENES))
     rows = []
-    for name in parser.parse_args().scene.split(","):
+    named = parser.parse_args().scene
+    for name in BENDS if named == "bends" else named.split(","):
         site = scene(name)
         for recording, truth in zip(site.recordings, site.poses, strict=True):
             both = [_errors(site, recording, truth, scans) for scans in ((), (site.scan,))]

@@ -48,7 +48,7 @@ def test_what_it_contradicts_or_cannot_measure_stays_as_it_is():
     elsewhere = by_traffic(moved(POSE, left=1.5), (0.1, 0.1, *SIGMAS[2:]))
     look = gr.check_against_scan(R2, elsewhere, [SCAN])
     assert look.verdict == "confirms"
-    assert updated_by_scan(elsewhere, look) is elsewhere
+    assert updated_by_scan(elsewhere, look) is None
     assert closed_along(elsewhere, look) == (elsewhere, elsewhere)  # nothing is open
     assert updated_by_scan(POSE, look) is POSE  # without a covariance
     given = by_traffic(POSE)
@@ -84,6 +84,7 @@ def test_a_direction_round_a_bend_is_closed_along_its_circle():
     )
     covariance, along = np.diag(np.square(SIGMAS)), np.zeros(6)
     along[[0, 1, 5]] = [*(rotation(-turn) @ way), 1.0 / 60.0]
+    along[2] = 0.05  # the road climbs
     covariance += 10.0**2 * np.outer(along, along)
     given = replace(given, evidence={"method": "lane", "observable": False, **stated(covariance)})
     moved, closed = closed_along(given, gr.check_against_scan(R2, given, [SCAN]))
@@ -92,6 +93,7 @@ def test_a_direction_round_a_bend_is_closed_along_its_circle():
     assert abs(closed.yaw - POSE.yaw) < 1.0
     assert closed.evidence["observable"]
     assert moved.position == pytest.approx(closed.position)
+    assert closed.height - given.height == pytest.approx(0.05 * 60.0 * turn, abs=0.05)
     assert moved.evidence["sigma"]["yaw"] == pytest.approx(given.evidence["sigma"]["yaw"])
 
 

@@ -19,11 +19,12 @@ from gis_radar.calibration.registration.adaptation import adapted, heights
 from gis_radar.calibration.registration.certainty import (
     CLEAR_RISE,
     advantage,
+    agreed_rise,
     along_valley,
     certainty,
     narrowed_by_exclusion,
-    preference,
     sigma_along,
+    widened_along,
     with_information_along,
 )
 from gis_radar.calibration.registration.hypotheses import Hypothesis, level, look_around, prior_at
@@ -504,10 +505,22 @@ def test_what_all_drivers_of_a_lane_do_alike_is_no_preference(scene):
         by_offset=fit.by_offset,
         effects=fit.effects,
     )
-    agreed = preference(fit, there, fit.groups)  # by all vehicles alike, so it counts in full
+    agreed = agreed_rise(fit, there, fit.groups)  # by all vehicles alike, so it counts in full
     assert agreed == pytest.approx(there.cost - fit.cost)
     aside = replace(there, by_offset=fit.by_offset + 5.0 * (fit.costs != 0.0))
-    assert prior_cost < preference(fit, aside, fit.groups) < prior_cost + 0.1
+    assert prior_cost < agreed_rise(fit, aside, fit.groups) < prior_cost + 0.1
+
+
+@pytest.mark.parametrize("asked_m", [5.0, 12.0, 40.0])
+def test_sigma_along_a_valley_grows_no_further_than_the_prior(scene, asked_m):
+    """Traffic cannot know less than nothing."""
+    scene, state, _ = scene
+    fit = solve(scene, state, prior_at(state))
+    hold = np.array([1.0, 0, 0, 0, 0, 0, 0])
+    wide = widened_along(fit, hold, asked_m)
+    assert min(asked_m, 6.5) <= sigma_along(wide, hold) < min(1.1 * asked_m, 12.0)
+    assert np.linalg.eigvalsh(wide.data_information).min() > -1e-4
+    assert widened_along(wide, hold, 1.0) is wide
 
 
 def test_a_fit_starts_where_another_one_stopped_with_its_vehicles_places(scene):

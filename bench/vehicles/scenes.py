@@ -235,6 +235,12 @@ MORE: Mapping[str, Recipe] = {
         plan="town", seed=3014, per_hour=2600, radars=("R2", "R4", "R5"), minutes=3.0,
         warm_up_s=420.0,
     ),
+    **{
+        f"bend-{seed}": Recipe(
+            plan="bend", seed=seed, per_hour=900 if seed % 2 else 1500, radars=2, minutes=2.0
+        )
+        for seed in (*range(8301, 8307), *range(8401, 8405))
+    },
 }  # fmt: skip
 """Scenes that `make bench-vehicles` leaves out: for what a change or a part earns."""
 

@@ -226,20 +226,24 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
             for side in (-1.0, 1.0)
         ]
         places = (other for side in sides for _, other in side)
-        lowest = min(places, key=partial(preference, fit, groups=fit.groups))
-        if look == LOOKS or preference(fit, lowest, fit.groups) > -LOOK_GAIN:
+        lowest = min(places, key=partial(agreed_rise, fit, groups=fit.groups))
+        if look == LOOKS or agreed_rise(fit, lowest, fit.groups) > -LOOK_GAIN:
             break
-        fit = _kept(scene, lowest, hold, prior, model)
-    fit = _widened_along(fit, hold, max(_deviation(fit, side) for side in sides))
+        again = _fitted_there(scene, lowest, hold, prior, model)
+        if not again.converged:
+            break
+        fit = again
+    fit = widened_along(fit, hold, max(_deviation(fit, side) for side in sides))
     return narrowed_by_exclusion(fit, hold, sides)
 
 
-def preference(fit: Fit | Rest, other: Rest, groups: Groups) -> float:
-    """Return the rise of the cost to another place, as far as the vehicles agree on it.
+def agreed_rise(fit: Fit | Rest, other: Rest, groups: Groups) -> float:
+    """Return by how much the cost is higher at another place, as far as the vehicles agree on it.
 
-    Their losses differ by more than the model says, and drivers share offsets in their lanes. What
-    they do not clearly prefer rises by half the square of their z score (Vuong 1989), as a normal
-    variable's cost; what they do prefer by twice its square, as for independent vehicles.
+    Vehicles' costs differ by more than the model says, and drivers share offsets in their lanes, so
+    that the sum of the differences has a standard error; `z` is the sum over it (Vuong 1989). Where
+    the vehicles are clear, the rise is `2 z^2`, as of independent vehicles in a right model; else
+    `z^2 / 2`, the cost of a normal variable, which is less. It is never more than the sum itself.
     """
     gain, by_offset = other.costs - fit.costs, other.by_offset - fit.by_offset
     z = z_score(gain[gain != 0.0], shared=shared_variance(groups, by_offset))
@@ -248,7 +252,7 @@ def preference(fit: Fit | Rest, other: Rest, groups: Groups) -> float:
     return float(by_prior + np.sign(z) * min(abs(float(gain.sum())), rise))
 
 
-def _kept(scene: Scene, there: Rest, hold: Floats, prior: Prior, model: Model) -> Fit:
+def _fitted_there(scene: Scene, there: Rest, hold: Floats, prior: Prior, model: Model) -> Fit:
     """Return the fit at a place along a valley, held there where it would leave it again."""
     free = solve(scene, there, prior, schedule=THERE, model=model)
     if abs(hold @ free.state.difference(there.state)) < VALLEY_STEPS_M[0] and free.converged:
@@ -381,19 +385,31 @@ def _deviation(fit: Fit, side: list[tuple[float, Rest]]) -> float:
     (near_m, near), sigma_m = side[0], 0.0
     for step_m, other in side[1:]:
         if other.cost - fit.cost <= CLEAR_RISE:  # else the cost excludes it, however far it is
-            rise = max(preference(near, other, fit.groups), LEAST_RISE)
+            rise = max(agreed_rise(near, other, fit.groups), LEAST_RISE)
             sigma_m = max(sigma_m, math.sqrt((step_m**2 - near_m**2) / (2.0 * rise)))
     return sigma_m
 
 
-def _widened_along(fit: Fit, hold: Floats, sigma_m: float) -> Fit:
-    """Widen sigma along a linear combination of the state's components, where it is smaller."""
-    known = certainty(fit)
-    drawn, stated = (_along(fit, hold, each) for each in (known.noise, known.covariance))
-    if sigma_m**2 <= stated:
+def widened_along(fit: Fit, hold: Floats, sigma_m: float) -> Fit:
+    """Widen sigma along a linear combination of the state's components, where it is smaller.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    hold : (n,) array
+        Weight of each component of the state in the combination.
+    sigma_m : float
+        The standard deviation that is asked for; no more than the prior's is given.
+    """
+    known, way = certainty(fit), np.linalg.solve(fit.information, hold)
+    noise, all_m2 = (_along(fit, hold, each) for each in (known.noise, known.covariance))
+    if sigma_m**2 <= all_m2:
         return fit
-    before = 1.0 / float(hold @ np.linalg.solve(fit.information, hold))
-    after = before * drawn / (drawn + sigma_m**2 - stated)  # what vehicles share stays
+    before = 1.0 / float(hold @ way)
+    by_prior = before**2 * float(way @ (fit.information - fit.data_information) @ way)
+    # what vehicles share stays, and the prior's information is not the traffic's to lose
+    after = max(before * noise / (noise + sigma_m**2 - all_m2), min(by_prior, before))
     return with_information_along(fit, hold, before, after)
 
 

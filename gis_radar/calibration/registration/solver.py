@@ -103,7 +103,7 @@ class Fit:
     habits : float
         Variance of the loss by an offset in the lane that all drivers of a street share.
     by_offset : (tracks,) array
-        Change of the cost of each vehicle by an offset of all drivers across their lane, 1/m.
+        Derivative of each vehicle's cost by a common offset of drivers across their lane, 1/m.
     groups : Groups
         Vehicles whose offsets are shared, as for
         :func:`gis_radar.calibration.registration.shared_offsets.shared_variance`.

@@ -54,7 +54,7 @@ class State:
         return self.moved(np.array([x, y, *step[2:]]))
 
     def to_heading(self, step: Floats, other: State) -> Floats:
-        """Return the step that is to this state's heading as a step is to that of another one."""
+        """Return a step turned by the difference in yaw of this state and another one."""
         turn = rotation(float(self.yaw_pitch_roll[0] - other.yaw_pitch_roll[0]))
         return np.concatenate([turn @ step[:2], step[2:]])
 
@@ -84,14 +84,14 @@ class State:
 
 
 def along_arc(x: Any, y: Any, turn: Any) -> tuple[Any, Any]:
-    """Return the way across the map of steps whose direction turns with the sensor.
+    """Return the displacement of steps along arcs (exponential map of SE(2)).
 
-    Steps with one turn for each metre lie on one circle (exponential map of SE(2)).
+    Steps with one turn for each metre lie on one circle.
 
     Parameters
     ----------
     x, y : float or array
-        The way if its direction did not turn, metres.
+        Length of the arc along the axes, by its direction at its start (the twist), metres.
     turn : float or array
         Turn of the sensor on this way, radians.
     """
@@ -100,7 +100,7 @@ def along_arc(x: Any, y: Any, turn: Any) -> tuple[Any, Any]:
 
 
 def from_arc(x: float, y: float, turn: float) -> tuple[float, float]:
-    """Return the way if its direction did not turn: the inverse of :func:`along_arc`."""
+    """Return the twist of a displacement along an arc: the inverse of :func:`along_arc`."""
     x, y = along_arc(x, y, -turn)
     chord = float(np.sinc(turn / (2.0 * np.pi))) ** 2
     return x / chord, y / chord

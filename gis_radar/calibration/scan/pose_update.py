@@ -8,6 +8,7 @@ update of a Kalman filter does.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from gis_radar.base import Floats
 from gis_radar.calibration.registration.certainty import (
     MAP_SIGMA_M,
+    PLANE,
     UNITS,
     is_fixed,
     longest_m,
@@ -34,15 +36,16 @@ from gis_radar.calibration.scan.scan_check_result import CONFIRMS, PoseOffset, S
 from gis_radar.calibration.scan.surroundings import Standing
 from gis_radar.poses import COMPONENTS, Pose
 
-# Places along an open direction: a pose and the truth may be that far from the guess, each to its
-# own side; their step; and draws of their patches.
+# Places along an open direction: how far they go to either side (a guess may be off by 15 m), their
+# step, and draws of their patches.
 ALONG_M, STEP_M, TOPS = 20.0, 0.25, 200
+LEAST_LENGTH = 0.25  # of the way in a metre of an open direction: less is a circle of under 13 m
+MOST_SHARE = 0.25  # of the traffic's variance along it, for the scan's: traffic's mean is left out
 SMALL = 1e-9
 DRAWS = 20  # of patches, for the covariance: it is known to a sixth then
 START = np.array([1.0, 1.0, 1.0])  # farthest start of a climb from the top: m, m, deg
 OPEN_M = 0.5  # spread of the tops of an open direction: the starts spread 0.58 m
 MOST_CHI2 = 16.0  # of up to three components, from which on both contradict each other (99.9 %)
-PLANE = [0, 1, 5]  # of a covariance: easting, northing, yaw
 
 
 def closed_along(pose: Pose, look: ScanCheck) -> tuple[Pose, Pose]:
@@ -61,9 +64,11 @@ def closed_along(pose: Pose, look: ScanCheck) -> tuple[Pose, Pose]:
     Returns
     -------
     moved, closed : Pose
-        The pose at the likeliest place, as certain as by traffic, and by both; the same pose where
-        traffic leaves nothing open, or where scan and traffic together do not clearly prefer one
-        place, by the sum of their squared standard deviations.
+        The pose at the likeliest place along the direction: with the traffic's covariance, so that
+        the scan can measure it once, and with the scan's variance along it. The same pose twice
+        where traffic leaves nothing open, where scan and traffic together do not clearly prefer
+        one place, by the sum of their squared standard deviations, or where the scan knows it
+        hardly better than traffic.
     """
     known = _covariance(pose)
     if known is None or not _is_open(known) or not look.covered >= LEAST_COVERED:
@@ -72,7 +77,41 @@ def closed_along(pose: Pose, look: ScanCheck) -> tuple[Pose, Pose]:
     variances, ways = np.linalg.eigh(known[np.ix_(PLANE, PLANE)] * np.outer(lever, lever))
     way = ways[:, -1] / lever
     length = float(np.hypot(*way[:2]))
+    if length < LEAST_LENGTH:
+        return pose, pose  # a turn rather than a way: the check itself tries all headings
     way /= length  # the step of easting, northing (m), yaw (rad) for a metre
+    variance_m2 = length**2 * float(variances[-1])
+    found = _likeliest(pose, look, way, variance_m2)
+    if found is None or found[1] > MOST_SHARE * variance_m2:
+        return pose, pose  # the scan leaves it open, too, or knows it hardly better
+    place, noise_m2 = found
+    row = np.zeros(6)
+    row[PLANE] = way * (length * lever) ** 2  # how far along, of a step of the pose
+    step = known @ row / (row @ known @ row)  # for a metre along: height and tilt follow
+    frame = np.eye(6)
+    frame[:2, :2] = rotation(float(way[2]) * place)
+    steps = dict(zip(COMPONENTS, step * place * UNITS, strict=True))
+    steps["easting"], steps["northing"] = along_arc(*(way * place))
+    turned = frame @ known @ frame.T
+    moved = _stepped(pose, steps, turned)
+    noise = np.array([[noise_m2]])
+    return moved, _measured(moved, turned, (frame @ row)[None], np.zeros(1), noise) or moved
+
+
+def _likeliest(
+    pose: Pose, look: ScanCheck, way: Floats, variance_m2: float
+) -> tuple[float, float] | None:
+    """Return the likeliest place along a way and its variance by the scan; None where it is open.
+
+    Parameters
+    ----------
+    pose, look
+        As for :func:`closed_along`.
+    way : (3,) array
+        The step of easting, northing (m), yaw (rad) for a metre.
+    variance_m2 : float
+        Variance of the place along it, by traffic.
+    """
     places = np.arange(-ALONG_M, ALONG_M + 0.5 * STEP_M, STEP_M)
     ahead, left = rotation(-math.radians(pose.yaw)) @ way[:2]
     turns = way[2] * places
@@ -84,20 +123,14 @@ def closed_along(pose: Pose, look: ScanCheck) -> tuple[Pose, Pose]:
     top = int(np.argmax(patches.sum(axis=1)))
     gains = patches[top] - patches
     by_scan = gains.sum(axis=1) / np.maximum(np.sqrt((gains**2).sum(axis=1)), SMALL)
-    by_traffic = (places**2 - places[top] ** 2) / (length**2 * variances[-1])
-    both = by_scan**2 + by_traffic
+    both = by_scan**2 + (places**2 - places[top] ** 2) / variance_m2
     near = both - both.min() < CLEAR_SIGMAS**2
     if near[[0, -1]].any() or np.count_nonzero(np.diff(near)) > 2:
-        return pose, pose  # it goes on beyond, or places apart from each other may be right
+        return None  # it goes on beyond, or places apart from each other may be right
     count = patches.shape[1]
     drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), size=TOPS)
     tops = places[near][np.argmax(patches[near] @ drawn.T, axis=0)]
-    # traffic's own place along it no longer counts: it is known far worse than by the scan
-    moved, way = _moved_along(pose, known, way, float(tops.mean()))
-    row = np.zeros((1, 6))
-    row[0, PLANE] = way * (length * lever) ** 2  # how far along, of a step of the pose
-    noise = np.array([[float(np.var(tops)) + MAP_SIGMA_M**2]])
-    return moved, _measured(moved, np.asarray(_covariance(moved)), row, np.zeros(1), noise)
+    return float(tops.mean()), float(np.var(tops)) + MAP_SIGMA_M**2
 
 
 def _is_open(known: Floats) -> bool:
@@ -106,24 +139,7 @@ def _is_open(known: Floats) -> bool:
     return BETTER_SIGMAS * longest_m(known) > SAME_M or BETTER_SIGMAS * yaw_deg > SAME_DEG
 
 
-def _moved_along(pose: Pose, known: Floats, way: Floats, place: float) -> tuple[Pose, Floats]:
-    """Return a pose moved on a line or circle, with its covariance turned, and the way there."""
-    turn = float(way[2]) * place
-    frame = np.eye(6)
-    frame[:2, :2] = rotation(turn)
-    easting, northing = along_arc(way[0] * place, way[1] * place, turn)
-    yaw = math.remainder(pose.yaw + math.degrees(turn), 360.0)
-    moved = replace(
-        pose,
-        easting=pose.easting + float(easting),
-        northing=pose.northing + float(northing),
-        yaw=yaw,
-        evidence={**pose.evidence, **stated(frame @ known @ frame.T)},
-    )
-    return moved, np.array([*(frame[:2, :2] @ way[:2]), way[2]])
-
-
-def updated_by_scan(pose: Pose, look: ScanCheck) -> Pose:
+def updated_by_scan(pose: Pose, look: ScanCheck) -> Pose | None:
     """Return a pose updated by where what stands fits the scan best.
 
     Parameters
@@ -135,9 +151,10 @@ def updated_by_scan(pose: Pose, look: ScanCheck) -> Pose:
 
     Returns
     -------
-    Pose
+    Pose or None
         The same pose where it states no covariance, where the check does not confirm the pose that
-        it looked at, or where what stands leaves a direction open or contradicts the traffic.
+        it looked at, or where what stands leaves a direction open; None where it contradicts the
+        traffic.
     """
     known = _covariance(pose)
     if known is None or look.verdict != CONFIRMS or look.best is None:
@@ -159,16 +176,20 @@ def _covariance(pose: Pose) -> Floats | None:
     return None if given is None else np.asarray(given, np.float64)
 
 
-def _measured(pose: Pose, known: Floats, rows: Floats, gap: Floats, noise: Floats) -> Pose:
-    """Return a pose after the measurement of some linear functions of it, if it is consistent."""
+def _measured(pose: Pose, known: Floats, rows: Floats, gap: Floats, noise: Floats) -> Pose | None:
+    """Return a pose after the measurement of some linear functions of it; None if inconsistent."""
     total = np.linalg.inv(rows @ known @ rows.T + noise)
     if gap @ total @ gap > MOST_CHI2:
-        return pose
+        return None
     gain = known @ rows.T @ total
     left = known - gain @ rows @ known
-    covariance = (left + left.T) / 2.0
-    steps = dict(zip(COMPONENTS, (gain @ gap * UNITS).tolist(), strict=True))
-    moved = {name: getattr(pose, name) + value for name, value in steps.items()}
+    steps = dict(zip(COMPONENTS, gain @ gap * UNITS, strict=True))
+    return _stepped(pose, steps, (left + left.T) / 2.0)
+
+
+def _stepped(pose: Pose, steps: Mapping[str, float], covariance: Floats) -> Pose:
+    """Return a pose after steps of its components, m and degrees, with another covariance."""
+    moved = {name: getattr(pose, name) + float(value) for name, value in steps.items()}
     moved["yaw"] = math.remainder(moved["yaw"], 360.0)
     evidence = {**pose.evidence, **stated(covariance), "observable": is_fixed(covariance)}
     return replace(pose, **moved, evidence=evidence)

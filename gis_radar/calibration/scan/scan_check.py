@@ -60,7 +60,7 @@ LEAST_PATCHES = 12  # with fewer patches there is nothing to compare
 # Limits of the radius: 300 m is the longest range of the sensors.
 LEAST_REACH_M = 60.0
 MOST_REACH_M = 300.0
-MARGIN_M = 20.0  # scan read beyond that radius: reach of the search (14 m) and of the walls
+MARGIN_M = 20.0  # scan read beyond that radius: farthest place that is compared
 
 HERE = (0.0, 0.0, 0.0)
 

@@ -63,15 +63,17 @@ def by_lanes(problem: Problem, moving: Moving, reporter: Reporter) -> Localizati
     reporter.progress(STAGE, 3, 5)
     _refuse_mirrored(scene, tried, heading)
     reporter.progress(STAGE, 4, 5)
-    best, *others = refine(scene, tried)
+    first, *others = refine(scene, tried)
     # along a valley the fit may have gone beyond reach, and this brings it back
-    best, *others = _within_reach(problem, [widen_by_profile(scene, best), *others], scene)
+    first = widen_by_profile(scene, first)
+    best, *others = _within_reach(problem, [first, *others], scene)
+    best = best if best is first else widen_by_profile(scene, best)
     _refuse_unfit(problem, best)
     beside = [h for h in others if _one_answer(best, h)]
     z_score, rival = _z_score(best, [h for h in others if not any(h is b for b in beside)], scene)
     reporter.progress(STAGE, 5, 5)
     if rival is not None and z_score < CLEAR:
-        open_ones = [best, *_others(best, others, scene)]
+        open_ones = _apart([best, *_others(best, others, scene)])
         each = [_answer(problem, moving, scene, h, tried, z_score) for h in open_ones]
         raise _ambiguous(problem, best, rival, tuple(each))
     beside_z_score, same = _z_score(best, beside, scene)
@@ -210,6 +212,15 @@ def _others(answer: Hypothesis, others: list[Hypothesis], scene: Scene) -> list[
         widen_by_profile(scene, h)
         for h in others
         if h.fit.fitness >= LEAST_FITNESS and advantage(answer.fit, h.fit, scene.samples) < CLEAR
+    ]
+
+
+def _apart(answers: list[Hypothesis]) -> list[Hypothesis]:
+    """Return each answer once, as widening may have moved two to one place of a valley."""
+    return [
+        each
+        for k, each in enumerate(answers)
+        if not any(_one_answer(other, each) for other in answers[:k])
     ]
 
 

@@ -326,7 +326,8 @@ def localize_with_scan(
         look = look_at(recording, closed)
     pose = updated_by_scan(moved, look)  # by the same scan: it does not count twice
     if pose is moved:
-        pose = closed if look.verdict != DOUBTS else found.pose
+        pose = closed if look.verdict != DOUBTS else None
+    pose = found.pose if pose is None else pose
     moved_m = float(np.hypot(*(pose.position - found.pose.position)[:2]))
     pose = replace(pose, evidence={**pose.evidence, "moved_by_scan_m": round(moved_m, 3)})
     return replace(found, pose=pose, observable=bool(pose.evidence["observable"]))
