@@ -105,8 +105,7 @@ class Fit:
     by_offset : (tracks,) array
         Derivative of each vehicle's cost by a common offset of drivers across their lane, 1/m.
     groups : Groups
-        Vehicles whose offsets are shared, as for
-        :func:`gis_radar.calibration.registration.shared_offsets.shared_variance`.
+        Vehicles whose offsets are shared, by street section and by lane, as for `shared_variance`.
     biases : (biases, 7) array
         Change of the gradient by one standard deviation of each bias that vehicles share: of map
         and scan on a street section in one direction, of all drivers on a lane.
