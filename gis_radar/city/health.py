@@ -137,7 +137,8 @@ def _lost(root: Path, site: str) -> dict[str, str]:
     city = (read_run(root).get("sites") or {}).get(site) or {}
     failed = {each["what"]: each["message"] for each in city.get("failures") or []}
     named = {str(each["name"]) for each in (run.get("site") or {}).get("sensor") or []}
-    return {name: failed[name] for name in named & failed.keys()} | lost_sensors(run)
+    told = {name: Text(failed[name]).removeprefix(f"{name}: ") for name in named & failed.keys()}
+    return told | lost_sensors(run)
 
 
 def _row(

@@ -161,8 +161,8 @@ def test_a_sensor_whose_recordings_were_refused_says_why(tmp_path, source):
     (tmp_path / "run.json").write_text(json.dumps(record))
     known, table = states(tmp_path)
     assert known == {("a", "R9"): "no data", ("a", "R1"): "silent", ("b", "R1"): "gaps"}
-    assert table["reasons"][0] == "R9: does not fit"
-    assert table["reasons"][1].endswith("; R1: does not fit")
+    assert table["reasons"][0] == "does not fit"
+    assert table["reasons"][1].endswith("; does not fit")
 
 
 def test_a_sensor_taken_down_long_ago_is_not_listed(tmp_path, source):
