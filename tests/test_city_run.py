@@ -20,8 +20,17 @@ import pytest
 from small_site import write_site
 
 import gis_radar as gr
-from gis_radar.base import GisRadarError, InputError, OutputError, Reporter, UsageError, only_writer
-from gis_radar.city import is_city_file
+from gis_radar.base import (
+    GisRadarError,
+    InputError,
+    NoAnswerError,
+    OutputError,
+    Reporter,
+    Text,
+    UsageError,
+    only_writer,
+)
+from gis_radar.city import is_city_file, tasks
 from gis_radar.city.executors import OtherSoftwareError, Processes, Workers, run_task, workers_of
 from gis_radar.city.tasks import make_site_hour
 from gis_radar.dataset.hours.job import MadeHour
@@ -234,6 +243,21 @@ def test_a_bad_site_stops_no_other(site, tmp_path):
     record = json.loads((tmp_path / "root" / "run.json").read_text(encoding="utf-8"))
     assert [bool(each["failures"]) for each in record["sites"].values()] == [True, True, False]
     assert gr.open_city(tmp_path / "root").sites.keys() == {"good"}
+
+
+@pytest.mark.parametrize(("implausible", "kind"), [(["R1"], NoAnswerError), ([], InputError)])
+def test_what_is_refused_is_told_in_words_of_the_site_file(
+    site, tmp_path, monkeypatch, implausible, kind
+):
+    hint = Text("or {}", Text("{} {}", "--accept", "R1"))
+    told = {"refused": {"R1": "R1: no"}, "hints": {"R1": hint}, "implausible": implausible}
+    monkeypatch.setattr(tasks, "measure_stage", lambda **_: told)
+    monkeypatch.setattr("gis_radar.site.stages.measure_stage", tasks.measure_stage)
+    task = tasks.SiteTask(root=tmp_path, name="one", file=site / "SITE.toml")
+    tasks.register_checked(gr.read_site(site / "SITE.toml"), task)
+    ((what, error),) = task.failures
+    assert (what, type(error)) == ("R1", kind)
+    assert error.hint == "or accept = true in [[sensor]] R1"
 
 
 def cut(path):

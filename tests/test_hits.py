@@ -77,6 +77,21 @@ def test_a_pose_that_moves_changes_view_and_place(tmp_path):
     assert set(ds.sights()["pose"]) == set(frames["pose"])
 
 
+@pytest.mark.parametrize(("sigma", "told"), [(0.9, False), (5.6, True)])
+def test_a_track_that_is_not_sure_of_its_pose_is_told(tmp_path, sigma, told):
+    """A sensor that was knocked: what is measured until its pose is found again may be wrong."""
+    sure, unsure = ({"sigma": {"easting": 0.1, "northing": 0.1, "yaw": s}} for s in (0.1, sigma))
+    poses = tuple(pose(evidence=each) for each in (sure, unsure, unsure, sure))
+    track = PoseTrack(poses=poses, since=START + np.array([0.0, 10.0, 50.0, 80.0]))
+    time = START + np.arange(2000) * 0.05
+    path = recording(tmp_path / "r.parquet", time, np.tile([12.25, 0.0, -5.0], (2000, 1)))
+    notes = Listener()
+    hits_of([path], [track], crossing(), tmp_path / "site", reporter=notes)
+    line = "R1: from 2023-11-14T22:13:30Z to 2023-11-14T22:14:40Z its pose track is uncertain by"
+    assert any(line in text for _, text in notes.messages) == told
+    assert len([*track.vague(START, START + 60.0)]) == 0  # less than a minute of it
+
+
 def corrected(corrections, *, moved=(), **fields):
     """A track with a pose each 5 s that is a little off the first one."""
     rng = np.random.default_rng(7)

@@ -14,7 +14,13 @@ from live_programs import Lines
 from live_site import LONGEST_S, LiveSite, needs_mosquitto, wait_for
 
 from gis_radar.base import QUIET, InputError
-from gis_radar.live import BrokerAddress, Link, read_edge_file, read_live_site
+from gis_radar.live import (
+    BrokerAddress,
+    Link,
+    read_edge_file,
+    read_live_site,
+    write_broker_files,
+)
 
 
 @pytest.fixture
@@ -33,6 +39,21 @@ def test_passwords_are_for_their_owner_alone(site):
     assert stat.S_IMODE((folder / "passwords").stat().st_mode) == 0o640  # few rounds of a hash
     texts = [path.read_text() for path in folder.iterdir() if not path.name.startswith("password_")]
     assert not [text for text in texts if site.password("R1") in text]
+
+
+def test_a_sensor_that_comes_later_locks_no_other_out(site):
+    before = site.password("R1")
+    more = (site.folder / "SITE.toml").read_text() + '\n[[sensor]]\nname = "R3"\n'
+    (site.folder / "SITE.toml").write_text(more)
+    key = site.folder / "broker" / "server.key"
+    key.write_text("of TLS")
+    key.chmod(0o400)
+    write_broker_files(site.folder / "SITE.toml", site.folder / "broker")
+    assert site.password("R1") == before
+    assert (key.read_text(), stat.S_IMODE(key.stat().st_mode)) == ("of TLS", 0o400)
+    assert site.password("R3") not in {before, site.password("fusion")}
+    lines = (site.folder / "broker" / "passwords").read_text().splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["fusion", "R1", "R2", "R3"]
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from gis_radar.base import InputError, Text, speaking, tr
-from gis_radar.site import site_template
-from gis_radar.site.messages import KEYS, error_in_site_words, in_site_words
+from gis_radar.site import error_in_site_words, site_template
+from gis_radar.site.messages import KEYS, in_site_words
 from tools.catalogue import PACKAGE, told, trees
 
 KEYS_OF = PACKAGE / "site" / "messages.py"

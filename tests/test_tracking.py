@@ -512,11 +512,13 @@ def test_cycles_of_any_length_end(tmp_path, monkeypatch, cycle_s):
         assert len(ends) < 1000
 
     follower = SimpleNamespace(
-        push=lambda rows: pushed.append(len(rows)), cycle=cycle, finish=lambda _: None, rows=[]
-    )
+        push=lambda rows: pushed.append(len(rows)), cycle=cycle, finish=lambda _: None, rows=[],
+        now=SimpleNamespace(time=START),
+    )  # fmt: skip
+    found = SimpleNamespace(poses=SimpleNamespace(vague=lambda *_: ()))
     monkeypatch.setattr(monitor, "WindowFitter", lambda *_, **__: None)
     monkeypatch.setattr(monitor, "Follower", lambda *_, **__: follower)
-    monkeypatch.setattr(monitor, "track_of", lambda *_: None)
+    monkeypatch.setattr(monitor, "track_of", lambda *_: found)
     monkeypatch.setattr(monitor, "CYCLE_S", cycle_s)
     follow(path, start(STREET.pose()))
     assert sum(pushed) == len(time)

@@ -370,7 +370,7 @@ def writing_errors(path: Path) -> Iterator[None]:
 
 def _full(path: Path) -> OutputError:
     return OutputError(
-        "{}: cannot be written: the disk is full", path, hint="nothing was left behind"
+        "{}: cannot be written: the disk is full", path, hint="make room and call it again"
     )
 
 

@@ -106,7 +106,7 @@ def worst_first(table: pd.DataFrame) -> pd.DataFrame:
 def _site_rows(site: str, month: CityMonth) -> Iterator[dict[str, Any]]:
     """Yield the rows of the sensors of a site."""
     dataset = month.city.sites[site]
-    lost = lost_sensors(read_run(month.city.root / RESULTS / site))
+    lost = _lost(month.city.root, site)
     first, last = month.span(dataset)
     last = min(last, month.last_step)
     begin_s, end_s = first * STEP_S, (last + 1) * STEP_S
@@ -123,12 +123,22 @@ def _site_rows(site: str, month: CityMonth) -> Iterator[dict[str, Any]]:
         share = min(observed.get(name, recorded_s) / (end_s - begin_s), 1.0)
         its_poses = poses[poses["sensor"] == name]
         reasons = [
-            *_silence(mine, begin_s, end_s), *_moves(its_poses, begin_s, end_s),
+            *_silence(mine, begin_s, end_s, lost.get(name)), *_moves(its_poses, begin_s, end_s),
             *_doubts(dataset, name, end_s), *_clocks(mine, begin_s, end_s), *_missing(gaps, share),
         ]  # fmt: skip
         yield _row(site, name, reasons, share=share, gaps=gaps, recordings=mine)
     for name in sorted(lost.keys() - set(recordings["sensor"])):
         yield _row(site, name, [_Reason(NO_DATA, np.nan, tr(lost[name]))], share=0.0)
+
+
+def _lost(root: Path, site: str) -> dict[str, str]:
+    """Return the sensors of a site without a result in the newest run, and why."""
+    run = read_run(root / RESULTS / site)
+    city = (read_run(root).get("sites") or {}).get(site) or {}
+    failed = {each["what"]: each["message"] for each in city.get("failures") or []}
+    named = {str(each["name"]) for each in (run.get("site") or {}).get("sensor") or []}
+    told = {name: Text(failed[name]).removeprefix(f"{name}: ") for name in named & failed.keys()}
+    return told | lost_sensors(run)
 
 
 def _row(
@@ -177,11 +187,15 @@ def _observed_s(dataset: Dataset, span: tuple[int, int]) -> dict[str, float]:
     return {str(n): float(v) for n, v in (most.groupby("sensor").sum() * STEP_S).items()}
 
 
-def _silence(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:
+def _silence(
+    recordings: pd.DataFrame, begin_s: float, end_s: float, why: str | None
+) -> Iterator[_Reason]:
     last_s = float(recordings.loc[recordings["first_time"] < end_s, "last_time"].max())
     if end_s - last_s > SILENT_S:
         text = tr("silent all month") if last_s < begin_s else tr("silent up to the end")
         yield _Reason(SILENT, last_s, f"{text} ({seconds_text(end_s - max(last_s, begin_s))})")
+        if why is not None:  # what came was refused
+            yield _Reason(SILENT, last_s, tr(why))
 
 
 def _poses(dataset: Dataset, recordings: pd.DataFrame) -> pd.DataFrame:

@@ -191,8 +191,8 @@ def run_city(
     ):
         run = CitySteps(city=city, root=root, sites=sites, workers=workers, reporter=reporter)
         run.update(run.make_hours(run.register()))
-        run.write_page()
         _write_record(run)
+        run.write_page()  # it says what failed
     return CityRun(city=city, root=Path(root), sites=sites)
 
 

@@ -18,6 +18,7 @@ import pandas as pd
 from gis_radar.base import (
     GisRadarError,
     InputError,
+    NoAnswerError,
     Reporter,
     atomic_write,
     json_text,
@@ -31,6 +32,7 @@ from gis_radar.site import (
     Sensor,
     Site,
     convert_stage,
+    error_in_site_words,
     measure_stage,
     prepare_site,
     read_site,
@@ -257,10 +259,12 @@ def _measured(site: Site, task: SiteTask) -> dict[str, GisRadarError]:
     figures = measure_stage(
         **stage.arguments, outputs=[task.dataset], reporter=task, only=False, before_hour=0
     )
-    return {
-        name: InputError("{}", message, hint=figures["hints"][name])
-        for name, message in figures["refused"].items()
-    }
+    refused = dict[str, GisRadarError]()
+    for name, message in figures["refused"].items():
+        kind = NoAnswerError if name in figures["implausible"] else InputError
+        error = kind("{}", message, hint=figures["hints"][name])
+        refused[name] = error_in_site_words(error, site.timezone)
+    return refused
 
 
 def _damaged(sensor: Sensor, error: GisRadarError) -> list[Path]:

@@ -217,6 +217,9 @@ def measure(
     given = _given(sources, book, tiles, map, cycles, settings, timezone, reporter)
     if check:
         given = _checked(given, accept, reporter)
+    for each in given.entries:
+        for line in given.sources[each.path].track.vague(each.first_time, each.last_time):
+            reporter.warn(line)
     folder = Path(folder)
     with writing(folder, reporter):
         if only and Manifest.is_there(folder) and Manifest.read(folder) != given.manifest:

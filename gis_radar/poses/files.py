@@ -36,6 +36,8 @@ TRACK_FIELDS = ("time", "sensor", "crs", *POSITION, *ANGLES, *QUATERNION_FIELDS,
                 "event", "vehicles", "fitness")  # fmt: skip
 NUMBERS = {"vehicles": int, "fitness": float}  # evidence that is a number; all other is text
 DECIMALS = 6  # of metres and degrees
+# A pose of a track that is known no better than this, for so long, is told.
+VAGUE_M, VAGUE_DEG, VAGUE_S = 1.0, 1.0, 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +75,27 @@ class PoseTrack:
     def with_view(self, view: View) -> PoseTrack:
         """Return the same track with a view wherever a pose has none."""
         return replace(self, poses=tuple(pose.with_view(view) for pose in self.poses))
+
+    def vague(self, begin: float, end: float) -> Iterator[Text]:
+        """Yield a line for each minute or more, within two times, in which the pose is vague."""
+        sigmas = [pose.parsed_evidence().sigma for pose in self.poses]
+        off_m = np.array(
+            [math.hypot(s.get("easting", 0.0), s.get("northing", 0.0)) for s in sigmas]
+        )
+        off_deg = np.array([s.get("yaw", 0.0) for s in sigmas])
+        known = (off_m <= VAGUE_M) & (off_deg <= VAGUE_DEG)
+        borders = np.flatnonzero(np.diff(known, prepend=True, append=True))
+        times = np.clip(np.append(self.since, math.inf), begin, end)
+        for first, last in borders.reshape(-1, 2).tolist():
+            if len(known) > 1 and times[last] - times[first] >= VAGUE_S:
+                yield Text(
+                    "{}: from {} to {} its pose track is uncertain by {:.1f} m and {:.1f} deg: "
+                    "was it moved then? What is measured may lie in other lanes",
+                    self.sensor,
+                    *(iso_from_step(int(step)) for step in step_of(times[[first, last]])),
+                    float(off_m[first:last].max()),
+                    float(off_deg[first:last].max()),
+                )
 
     def write(self, path: str | Path) -> None:
         """Write the track as CSV, whole or not at all.

@@ -1,6 +1,7 @@
 from .check import SiteCheck, check_site
 from .execution import RunState
 from .live_table import BrokerTable, Duration, LiveTable, PageTable, SensorThingsTable, TopicWord
+from .messages import error_in_site_words
 from .plan import Stage, stages_of
 from .recipes import mask_scans, measure_recordings, see_tiles, split_map
 from .run import SiteRun, prepare_site, run_site
@@ -58,6 +59,7 @@ __all__ = [
     "Zone",
     "check_site",
     "convert_stage",
+    "error_in_site_words",
     "key",
     "mask_scans",
     "measure_recordings",

@@ -150,6 +150,21 @@ def test_a_sensor_of_the_site_file_that_never_came(tmp_path, source):
     assert table.iloc[0]["reasons"] == "R9.csv: no rows"
 
 
+def test_a_sensor_whose_recordings_were_refused_says_why(tmp_path, source):
+    """A mast was knocked: nothing of it comes into the dataset, and the page says so."""
+    write_site(tmp_path, "a", source, HOURS)
+    write_site(tmp_path, "b", source, [hour + 24 for hour in HOURS])
+    for site in "ab":
+        write_run(tmp_path, site, sensor=[{"name": "R1"}, {"name": "R9"}])
+    why = [{"what": name, "message": f"{name}: does not fit"} for name in ("R1", "R9", "10 UTC")]
+    record = {"sites": {"a": {"failures": why}, "b": {"failures": []}}}
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    known, table = states(tmp_path)
+    assert known == {("a", "R9"): "no data", ("a", "R1"): "silent", ("b", "R1"): "gaps"}
+    assert table["reasons"][0] == "does not fit"
+    assert table["reasons"][1].endswith("; does not fit")
+
+
 def test_a_sensor_taken_down_long_ago_is_not_listed(tmp_path, source):
     write_site(tmp_path, "a", source, HOURS, sensors={
         "old": [(DAY - 90 * 24, DAY - 80 * 24)], "R1": [(HOURS[0], HOURS[-1] + 1)],

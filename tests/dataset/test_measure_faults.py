@@ -188,7 +188,8 @@ def test_a_clock_that_jumps_by_more_than_a_day(tmp_path):
         tmp_path / "R1.parquet", "R1", 18.0, 22.0, edge_s=20.0,
         change=lambda t: t.assign(time=t["time"] + 2e5 * (t["time"] >= EDGE_S)),
     )  # fmt: skip
-    refused(tmp_path / "site", ("R1", path), match="its times jump from 2025-06-12T07:59:59")
+    error = refused(tmp_path / "site", ("R1", path), match="its times jump from 2025-06-12T07:59")
+    assert "recordings of different days one by one" in error.hint
 
 
 def test_other_tiles_and_other_settings(files, tmp_path):

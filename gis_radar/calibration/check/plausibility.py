@@ -264,7 +264,11 @@ def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> F
     return wrong(
         evidence,
         Text("from {} on it is another sensor's recording, or the sensor was moved", when),
-        Text("give each recording with the pose of its sensor and time"),
+        Text(
+            "give each recording with the pose of its sensor and time; {} follows one that was "
+            "moved, and its CSV goes wherever a pose goes",
+            "gis-radar track",
+        ),
     )
 
 

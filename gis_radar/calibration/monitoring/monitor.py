@@ -129,7 +129,10 @@ def track(
         if end is not None:
             follower.cycle(end)
     follower.finish(str(opened.path))
-    return track_of(problem, start, follower.rows)
+    found = track_of(problem, start, follower.rows)
+    for line in found.poses.vague(begin, follower.now.time):
+        reporter.warn(line)
+    return found
 
 
 def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detections, float | None]]:

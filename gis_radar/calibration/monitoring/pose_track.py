@@ -223,7 +223,7 @@ class Track:
         moves = sum(event.kind == MOVED for event in self.events)
         words = [
             f"{self.poses.sensor}: {len(self.poses.poses)} poses",
-            "never moved" if not moves else f"moved {moves} time{'s' * (moves > 1)}",
+            "no move noticed" if not moves else f"moved {moves} time{'s' * (moves > 1)}",
             f"at the end \u00b1 {across:.2f} m, yaw \u00b1 {sigma['yaw']:.2f} deg",
         ]
         return "; ".join(words)

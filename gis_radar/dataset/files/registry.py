@@ -406,7 +406,8 @@ def _refuse_gap(recording: Recording, last: float, then: float) -> None:
         recording.path,
         before,
         after,
-        hint="the sensor's clock was set: cut the recording there, or mend its times",
+        hint="convert and name recordings of different days one by one; or, if the sensor's clock "
+        "was set, cut it there",
     )
 
 

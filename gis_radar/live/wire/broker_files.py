@@ -21,13 +21,14 @@ from gis_radar.live.wire.settings import LiveSite, read_live_site
 
 CONFIG, ACCESS, PASSWORDS = "mosquitto.conf", "access", "passwords"
 COMPOSE, IMAGE = "compose.yaml", "Dockerfile"
-OWNED = (CONFIG, ACCESS, PASSWORDS, COMPOSE, IMAGE, "gis-radar-", "password_of_")
+# What begins with `server.` is of TLS, from elsewhere, and stays.
+OWNED = (CONFIG, ACCESS, PASSWORDS, COMPOSE, IMAGE, "gis-radar-", "password_of_", "server.")
 _ROUNDS, _SALT_BYTES = 101, 12  # as in Mosquitto's own mosquitto_passwd
 _HEADER_BYTES = 1024  # bytes of a message beside its content: topic and properties
 
 
 def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
-    """Write the files of a live site's broker; passwords are new each time.
+    """Write the files of a live site's broker; passwords that are there stay.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
     """
     site, place = read_live_site(path), Path(folder)
     users = [FUSION, *(each.name for each in site.sensor)]
-    known = {user: secrets.token_urlsafe(18) for user in users}
+    known = {user: _password(place / f"password_of_{user}") for user in users}
     with atomic_folder(place, owned=OWNED) as part:
         texts = {
             CONFIG: broker_config(site, place.resolve()),
@@ -61,7 +62,15 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
             file = part / name
             file.touch(mode=0o600 if name.startswith("password_of_") else 0o640)
             file.write_text(text, encoding="utf-8")
+        for each in place.glob("server.*"):
+            (part / each.name).hardlink_to(each)  # its owner and mode stay
     return sorted(place.iterdir())
+
+
+def _password(path: Path) -> str:
+    """Return a password that was written before, which its sensor has, or a new one."""
+    before = path.read_text(encoding="utf-8").strip() if path.is_file() else ""
+    return before or secrets.token_urlsafe(18)
 
 
 _CONFIG = """\
