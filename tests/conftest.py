@@ -232,6 +232,7 @@ def ready_workers(monkeypatch):
     )
     chosen = lambda method=None: forking if method == "spawn" else get_context(method)  # noqa: E731
     monkeypatch.setattr(multiprocessing, "get_context", chosen)
+    monkeypatch.setattr("gis_radar.live.hours.jobs.NICE", 0)  # beside other tests it would starve
 
 
 @pytest.fixture
@@ -240,6 +241,15 @@ def in_this_process(monkeypatch):
     from site_runs import in_a_thread
 
     monkeypatch.setattr("gis_radar.site.run.process_pool", in_a_thread)
+
+
+@pytest.fixture
+def all_fit():
+    """Let poses pass unchecked where a test looks at other things: half of the time of a run."""
+    from site_runs import unchecked
+
+    with unchecked():
+        yield
 
 
 @pytest.fixture

@@ -94,7 +94,7 @@ def bytes_of(dataset):
 
 
 @pytest.fixture
-def in_a_thread(monkeypatch):
+def in_a_thread(monkeypatch, all_fit):
     """Make the hours in a thread of this process: new processes load for seconds each."""
     monkeypatch.setattr(Processes, "begin", lambda _: ThreadPoolExecutor(1))
     monkeypatch.setattr(Processes, "end", lambda _, threads: threads.shutdown(cancel_futures=True))
