@@ -262,6 +262,15 @@ def blank_paper():
 
 
 @pytest.fixture
+def without_report():
+    """Leave the report of a run empty where a test looks at other results."""
+    from site_runs import no_report
+
+    with no_report():
+        yield
+
+
+@pytest.fixture
 def without_pdf(monkeypatch):
     """Leave the PDF of reports empty where a test looks at other files: it takes the most time."""
     writing = importlib.import_module(

@@ -438,7 +438,7 @@ def test_clocks_are_not_compared_without_a_common_view(checked, rows):
 
 
 def test_of_two_clocks_that_are_apart_a_run_keeps_one(
-    write, run, rows, tmp_path, in_this_process, blank_paper
+    write, run, rows, tmp_path, in_this_process, blank_paper, without_report
 ):
     """A map of one sensor is right; which of the two clocks is off is not known."""
     late = rows["R2"].assign(time=rows["R2"]["time"] + 1.0)

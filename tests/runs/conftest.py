@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from site_runs import in_a_thread, no_report, unchecked
+from site_runs import in_a_thread, unchecked
 from small_site import write_site
 
 import gis_radar as gr
@@ -35,10 +35,3 @@ def copied(small, tmp_path, in_this_process, all_fit):
     shutil.copytree(path.parent, tmp_path / "site")
     shutil.copytree(out, tmp_path / "out")
     return tmp_path / "site" / "SITE.toml", tmp_path / "out"
-
-
-@pytest.fixture
-def without_report():
-    """Leave the report empty where a test looks at other results."""
-    with no_report():
-        yield
