@@ -82,7 +82,9 @@ class Killing(Listener):
             raise KeyboardInterrupt
 
 
-def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(small, tmp_path, monkeypatch):
+def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(
+    small, tmp_path, monkeypatch, all_fit
+):
     path, unbroken, _ = small
     out = shutil.copytree(unbroken, tmp_path / "out")
     state = RunState(out / product.STATE / "state.json", out)
