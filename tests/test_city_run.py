@@ -17,6 +17,7 @@ from pathlib import Path
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+from fake_work import end_always, end_once
 from site_runs import unchecked
 from small_site import write_site
 
@@ -366,18 +367,6 @@ def test_two_runs_do_not_work_in_one_folder(site, tmp_path):
     locked = only_writer(root, lock=root / ".gis-radar" / "lock")
     with locked, pytest.raises(OutputError, match="another run"):
         gr.run_city(city, root)
-
-
-def end_once(marker):
-    """End the process of the worker, the first time."""
-    if not Path(marker).exists():
-        Path(marker).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return "done"
-
-
-def end_always():
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_killed_process_is_replaced(tmp_path):
