@@ -486,17 +486,17 @@ def test_a_sensor_that_is_turned_half_way_is_told(checked, rows):
 
 
 WRONGS = {
-    "R2": (as_it_is, lambda pose: replace(pose, yaw=pose.yaw + 180.0), "off by 180 deg"),
-    "R4": (lambda table: table.assign(y=-table["y"]), as_it_is, "left and right"),
-    "R6": (lambda table: table.assign(range_rate=table["range_rate"] * np.float32(3.6)),
+    "R4": (as_it_is, lambda pose: replace(pose, yaw=pose.yaw + 180.0), "off by 180 deg"),
+    "R6": (lambda table: table.assign(y=-table["y"]), as_it_is, "left and right"),
+    "R8": (lambda table: table.assign(range_rate=table["range_rate"] * np.float32(3.6)),
             as_it_is, "km/h"),
 }  # fmt: skip
 
 
-def test_of_seven_sensors_three_are_wrong(checked, run, rows, tmp_path):
+def test_of_eight_sensors_three_are_wrong(checked, run, rows, tmp_path):
     """All three are named, each with its cause and advice; the others go on."""
     sensors, rng = {}, np.random.default_rng(0)
-    for number in range(1, 8):
+    for number in range(1, 9):
         name, of = f"R{number}", ("R1", "R2")[number % 2]
         lasts_s = 20.0 if name in WRONGS else 12.0
         table = rows[of][rows[of]["time"] < rows[of]["time"].iloc[0] + lasts_s]
