@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from gis_radar.calibration import FITS, Finding
-from gis_radar.products.report.names import REPORT_FILES
+from gis_radar.products import REPORT_FILES
 
 writing = import_module("gis_radar.products.report.report")  # of this name there is also a function
 PAPER = (".png", ".pdf", "report.html")  # which holds pictures
