@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import cache
 
 import geopandas as gpd
 import numpy as np
@@ -56,7 +57,7 @@ def driven_hour(folder, *, every_s, speed=10.0, east_m=0.0):
 def draw_hour(source, target, hour):
     """Write an hour of a dataset's copy as another hour, all its times and numbers shifted."""
     later = hour - HOUR
-    record = read_hour(source.folder, HOUR)
+    record = read_hour(source, HOUR)
     shift = {
         "vehicle": later * 1_000_000, "step": later * STEPS_PER_HOUR,
         "first_step": later * STEPS_PER_HOUR, "last_step": later * STEPS_PER_HOUR,
@@ -65,7 +66,7 @@ def draw_hour(source, target, hour):
     with HourWriter(folder=target, hour=hour, origin=record.origin) as writer:
         for table in HOUR_TABLES:
             if table.name in record.parts:
-                rows = pq.read_table(part_path(source.folder, table, HOUR), partitioning=None)
+                rows = pq.read_table(part_path(source, table, HOUR), partitioning=None)
                 for name in set(shift) & set(rows.column_names):
                     values = rows[name].to_numpy() + shift[name]
                     rows = rows.set_column(
@@ -74,19 +75,26 @@ def draw_hour(source, target, hour):
                 writer.write(table, rows)
 
 
-def write_site(root, name, source, hours, *, sensors=None, clock_offset=0.0):
-    """Write a site of a city with drawn hours; `sensors` are spans of hours that each recorded."""
-    folder = root / f"site={name}"
-    shutil.copytree(source.folder, folder)
+@cache
+def drawn_hours(source, fingerprint, hours):
+    """Draw the hours of a site once for all that have the same; return their folder."""
+    folder = source.with_name(f"{source.name}-{hours[0]}-{len(hours)}")
+    shutil.copytree(source, folder)
     for part in ("hours", *(table.name for table in HOUR_TABLES), "tile_counts", "lane_measures",
                  "turns"):  # fmt: skip
         shutil.rmtree(folder / part, ignore_errors=True)
-    fingerprint = source.manifest.fingerprint
     for hour in hours:
         draw_hour(source, folder, hour)
     for hour in {each // 24 * 24: each for each in listed_hours(folder)}.values():
         TileCounts(folder=folder, fingerprint=fingerprint).update(hour)
         LaneTraffic(folder=folder, fingerprint=fingerprint).update(hour)
+    return folder
+
+
+def write_site(root, name, source, hours, *, sensors=None, clock_offset=0.0):
+    """Write a site of a city with drawn hours; `sensors` are spans of hours that each recorded."""
+    folder, fingerprint = root / f"site={name}", source.manifest.fingerprint
+    shutil.copytree(drawn_hours(source.folder, fingerprint, tuple(hours)), folder)
     sensors = sensors or {"R1": [(each, each + 1) for each in hours]}
     rows = [
         {key: of[0] for key, of in recordings_of({sensor}).items()}

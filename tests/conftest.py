@@ -232,6 +232,7 @@ def ready_workers(monkeypatch):
     )
     chosen = lambda method=None: forking if method == "spawn" else get_context(method)  # noqa: E731
     monkeypatch.setattr(multiprocessing, "get_context", chosen)
+    monkeypatch.setattr("gis_radar.live.hours.jobs.NICE", 0)  # beside other tests it would starve
 
 
 @pytest.fixture
@@ -243,11 +244,29 @@ def in_this_process(monkeypatch):
 
 
 @pytest.fixture
+def all_fit():
+    """Let poses pass unchecked where a test looks at other things: half of the time of a run."""
+    from site_runs import unchecked
+
+    with unchecked():
+        yield
+
+
+@pytest.fixture
 def blank_paper():
     """Leave pictures and the PDF empty where a test looks at other files."""
     from site_runs import only_pictures
 
     with only_pictures():
+        yield
+
+
+@pytest.fixture
+def without_report():
+    """Leave the report of a run empty where a test looks at other results."""
+    from site_runs import no_report
+
+    with no_report():
         yield
 
 

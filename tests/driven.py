@@ -48,7 +48,7 @@ def drive(vehicle, first_step, fronts, *, speed=10.0, lanelet_id=7, length=4.5, 
             "northing": 0.0,
             "heading": 0.0,
             "speed": speed,
-            "lanelet_id": pd.array([lanelet_id] * len(fronts), dtype="Int64"),
+            "lanelet_id": pd.array(np.full(len(fronts), lanelet_id), dtype="Int64"),
             "s_m": fronts,
             "d_m": 0.0,
             "seen": seen,
@@ -127,9 +127,8 @@ def _rows(states):
 def _vehicles(tracks, ends, length, width, p_heavy):
     count = len(ends)
     lanelets = np.empty(count, object)
-    for i, number in enumerate(ends.index):
-        mine = tracks.loc[tracks["vehicle"] == number, "lanelet_id"]
-        lanelets[i] = mine.dropna().unique().tolist()
+    for i, mine in enumerate(tracks.groupby("vehicle")["lanelet_id"].unique()):
+        lanelets[i] = mine.dropna().tolist()
     return {
         "vehicle": ends.index.to_numpy(), "first_step": ends["min"].to_numpy(),
         "last_step": ends["max"].to_numpy(), "length_m": np.full(count, length),

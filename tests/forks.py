@@ -59,12 +59,10 @@ def fork_lanes(line_m=LINE_M):
 def through(vehicle, first_step, exit_lane, *, by=0.5, begin=2.0):
     """Drive a car from the approach to an exit, so many metres a step."""
     fronts = np.arange(begin, 95.0, by)
-    parts = [
-        drive(vehicle, first_step, fronts[fronts < LINE_M], speed=20.0 * by, lanelet_id=APPROACH),
-        drive(vehicle, first_step, fronts[fronts >= LINE_M], speed=20.0 * by, lanelet_id=exit_lane),
-    ]
-    parts[1] = parts[1].assign(step=parts[1]["step"] + len(parts[0]), s_m=parts[1]["s_m"] - LINE_M)
-    return pd.concat(parts)
+    beyond = fronts >= LINE_M
+    lanes = np.where(beyond, exit_lane, APPROACH)
+    states = drive(vehicle, first_step, fronts, speed=20.0 * by, lanelet_id=lanes)
+    return states.assign(s_m=np.where(beyond, fronts - LINE_M, fronts))
 
 
 def fork_dataset(folder, tracks, **options):

@@ -6,12 +6,16 @@ import json
 import os
 from contextlib import contextmanager
 from importlib import import_module
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 from fake_stages import threads
 from matplotlib.figure import Figure
 from PIL import Image
+
+from gis_radar.calibration import FITS, Finding
+from gis_radar.products import REPORT_FILES
 
 writing = import_module("gis_radar.products.report.report")  # of this name there is also a function
 PAPER = (".png", ".pdf", "report.html")  # which holds pictures
@@ -42,6 +46,33 @@ def only_pictures(looked_at=""):
 
     with pytest.MonkeyPatch.context() as here:
         blank()
+        yield
+
+
+@contextmanager
+def unchecked():
+    """Let each recording fit its pose, without a look at either."""
+
+    def passed(sensors, *_given, **_options):
+        return tuple(Finding(sensor=name, verdict=FITS, evidence="") for name in sorted(sensors))
+
+    with pytest.MonkeyPatch.context() as here:
+        here.setattr("gis_radar.dataset.measuring.check_plausibility", passed)
+        yield
+
+
+@contextmanager
+def no_report():
+    """Leave all files of the report empty: its tables, pictures and page are half of a run."""
+
+    def empty(folder, **_options):
+        for name in REPORT_FILES:
+            (folder / name).touch()
+        told = {"found": [], "facts": {}, "basis": [[]], "lanes_named": [[]], "remarks": []}
+        return SimpleNamespace(summary=told)
+
+    with pytest.MonkeyPatch.context() as here:
+        here.setattr("gis_radar.products.write_report", empty)
         yield
 
 

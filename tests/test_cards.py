@@ -72,7 +72,7 @@ def made(tmp_path_factory, first_seconds):
     tiles = gr.make_tiles(roads)
     dataset = measure(
         [first_seconds(SAMPLE / "R1.parquet", 20)], [gr.read_pose(SAMPLE / "R1.json")], tiles, None,
-        tmp_path_factory.mktemp("cards") / "dataset", hits_only=True,
+        tmp_path_factory.mktemp("cards") / "dataset", hits_only=True, check=False,
     )  # fmt: skip
     return {
         "map": roads,

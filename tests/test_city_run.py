@@ -17,6 +17,8 @@ from pathlib import Path
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+from fake_work import end_always, end_once
+from site_runs import unchecked
 from small_site import write_site
 
 import gis_radar as gr
@@ -102,18 +104,27 @@ def bytes_of(dataset):
     }
 
 
-@pytest.fixture
-def in_a_thread(monkeypatch):
+@contextmanager
+def threads():
     """Make the hours in a thread of this process: new processes load for seconds each."""
-    monkeypatch.setattr(Processes, "begin", lambda _: ThreadPoolExecutor(1))
-    monkeypatch.setattr(Processes, "end", lambda _, threads: threads.shutdown(cancel_futures=True))
+    with pytest.MonkeyPatch.context() as here, unchecked():
+        here.setattr(Processes, "begin", lambda _: ThreadPoolExecutor(1))
+        here.setattr(Processes, "end", lambda _, pool: pool.shutdown(cancel_futures=True))
+        yield
+
+
+@pytest.fixture
+def in_a_thread():
+    with threads():
+        yield
 
 
 @pytest.fixture(scope="module")
 def whole(site, tmp_path_factory):
     """Make the dataset of the site by `measure`, in one piece."""
     folder = tmp_path_factory.mktemp("whole")
-    gr.run_city(city_file(folder, one=copied(site, folder / "one")), folder / "root", jobs=1)
+    with threads():
+        gr.run_city(city_file(folder, one=copied(site, folder / "one")), folder / "root", jobs=1)
     recordings = sorted((folder / "one").glob("R1_*.parquet"))[::-1]
     tiles = gr.read_tiles(folder / "root" / "results" / "one" / "tiles.gpkg")
     pose = gr.read_pose(folder / "root" / "results" / "one" / "sensors" / "R1" / "pose.json")
@@ -142,11 +153,12 @@ def test_only_new_hours_are_made(site, whole, tmp_path):
     left = dataset / "tile_counts" / "date=2020-01-01" / "day.parquet"  # by a killed withdrawal
     left.parent.mkdir()
     left.touch()
-    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
-    for hour in range(2, HOURS):
-        os.link(site / f"R1_{hour}.parquet", tmp_path / "one" / f"R1_{hour}.parquet")
     said = Said()
-    assert gr.run_city(city, tmp_path / "root", jobs=1, reporter=said).sites["one"].hours == 2
+    with threads():
+        assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
+        for hour in range(2, HOURS):
+            os.link(site / f"R1_{hour}.parquet", tmp_path / "one" / f"R1_{hour}.parquet")
+        assert gr.run_city(city, tmp_path / "root", jobs=1, reporter=said).sites["one"].hours == 2
     assert ("hours", 2, 2) in said.stages
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert not left.exists()
@@ -381,18 +393,6 @@ def test_two_runs_do_not_work_in_one_folder(site, tmp_path):
         gr.run_city(city, root)
 
 
-def end_once(marker):
-    """End the process of the worker, the first time."""
-    if not Path(marker).exists():
-        Path(marker).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return "done"
-
-
-def end_always():
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
 def test_a_killed_process_is_replaced(tmp_path):
     said = Said()
     calls = {"killed": (end_once, tmp_path / "marker"), "other": (os.path.basename, "a/b")}
@@ -530,10 +530,8 @@ def test_a_cluster_makes_the_same_bytes(site, whole, tmp_path):
     assert made == wanted
 
 
-def test_hours_of_a_cluster_start_no_processes_of_their_own():
-    with started() as cluster, workers_of(cluster.address, None, Said()) as workers:
-        assert workers.share(1) == 1  # Dask's workers may have no children
-    with workers_of(None, 4, Said()) as workers:
+def test_hours_share_the_processes_of_this_machine():
+    with threads(), workers_of(None, 4, Said()) as workers:
         assert [workers.share(tasks) for tasks in (0, 1, 3, 9)] == [4, 4, 1, 1]
 
 
@@ -541,6 +539,7 @@ def test_a_run_goes_on_where_a_worker_is_killed_and_the_scheduler_restarted(tmp_
     said, done = Said(), []
     calls = dict.fromkeys(range(24), (time.sleep, 0.3))
     with started() as cluster, workers_of(cluster.address, None, said) as workers:
+        assert workers.share(1) == 1  # Dask's workers may have no children
         for number, _ in workers.results(calls):
             done.append(number)
             if len(done) == 3:

@@ -294,14 +294,19 @@ def is_own(node):
     return ast.unparse(node.value) in {"self", "cls", "super()"}
 
 
+def called(node):
+    """Return the last name of what a call calls."""
+    return getattr(node.func, "attr", getattr(node.func, "id", ""))
+
+
 def private_in(node, own):
     """Yield the private names of others that a node imports, takes or sets."""
     names = []
-    if isinstance(node, ast.Attribute) and not (is_own(node) and node.attr in own):
+    if isinstance(node, ast.Attribute) and not (node.attr in own and is_own(node)):
         names = [node.attr]
     elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("gis_radar"):
         names = [*node.module.split("."), *(alias.name for alias in node.names)]
-    elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("attr"):
+    elif isinstance(node, ast.Call) and called(node).endswith("attr"):
         texts = [each.value for each in node.args[:2] if isinstance(each, ast.Constant)]
         names = [name for each in map(str, texts) for name in each.split(".")["." in each :]]
     yield from filter(is_private, names)

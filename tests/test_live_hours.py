@@ -36,6 +36,8 @@ pytestmark = pytest.mark.usefixtures("ready_workers")
 HOUR = 486_111  # since 1970: 2025-06-15T15Z
 FULL_US = (HOUR + 1) * HOUR_US  # the full hour after it
 NAMES = ("R1", "R2")
+# The check of poses, of which some tests are, takes longer than to measure.
+measure_hours = partial(make_hours, check=lambda *_: ())
 
 
 class Clock:
@@ -51,7 +53,7 @@ class Clock:
         return self.now_s
 
 
-def recorded_at(made, begin_us, names=NAMES, *, seconds=40.0):
+def recorded_at(made, begin_us, names=NAMES, *, seconds=10.0):
     for name in names:
         made.add(name, frames_at(name, begin_us, seconds=seconds))
     return made.spool.closed
@@ -74,7 +76,7 @@ def test_an_hour_is_made_once_with_what_follows_it_and_equals_the_batch(tmp_path
     made = SpooledSite(tmp_path, vehicles=True)
     clock = Clock(end_of_hour_s(HOUR) + 20.0)
     monkeypatch.setattr(hour_work, "time", clock)
-    done = make_hours(made.site, recorded_at(made, FULL_US - 8_000_000, seconds=12.0), [HOUR])
+    done = measure_hours(made.site, recorded_at(made, FULL_US - 8_000_000, seconds=12.0), [HOUR])
     assert [text for text in done.said if "not measured" in text] == []
     assert list(read_hours(made.site.dataset)) == [HOUR]
     first = made.parts("15")
@@ -83,7 +85,7 @@ def test_an_hour_is_made_once_with_what_follows_it_and_equals_the_batch(tmp_path
     stamps = {path: path.stat().st_mtime_ns for path in made.site.dataset.glob("*/date=*/15.*")}
     clock.now_s += 3600.0
     late_us = FULL_US + CUT_US + 5_000_000
-    make_hours(made.site, recorded_at(made, late_us, seconds=5.0), [HOUR + 1])
+    measure_hours(made.site, recorded_at(made, late_us, seconds=5.0), [HOUR + 1])
     assert list(read_hours(made.site.dataset)) == [HOUR, HOUR + 1]
     assert {path: path.stat().st_mtime_ns for path in stamps} == stamps  # not made again
     assert len(gr.open_dataset(made.site.dataset).continued()) > 0
@@ -92,7 +94,7 @@ def test_an_hour_is_made_once_with_what_follows_it_and_equals_the_batch(tmp_path
 
 def test_a_pose_that_does_not_fit_is_named_each_hour(tmp_path):
     made = SpooledSite(tmp_path)
-    spooled = recorded_at(made, FULL_US - 45_000_000)
+    spooled = recorded_at(made, FULL_US - 45_000_000, seconds=40.0)
     assert make_hours(made.site, spooled, [HOUR]).doubts == {"R1": None, "R2": None}
     (pose,) = (made.folder / "recordings" / "R1").glob("*.json")
     table = json.loads(pose.read_text())
@@ -110,7 +112,7 @@ def test_a_check_that_fails_loses_nothing_of_the_hour(tmp_path):
         raise np.linalg.LinAlgError("singular")
 
     made = SpooledSite(tmp_path)
-    spooled = recorded_at(made, FULL_US - 45_000_000, ["R1"])
+    spooled = recorded_at(made, FULL_US - 45_000_000, ["R1"], seconds=40.0)
     done = make_hours(made.site, spooled, [HOUR], check=fail)
     assert list(read_hours(made.site.dataset)) == [HOUR]
     assert done.doubts == {}
@@ -119,9 +121,9 @@ def test_a_check_that_fails_loses_nothing_of_the_hour(tmp_path):
 
 def test_an_hour_that_is_made_again_says_nothing_of_the_pose_of_now(tmp_path):
     made = SpooledSite(tmp_path)
-    later = recorded_at(made, FULL_US + HOUR_US - 45_000_000, ["R1"])
+    later = recorded_at(made, FULL_US + HOUR_US - 45_000_000, ["R1"], seconds=40.0)
     assert make_hours(made.site, later, [HOUR + 1]).doubts == {"R1": None}
-    late = recorded_at(made, FULL_US - 45_000_000, ["R1"])
+    late = recorded_at(made, FULL_US - 45_000_000, ["R1"], seconds=40.0)
     done = make_hours(made.site, late, [HOUR])
     assert (done.doubts, done.unchecked) == ({}, {})
     assert list(read_hours(made.site.dataset)) == [HOUR, HOUR + 1]
@@ -129,7 +131,7 @@ def test_an_hour_that_is_made_again_says_nothing_of_the_pose_of_now(tmp_path):
 
 def test_a_map_that_is_gone_keeps_its_hour_from_being_measured_and_checked(tmp_path):
     made = SpooledSite(tmp_path)
-    spooled = recorded_at(made, FULL_US - 20_000_000)
+    spooled = recorded_at(made, FULL_US - 5_000_000)
     done = make_hours(replace(made.site, map=tmp_path / "gone.osm"), spooled, [HOUR])
     assert "gone.osm" in done.not_measured[HOUR]
     assert done.doubts == {}
@@ -137,9 +139,9 @@ def test_a_map_that_is_gone_keeps_its_hour_from_being_measured_and_checked(tmp_p
 
 def test_frames_that_come_late_make_their_hour_again(tmp_path):
     made = SpooledSite(tmp_path)
-    make_hours(made.site, recorded_at(made, FULL_US - 20_000_000, ["R1"]), [HOUR])
+    measure_hours(made.site, recorded_at(made, FULL_US - 5_000_000, ["R1"]), [HOUR])
     alone = made.parts()
-    make_hours(made.site, recorded_at(made, FULL_US - 20_000_000, ["R2"]), [HOUR])
+    measure_hours(made.site, recorded_at(made, FULL_US - 5_000_000, ["R2"]), [HOUR])
     assert made.parts() != alone
     assert gr.open_dataset(made.site.dataset).sensors == ["R1", "R2"]
     assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
@@ -164,7 +166,7 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     again = take_up(made.site, [])
     assert again.quarters[0].lanes.equals(found.lanes)
     assert again.hours == [HOUR]
-    done = make_hours(made.site, [], [HOUR])
+    done = measure_hours(made.site, [], [HOUR])
     assert not folder.exists()
     tiles = gr.read_tiles(made.site.tiles)
     (by_hour,) = read_quarters(gr.open_dataset(made.site.dataset), tiles, [quarter])
@@ -186,24 +188,24 @@ def test_a_quarter_stays_until_its_hour_is_measured(tmp_path, monkeypatch):
     make_quarter(made.site, made.spool.closed, quarter)
     (folder,) = (made.folder / "provisional").iterdir()
     made.add("R2", same)  # one recording for two sensors: the hour cannot be measured
-    assert HOUR in make_hours(made.site, made.spool.closed, [HOUR]).not_measured
+    assert HOUR in measure_hours(made.site, made.spool.closed, [HOUR]).not_measured
     assert folder.exists()
     monkeypatch.setattr(hour_work, "time", Clock(end_of_hour_s(HOUR + 25) + 20.0))
-    make_hours(made.site, [], [])
+    measure_hours(made.site, [], [])
     assert not folder.exists()
 
 
 def test_an_hour_that_cannot_be_measured_is_named_and_holds_no_other_up(tmp_path):
     made = SpooledSite(tmp_path)
-    recorded_at(made, FULL_US - 20_000_000, ["R1"])
-    same = frames_at("R1", FULL_US - 20_000_000, seconds=40.0)
+    recorded_at(made, FULL_US - 5_000_000, ["R1"])
+    same = frames_at("R1", FULL_US - 5_000_000, seconds=10.0)
     made.add("R2", same)  # the same frames for two sensors
     recorded_at(made, FULL_US + 2 * HOUR_US)
-    done = make_hours(made.site, made.spool.closed, [HOUR, HOUR + 2])
+    done = measure_hours(made.site, made.spool.closed, [HOUR, HOUR + 2])
     assert list(done.not_measured) == [HOUR]
     assert "those of R1" in done.not_measured[HOUR]
     assert list(read_hours(made.site.dataset)) == [HOUR + 3]
-    make_hours(replace(made.site, keep_s=1.0), [], [])  # what is measured is old and goes
+    measure_hours(replace(made.site, keep_s=1.0), [], [])  # what is measured is old and goes
     there = {path.stem for path in (made.folder / "recordings").glob("*/*.parquet")}
     assert there == {recording_path(made.folder, "R1", HOUR).stem}
 
@@ -211,25 +213,25 @@ def test_an_hour_that_cannot_be_measured_is_named_and_holds_no_other_up(tmp_path
 def test_hours_that_wait_are_measured_side_by_side_and_equal_the_batch(tmp_path):
     """With an hour that is refused, too."""
     made = SpooledSite(tmp_path, processes=2)
-    recorded_at(made, FULL_US - 20_000_000)
+    recorded_at(made, FULL_US - 5_000_000)
     spooled = recorded_at(made, FULL_US + 2 * HOUR_US)
-    make_hours(made.site, spooled, [HOUR, HOUR + 1, HOUR + 2, HOUR + 3])
+    measure_hours(made.site, spooled, [HOUR, HOUR + 1, HOUR + 2, HOUR + 3])
     assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
-    same = frames_at("R1", FULL_US + 5 * HOUR_US, seconds=40.0)
+    same = frames_at("R1", FULL_US + 5 * HOUR_US, seconds=10.0)
     for name in NAMES:
         made.add(name, same)
-    done = make_hours(made.site, recorded_at(made, FULL_US + 7 * HOUR_US), [HOUR + 5, HOUR + 7])
+    done = measure_hours(made.site, recorded_at(made, FULL_US + 7 * HOUR_US), [HOUR + 5, HOUR + 7])
     assert list(done.not_measured) == [HOUR + 5]
     assert HOUR + 8 in read_hours(made.site.dataset)
 
 
 def test_what_comes_after_its_recording_was_removed_spoils_no_hour(tmp_path):
     made = SpooledSite(tmp_path)
-    frames = frames_at("R1", FULL_US - 20_000_000, seconds=40.0)
-    make_hours(made.site, made.add("R1", frames[:-20]), [HOUR])
+    frames = frames_at("R1", FULL_US - 5_000_000, seconds=10.0)
+    measure_hours(made.site, made.add("R1", frames[:-20]), [HOUR])
     before = made.parts()
     recording_path(made.folder, "R1", HOUR).unlink()
-    done = make_hours(made.site, made.add("R1", frames[-20:]), [HOUR])
+    done = measure_hours(made.site, made.add("R1", frames[-20:]), [HOUR])
     assert any("came after its recording was removed" in text for text in done.said)
     assert made.parts() == before
 
@@ -238,9 +240,9 @@ def test_frames_of_a_sensor_that_left_the_site_are_measured_all_the_same(tmp_pat
     """They were acknowledged; the hour is not taken up at each start."""
     made = SpooledSite(tmp_path)
     alone = replace(made.site, sensors=("R1",))
-    spooled = recorded_at(made, FULL_US - 20_000_000)
+    spooled = recorded_at(made, FULL_US - 5_000_000)
     assert take_up(alone, spooled).hours == [HOUR]
-    make_hours(alone, [], [HOUR])
+    measure_hours(alone, [], [HOUR])
     assert gr.open_dataset(made.site.dataset).sensors == ["R1", "R2"]
     assert take_up(alone, []).hours == []
     assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
@@ -248,7 +250,7 @@ def test_frames_of_a_sensor_that_left_the_site_are_measured_all_the_same(tmp_pat
 
 def test_a_dataset_of_other_tiles_or_settings_is_refused(tmp_path):
     made = SpooledSite(tmp_path)
-    make_hours(made.site, recorded_at(made, FULL_US - 20_000_000), [HOUR])
+    measure_hours(made.site, recorded_at(made, FULL_US - 5_000_000), [HOUR])
     tiles = gr.read_tiles(made.site.tiles)
     refuse_other_settings(made.site, tiles, None)
     with pytest.raises(InputError, match="tiles"):
@@ -343,7 +345,7 @@ class JobsHere(HourJobs):
 
 def test_what_an_earlier_run_left_is_taken_up_again_after_a_failure(tmp_path, pool, monkeypatch):
     made = SpooledSite(tmp_path)
-    recorded_at(made, FULL_US - 20_000_000, ["R1"])
+    recorded_at(made, FULL_US - 5_000_000, ["R1"])
     monkeypatch.setattr(jobs_module, "AGAIN_S", 0.0)
     jobs = HourJobs(made.site, Quarters(), process=lambda: pool, reporter=Lines())
     jobs.take_up(made.spool.closed)
@@ -462,7 +464,7 @@ def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):
 @pytest.mark.parametrize("idle", [False, True])
 def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, monkeypatch, idle):
     made, said, pools = SpooledSite(tmp_path), Lines(), []
-    recorded_at(made, FULL_US - 20_000_000)
+    recorded_at(made, FULL_US - 5_000_000)
 
     def process():
         pools.append(ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")))

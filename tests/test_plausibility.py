@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from maps import Listener
+from site_runs import no_report
 
 import gis_radar as gr
 from gis_radar.base import UsageError
@@ -213,7 +214,8 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     there.write(mixed_up / "R2.json")
     site = mixed_up / "SITE.toml"
     site.write_text(site.read_text().replace(f"{SAMPLE / 'R2'}.json", "R2.json"))
-    code, _, err = run("run", site, "-o", mixed_up / "out")
+    with no_report():
+        code, _, err = run("run", site, "-o", mixed_up / "out")
     assert code == 4
     assert "no result for R2" in err
     assert "yaw is off by 180 deg" in err
@@ -243,7 +245,9 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     assert checks["R2"] in events[-1]["summary"]["remarks"]
 
 
-def test_a_run_shows_what_it_doubts(run, mixed_up, rows, in_this_process, blank_paper, monkeypatch):
+def test_a_run_shows_what_it_doubts(
+    run, mixed_up, rows, in_this_process, blank_paper, without_report, monkeypatch
+):
     for name, file in (("R1", "A"), ("R2", "B")):
         rows[name].to_parquet(mixed_up / f"{file}.parquet", index=False)
     replace(POSES["R2"], northing=POSES["R2"].northing + 1.0).write(mixed_up / "R2.json")

@@ -264,11 +264,18 @@ def test_gps_time_knows_the_leap_seconds_of_its_day(tmp_path, date, ahead):
     assert laspy.read(tmp_path / "hits.las").gps_time[0] == since + ahead - 1e9
 
 
-def test_detections_lie_on_the_lanes_as_shapely_measures_them():
+@pytest.fixture(scope="module")
+def on_lanes():
+    """The detections of a sensor of the sample on its lanes, its pose, and the map."""
     sample = gr.sample_folder()
     known = gr.read_pose(sample / "R1.json")
     roads = gr.read_map(sample / "junction.osm", crs=known.crs)
-    placed = gr.project(sample / "R1.parquet", known, roads=roads).iloc[::97]
+    return gr.project(sample / "R1.parquet", known, roads=roads), known, roads
+
+
+def test_detections_lie_on_the_lanes_as_shapely_measures_them(on_lanes):
+    placed, _, roads = on_lanes
+    placed = placed.iloc[::97]
     on = placed[placed["lanelet_id"].notna()]
     assert len(on) > 200
     centres = roads.lanelets.set_index("lanelet_id")["centre"]
@@ -287,12 +294,9 @@ def test_detections_lie_on_the_lanes_as_shapely_measures_them():
     assert not shapely.within(off.geometry.array, driven.buffer(-0.3)).any()
 
 
-def test_the_speed_along_the_lane_is_that_of_the_range_rate():
-    sample = gr.sample_folder()
-    known = gr.read_pose(sample / "R1.json")
-    roads = gr.read_map(sample / "junction.osm", crs=known.crs)
-    placed = gr.project(sample / "R1.parquet", known, roads=roads).dropna(subset=["speed_along"])
-    placed = placed.iloc[::211]
+def test_the_speed_along_the_lane_is_that_of_the_range_rate(on_lanes):
+    placed, known, roads = on_lanes
+    placed = placed.dropna(subset=["speed_along"]).iloc[::211]
     centres = roads.lanelets.set_index("lanelet_id")["centre"]
     for _, row in placed.iterrows():
         centre = centres[row["lanelet_id"]]

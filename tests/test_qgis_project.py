@@ -118,7 +118,13 @@ def results(tmp_path_factory):
     problems = tiles.iloc[:0][["lanelet_id", "geometry"]].assign(action="", reason="")
     gr.write_tiles(tiles, folder / "tiles.gpkg", problems=problems)
     dataset = measure(
-        [sample / "R1.parquet"], [known], tiles, None, folder / "dataset", hits_only=True
+        [sample / "R1.parquet"],
+        [known],
+        tiles,
+        None,
+        folder / "dataset",
+        hits_only=True,
+        check=False,
     )
     gr.make_heatmap(dataset, interval="20s").write(folder / "heatmap")
     write_site_project(folder)

@@ -22,7 +22,7 @@ from gis_radar.cli import group
 
 FIRST = HOUR // 24 * 24 - 13 * 24  # 2023-11-01, 0 h
 MONTH = "2023-11"
-HOURS = [FIRST + 24 * day + hour for day in range(4) for hour in (7, 8, 17)]  # Wednesday on
+HOURS = [FIRST + 24 * day + hour for day in range(4) for hour in (7, 17)]  # Wednesday on
 BEFORE = [hour - 28 * 24 for hour in HOURS]  # the same weekdays of October
 PHONE = 390
 
@@ -33,7 +33,7 @@ def write_city(root):
     slow = driven_hour(root / "slow", every_s=15.0, speed=5.0, east_m=900.0)
     city = root / "city"
     write_site(city, "Adlerweg", busy, [*BEFORE, *HOURS])
-    spans = {"R1": [(hour, hour + 1) for hour in [*BEFORE, *HOURS[:6]]],
+    spans = {"R1": [(hour, hour + 1) for hour in [*BEFORE, *HOURS[:4]]],
              "R2": [(hour, hour + 1) for hour in [*BEFORE, *HOURS]]}  # fmt: skip
     write_site(city, "Birkenallee", slow, [*BEFORE, *HOURS], sensors=spans)
     write_site(city, "Buchenplatz", slow, BEFORE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from site_runs import in_a_thread
+from site_runs import in_a_thread, unchecked
 from small_site import write_site
 
 import gis_radar as gr
@@ -19,7 +19,7 @@ def small(once):
     def unbroken(folder):
         (folder / "site").mkdir()
         path, poses = write_site(folder / "site")
-        with pytest.MonkeyPatch.context() as here:
+        with pytest.MonkeyPatch.context() as here, unchecked():
             here.setattr(product, "process_pool", in_a_thread)
             done = gr.run_site(path, folder / "out")
         assert done.failure is None
@@ -29,7 +29,7 @@ def small(once):
 
 
 @pytest.fixture
-def copied(small, tmp_path, in_this_process):
+def copied(small, tmp_path, in_this_process, all_fit):
     """A copy of the site and of its results, to be changed."""
     path, out, _ = small
     shutil.copytree(path.parent, tmp_path / "site")

@@ -24,6 +24,7 @@ from site_runs import (
     change,
     done_by,
     in_a_thread,
+    no_report,
     only_pictures,
     results,
     same,
@@ -39,7 +40,7 @@ from gis_radar.site import run as product
 from gis_radar.site.execution import discard
 
 
-def test_a_run_leaves_a_project_that_was_edited(copied, blank_paper):
+def test_a_run_leaves_a_project_that_was_edited(copied, without_report):
     path, out = copied
     project, state = out / "site.qgz", out / ".gis-radar"
     with zipfile.ZipFile(project) as archive:
@@ -81,7 +82,9 @@ class Killing(Listener):
             raise KeyboardInterrupt
 
 
-def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(small, tmp_path, monkeypatch):
+def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(
+    small, tmp_path, monkeypatch, all_fit
+):
     path, unbroken, _ = small
     out = shutil.copytree(unbroken, tmp_path / "out")
     state = RunState(out / product.STATE / "state.json", out)
@@ -208,7 +211,7 @@ def test_a_sensor_without_an_answer_and_one_with_bad_data(small, copied):
     third = '\n[[sensor]]\nname = "R3"\nrecordings = "R3.parquet"\nguess = [677990, 5403610]\n'
     path.write_text(text + third)
     words = ["run", str(path), "-o", str(out), "--jobs", "1", "--json"]
-    with only_pictures():
+    with only_pictures(), no_report():
         answer = CliRunner().invoke(group, words)
     assert isinstance(answer.exception, gr.NoAnswerError)
     assert "no result for R3; the heat maps show R1, R2 only" in answer.exception.message
@@ -219,7 +222,7 @@ def test_a_sensor_without_an_answer_and_one_with_bad_data(small, copied):
     assert not (out / "sensors" / "R3").exists()
     assert list(gpd.read_file(out / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1", "R2"]
     path.write_text(text + third + third.replace("R3", "R4"))
-    with only_pictures():
+    with only_pictures(), no_report():
         done = gr.run_site(path, out, jobs=1)
     assert type(done.failure) is gr.InputError
     assert "R4.parquet" in done.failure.message
@@ -232,7 +235,9 @@ def test_a_sensor_without_an_answer_and_one_with_bad_data(small, copied):
     same(out, small[1], but=PAPER)
 
 
-def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied, blank_paper):
+def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(
+    copied, blank_paper, without_report
+):
     path, out = copied
     text = path.read_text()
     path.write_text(text[: text.rindex("[[sensor]]")].replace('"10s"', '"15s"'))
@@ -271,7 +276,8 @@ def test_what_is_added_is_measured_alone_and_as_if_all_were_measured_anew(copied
     after_all = ["measure", "heat map", "QGIS project", "report"]
     hour = out / "dataset" / "hours" / "2023-11-14" / "22.json"
     add_recording(path.parent, 1, later_s=2798.0)  # over the hour: 22:59:58 to 23:00:02
-    assert sorted(done_by(gr.run_site(path, out))) == sorted(after_all)
+    with no_report():
+        assert sorted(done_by(gr.run_site(path, out))) == sorted(after_all)
     made = hour.stat().st_mtime_ns
     add_recording(path.parent, 2, later_s=7200.0)  # after midnight
     added = gr.run_site(path, out)
@@ -299,7 +305,9 @@ def test_a_pose_is_searched_again_only_where_it_was_not_found(copied, blank_pape
     assert state.kept(more) is None
 
 
-def test_what_is_set_for_measuring_counts_and_repeats_no_localization(copied, blank_paper):
+def test_what_is_set_for_measuring_counts_and_repeats_no_localization(
+    copied, blank_paper, without_report
+):
     """A stage depends on what it reads and on its own settings, on no others."""
     path, out = copied
     change(path, "max_range_m = 150.0", "max_range_m = 120.0")

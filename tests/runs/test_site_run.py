@@ -70,7 +70,7 @@ def test_the_project_shows_the_sensors_of_the_heat_map(small):
     assert stage["outputs"] == ["sensors.gpkg", "sight.gpkg", "site.qgz"]
 
 
-def test_single_vehicles_are_shown_by_choice(copied, blank_paper):
+def test_single_vehicles_are_shown_by_choice(copied, blank_paper, without_report):
     path, out = copied
     text = path.read_text(encoding="utf-8")
     for chosen in (True, False):
@@ -103,7 +103,7 @@ def test_what_was_in_effect_is_beside_the_results(small):
     assert "R2_0.parquet: 99.9 %" in summary
 
 
-def test_what_stands_elsewhere_is_a_warning(small, copied):
+def test_what_stands_elsewhere_is_a_warning(small, copied, without_report):
     """A scan check that doubts is no failure; it is in pose, picture, figures and summary."""
     path, out = copied
     scan = laspy.read(path.parent / "scan_1.laz")
@@ -167,7 +167,9 @@ def test_the_report_shows_occupancy_and_its_tables_hits_beside_it(small):
     assert about.subject == "Traffic occupancy report"
 
 
-def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(copied, blank_paper):
+def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(
+    copied, blank_paper, without_report
+):
     path, out = copied
     path.write_text(path.read_text() + HITS_ALONE)
     done = gr.run_site(path, out)
@@ -177,7 +179,9 @@ def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(copied, blank_pa
     assert not (out / "heatmap" / "heatmap.tif").exists()
 
 
-def test_recordings_without_range_rates_leave_heat_maps_of_hits(copied, blank_paper):
+def test_recordings_without_range_rates_leave_heat_maps_of_hits(
+    copied, blank_paper, without_report
+):
     path, out = copied
     for each in path.parent.glob("R2_*.parquet"):
         pd.read_parquet(each).assign(range_rate=np.float32(np.nan)).to_parquet(each)
@@ -191,7 +195,9 @@ def test_recordings_without_range_rates_leave_heat_maps_of_hits(copied, blank_pa
     assert set(states(again).values()) == {"kept"}
 
 
-def test_a_given_pose_with_a_bad_covariance_stops_its_sensor_alone(copied, blank_paper):
+def test_a_given_pose_with_a_bad_covariance_stops_its_sensor_alone(
+    copied, blank_paper, without_report
+):
     path, out = copied
     pose = path.parent / "R2.json"
     told = json.loads(pose.read_text()) | {"covariance": [[1.0]]}
@@ -204,7 +210,9 @@ def test_a_given_pose_with_a_bad_covariance_stops_its_sensor_alone(copied, blank
     assert (out / "site.qgz").is_file()
 
 
-def test_a_track_and_a_road_that_are_there(small, tmp_path, in_this_process, blank_paper):
+def test_a_track_and_a_road_that_are_there(
+    small, tmp_path, in_this_process, all_fit, blank_paper, without_report
+):
     path, out, _ = small
     folder = tmp_path / "site"
     shutil.copytree(path.parent, folder)
