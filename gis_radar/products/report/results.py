@@ -155,9 +155,7 @@ def lost_sensors(run: Mapping[str, Any]) -> dict[str, str]:
         refused = (stage.get("figures") or {}).get("refused") or {}
         errors |= {n: Text(why).removeprefix(f"{n}: ") for n, why in refused.items()}
     names = [str(each["name"]) for each in (run.get("site") or {}).get("sensor") or []]
-    return {
-        name: errors.get(name, "see summary.md") for name in names if shown and name not in shown
-    }
+    return {name: errors.get(name, "see run.json") for name in names if shown and name not in shown}
 
 
 def read_results(folder: Path, dataset: Path | None = None) -> Results:
