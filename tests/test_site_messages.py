@@ -72,8 +72,7 @@ def test_every_key_is_one():
      (Text("set {}", Text("the view's max_range_m or {}", "--max-range")),
       "set max_range_m in [sensor.view]", None),
      # a command to type keeps its options
-     ("is the pose off? gis-radar sight --recording lists the tiles",
-      "is the pose off? gis-radar sight --recording lists the tiles", None),
+     ("try: gis-radar track --pose POSE", "try: gis-radar track --pose POSE", None),
      (Text("no frame from {} on", "2025-06-12T07:30Z"),
       "no frame from 2025-06-12 09:30 UTC+02:00 on", None),
      (Text("{}: {}", "R1", Text("fits")), "R1: fits", "R1: passt"),

@@ -170,14 +170,6 @@ sight_scans = click.option(
     "--scan", "scans", metavar="SCAN.laz", type=FILE, multiple=True,
     help="What stands in it hides tiles (LAS, LAZ, COPC); whole, not masked; repeatable.",
 )  # fmt: skip
-sight = in_order(
-    sight_scans,
-    scan_crs,
-    click.option(
-        "--sight", metavar="SIGHT.gpkg", type=FILE,
-        help="What sensors see, from gis-radar sight, in place of --scan.",
-    ),
-)  # fmt: skip
 view = in_order(
     click.option(
         "--max-range", "max_range_m", type=float, help="Range of poses without a view, m."

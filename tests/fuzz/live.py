@@ -44,7 +44,7 @@ from gis_radar.live import (
 )
 from gis_radar.live.wire.outbox import ONLINE, status_message
 from gis_radar.measures import FrameCounter
-from gis_radar.scans import SightFile, SightTiles, find_sight, write_sights
+from gis_radar.scans import SightTiles
 
 STREAM, BEGIN_US = b"abcd", 1_700_000_000_000_000
 MESSAGES = ("status", "pose", "detections")  # in the order in which they come
@@ -119,8 +119,6 @@ def build(folder: Path) -> None:
     (folder / "password").write_text("secret\n")
     (folder / "SENSOR.toml").write_text(SENSOR)
     (folder / "LIVE.toml").write_text((folder / "SITE.toml").read_text() + LIVE)
-    tiles = gr.read_tiles(folder / "tiles.gpkg")
-    write_sights([find_sight(pose, road)], tiles, folder / "sight.gpkg")
 
 
 @cache
@@ -269,10 +267,3 @@ def sensor_file(folder: Path) -> None:
 def live_site(folder: Path) -> None:
     """Read the file of a live site."""
     read_live_site(folder / "LIVE.toml").address()
-
-
-def sight(folder: Path) -> None:
-    """Read a file of sight."""
-    found = SightFile(folder / "sight.gpkg", _road(folder))
-    found.read([gr.read_pose(folder / "R1.json")])
-    assert found.digest

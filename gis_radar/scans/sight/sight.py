@@ -49,8 +49,8 @@ from gis_radar.scans.sight.tiles import SightTiles
 
 OUT_OF_VIEW, IN_SIGHT, HIDDEN = 0, 1, 2
 STATES = ("out of view", "in sight", "hidden")
-NOTHING, STANDING, GROUND, DECK, NOT_IN_SCAN = 0, 1, 2, 3, 4
-HIDERS = ("", "something that stands", "the ground", "a deck", "something not in the scan")
+NOTHING, STANDING, GROUND, DECK = 0, 1, 2, 3
+HIDERS = ("", "something that stands", "the ground", "a deck")
 VIEW_ONLY = "view only"
 
 METHOD = 1  # raised whenever the same scan, tiles and pose would give another sight
@@ -87,8 +87,7 @@ class Sight:
     state : (n,) uint8 array
         `OUT_OF_VIEW`, `IN_SIGHT` or `HIDDEN` for each.
     hider : (n,) uint8 array
-        Obstacle that hides a tile: `NOTHING`, `STANDING`, `GROUND`, `DECK`, or `NOT_IN_SCAN`, as a
-        recording shows.
+        Obstacle that hides a tile: `NOTHING`, `STANDING`, `GROUND` or `DECK`.
     hidden_at_m : (n,) array
         Horizontal distance from the sensor to the obstacle's begin, metres; NaN without one.
     uncovered : (n,) bool array

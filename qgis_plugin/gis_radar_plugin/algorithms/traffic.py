@@ -116,11 +116,6 @@ class MeasureTraffic(WorkerAlgorithm):
         shared.TILES,
         replace(shared.MAP, about="The map that the tiles were made from."),
         shared.SCANS,
-        File(
-            "SIGHT", "Sight",
-            "What sensors see, from 'What sensors see', in place of the scans.",
-            optional=True, advanced=True, kinds="GeoPackages (*.gpkg)",
-        ),
         shared.SCAN_CRS,
         Switch(
             "HITS_ONLY", "Hits only",
