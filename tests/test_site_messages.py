@@ -15,13 +15,12 @@ from tools.catalogue import PACKAGE, told, trees
 
 KEYS_OF = PACKAGE / "site" / "messages.py"
 # Of `gis-radar run` itself, and of commands that no run calls.
-IMAGE = {"--build-arg", "--no-install-recommends", "--no-cache-dir"}  # of a Dockerfile
 ASKING = {"--timeout", "--memory", "--relink", "--withdraw", "--schema"}  # of a dataset
 TRAFFIC = {"--interval", "--counts", "--sections"}  # of gis-radar traffic
 WITHOUT_MAP = {"--map", "--hits-only"}  # each site file has a map
 OWN = {"--fresh", "--jobs", "--template", "--layer", "--version", "--stdin"}
 CITY = {"--city-template", "--executor", "--nthreads"}  # of a city's run, and of its workers
-OTHERS = CITY | IMAGE | ASKING | TRAFFIC | WITHOUT_MAP | OWN
+OTHERS = CITY | ASKING | TRAFFIC | WITHOUT_MAP | OWN
 
 
 def options_named():
