@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import secrets
 import time
-from collections.abc import Iterable
 from concurrent.futures import Future
 from contextlib import ExitStack
 from functools import partial
@@ -17,7 +16,6 @@ import numpy as np
 from gis_radar.base import (
     QUIET,
     STEP_S,
-    STEP_US,
     GisRadarError,
     InputError,
     NoAnswerError,
@@ -38,7 +36,7 @@ from gis_radar.live.hours.quarters import Quarters, share_of
 from gis_radar.live.hours.recent import RecentCounts
 from gis_radar.live.hours.spool import Spool, SpoolFile, spool_files
 from gis_radar.live.intake import Intake, SensorState
-from gis_radar.live.now.map_of_now import MapOfNow, MapState, Seen, Windows
+from gis_radar.live.now.map_of_now import MapOfNow, MapState, Windows
 from gis_radar.live.now.vehicles_now import LiveVehicles, layer_of
 from gis_radar.live.served.lane_push import LanePush
 from gis_radar.live.served.snapshot import place_of
@@ -67,8 +65,6 @@ COMMIT_MESSAGES = 200  # messages of a sensor that are committed sooner: a fast 
 SPOOL_BYTES = 1 << 28  # size from which the spool goes on in another file
 SAID_S = 600.0  # least time between two logs of one error: a disk stays full for hours
 SPOOL, NOW_FILE, PUSH_FILE = "spool", "now.gpkg", "sensorthings.json"
-COUNTS_FILE = "counts.npz"
-RESUMED_US = 900_000_000  # newest frames that a restart counts again: 15 min, as the page shows
 
 
 class Fusion:
@@ -114,11 +110,7 @@ class Fusion:
             len(road.tile_id), interval=interval_steps(site.live.interval),
             pushed=interval_steps(pushed.interval),
         )  # fmt: skip
-        self._fingerprint = road.fingerprint
-        self.counts.restore(folder / COUNTS_FILE, road.fingerprint, reporter)
-        self._windows = Windows(
-            site.live.lateness, closed=self.counts.step if self.counts.step >= 0 else None
-        )
+        self._windows = Windows(site.live.lateness)
         self._spool = Spool(folder / SPOOL)
         self.intake = Intake(
             names, spool=self._spool, road=road, scan=scan,
@@ -131,16 +123,7 @@ class Fusion:
         self._disk: Future[bool] | None = None
         self._session = secrets.token_hex(4)
         self._committed = self._exported = time.monotonic()
-        self._resume()
-
-    def _resume(self) -> None:
-        """Resume from the spool, and continue in a new file of it."""
-        now_us = int(time.time() * 1e6)
-        begin_us = max((self.counts.step + 1) * STEP_US, now_us - RESUMED_US)
-        files = [SpoolFile(path) for path in spool_files(self._site.folder / SPOOL)]
-        self.intake.resume(files, begin_us)
-        held_s = max(self._map.holds_s.values(), default=0.0)
-        self._advance(self._windows.close_open(now_us, held_s))
+        self.intake.resume([SpoolFile(path) for path in spool_files(folder / SPOOL)])
         self._spool.rotate()
 
     @property
@@ -209,7 +192,7 @@ class Fusion:
                     link.publish(own, status_message(ONLINE), retain=True)
                     for each in self.sensors.values():
                         each.due = bool(each.stream)
-                self._advance(self._windows.close(int(time.time() * 1e6)))
+                self.advance(int(time.time() * 1e6))
                 self._take(link)
                 self._regular()
             self._finish()
@@ -251,8 +234,9 @@ class Fusion:
                 self._commit()
             message = link.take(0.0)
 
-    def _advance(self, steps: Iterable[tuple[int, dict[str, Seen]]]) -> None:
-        for step, frames in steps:
+    def advance(self, now_us: int) -> None:
+        """Count the steps that are over by now, microseconds since 1970."""
+        for step, frames in self._windows.close(now_us):
             state = self._map.take(step, frames)
             ended = self.counts.take(step, state.hit, state.observed)
             if ended is not None and self._push is not None:
@@ -357,7 +341,7 @@ class Fusion:
             self._exporting.result()
 
     def _export(self) -> None:
-        """Replace the files for QGIS, and the counts for a new start."""
+        """Replace the file for QGIS."""
         state = self.state()
         hit_s, observed_s = (STEP_S * each for each in self.counts.since_begin())
         table = self.tiles[["tile_id", "lanelet_id", "geometry"]].assign(
@@ -372,7 +356,6 @@ class Fusion:
             )  # fmt: skip
         path = self._site.folder / NOW_FILE
         try:
-            self.counts.keep(self._site.folder / COUNTS_FILE, self._fingerprint)
             with output_errors(path), atomic_write(path) as part:
                 table.to_file(part, layer="now", driver="GPKG", engine="pyogrio")
                 if self.vehicles is not None:

@@ -196,7 +196,7 @@ def kept_spool(folder: Path) -> None:
     with _copied(folder, "spool") as path:
         spool = Spool(path.parent / "more")
         intake = _intake(folder, spool)
-        intake.resume([SpoolFile(path)], BEGIN_US)
+        intake.resume([SpoolFile(path)])
         spool.rotate()
         _deliver(intake, folder)
         spool.close()
