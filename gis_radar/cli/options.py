@@ -120,7 +120,6 @@ BEARING = Parsed("BEARING", _bearing)  # degrees clockwise from true north, or a
 WORDS = Parsed("a,b,...", _words)
 PAIRS = Parsed("a=A,b=B,...", _pairs)  # values by name
 DURATION = Parsed("DURATION", _duration)  # seconds; a bare number is seconds, too
-CLOCKS = Parsed("auto|FILE", lambda text: text if text == "auto" else Path(text))
 CYCLES = Parsed("SENSOR=TIME,...", _cycles)  # seconds from frame to frame, by sensor
 
 
@@ -186,8 +185,8 @@ frame_times = in_order(
         "it.",
     ),
     click.option(
-        "--clocks", metavar="auto|FILE", type=CLOCKS,
-        help="Correct the sensors' clocks: by a file from gis-radar clocks, or as found here.",
+        "--clocks", type=FILE,
+        help="Correct the sensors' clocks by a file from gis-radar clocks.",
     ),
 )  # fmt: skip
 accept = click.option(

@@ -23,12 +23,8 @@ from gis_radar.base import (
 from gis_radar.poses import PoseTrack
 
 if TYPE_CHECKING:
-    import geopandas as gpd
-
     from gis_radar.calibration import SensorClock
     from gis_radar.dataset import Dataset
-
-AUTO = "auto"  # offsets of clocks are measured in the recordings
 
 
 def split_map(
@@ -136,11 +132,11 @@ def _names_one(message: str, paths: Sequence[Path]) -> bool:
 def measure_recordings(
     recordings: Sequence[Path], tracks: Sequence[PoseTrack], tile_file: Path,
     map_file: Path | None, output: Path, *, filters: Mapping[str, Any],
-    clocks: str | Path | None, reporter: Reporter, processes: int | None = None, **options: Any,
+    clocks: Path | None, reporter: Reporter, processes: int | None = None, **options: Any,
 ) -> Dataset:  # fmt: skip
-    """Measure recordings, with the clocks of a file or, for `auto`, measured here.
+    """Measure recordings, with the clocks of a file; return the dataset.
 
-    It returns the dataset. Options are those of :func:`gis_radar.measure`.
+    Options are those of :func:`gis_radar.measure`.
     """
     from gis_radar.base import workers_here
     from gis_radar.dataset import measure
@@ -148,7 +144,7 @@ def measure_recordings(
     from gis_radar.measures import Filters
 
     kept, tiles = Filters(**filters), read_tiles(tile_file)
-    known = {} if clocks is None else _clocks(clocks, recordings, tracks, tiles, reporter)
+    known = {} if clocks is None else _clocks(clocks, tracks, reporter)
     return measure(
         recordings, tracks, tiles, map_file, output,
         filters=kept, clocks=known, processes=processes or workers_here(), reporter=reporter,
@@ -186,23 +182,11 @@ def see_tiles(
     return {each.pose.sensor: each.figures() for each in found}
 
 
-def _clocks(
-    source: str | Path, recordings: Sequence[Path], tracks: Sequence[PoseTrack],
-    tiles: gpd.GeoDataFrame, reporter: Reporter,
-) -> dict[str, SensorClock]:  # fmt: skip
-    """Return clocks from a file, or measured in recordings; warn of sensors without one."""
-    from gis_radar.calibration import measure_clocks, read_clocks
+def _clocks(path: Path, tracks: Sequence[PoseTrack], reporter: Reporter) -> dict[str, SensorClock]:
+    """Return the clocks of a file; warn of sensors without one."""
+    from gis_radar.calibration import read_clocks
 
-    if source == AUTO:
-        found = measure_clocks(recordings, tracks, tiles, reporter=reporter)
-        for sensor, text in found.figures().items():
-            line = Text("clock of {}: {}", sensor, text)
-            if sensor == "reference":
-                line = Text("clocks are corrected to that of {}", text)
-            reporter.log(line)
-        clocks = dict(found.clocks)
-    else:
-        clocks = read_clocks(source)
+    clocks = read_clocks(path)
     for sensor in sorted({track.sensor for track in tracks} - clocks.keys()):
         reporter.warn("the clock of {} is not corrected: its offset is not known", sensor)
     return clocks

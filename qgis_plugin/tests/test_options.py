@@ -161,11 +161,11 @@ WORDS = {
         {**PAIRED, "MAP": OSM, "SCANS": [SCAN], "SCAN_CRS": UTM,
          "HITS_ONLY": True, "ACCEPT": "R1", "CLEARANCE": "-0.5,4.5", "MIN_SPEED": 0.5,
          "ELEVATION_ERROR": 1, "MAX_RANGE": 250, "AZIMUTH": 100, "ELEVATION": 25.5,
-         "CYCLE": "R1=150ms", "CLOCKS": "auto", "JOBS": 2},
+         "CYCLE": "R1=150ms", "CLOCKS": "c.json", "JOBS": 2},
         ["measure", R1, "--pose", POSE, "--tiles", GPKG, "--map", OSM, "--scan", SCAN,
          "--scan-crs", UTM, "--hits-only", "--accept", "R1", "--clearance",
          "-0.5,4.5", "--min-speed", "0.5", "--elevation-error", "1", "--max-range", "250",
-         "--azimuth", "100", "--elevation", "25.5", "--cycle", "R1=150ms", "--clocks", "auto",
+         "--azimuth", "100", "--elevation", "25.5", "--cycle", "R1=150ms", "--clocks", "c.json",
          "--jobs", "2", "-o", "OUT"],
     ),
     "heatmap": (

@@ -150,7 +150,7 @@ class MeasureTraffic(WorkerAlgorithm):
         ),
         Text(
             "CLOCKS", "Clocks",
-            "Corrects clocks that are off: a file from 'Compare clocks', or the word auto.",
+            "Corrects clocks that are off: a file from 'Compare clocks'.",
         ),
         replace(shared.TIMEZONE, about="The site's, such as Europe/Berlin; UTC without."),
         Number("JOBS", "Processes at once", "As cores and memory allow, without it."),
@@ -202,12 +202,6 @@ class ShowDetections(WorkerAlgorithm):
     PARAMETERS = (
         shared.RECORDING,
         shared.POSE,
-        replace(
-            shared.MAP, optional=True,
-            about="Adds the lane of each detection, where on it that lies, and how fast it moves "
-            "along it.",
-        ),
-        shared.ORIGIN,
         Output(
             "OUTPUT", "Detections",
             kinds="GeoPackages (*.gpkg);;Point clouds (*.laz);;Tables (*.parquet)",
