@@ -29,7 +29,7 @@ from gis_radar.base import (
 )
 from gis_radar.hdmap import lane_graph, read_tiles
 from gis_radar.live.background import in_background
-from gis_radar.live.health import prometheus_text, serve_metrics
+from gis_radar.live.health import prometheus_text
 from gis_radar.live.hours.hour_work import MeasuredSite, refuse_other_settings
 from gis_radar.live.hours.jobs import HourJobs
 from gis_radar.live.hours.quarters import Quarters, share_of
@@ -175,7 +175,6 @@ class Fusion:
             will=(own, status_message(OFFLINE)), reporter=self._reporter,
         )  # fmt: skip
         self.link = link
-        server = serve_metrics(live.health, self.metrics) if live.health else None
         if self._page is not None:
             self._reporter.log(Text("the page is at {}", self._page.open()))
         self._export()  # the first takes long, before frames come
@@ -199,8 +198,6 @@ class Fusion:
         finally:
             gc.unfreeze()
             link.close(own, status_message(OFFLINE))
-            if server is not None:
-                server.close()
             if self._page is not None:
                 self._page.close()
             self.close()

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
-from maps import EAST, NORTH
 
 import gis_radar as gr
 from gis_radar.base import QUIET
@@ -48,11 +47,10 @@ from gis_radar.scans import SightTiles
 
 STREAM, BEGIN_US = b"abcd", 1_700_000_000_000_000
 MESSAGES = ("status", "pose", "detections")  # in the order in which they come
-SENSOR = f"""sensor = "R1"
+SENSOR = """sensor = "R1"
 site = "junction"
 tiles = "tiles.gpkg"
-guess = [{EAST:.1f}, {NORTH:.1f}]
-heading = 10.0
+pose = "R1.json"
 road = "road.laz"
 [source]
 address = "udp://224.0.2.2:42102"
@@ -73,7 +71,6 @@ tiles = "tiles.gpkg"
 lateness = "200ms"
 interval = "15min"
 broker = { address = "mqtt://127.0.0.1:1883", password_file = "password" }
-health = "127.0.0.1:9464"
 [live.page]
 address = "127.0.0.1:8080"
 names = ["traffic.example"]
