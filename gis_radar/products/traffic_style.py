@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from functools import cache
-from importlib.resources import files
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 from xml.sax.saxutils import escape
 
-from jinja2 import Environment, StrictUndefined, Template
-
 from gis_radar.base import tr
+from gis_radar.products.heatmap.style import qml_template
 
 VOLUMES = "volume_veh_h"
 BREAKS = (0.0, 50.0, 100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 1e6)  # of lanes, veh/h
@@ -69,16 +67,7 @@ def class_style(column: str, classes: Iterable[LineClass]) -> str:
 
 
 def _filled(**content: Any) -> str:
-    return _template().render(**content) + "\n"
-
-
-@cache
-def _template() -> Template:
-    text = files("gis_radar.products").joinpath("lines.qml.jinja").read_text(encoding="utf-8")
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.from_string(text)
+    return qml_template(Path(__file__).parent / "lines.qml.jinja").render(**content)
 
 
 def _tip(layer: str) -> str:
