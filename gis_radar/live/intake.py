@@ -163,7 +163,7 @@ class Intake:
         The windows of the map of now, to which frames are added.
     oldest_s : float
         Largest age of a frame, seconds.
-    scan : SightScan or SightFile, optional
+    scan : SightScan or KeptSight, optional
         Scan of what hides tiles.
     reporter : Reporter
         Receives a line when a problem begins.

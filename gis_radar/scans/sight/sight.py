@@ -135,7 +135,7 @@ class Sight:
 
 
 class SightSource(Protocol):
-    """A source of sight: scans, or a file of sight."""
+    """A source of sight: scans, or a folder of sights that were found before."""
 
     def read(self, poses: Sequence[Pose]) -> None:
         """Read, in one pass, what the sights of these poses need."""
@@ -317,9 +317,9 @@ def find_sight(
     tiles : GeoDataFrame or SightTiles
         The tiles, in the pose's CRS. Where the road's height is unknown, that of the scan's ground
         counts; without a scan, any elevation is in view.
-    source : path or sequence of paths, SightScan, KeptSight or SightFile, optional
-        Airborne scans, whole and not masked, or what keeps them for several poses, or a file that
-        holds sight; without it, sight is the view alone.
+    source : path or sequence of paths, SightScan or KeptSight, optional
+        Airborne scans, whole and not masked, or what keeps them for several poses; without it,
+        sight is the view alone.
     scan_crs : CRS, str or int, optional
         Coordinate system of scans that do not state it.
 
