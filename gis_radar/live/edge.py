@@ -17,7 +17,6 @@ from gis_radar.live.own_pose import Followed, PoseFollower, rounded, view_of
 from gis_radar.live.wire.broker import Link, SensorTopics
 from gis_radar.live.wire.buffer import DiskBuffer
 from gis_radar.live.wire.detections import DetectionSelector, FrameDetections, pack_detections
-from gis_radar.live.wire.first_run import compile_first, run_sensor_once
 from gis_radar.live.wire.outbox import OFFLINE, Outbox, status_message
 from gis_radar.live.wire.payload import PoseContent, in_parts, key_of_pose
 from gis_radar.live.wire.settings import EdgeFile, read_edge_file
@@ -83,7 +82,6 @@ class Edge:
             If the source cannot be read.
         """
         file = self._file
-        compile_first(run_sensor_once, stop, self._reporter)
         topics = SensorTopics(file.site, file.sensor)
         most = int(file.buffer.megabytes * 1e6)
         with DiskBuffer(

@@ -41,7 +41,6 @@ from gis_radar.live.now.vehicles_now import LiveVehicles, layer_of
 from gis_radar.live.served.lane_push import LanePush
 from gis_radar.live.served.snapshot import place_of
 from gis_radar.live.wire.broker import FUSION, Link, SensorTopics
-from gis_radar.live.wire.first_run import NOT_COMPILED, compile_first, run_fusion_once
 from gis_radar.live.wire.outbox import OFFLINE, ONLINE, status_message
 from gis_radar.live.wire.payload import DETECTIONS, POSE, Acknowledgement
 from gis_radar.live.wire.settings import LiveSite, read_live_site
@@ -58,7 +57,6 @@ if TYPE_CHECKING:
 
 TAKEN_AT_ONCE = 500  # most messages between two looks at the clock
 WAIT_S = 0.01  # longest wait for a message
-READY_S = 0.1
 # Between two commits: a kill costs a second of messages, which the sensors send again.
 COMMIT_S = 1.0
 COMMIT_MESSAGES = 200  # messages of a sensor that are committed sooner: a fast replay does not wait
@@ -164,9 +162,9 @@ class Fusion:
             Event that stops it.
         """
         live = self._site.live
-        compile_first(run_fusion_once, stop, self._reporter)
         self._jobs.take_up(self._spool.closed)
-        self._make_vehicles_ready(stop)
+        if self.vehicles is not None:
+            self.vehicles.make_ready()
         topics = SensorTopics(live.site, "+")
         own = SensorTopics(live.site, FUSION).of("status")
         link = Link(
@@ -209,16 +207,6 @@ class Fusion:
         self._jobs.stop()
         self._spool.close()
         self._held.close()
-
-    def _make_vehicles_ready(self, stop: Event) -> None:
-        """Start the process that follows the vehicles of now, and wait until it is ready."""
-        if self.vehicles is None or stop.is_set():
-            return
-        ready = self.vehicles.make_ready()
-        while not (ready.done() or stop.wait(READY_S)):
-            pass
-        if ready.done() and (error := ready.exception()) is not None:
-            self._reporter.warn(NOT_COMPILED.format(error))
 
     def _take(self, link: Link) -> None:
         message = link.take(WAIT_S)
