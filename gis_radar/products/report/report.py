@@ -82,7 +82,6 @@ from gis_radar.products.report.results import (
     Results,
     read_results,
     sensor_table,
-    write_sensor_table,
 )
 from gis_radar.products.report.sources import made_by, settings_of, sources_of
 from gis_radar.products.report.traffic import (
@@ -281,7 +280,6 @@ def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], ob
         names.PAPER: lambda path: write_pdf(content, path),
         names.LANES: lambda path: write_lanes(path, found.table, clock, heat.measure),
         names.LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, found.lanes, clock),
-        names.SENSORS: lambda path: write_sensor_table(path, found.results),
     }
     if quality is not None:
         writers[names.QUALITY] = quality.write_rows
