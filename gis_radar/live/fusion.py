@@ -36,7 +36,7 @@ from gis_radar.live.hours.quarters import Quarters, share_of
 from gis_radar.live.hours.recent import RecentCounts
 from gis_radar.live.hours.spool import Spool, SpoolFile, spool_files
 from gis_radar.live.intake import Intake, SensorState
-from gis_radar.live.now.map_of_now import MapOfNow, MapState, Windows
+from gis_radar.live.now.map_of_now import MapOfNow, MapState, Seen, Windows
 from gis_radar.live.now.vehicles_now import LiveVehicles, layer_of
 from gis_radar.live.served.lane_push import LanePush
 from gis_radar.live.served.snapshot import place_of
@@ -222,10 +222,13 @@ class Fusion:
     def advance(self, now_us: int) -> None:
         """Count the steps that are over by now, microseconds since 1970."""
         for step, frames in self._windows.close(now_us):
-            state = self._map.take(step, frames)
-            ended = self.counts.take(step, state.hit, state.observed)
-            if ended is not None and self._push is not None:
-                self._push.take(*ended)
+            self._count(step, frames)
+
+    def _count(self, step: int, frames: dict[str, Seen]) -> None:
+        state = self._map.take(step, frames)
+        ended = self.counts.take(step, state.hit, state.observed)
+        if ended is not None and self._push is not None:
+            self._push.take(*ended)
 
     def _regular(self) -> None:
         """Do what is due by the clock: commit, acknowledge, measure, write files."""
