@@ -209,14 +209,13 @@ class Parts:
         yield aimed("profile of a month, s", min(each["query_s"] for each in answers), 0.5)
 
     def projected(self) -> Iterator[Figure]:
-        """Detections in the map, as `project` writes them with lanes."""
+        """Detections in the map, as `project` writes them."""
         for site in sites():
             pose, recording = true_pose(site, "R1"), site / "R1.parquet"
             path = self.folder / f"{site.name}.parquet"
-            roads = gr.read_map(next(site.glob("*.osm")), crs=pose.crs)
-            write_projection(recording, pose, path, roads=roads)
+            write_projection(recording, pose, path)
             times = path.stat().st_size / recording.stat().st_size
-            what = f"`project` in GeoParquet with lanes, {site.name}"
+            what = f"`project` in GeoParquet, {site.name}"
             yield aimed(what, times, 2.0, unit="x the recording", chance=SAME)
 
     def memory(self) -> Iterator[Figure]:

@@ -24,7 +24,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -217,15 +217,14 @@ class TimedFusion(Fusion):
         super()._finish()
         self.finish_s = time.monotonic() - begin
 
-    def _advance(self, steps: Iterable[tuple[int, dict[str, Seen]]]) -> None:
-        for step, frames in steps:
-            super()._advance([(step, frames)])
-            now_us = time.time() * 1e6
-            begin_us = step * STEP_US
-            for name in frames:
-                phase = phase_us(name, len(self.sensors))
-                age_ms = int((now_us - begin_us - phase) / 1e3)
-                self.ages[min(max(age_ms, 0), MOST_MS)] += 1
+    def _count(self, step: int, frames: dict[str, Seen]) -> None:
+        super()._count(step, frames)
+        now_us = time.time() * 1e6
+        begin_us = step * STEP_US
+        for name in frames:
+            phase = phase_us(name, len(self.sensors))
+            age_ms = int((now_us - begin_us - phase) / 1e3)
+            self.ages[min(max(age_ms, 0), MOST_MS)] += 1
 
 
 def fuse(folder: Path) -> None:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 from typing import Any
 
-from gis_radar.base import QUIET, Reporter, atomic_write
+from gis_radar.base import QUIET, Reporter
 from gis_radar.poses import ANGLES, Pose, read_pose
 from gis_radar.sample import sample_folder
-
-ERRORS = "pose_errors.csv"
 
 
 def run_demo(
@@ -22,8 +19,7 @@ def run_demo(
     Parameters
     ----------
     folder : str or Path
-        Where the results of :func:`gis_radar.run_site` go, among them the QGIS project `site.qgz`,
-        and `pose_errors.csv`.
+        Where the results of :func:`gis_radar.run_site` go, among them the QGIS project `site.qgz`.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -47,9 +43,7 @@ def run_demo(
         )
         for sensor in done.site.sensor
     }
-    _write(errors, folder / ERRORS)
-    figures = {**done.figures(), "errors_of_the_poses": errors}
-    return [*done.outputs, folder / ERRORS], figures
+    return done.outputs, {**done.figures(), "errors_of_the_poses": errors}
 
 
 def pose_errors(found: Pose, true: Pose) -> dict[str, float]:
@@ -68,11 +62,3 @@ def pose_errors(found: Pose, true: Pose) -> dict[str, float]:
     }
     errors = {"2D_m": flat_m, "height_m": found.height - true.height, **turned}
     return {name: round(value, 3) for name, value in errors.items()}
-
-
-def _write(errors: dict[str, dict[str, float]], path: Path) -> None:
-    with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
-        columns = ["sensor", *next(iter(errors.values()))]
-        writer = csv.DictWriter(file, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({"sensor": name, **each} for name, each in errors.items())

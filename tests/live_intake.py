@@ -46,7 +46,7 @@ def frame(time_us, *, x=30.0):
 class FedIntake:
     """An intake and its spool, fed message by message."""
 
-    def __init__(self, folder, *, names=("R1",), reporter=None, begin_us=NOW_US):
+    def __init__(self, folder, *, names=("R1",), reporter=None):
         self.folder, self.spool = folder, Spool(folder / "spool")
         files = [SpoolFile(path) for path in spool_files(folder / "spool")]
         given = {} if reporter is None else {"reporter": reporter}
@@ -57,7 +57,7 @@ class FedIntake:
             counter=FrameCounter(ROAD), windows=self.windows,
             oldest_s=3 * 86_400.0, **given,
         )  # fmt: skip
-        self.intake.resume(files, begin_us)
+        self.intake.resume(files)
         self.spool.rotate()
         self.sensor = self.intake.sensors[names[0]]
 

@@ -15,7 +15,7 @@ from gis_radar.poses import View
 from gis_radar.products import Report, make_heatmap
 
 FILES = [
-    "lanes.csv", "lanes_by_interval.csv", "quality.csv", "report.html", "report.pdf", "sensors.csv",
+    "lanes.csv", "lanes_by_interval.csv", "quality.csv", "report.html", "report.pdf",
 ]  # fmt: skip
 HOSTILE = "<script>alert(1)</script>"
 FORMULA = "=1+1"

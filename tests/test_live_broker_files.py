@@ -1,7 +1,6 @@
-"""What `--broker-files` writes: Mosquitto and systemd find no fault in it, compose is YAML."""
+"""What `--broker-files` writes: Mosquitto and systemd find no fault in it."""
 
 import errno
-import os
 import shutil
 import stat
 import subprocess
@@ -9,7 +8,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
 from live_programs import Lines
 from live_site import LONGEST_S, LiveSite, needs_mosquitto, wait_for
 
@@ -73,26 +71,6 @@ def test_systemd_finds_no_fault_in_the_units(site):
     )  # fmt: skip
     said = [line for line in done.stderr.splitlines() if "gis-radar" in line]
     assert (done.returncode, said) == (0, [])
-
-
-def test_the_compose_file_names_what_is_there(site):
-    folder = (site.folder / "broker").resolve()
-    found = yaml.safe_load((folder / "compose.yaml").read_text())
-    assert found["name"] == "gis-radar-junction"
-    broker, fusion = found["services"]["broker"], found["services"]["fusion"]
-    assert broker["command"] == ["mosquitto", "-c", str(folder / "mosquitto.conf")]
-    assert fusion["command"] == ["gis-radar", "live", "SITE.toml"]
-    assert fusion["working_dir"] == str(site.folder.resolve())
-    assert "ro" in broker["volumes"][0]
-    kept = Path(fusion["environment"]["NUMBA_CACHE_DIR"])  # all else is read only there
-    assert kept.is_relative_to(site.folder.resolve())
-    image = (folder / "Dockerfile").read_text()
-    assert image.count("\nRUN ") == 2
-    copied = [line for line in image.splitlines() if line.startswith(("COPY", "ADD"))]
-    assert copied == ["COPY Dockerfile *.whl /build/"]  # not every builder reads .dockerignore
-    user = "1000:1000" if os.getuid() == 0 else f"{os.getuid()}:{os.getgid()}"
-    assert {each["user"] for each in (broker, fusion)} == {user}
-    assert (folder / "Dockerfile.dockerignore").read_text() == "*\n!Dockerfile\n!*.whl\n"
 
 
 @needs_mosquitto

@@ -41,20 +41,6 @@ def test_sums_are_those_of_the_steps(gaps, seed):
     assert found == {each: sums(each, 18_000) for each in last if any(sums(each, 18_000)[1])}
 
 
-def test_a_new_start_goes_on_with_what_was_kept_for_the_same_tiles(tmp_path):
-    counts, path = RecentCounts(2, interval=100), tmp_path / "counts.npz"
-    some = np.array([True, False])
-    for step in range(FIRST, FIRST + 50):
-        counts.take(step, some, ~some)
-    counts.keep(path, "tiles")
-    for fingerprint, interval, since in (("tiles", 100, 51), ("tiles", 200, 1), ("other", 100, 1)):
-        again = RecentCounts(2, interval=interval)
-        again.restore(path, fingerprint)
-        again.take(FIRST + 50, some, ~some)
-        assert [each.tolist() for each in again.since_begin()] == [[since, 0], [0, since]]
-        assert again.last_minutes()[0][0] == (51 if fingerprint == "tiles" else 1)
-
-
 def test_nothing_was_counted_yet():
     counts = RecentCounts(4)
     assert not counts.quarters()

@@ -1,7 +1,7 @@
-"""A start pose that traffic refuses: it is searched anew, or waited for, and counts only then."""
+"""A start pose that traffic refuses: it is waited for, and counts only once traffic confirms it."""
 
 from dataclasses import replace
-from itertools import count, cycle, groupby
+from itertools import count, cycle
 
 import numpy as np
 import pytest
@@ -9,8 +9,7 @@ from live_programs import Lines
 from live_site import SAMPLE, Background, LiveSite, wait_for
 
 import gis_radar as gr
-from gis_radar.base import CrsError, NoAnswerError
-from gis_radar.calibration import FRAMES
+from gis_radar.base import CrsError
 from gis_radar.live import (
     DiskBuffer,
     Edge,
@@ -50,21 +49,14 @@ class Script:
 
 
 class FedEdge(Edge):
-    """A sensor's side whose frames, poses and followers a test makes."""
+    """A sensor's side whose frames and followers a test makes."""
 
-    def __init__(self, *given, frames, found=(), trusted=(), **more):
+    def __init__(self, *given, frames, trusted=(), **more):
         super().__init__(*given, **more)
-        self.fed, self.found, self.trusted = frames, iter(found), trusted
-        self.searched, self.made = [], []
+        self.fed, self.trusted, self.made = frames, trusted, []
 
     def source(self):
         yield from self.fed
-
-    def find_pose(self, frames):
-        self.searched.append(len(frames))
-        if (pose := next(self.found)) is None:
-            raise NoAnswerError("too few vehicles")
-        return pose
 
     def new_follower(self, start, begin, *, doubted):
         del begin
@@ -79,7 +71,7 @@ def run(tmp_path, once):
     site = LiveSite(tmp_path, once)  # whose broker does not run
     frames = list(frames_of_recording(SAMPLE / "R1.parquet"))
 
-    def take(number, *, found=(), trusted=(), **keys):
+    def take(number, *, trusted=(), **keys):
         said = Lines()
         road = f'"{SAMPLE / "scan.laz"}"'
         file = read_edge_file(site.edge("R1", more=LANES, road=road, follow="true", **keys))
@@ -88,7 +80,7 @@ def run(tmp_path, once):
             replace(frame, time=np.full(len(frame), 1_750_000_000.0 + 0.05 * k))
             for k, frame in zip(range(number), cycle(frames))
         )
-        edge = FedEdge(file, frames=fed, found=found, trusted=trusted, reporter=said)
+        edge = FedEdge(file, frames=fed, trusted=trusted, reporter=said)
         work = Background(edge.run)
         wait_for(lambda: edge.frames == number or work.error)
         work.end()
@@ -98,19 +90,6 @@ def run(tmp_path, once):
         return edge, [each.pose["easting"] for each in poses], said.lines
 
     return take
-
-
-def test_a_pose_that_was_found_and_is_refused_is_searched_anew(run):
-    guess = f"[{RIGHT.easting}, {RIGHT.northing}]"
-    number = 2000 + 100 + 2000 + 500 + 50
-    edge, sent, said = run(number, found=(WRONG, None, RIGHT), pose=None, guess=guess)
-    wrong, right = WRONG.easting, RIGHT.easting
-    assert edge.searched == [FRAMES] * 3
-    assert [each for each, _ in groupby(sent)] == [wrong, right]
-    assert edge.not_sent == number - len(sent) > 2400  # nothing is sent by a pose that is doubted
-    assert edge.not_followed == len(edge.made)
-    assert edge.made == [(wrong, False), (right, False)]
-    assert sum("not confirmed: traffic lies elsewhere" in line for line in said) == 1
 
 
 def test_a_given_pose_that_is_refused_is_tried_again_and_trusted_once_traffic_confirms_it(
@@ -136,13 +115,6 @@ def test_a_doubt_that_a_full_disk_did_not_take_counts_once_there_is_room(
     edge, sent, said = run(400, pose='"R1.pose.json"')
     assert (len(sent), edge.not_sent) == (130, 270)  # it is refused at the hundredth frame
     assert sum("not confirmed" in line for line in said) == 1
-
-
-def test_a_recording_that_ends_before_the_pose_is_known_is_used_as_far_as_it_goes(run):
-    guess = f"[{RIGHT.easting}, {RIGHT.northing}]"
-    edge, sent, _ = run(700, found=[RIGHT], pose=None, guess=guess)
-    assert edge.searched == [700]  # once there are no more, and not before
-    assert len(sent) == 700
 
 
 def test_a_pose_in_another_system_than_the_tiles_is_refused(tmp_path, once):

@@ -40,9 +40,9 @@ class Server(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, *, at_once=True):
+    def __init__(self):
         self.entities = {name: [] for name in MANDATORY}
-        self.odd, self.asked, self.fails, self.drops, self.at_once = [], [], 0, 0, at_once
+        self.odd, self.asked, self.fails, self.drops = [], [], 0, 0
         self.raw, self.moved = {}, None  # bytes that a method is answered; code and address
         super().__init__(("127.0.0.1", 0), Handler)
         threading.Thread(target=self.serve_forever, args=(0.02,), daemon=True).start()
@@ -115,8 +115,6 @@ class Handler(BaseHTTPRequestHandler):
             self.server.fails -= 1
             return self.answer(503, {})
         if path == "CreateObservations":
-            if not self.server.at_once:
-                return self.answer(404, {})
             links = []
             for array in body:
                 self.server.check("count", array["dataArray@iot.count"] == len(array["dataArray"]))
@@ -129,10 +127,7 @@ class Handler(BaseHTTPRequestHandler):
                 self.connection.close()
                 return None
             return self.answer(201, links)
-        if of_stream := re.fullmatch(r"Datastreams\((\d+)\)/Observations", path):
-            self.server.add("Observations", body | {"Datastream": {"@iot.id": int(of_stream[1])}})
-        else:
-            self.server.add(path, body)
+        self.server.add(path, body)
         return self.answer(201, None)
 
     def answer(self, code, record):
@@ -324,18 +319,6 @@ def test_a_damaged_file_is_put_aside(server, place, tmp_path, damaged):
     (aside,) = tmp_path.glob("waiting.json.*")
     assert aside.read_text() == damaged
     assert said.lines == [f"{file}: it is damaged, and put aside as {aside.name}"]
-
-
-def test_a_server_without_the_extension_gets_them_one_by_one(place):
-    server = Server(at_once=False)
-    lane = place.lane_numbers[0]
-    rows = [LaneMeasure(lane, HITS, BEGIN + k * 1200, BEGIN + (k + 1) * 1200, 1.0, 60.0)
-            for k in range(3)]  # fmt: skip
-    assert LaneServer(Service.of(table(server)), place, "junction").push(rows) == 0
-    assert server.odd == []
-    assert len(server.results()) == 3
-    server.shutdown()
-    server.server_close()
 
 
 @pytest.mark.parametrize(

@@ -91,12 +91,6 @@ def test_clocks_correct_the_times_of_frames(site):
     assert ds.recordings().set_index("sensor")["clock_offset"].to_dict() == {"R1": 0.0, "R2": 3.5}
 
 
-def test_clocks_that_are_not_found_are_an_answer_that_is_none(site):
-    answer = run("measure", *BOTH, *MAP, "-o", "site", "--clocks", "auto")
-    assert isinstance(answer.exception, gr.GisRadarError)
-    assert not (site / "site").exists()
-
-
 def test_a_recording_is_withdrawn_and_found_again(site):
     assert run("measure", *BOTH, *MAP, "-o", "site", "--hits-only").exit_code == 0
     (site / "moved").mkdir()

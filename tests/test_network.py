@@ -20,7 +20,7 @@ import gis_radar as gr
 from gis_radar import cli
 from gis_radar.base import OFFLINE, CrsError, InputError, go_offline, opened_package, read_vector
 from gis_radar.products.heatmap.layers import read_package
-from gis_radar.scans import SightFile, read_roads
+from gis_radar.scans import read_roads
 
 BOX = shapely.box(EAST, NORTH, EAST + 60, NORTH + 8)
 
@@ -91,7 +91,6 @@ def test_no_result_of_ours_calls_the_network(server, tmp_path, kind):
     readers = (
         gr.read_tiles,
         read_package,
-        lambda path: SightFile(path, None),
         lambda path: gr.write_qgis_project(tmp_path / "p.qgz", heatmap=path.parent),
     )
     for read in readers:
@@ -123,7 +122,6 @@ def test_an_archive_behind_a_layer_opens_no_other_file(tmp_path, name):
     readers = (
         lambda: read_vector(path, what="map"),
         lambda: gr.read_tiles(path),
-        lambda: SightFile(path, None),
     )
     for read in readers:
         with pytest.raises(InputError, match="cannot be read under this name"):

@@ -222,7 +222,7 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     hint = "(set yaw to -66.4 deg; or go on anyway: accept = true in [[sensor]] R2)"
     assert err.rstrip().endswith(hint)
     assert "R2 is left out: does not fit: yaw is off" in err
-    assert "| does not fit: yaw is off" in (mixed_up / "out" / "summary.md").read_text()
+    assert "does not fit: yaw is off" in (mixed_up / "out" / "run.json").read_text()
     dataset = mixed_up / "out" / "dataset"
     assert gr.open_dataset(dataset).sensors == ["R1"]
     tiles = mixed_up / "out" / "tiles.gpkg"
@@ -265,7 +265,7 @@ def test_a_run_shows_what_it_doubts(
     (doubt,) = summary["not_known_to_fit"]
     assert doubt.startswith("R2: fits, but its pose may be off (")
     assert summary["sensors"]["R2"]["state"] == doubt.removeprefix("R2: ")
-    assert doubt in (mixed_up / "out" / "summary.md").read_text().replace("\\", "")
+    assert doubt in (mixed_up / "out" / "run.json").read_text()
 
 
 def test_a_pose_track_is_judged_at_the_pose_in_force(tmp_path, tiles, rows):

@@ -10,7 +10,7 @@ from maps import Listener
 from sites import EAST, NORTH, START, UTM, pose, recording
 
 import gis_radar as gr
-from gis_radar.base import CrsError, InputError, OutputError, Reporter, UsageError
+from gis_radar.base import InputError, OutputError, Reporter, UsageError
 from gis_radar.poses import PoseTrack
 from gis_radar.products import project, write_projection
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
@@ -51,12 +51,6 @@ def test_points_lie_in_the_map(made):
     assert points["object"].tolist() == [1, 2, 4]
     assert points["utc"].iloc[0].isoformat() == "2023-11-14T22:13:20+00:00"
     assert set(points["sensor"]) == {"R1"}
-
-
-def test_lanes_of_a_map_in_another_system_are_refused(made):
-    roads = gr.read_map(gr.sample_folder() / "junction.osm")
-    with pytest.raises(CrsError, match="R1 is in EPSG:25833, but the map in EPSG:25832"):
-        project(made, pose(crs="EPSG:25833"), roads=roads)
 
 
 @pytest.mark.parametrize("suffix", ["gpkg", "parquet"])
@@ -264,56 +258,11 @@ def test_gps_time_knows_the_leap_seconds_of_its_day(tmp_path, date, ahead):
     assert laspy.read(tmp_path / "hits.las").gps_time[0] == since + ahead - 1e9
 
 
-@pytest.fixture(scope="module")
-def on_lanes():
-    """The detections of a sensor of the sample on its lanes, its pose, and the map."""
-    sample = gr.sample_folder()
-    known = gr.read_pose(sample / "R1.json")
-    roads = gr.read_map(sample / "junction.osm", crs=known.crs)
-    return gr.project(sample / "R1.parquet", known, roads=roads), known, roads
-
-
-def test_detections_lie_on_the_lanes_as_shapely_measures_them(on_lanes):
-    placed, _, roads = on_lanes
-    placed = placed.iloc[::97]
-    on = placed[placed["lanelet_id"].notna()]
-    assert len(on) > 200
-    centres = roads.lanelets.set_index("lanelet_id")["centre"]
-    flat = shapely.force_2d(on.geometry.array)
-    lines = shapely.force_2d(centres.loc[on["lanelet_id"].astype("int64")].array)
-    along = shapely.line_locate_point(lines, flat)
-    middle = (along > 0.5) & (along < shapely.length(lines) - 0.5)
-    np.testing.assert_allclose(on["s_m"][middle], along[middle], atol=0.15)
-    np.testing.assert_allclose(
-        on["d_m"].abs()[middle], shapely.distance(lines, flat)[middle], atol=0.08
-    )
-    off = placed[placed["lanelet_id"].isna()]
-    assert off[["s_m", "d_m", "speed_along"]].isna().all(axis=None)
-    driven = roads.lanelets[roads.lanelets["subtype"].eq("road")].union_all()
-    assert shapely.distance(driven, off.geometry.array)[::5].min() > -1e-9
-    assert not shapely.within(off.geometry.array, driven.buffer(-0.3)).any()
-
-
-def test_the_speed_along_the_lane_is_that_of_the_range_rate(on_lanes):
-    placed, known, roads = on_lanes
-    placed = placed.dropna(subset=["speed_along"]).iloc[::211]
-    centres = roads.lanelets.set_index("lanelet_id")["centre"]
-    for _, row in placed.iterrows():
-        centre = centres[row["lanelet_id"]]
-        at = centre.project(shapely.force_2d(row.geometry))
-        a, b = (centre.interpolate(max(at + off, 0.0)) for off in (-0.5, 0.5))
-        ray = np.array([row.geometry.x, row.geometry.y, row.geometry.z]) - known.position
-        way = np.array([b.x - a.x, b.y - a.y])
-        seen = ray[:2] @ way / np.hypot(*way) / np.linalg.norm(ray)
-        assert row["speed_along"] * seen == pytest.approx(row["range_rate"], abs=0.35)
-
-
 @pytest.mark.parametrize("noise_m", [0.0, 0.01])
 def test_a_file_is_hardly_larger_than_the_recording(tmp_path, noise_m):
     """Of rounded numbers, and of a sensor's own floats, no two of which are alike."""
     sample = gr.sample_folder()
     known = gr.read_pose(sample / "R1.json")
-    roads = gr.read_map(sample / "junction.osm", crs=known.crs)
     recording = sample / "R1.parquet"
     if noise_m:
         recorded, recording = pd.read_parquet(recording), tmp_path / "R1.parquet"
@@ -321,7 +270,7 @@ def test_a_file_is_hardly_larger_than_the_recording(tmp_path, noise_m):
         noise = np.random.default_rng(4).normal(0.0, noise_m, (len(recorded), len(names)))
         recorded[names] = (recorded[names] + noise).astype(np.float32)
         recorded.to_parquet(recording, compression="zstd")
-    write_projection(recording, known, path := tmp_path / "hits.parquet", roads=roads)
+    write_projection(recording, known, path := tmp_path / "hits.parquet")
     assert path.stat().st_size < 2.0 * recording.stat().st_size
     read = gpd.read_parquet(path)
     exact = gr.project(recording, known)

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pypdf
 import pytest
-from report_site import FILES, SIGMA, Page, reports_of_whole_run, write_whole_run
+from report_site import FILES, Page, reports_of_whole_run, write_whole_run
 
 import gis_radar as gr
 from gis_radar.base import csv_for, write_csv
@@ -68,7 +68,7 @@ def test_lanes_are_the_sums_of_their_tiles(results, made):
 
 def test_tables_for_german_spreadsheets_hold_the_same(results, made, tmp_path, blank_paper):
     gr.write_report(results, output=tmp_path, csv_locale="de")
-    for name in ("lanes.csv", "lanes_by_interval.csv", "sensors.csv", "quality.csv"):
+    for name in ("lanes.csv", "lanes_by_interval.csv", "quality.csv"):
         assert (tmp_path / name).read_bytes().startswith(b"\xef\xbb\xbf")
         german = pd.read_csv(tmp_path / name, sep=";", decimal=",", encoding="utf-8-sig")
         pd.testing.assert_frame_equal(german, pd.read_csv(made / name))
@@ -149,10 +149,7 @@ def test_the_page_shows_what_sensors_see(page):
     )
 
 
-def test_sensors_have_their_sigma(page, made):
-    rows = pd.read_csv(made / "sensors.csv")
-    assert rows["sensor"].tolist() == ["R1", "R2"]
-    assert rows["sigma_easting"].tolist() == [SIGMA["easting"]] * 2
+def test_sensors_have_their_sigma(page):
     (table,) = (each for each in page.tables if each[0][0] == "Sensor" and len(each[0]) == 8)
     assert [row[0] for row in table[1:]] == ["R1", "R2"]
     assert table[1][1] == "678\u202f000.00 ±\u202f0.25"
@@ -176,7 +173,7 @@ def test_the_page_is_closed(made, page):
     assert policy["content"].startswith("default-src 'none'; img-src data:; style-src 'sha256-")
     assert "unsafe" not in policy["content"]
     links = re.findall(r"(?:src|href)=\"(?!data:|#)([^\"]*)\"", text)
-    assert sorted(links) == ["lanes.csv", "lanes_by_interval.csv", "quality.csv", "sensors.csv"]
+    assert sorted(links) == ["lanes.csv", "lanes_by_interval.csv", "quality.csv"]
     assert all((made / name).is_file() for name in links)
     assert text.count("url(") == text.count("url(#gaps-")  # a pattern within the page
     assert "@import" not in text
@@ -242,7 +239,7 @@ def test_a_dataset_from_elsewhere(results, made, tmp_path, blank_paper):
     shutil.copytree(results / "heatmap", tmp_path / "map")
     place = results / "dataset"
     gr.write_report(tmp_path / "map", dataset=place, timezone="Europe/Berlin", title="x")
-    for name in ("quality.csv", "sensors.csv", "lanes.csv"):
+    for name in ("quality.csv", "lanes.csv"):
         assert (tmp_path / "map" / name).read_bytes() == (made / name).read_bytes()
     # a new heat map takes the place of all that
     gr.make_heatmap(gr.open_dataset(place)).write(tmp_path / "map")

@@ -48,9 +48,6 @@ def test_text_of_others_stays_text(tmp_path, without_pdf):
     assert page.tags.count("script") == 0  # one map alone needs none
     assert any(HOSTILE in cell for table in page.tables for row in table for cell in row)
     assert "".join(page.words).count(f"Town of {HOSTILE}") >= 1
-    with (folder / "sensors.csv").open(encoding="utf-8", newline="") as file:
-        names = [row["sensor"] for row in csv.DictReader(file)]
-    assert sorted(names) == sorted([HOSTILE, f"'{FORMULA}"])
     with (folder / "quality.csv").open(encoding="utf-8", newline="") as file:
         assert {row["sensor"] for row in csv.DictReader(file)} == {HOSTILE, f"'{FORMULA}"}
 
@@ -80,7 +77,7 @@ def test_a_heat_map_alone(results, tmp_path, blank_paper):
     assert "is not in the folder" in text
     assert "not known here" in text
     assert report.summary["sensors"] == []
-    assert repr(report).startswith("Report('map', 5 files: ")
+    assert repr(report).startswith("Report('map', 4 files: ")
     assert "report.html" in report._repr_html_()
     # a new heat map takes the place of both
     make_heatmap(gr.open_dataset(results / "dataset")).write(tmp_path / "map")
@@ -98,7 +95,6 @@ def test_a_pose_in_another_plane_is_told(results, tmp_path, blank_paper):
     short = [each for each in report.summary["remarks"] if each.startswith("Recorded were ")]
     assert [each.endswith("and no usual day") for each in short] == [True]
     assert told in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert pd.read_csv(tmp_path / "run" / "sensors.csv")["sensor"].tolist() == ["R1"]
 
 
 def test_a_dataset_of_other_tiles_is_left_out_or_refused(results, tmp_path, without_pdf):
@@ -139,7 +135,7 @@ def test_a_sensor_without_a_result_is_told_first(results, tmp_path, blank_paper)
     text = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "No result for sensor R3: two places fit" in text
     assert "localize R3: a &lt;b&gt; c" in text
-    assert "no result: two places fit" in (tmp_path / "run" / "sensors.csv").read_text()
+    assert "no result: two places fit" in text
 
 
 def test_a_warning_of_several_stages_is_told_once(results, tmp_path, blank_paper):
@@ -217,7 +213,7 @@ def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path, blank_pap
     shutil.rmtree(tmp_path / "run" / "dataset")
     gr.write_report(tmp_path / "run")
     assert sorted(path.name for path in (tmp_path / "run").glob("*.csv")) == [
-        "lanes.csv", "lanes_by_interval.csv", "sensors.csv",
+        "lanes.csv", "lanes_by_interval.csv",
     ]  # fmt: skip
     # a file that no report has written stays
     shutil.copytree(results / "heatmap", tmp_path / "map")

@@ -15,13 +15,12 @@ from tools.catalogue import PACKAGE, told, trees
 
 KEYS_OF = PACKAGE / "site" / "messages.py"
 # Of `gis-radar run` itself, and of commands that no run calls.
-IMAGE = {"--build-arg", "--no-install-recommends", "--no-cache-dir"}  # of a Dockerfile
 ASKING = {"--timeout", "--memory", "--relink", "--withdraw", "--schema"}  # of a dataset
 TRAFFIC = {"--interval", "--counts", "--sections"}  # of gis-radar traffic
 WITHOUT_MAP = {"--map", "--hits-only"}  # each site file has a map
 OWN = {"--fresh", "--jobs", "--template", "--layer", "--version", "--stdin"}
 CITY = {"--city-template", "--executor", "--nthreads"}  # of a city's run, and of its workers
-OTHERS = CITY | IMAGE | ASKING | TRAFFIC | WITHOUT_MAP | OWN
+OTHERS = CITY | ASKING | TRAFFIC | WITHOUT_MAP | OWN
 
 
 def options_named():
@@ -72,8 +71,7 @@ def test_every_key_is_one():
      (Text("set {}", Text("the view's max_range_m or {}", "--max-range")),
       "set max_range_m in [sensor.view]", None),
      # a command to type keeps its options
-     ("is the pose off? gis-radar sight --recording lists the tiles",
-      "is the pose off? gis-radar sight --recording lists the tiles", None),
+     ("try: gis-radar track --pose POSE", "try: gis-radar track --pose POSE", None),
      (Text("no frame from {} on", "2025-06-12T07:30Z"),
       "no frame from 2025-06-12 09:30 UTC+02:00 on", None),
      (Text("{}: {}", "R1", Text("fits")), "R1: fits", "R1: passt"),

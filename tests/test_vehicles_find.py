@@ -9,7 +9,6 @@ from maps import Listener
 from pyproj import CRS
 
 import gis_radar as gr
-from gis_radar.scans import SightScan, SightTiles, write_sights
 from gis_radar.tracking import hour_blocks
 from gis_radar.tracking.batches import joined_rows
 from gis_radar.tracking.map_check import describe_map
@@ -195,21 +194,6 @@ def test_another_map_is_refused(site, tmp_path):
     (tmp_path / "other.osm").write_text(other.replace('lat="48.', 'lat="-35.'))
     with pytest.raises(gr.InputError, match=r"other\.osm: the site lies far outside the area"):
         gr.measure([SAMPLE / "R1.parquet"], [pose], tiles, tmp_path / "other.osm", folder / "other")
-
-
-def test_a_file_of_sight_stands_for_the_scan(site, tmp_path):
-    tiles, folder = site
-    road = SightTiles.of(tiles)
-    scan = SightScan([SAMPLE / "scan.laz"], road)
-    pose = gr.read_pose(SAMPLE / "R1.json")
-    write_sights([gr.find_sight(pose, road, scan)], tiles, folder / "sight.gpkg")
-    given = [tmp_path / "R1.parquet"]
-    begin_of(SAMPLE / "R1.parquet", 3.0).to_parquet(given[0], index=False)
-    by_file = found(site, "by-file", given, sight=folder / "sight.gpkg")
-    by_scan = found(site, "by-scan", given, scans=[SAMPLE / "scan.laz"])
-    visible = [each.visible()["tile_id"].nunique() for each in (by_file, by_scan)]
-    assert visible[0] == visible[1] > 0
-    assert by_file.manifest.settings["sight"]["file"] == "sight.gpkg"
 
 
 def test_the_map_of_the_tiles_is_told_from_others():

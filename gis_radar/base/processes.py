@@ -120,22 +120,15 @@ def run_child(
             child.wait(_GONE_S)
 
 
-class _StopSignal(threading.Event):
-    """An event that signals set; with `interrupts`, the first one raises KeyboardInterrupt too."""
-
-    interrupts = False
-
-
 @contextmanager
 def stopped_by_signals() -> Iterator[threading.Event]:
     """Yield an event that Ctrl-C or SIGTERM sets; the second one interrupts as always."""
-    stop = _StopSignal()
+    stop = threading.Event()
 
     def note(_number: int, _frame: FrameType | None) -> None:
-        interrupts = stop.is_set() or stop.interrupts
-        stop.set()
-        if interrupts:
+        if stop.is_set():
             raise KeyboardInterrupt
+        stop.set()
 
     # the only thread that signals reach
     on_main = threading.current_thread() is threading.main_thread()
@@ -145,30 +138,6 @@ def stopped_by_signals() -> Iterator[threading.Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def run_unless_stopped(work: Callable[[], object], stop: threading.Event) -> None:
-    """Run a long task that may be broken off anywhere, unless `stop` is set.
-
-    Parameters
-    ----------
-    work : callable
-        The task.
-    stop : Event
-        One of :func:`stopped_by_signals` also interrupts the task; any other is only looked at
-        before it begins.
-    """
-    if isinstance(stop, _StopSignal):
-        stop.interrupts = True
-    try:
-        if not stop.is_set():
-            work()
-    except KeyboardInterrupt:
-        if not stop.is_set():
-            raise
-    finally:
-        if isinstance(stop, _StopSignal):
-            stop.interrupts = False
 
 
 def watch_input() -> None:

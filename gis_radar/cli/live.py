@@ -35,7 +35,7 @@ def edge(*, sensor: Path, reporter: Reporter) -> Result:
 @click.argument("site", metavar="SITE.toml", type=FILE)
 @click.option(
     "--broker-files", type=FILE, metavar="DIR",
-    help="Write files for Mosquitto, systemd units and a compose file, and do no more.",
+    help="Write files for Mosquitto and systemd units, and do no more.",
 )  # fmt: skip
 def live(*, site: Path, broker_files: Path | None, reporter: Reporter) -> Result:
     """Run the live system's middle: the map of now, recordings, and a dataset by hours.

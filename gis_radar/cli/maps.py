@@ -151,29 +151,17 @@ def footprints(*, folder: Path, output: Path, reporter: Reporter) -> Result:
     return Result(outputs=[output], summary={"rows": count})
 
 
-@command(example="gis-radar project R1.parquet --pose R1.json --map junction.osm -o hits.parquet")
+@command(example="gis-radar project R1.parquet --pose R1.json -o hits.parquet")
 @click.argument("recording", metavar="RECORDING", type=FILE)
 @click.option("--pose", type=FILE, required=True, help="Pose (JSON) or pose track (CSV).")
-@click.option(
-    "--map", "map_path", type=FILE,
-    help="Lanelet2 map: adds lanelet, place along and across it, speed along it.",
-)  # fmt: skip
-@origin
 @output
-def project(
-    *, recording: Path, pose: Path, map_path: Path | None, origin: tuple[float, float] | None,
-    output: Path, reporter: Reporter,
-) -> Result:  # fmt: skip
+def project(*, recording: Path, pose: Path, output: Path, reporter: Reporter) -> Result:
     """Write the detections of a recording as points in the map (.parquet, .gpkg, .laz).
 
     A name without an ending becomes GeoParquet, which is the smallest.
     """
     output = output if output.suffix else output.with_suffix(".parquet")
-    track, roads = gr.read_track(pose), None
-    if map_path is not None:
-        crs = track.poses[0].crs
-        roads = gr.read_map(map_path, crs=crs, origin=origin, reporter=reporter)
     from gis_radar.products import write_projection  # noqa: PLC0415 - --help needs no NumPy
 
-    count = write_projection(recording, track, output, roads=roads, reporter=reporter)
+    count = write_projection(recording, pose, output, reporter=reporter)
     return Result(outputs=[output], summary={"points": count})

@@ -120,7 +120,6 @@ BEARING = Parsed("BEARING", _bearing)  # degrees clockwise from true north, or a
 WORDS = Parsed("a,b,...", _words)
 PAIRS = Parsed("a=A,b=B,...", _pairs)  # values by name
 DURATION = Parsed("DURATION", _duration)  # seconds; a bare number is seconds, too
-CLOCKS = Parsed("auto|FILE", lambda text: text if text == "auto" else Path(text))
 CYCLES = Parsed("SENSOR=TIME,...", _cycles)  # seconds from frame to frame, by sensor
 
 
@@ -170,14 +169,6 @@ sight_scans = click.option(
     "--scan", "scans", metavar="SCAN.laz", type=FILE, multiple=True,
     help="What stands in it hides tiles (LAS, LAZ, COPC); whole, not masked; repeatable.",
 )  # fmt: skip
-sight = in_order(
-    sight_scans,
-    scan_crs,
-    click.option(
-        "--sight", metavar="SIGHT.gpkg", type=FILE,
-        help="What sensors see, from gis-radar sight, in place of --scan.",
-    ),
-)  # fmt: skip
 view = in_order(
     click.option(
         "--max-range", "max_range_m", type=float, help="Range of poses without a view, m."
@@ -194,8 +185,8 @@ frame_times = in_order(
         "it.",
     ),
     click.option(
-        "--clocks", metavar="auto|FILE", type=CLOCKS,
-        help="Correct the sensors' clocks: by a file from gis-radar clocks, or as found here.",
+        "--clocks", type=FILE,
+        help="Correct the sensors' clocks by a file from gis-radar clocks.",
     ),
 )  # fmt: skip
 accept = click.option(

@@ -173,24 +173,18 @@ def sensors(*, poses: tuple[Path, ...], output: Path, reporter: Reporter) -> Res
 
 
 @command(
-    example="gis-radar sight --pose R1.json --tiles tiles.gpkg --scan scan.laz "
-    "--recording R1.parquet -o sight.gpkg",
+    example="gis-radar sight --pose R1.json --tiles tiles.gpkg --scan scan.laz -o sight.gpkg",
 )
 @click.option("--pose", "poses", type=FILE, multiple=True, required=True, help="Of each sensor.")
 @tile_file
 @sight_scans
 @scan_crs
-@click.option(
-    "--recording", "recordings", type=FILE, multiple=True,
-    help="One a pose, in order: what it contradicts is listed, and sight is corrected.",
-)  # fmt: skip
 @output
 def sight(
     *,
     poses: tuple[Path, ...],
     tiles_path: Path,
     scans: tuple[Path, ...],
-    recordings: tuple[Path, ...],
     output: Path,
     reporter: Reporter,
     **options: Any,
@@ -201,9 +195,7 @@ def sight(
     if not scans:
         raise UsageError("no scan is given", hint=Text("name one with {}; see --help", "--scan"))
     tracks = [gr.read_track(path) for path in poses]
-    figures = see_tiles(
-        tracks, tiles_path, output, scans=scans, recordings=recordings, reporter=reporter, **options
-    )
+    figures = see_tiles(tracks, tiles_path, output, scans=scans, reporter=reporter, **options)
     return Result(outputs=[output], summary={"sensors": figures})
 
 

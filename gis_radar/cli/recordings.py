@@ -22,7 +22,8 @@ from gis_radar.cli.options import (  # fmt: skip
     output,
     poses,
     recordings,
-    sight,
+    scan_crs,
+    sight_scans,
     tile_file,
     view,
 )
@@ -72,7 +73,8 @@ def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **opti
     help="The radar's elevation error, deg (1 sigma): widens the clearance with range.",
 )  # fmt: skip
 @frame_times
-@sight
+@sight_scans
+@scan_crs
 @click.option("--timezone", default="UTC", show_default=True, help="The site's: Europe/Berlin.")
 @click.option("--jobs", "processes", type=click.IntRange(1), help="Processes at once; all cores.")
 def measure(

@@ -97,7 +97,6 @@ def measure(
     *,
     scans: str | Path | Sequence[str | Path] = (),
     scan_crs: Any = None,
-    sight: str | Path | None = None,
     sight_cache: str | Path | None = None,
     filters: Filters | None = None,
     cycles: Mapping[str, float] | None = None,
@@ -135,8 +134,6 @@ def measure(
         tiles in the view count as seen.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
-    sight : str or Path, optional
-        A file of :func:`gis_radar.scans.write_sights`, in place of scans.
     sight_cache : str or Path, optional
         A folder in which the sights of the poses by the scans are kept for other calls.
     filters : Filters, optional
@@ -208,9 +205,7 @@ def measure(
     require_tiles(tiles, what="tiles")
     tiles = tiles.sort_values("tile_id", ignore_index=True)
     road = SightTiles.of(tiles)
-    scan = open_sight(
-        road, scans=scans, scan_crs=scan_crs, sight=sight, cache=sight_cache, reporter=reporter
-    )
+    scan = open_sight(road, scans=scans, scan_crs=scan_crs, cache=sight_cache, reporter=reporter)
     book = SightBook(road=road, scan=scan)
     refuse_swapped(opened, tracks)
     sources = book.place(opened, tracks, clocks, reporter)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,21 +11,12 @@ from time import sleep
 import geopandas as gpd
 import numpy as np
 
-from gis_radar.base import QUIET, STEP_US, NoAnswerError, Reporter, Text, require_same
-from gis_radar.calibration import FRAMES
+from gis_radar.base import QUIET, STEP_US, Reporter, Text, require_same
 from gis_radar.hdmap import read_tiles
-from gis_radar.live.own_pose import (
-    AGAIN_FRAMES,
-    Followed,
-    PoseFollower,
-    find_own_pose,
-    rounded,
-    view_of,
-)
+from gis_radar.live.own_pose import Followed, PoseFollower, rounded, view_of
 from gis_radar.live.wire.broker import Link, SensorTopics
 from gis_radar.live.wire.buffer import DiskBuffer
 from gis_radar.live.wire.detections import DetectionSelector, FrameDetections, pack_detections
-from gis_radar.live.wire.first_run import compile_first, run_sensor_once
 from gis_radar.live.wire.outbox import OFFLINE, Outbox, status_message
 from gis_radar.live.wire.payload import PoseContent, in_parts, key_of_pose
 from gis_radar.live.wire.settings import EdgeFile, read_edge_file
@@ -35,6 +25,8 @@ from gis_radar.measures import road_near
 from gis_radar.poses import ANGLES, POSITION, Pose, read_track
 from gis_radar.recordings import Detections
 from gis_radar.scans import SightTiles, find_sight
+
+AGAIN_FRAMES = 500  # frames before a pose that traffic refused is followed again: 25 s
 
 
 class Edge:
@@ -58,21 +50,17 @@ class Edge:
         self._file, self._reporter = file, reporter
         tiles = read_tiles(file.tiles)
         self._road = SightTiles.of(tiles)
-        given = self._read_pose(tiles)
         self._pose: Pose | None = None
         self._pose_key, self._road_m = b"", np.nan
         self._last_step, self._trusted = -1, True
         self._last_time, self._doubted = -np.inf, False
-        self._next = None if given is None else Followed(pose=given)
+        self._next: Followed | None = Followed(pose=self._read_pose(tiles))
         self._follower: PoseFollower | None = None
         self._waiting: list[FrameDetections] = []
         self._selector = DetectionSelector(self._road)
-        self._gathered: deque[Detections] = deque(maxlen=FRAMES)
-        self._try_at = FRAMES
+        self._try_in = 0  # frames until a pose that traffic refused is followed again
 
-    def _read_pose(self, tiles: gpd.GeoDataFrame) -> Pose | None:
-        if self._file.pose is None:
-            return None
+    def _read_pose(self, tiles: gpd.GeoDataFrame) -> Pose:
         pose = read_track(self._file.pose).poses[-1]
         what = Text("the pose of {}", pose.sensor)
         require_same(pose.crs, tiles.crs, what=what, other_what="the tiles")
@@ -94,7 +82,6 @@ class Edge:
             If the source cannot be read.
         """
         file = self._file
-        compile_first(run_sensor_once, stop, self._reporter)
         topics = SensorTopics(file.site, file.sensor)
         most = int(file.buffer.megabytes * 1e6)
         with DiskBuffer(
@@ -129,7 +116,6 @@ class Edge:
             "lost": self.outbox.lost,
             "not_followed": self.not_followed,
             "waiting_bytes": buffer.bytes_used,
-            "pose": "found" if self._pose else "searched",
             "trusted": self._trusted,
         }
 
@@ -140,10 +126,6 @@ class Edge:
             return Replay(path=source.recording, speed=source.speed, loop_s=source.loop).frames()
         radar = Radar(source=source.address or "", sensor=source.sensor, reporter=self._reporter)
         return radar.frames()
-
-    def find_pose(self, frames: deque[Detections]) -> Pose:
-        """Find the pose from frames, as :func:`find_own_pose` does."""
-        return find_own_pose(self._file, frames, reporter=self._reporter)
 
     def new_follower(self, start: Pose, begin: float, *, doubted: bool) -> PoseFollower:
         """Begin to follow a pose, as :meth:`PoseFollower.of` does."""
@@ -157,9 +139,6 @@ class Edge:
                 self._look_at_clock(frame)
                 self._process(frame)
             self.outbox.pump()
-        if self._pose is None and self._gathered and not stop.is_set():
-            self._try_at = 0  # the source ended before there were enough frames
-            self._process(self._gathered.pop())
         self._flush()
         while not (stop.is_set() or self.outbox.empty):
             self.outbox.pump()
@@ -171,63 +150,31 @@ class Edge:
         if time < self._last_time:
             self._flush()
             self._last_step = -1
-            self._gathered.clear()
             self._stop_following()
         self._last_time = time
 
     def _process(self, frame: Detections) -> None:
-        for ready in self._with_pose(frame):
-            self._select(ready)
-
-    def _with_pose(self, frame: Detections) -> list[Detections]:
-        """Return the frames whose pose is known now, after putting that pose in force."""
-        ready = [frame]
+        """Select detections by the pose that is known now, after putting that pose in force."""
         if self._follower is not None:
             self.not_followed += not self._follower.push(frame)
             self._next = self._follower.latest() or self._next
             if self._next is not None and self._next.refused:
                 self._doubt()
-        elif self._doubted or (self._pose is None and self._next is None):
-            ready = self._wait_for_pose(frame)
+        elif self._doubted:
+            self._try_in -= 1
+            if self._try_in <= 0:
+                self._follow(frame)
         step = int(np.rint(frame.time[0] * 1e6)) // STEP_US
         if self._next is not None and step > self._last_step and self._take_over(self._next):
             self._next = None
         if self._follower is None and not self._doubted:
             self._follow(frame)
-        return ready
-
-    def _wait_for_pose(self, frame: Detections) -> list[Detections]:
-        """Search the pose by the frames so far, or follow again one that was given, when due."""
-        self._try_at -= 1
-        if self._file.pose is not None:
-            if self._try_at <= 0:
-                self._follow(frame)
-            return [frame]
-        self._gathered.append(frame)
-        known = [] if self._pose is None else [frame]
-        if self._try_at > 0 or not self._try_to_find():
-            return known
-        self._doubted, gathered = False, list(self._gathered)
-        self._gathered.clear()
-        return known or gathered
-
-    def _try_to_find(self) -> bool:
-        """Find the pose from the frames so far; try again later where none follows."""
-        try:
-            pose = self.find_pose(self._gathered)
-        except NoAnswerError as error:
-            self._try_at = AGAIN_FRAMES
-            self._reporter.warn("no pose yet: {}; trying on", error.message)
-            return False
-        self._next = Followed(pose=pose)
-        return True
+        self._select(frame)
 
     def _doubt(self) -> None:
-        """Start looking for another pose, or for traffic that confirms this one after all."""
+        """Stop following, until traffic may confirm this pose after all."""
         self._stop_following()
-        self._doubted = True
-        self._gathered.clear()
-        self._try_at = FRAMES if self._file.pose is None else AGAIN_FRAMES
+        self._doubted, self._try_in = True, AGAIN_FRAMES
 
     def _follow(self, frame: Detections) -> None:
         file = self._file

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import secrets
 import time
-from collections.abc import Iterable
 from concurrent.futures import Future
 from contextlib import ExitStack
 from functools import partial
@@ -17,7 +16,6 @@ import numpy as np
 from gis_radar.base import (
     QUIET,
     STEP_S,
-    STEP_US,
     GisRadarError,
     InputError,
     NoAnswerError,
@@ -31,7 +29,7 @@ from gis_radar.base import (
 )
 from gis_radar.hdmap import lane_graph, read_tiles
 from gis_radar.live.background import in_background
-from gis_radar.live.health import prometheus_text, serve_metrics
+from gis_radar.live.health import prometheus_text
 from gis_radar.live.hours.hour_work import MeasuredSite, refuse_other_settings
 from gis_radar.live.hours.jobs import HourJobs
 from gis_radar.live.hours.quarters import Quarters, share_of
@@ -43,7 +41,6 @@ from gis_radar.live.now.vehicles_now import LiveVehicles, layer_of
 from gis_radar.live.served.lane_push import LanePush
 from gis_radar.live.served.snapshot import place_of
 from gis_radar.live.wire.broker import FUSION, Link, SensorTopics
-from gis_radar.live.wire.first_run import NOT_COMPILED, compile_first, run_fusion_once
 from gis_radar.live.wire.outbox import OFFLINE, ONLINE, status_message
 from gis_radar.live.wire.payload import DETECTIONS, POSE, Acknowledgement
 from gis_radar.live.wire.settings import LiveSite, read_live_site
@@ -60,15 +57,12 @@ if TYPE_CHECKING:
 
 TAKEN_AT_ONCE = 500  # most messages between two looks at the clock
 WAIT_S = 0.01  # longest wait for a message
-READY_S = 0.1
 # Between two commits: a kill costs a second of messages, which the sensors send again.
 COMMIT_S = 1.0
 COMMIT_MESSAGES = 200  # messages of a sensor that are committed sooner: a fast replay does not wait
 SPOOL_BYTES = 1 << 28  # size from which the spool goes on in another file
 SAID_S = 600.0  # least time between two logs of one error: a disk stays full for hours
 SPOOL, NOW_FILE, PUSH_FILE = "spool", "now.gpkg", "sensorthings.json"
-COUNTS_FILE = "counts.npz"
-RESUMED_US = 900_000_000  # newest frames that a restart counts again: 15 min, as the page shows
 
 
 class Fusion:
@@ -114,11 +108,7 @@ class Fusion:
             len(road.tile_id), interval=interval_steps(site.live.interval),
             pushed=interval_steps(pushed.interval),
         )  # fmt: skip
-        self._fingerprint = road.fingerprint
-        self.counts.restore(folder / COUNTS_FILE, road.fingerprint, reporter)
-        self._windows = Windows(
-            site.live.lateness, closed=self.counts.step if self.counts.step >= 0 else None
-        )
+        self._windows = Windows(site.live.lateness)
         self._spool = Spool(folder / SPOOL)
         self.intake = Intake(
             names, spool=self._spool, road=road, scan=scan,
@@ -131,16 +121,7 @@ class Fusion:
         self._disk: Future[bool] | None = None
         self._session = secrets.token_hex(4)
         self._committed = self._exported = time.monotonic()
-        self._resume()
-
-    def _resume(self) -> None:
-        """Resume from the spool, and continue in a new file of it."""
-        now_us = int(time.time() * 1e6)
-        begin_us = max((self.counts.step + 1) * STEP_US, now_us - RESUMED_US)
-        files = [SpoolFile(path) for path in spool_files(self._site.folder / SPOOL)]
-        self.intake.resume(files, begin_us)
-        held_s = max(self._map.holds_s.values(), default=0.0)
-        self._advance(self._windows.close_open(now_us, held_s))
+        self.intake.resume([SpoolFile(path) for path in spool_files(folder / SPOOL)])
         self._spool.rotate()
 
     @property
@@ -181,9 +162,9 @@ class Fusion:
             Event that stops it.
         """
         live = self._site.live
-        compile_first(run_fusion_once, stop, self._reporter)
         self._jobs.take_up(self._spool.closed)
-        self._make_vehicles_ready(stop)
+        if self.vehicles is not None:
+            self.vehicles.make_ready()
         topics = SensorTopics(live.site, "+")
         own = SensorTopics(live.site, FUSION).of("status")
         link = Link(
@@ -192,7 +173,6 @@ class Fusion:
             will=(own, status_message(OFFLINE)), reporter=self._reporter,
         )  # fmt: skip
         self.link = link
-        server = serve_metrics(live.health, self.metrics) if live.health else None
         if self._page is not None:
             self._reporter.log(Text("the page is at {}", self._page.open()))
         self._export()  # the first takes long, before frames come
@@ -209,15 +189,13 @@ class Fusion:
                     link.publish(own, status_message(ONLINE), retain=True)
                     for each in self.sensors.values():
                         each.due = bool(each.stream)
-                self._advance(self._windows.close(int(time.time() * 1e6)))
+                self.advance(int(time.time() * 1e6))
                 self._take(link)
                 self._regular()
             self._finish()
         finally:
             gc.unfreeze()
             link.close(own, status_message(OFFLINE))
-            if server is not None:
-                server.close()
             if self._page is not None:
                 self._page.close()
             self.close()
@@ -230,16 +208,6 @@ class Fusion:
         self._spool.close()
         self._held.close()
 
-    def _make_vehicles_ready(self, stop: Event) -> None:
-        """Start the process that follows the vehicles of now, and wait until it is ready."""
-        if self.vehicles is None or stop.is_set():
-            return
-        ready = self.vehicles.make_ready()
-        while not (ready.done() or stop.wait(READY_S)):
-            pass
-        if ready.done() and (error := ready.exception()) is not None:
-            self._reporter.warn(NOT_COMPILED.format(error))
-
     def _take(self, link: Link) -> None:
         message = link.take(WAIT_S)
         for _ in range(TAKEN_AT_ONCE):
@@ -251,12 +219,16 @@ class Fusion:
                 self._commit()
             message = link.take(0.0)
 
-    def _advance(self, steps: Iterable[tuple[int, dict[str, Seen]]]) -> None:
-        for step, frames in steps:
-            state = self._map.take(step, frames)
-            ended = self.counts.take(step, state.hit, state.observed)
-            if ended is not None and self._push is not None:
-                self._push.take(*ended)
+    def advance(self, now_us: int) -> None:
+        """Count the steps that are over by now, microseconds since 1970."""
+        for step, frames in self._windows.close(now_us):
+            self._count(step, frames)
+
+    def _count(self, step: int, frames: dict[str, Seen]) -> None:
+        state = self._map.take(step, frames)
+        ended = self.counts.take(step, state.hit, state.observed)
+        if ended is not None and self._push is not None:
+            self._push.take(*ended)
 
     def _regular(self) -> None:
         """Do what is due by the clock: commit, acknowledge, measure, write files."""
@@ -357,7 +329,7 @@ class Fusion:
             self._exporting.result()
 
     def _export(self) -> None:
-        """Replace the files for QGIS, and the counts for a new start."""
+        """Replace the file for QGIS."""
         state = self.state()
         hit_s, observed_s = (STEP_S * each for each in self.counts.since_begin())
         table = self.tiles[["tile_id", "lanelet_id", "geometry"]].assign(
@@ -372,7 +344,6 @@ class Fusion:
             )  # fmt: skip
         path = self._site.folder / NOW_FILE
         try:
-            self.counts.keep(self._site.folder / COUNTS_FILE, self._fingerprint)
             with output_errors(path), atomic_write(path) as part:
                 table.to_file(part, layer="now", driver="GPKG", engine="pyogrio")
                 if self.vehicles is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,6 @@ from gis_radar.base import LETTERS_OF_AN_ERROR, QUIET, Reporter, Text, one_line
 if TYPE_CHECKING:
     from prometheus_client import Metric
 
-    from gis_radar.live.web_server import WebServer
 
 CLOCK_ALARM_S = 0.025  # half of a step: a clock that is off by more is wrong
 CLOCK_MESSAGES = 200  # live messages whose least delay is the offset of a sensor's clock: 10 s
@@ -167,30 +166,3 @@ def prometheus_text(sensors: Sequence[SensorHealth], figures: Mapping[str, float
     from prometheus_client import generate_latest  # noqa: PLC0415 - an extra
 
     return generate_latest(_Metrics(sensors, figures)).decode()
-
-
-def serve_metrics(address: str, text: Callable[[], str]) -> WebServer:
-    """Serve the text for Prometheus at `/metrics`, until it is closed.
-
-    Parameters
-    ----------
-    address : str
-        HOST:PORT.
-    text : callable
-        Returns the text.
-
-    Raises
-    ------
-    OutputError
-        If the address is taken.
-    """
-    from starlette.applications import Starlette  # noqa: PLC0415 - an extra
-    from starlette.responses import Response  # noqa: PLC0415
-    from starlette.routing import Route  # noqa: PLC0415
-
-    from gis_radar.live.web_server import WebServer  # noqa: PLC0415
-
-    route = Route("/metrics", lambda _: Response(text(), media_type=METRICS_TYPE))
-    server = WebServer(Starlette(routes=[route]), address)
-    server.open()
-    return server

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -33,11 +33,10 @@ from gis_radar.live.hours.spool import (
     SpoolFile,
     marks_in,
 )
-from gis_radar.live.hours.spool import POSE as POSE_RECORD
 from gis_radar.live.now.map_of_now import Seen, Windows
 from gis_radar.live.now.vehicles_now import LiveVehicles
 from gis_radar.live.wire.broker import FUSION, Received, parts_of
-from gis_radar.live.wire.detections import FrameDetections, first_time_us, unpack_detections
+from gis_radar.live.wire.detections import FrameDetections, unpack_detections
 from gis_radar.live.wire.outbox import ONLINE
 from gis_radar.live.wire.payload import (
     DETECTIONS,
@@ -59,7 +58,6 @@ ACK_S = 1.0  # between two acknowledgements without a new number
 TWINS_WITHIN_S = 60.0  # time in which two streams of one sensor that alternate are twins
 MOST_LOST = 2**63  # bound of a count of lost messages, as of their numbers
 STREAM = re.compile(f"[0-9a-f]{{{2 * STREAM_BYTES}}}")
-SPAN_US = 5_000_000  # usual time from first to last frame of a message: a hundred at 20 Hz
 AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
 LONGEST_MESSAGE_US = HOUR_US  # longest time from first to last frame of a message
 MOST_NUMBER = 1 << 40  # largest number with which a stream may begin
@@ -165,7 +163,7 @@ class Intake:
         The windows of the map of now, to which frames are added.
     oldest_s : float
         Largest age of a frame, seconds.
-    scan : SightScan or SightFile, optional
+    scan : SightScan or KeptSight, optional
         Scan of what hides tiles.
     reporter : Reporter
         Receives a line when a problem begins.
@@ -197,52 +195,22 @@ class Intake:
             name: SensorState(health=SensorHealth(name=name, reporter=reporter)) for name in names
         }
 
-    def resume(self, files: Sequence[SpoolFile], begin_us: int) -> None:
-        """Restore marks, and the frames since `begin_us`, from the files of the spool.
-
-        The newest file begins with the marks of all streams; earlier ones are read only if they
-        were written to since `begin_us`.
-        """
+    def resume(self, files: Sequence[SpoolFile]) -> None:
+        """Restore the marks of all streams, with which the newest file of the spool begins."""
         newest = max((k for k, each in enumerate(files) if each.has_head), default=0)
         last: dict[tuple[str, str], bytes] = {}
-        poses: dict[tuple[str, bytes], bytes] = {}  # its sight of all tiles takes time
-        for k, file in enumerate(files):
-            if k < newest and file.written_us < begin_us:
-                continue
+        for file in files[newest:]:
             for _, (kind, name, payload) in file.records():
-                sensor = self.sensors.get(name)
                 if kind == HEAD:
-                    last.clear()
                     self._spool.marks = marks_in(payload)
-                elif sensor is not None and kind == POSE_RECORD:
-                    poses[name, key_of_pose(payload)] = payload
-                elif sensor is not None and kind in {FRAMES, PASSED}:
+                elif name in self.sensors and kind in {FRAMES, PASSED}:
                     last.pop((name, stream_of(payload)), None)  # the latest stream stands last
                     last[name, stream_of(payload)] = payload
-                    if kind == FRAMES and first_time_us(payload) >= begin_us - SPAN_US:
-                        self._take_again(sensor, payload, poses, begin_us)
-        for name, payload in {name: payload for (name, _), payload in poses.items()}.items():
-            self._take_pose(self.sensors[name], payload)  # the newest of each sensor
         self._spool.mark((name, payload) for (name, _), payload in last.items())
         for name, sensor in self.sensors.items():
             marks = self._spool.marks.get(name, {})
             sensor.numbers = {stream: mark.number for stream, mark in marks.items()}
             sensor.stream = next(reversed(marks), "")
-
-    def _take_again(
-        self, sensor: SensorState, message: bytes, poses: Mapping[tuple[str, bytes], bytes],
-        begin_us: int,
-    ) -> None:  # fmt: skip
-        """Count frames for the map again, after a restart."""
-        name = sensor.health.name
-        key, frames = unpack_detections(unpack_message(message)[1])
-        if (name, key) in poses:
-            self._take_pose(sensor, poses[name, key])
-        known = sensor.poses.get(key)
-        if known is not None and known.placed is not None:
-            ours = [each for each in frames if each.time_us >= begin_us]
-            for step, seen in self._seen(ours, known.placed):
-                self._windows.add(name, step, seen)
 
     def handle(self, message: Received) -> None:
         """Process a message: count it, store it, or refuse it with a reason."""

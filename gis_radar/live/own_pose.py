@@ -1,20 +1,15 @@
-"""Own pose of a sensor by its traffic: found at the start, and followed every 5 s."""
+"""Own pose of a sensor, followed every 5 s by its traffic."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from queue import Empty, Full, Queue, SimpleQueue
 from threading import Event, Thread
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from gis_radar.base import QUIET, Floats, NoAnswerError, Reporter, scratch_folder
+from gis_radar.base import QUIET, Floats, NoAnswerError, Reporter
 from gis_radar.calibration import (
     CYCLE_S,
     LOST_S,
@@ -22,7 +17,6 @@ from gis_radar.calibration import (
     Follower,
     Problem,
     WindowFitter,
-    localize,
     start_estimate,
     track_of,
 )
@@ -32,7 +26,6 @@ from gis_radar.poses import ANGLES, DECIMALS, POSITION, Pose, View
 from gis_radar.recordings import Detections
 from gis_radar.scans import read_road
 
-AGAIN_FRAMES = 500  # frames before the next try to find a pose: 25 s
 WAITING_FRAMES = 2_000  # most frames that wait for a fit to end: 100 s
 ROWS_KEPT = 1_440  # poses that the follower keeps: 2 h
 
@@ -41,44 +34,6 @@ def rounded(pose: Pose) -> Pose:
     """Round a pose to the digits of a pose track, so that both are the same."""
     names = (*POSITION, *ANGLES)
     return replace(pose, **{name: round(getattr(pose, name), DECIMALS) for name in names})
-
-
-def find_own_pose(file: EdgeFile, frames: deque[Detections], *, reporter: Reporter = QUIET) -> Pose:
-    """Find the pose of a sensor from its last frames.
-
-    Parameters
-    ----------
-    file : EdgeFile
-        The sensor's file, with guess, map and road.
-    frames : deque of Detections
-        The last frames.
-    reporter : Reporter
-        Receives remarks.
-
-    Raises
-    ------
-    NoAnswerError
-        If no trustworthy pose follows from them.
-    """
-    if file.map is None or file.road is None or file.guess is None:
-        raise NoAnswerError("{}: there is nothing to find the pose by", file.path)
-    with scratch_folder() as folder:
-        path = folder / f"{file.sensor}.parquet"
-        time = np.concatenate([each.time for each in frames])
-        points = np.concatenate([each.points for each in frames])
-        columns: Mapping[str, Any] = {
-            "time": time,
-            **{axis: points[:, k] for k, axis in enumerate("xyz")},
-            "range_rate": np.concatenate([each.range_rate for each in frames]),
-            "rcs": np.concatenate([each.rcs for each in frames]),
-        }
-        pq.write_table(pa.table(columns), path)
-        found = localize(
-            path, file.map.file, file.road, guess=file.guess, heading=file.heading,
-            compass=file.compass, crs=file.map.crs, origin=file.map.origin, sensor=file.sensor,
-            view=view_of(file), reporter=reporter,
-        )  # fmt: skip
-    return rounded(found.pose)
 
 
 def view_of(file: EdgeFile) -> View | None:

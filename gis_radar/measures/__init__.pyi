@@ -4,7 +4,7 @@ from .filters import Filters
 from .frame_hash import HashedFrames
 from .frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
 from .headways import Headways, headways
-from .hit_counter import FrameCounter, count_movement
+from .hit_counter import FrameCounter
 from .hour import LONGEST_VALID_STEPS, MARGIN_STEPS, HourWindow
 from .hour_hits import ValidFrames, frame_columns, observed_runs, sorted_hits, valid_runs
 from .lane_fronts import FrontStates, StepGrid, VisibleRuns
@@ -24,7 +24,6 @@ from .pose_sights import (
     PlacedRecording,
     PoseSight,
     SightBook,
-    places_of,
     pose_names,
     road_near,
     sight_of_tiles,
@@ -73,7 +72,6 @@ __all__ = [
     "VisibleRuns",
     "bound_name",
     "compare_values",
-    "count_movement",
     "cycles",
     "frame_columns",
     "headways",
@@ -83,7 +81,6 @@ __all__ = [
     "measure_lanes",
     "observed_runs",
     "place_on",
-    "places_of",
     "pose_names",
     "queue_course",
     "read_sensor",

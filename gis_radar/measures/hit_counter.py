@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from gis_radar.base import QUIET, Floats, InputError, Integers, Reporter, contiguous
+from gis_radar.base import Floats, InputError, Integers, contiguous
 from gis_radar.hdmap import Numbers, TileGrid
 from gis_radar.measures.counting_loop import (
     COUNTS,
@@ -19,7 +17,6 @@ from gis_radar.measures.counting_loop import (
     FILLED_HITS,
     FRAME_COLUMNS,
     MOVING,
-    POSE,
     TILES_HIT,
     TIME_US,
     WILD,
@@ -33,9 +30,8 @@ from gis_radar.measures.counting_loop import (
 )
 from gis_radar.measures.filters import Filters
 from gis_radar.measures.placing import Places, PoseNumbers
-from gis_radar.measures.pose_sights import places_of
-from gis_radar.poses import Pose, PoseTrack
-from gis_radar.recordings import Detections, RangeCounts, open_recording
+from gis_radar.poses import Pose
+from gis_radar.recordings import Detections, RangeCounts
 from gis_radar.scans import MOVEMENT_LEVEL_M, MOVEMENT_MPS, REFLECTION_M, SightTiles
 
 ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 18  # sizes of the buffers: 224 KiB, 1 MiB
@@ -269,51 +265,3 @@ def rows_of_columns(
 ) -> RowColumns:  # fmt: skip
     """Return columns as rows for the counting loop; arguments as in :class:`RowColumns`."""
     return RowColumns(*map(contiguous, (time, shift_us, x, y, z, range_rate, rcs)))
-
-
-def count_movement(
-    recordings: Sequence[str | Path],
-    track: PoseTrack,
-    road: SightTiles,
-    road_m: Sequence[float],
-    reporter: Reporter = QUIET,
-) -> tuple[dict[int, Integers], Counter[int]]:
-    """Count, from each place of a sensor, the frames with movement on each tile, and all frames.
-
-    Parameters
-    ----------
-    recordings : sequence of paths
-        Its recordings.
-    track : PoseTrack
-        Its poses.
-    road : SightTiles
-        All tiles.
-    road_m : sequence of float
-        For each pose, the height of the road near it, metres; NaN where unknown.
-    reporter : Reporter
-        Receives progress.
-
-    Returns
-    -------
-    movement, frames : dict, Counter
-        By the index of the first pose at a place: numbers by tile, (n,), and of all frames.
-    """
-    counter, places = HitCounter(road, TileGrid(road.quads)), places_of(track.poses)
-    numbers = [
-        PoseNumbers.of(pose, road_m=near_m, number=k)
-        for k, (pose, near_m) in enumerate(zip(track.poses, road_m, strict=True))
-    ]
-    movement = defaultdict[int, Integers](lambda: np.zeros(len(road.tile_id), np.int64))
-    frames = Counter[int]()
-    for recording in recordings:
-        opened, done = open_recording(recording), 0
-        for batch in opened.read():
-            rows = rows_of_detections(batch)
-            for index, begin, end in track.runs(batch.time):
-                count = movement[int(places[index])]
-                for counted in counter.add(rows, begin, end, numbers[index], movement=count):
-                    frames.update(places[counted.frames[:, POSE]].tolist())
-            done += len(batch)
-            reporter.progress("comparing with the recording", done, opened.rows)
-        frames.update(places[counter.end().frames[:, POSE]].tolist())
-    return movement, frames

@@ -127,7 +127,7 @@ class SightBook:
     ----------
     road : SightTiles
         All tiles.
-    scan : SightScan or SightFile, optional
+    scan : SightScan or KeptSight, optional
         Source of sight; without it, all tiles in a view are in sight.
     sights : dict
         Sights found so far, by the name of the pose.

@@ -4,7 +4,7 @@ from .pdal import find_pdal
 from .roads import Roads, read_roads
 from .scan import box_with_margin, open_scan, read_road, road_crs
 from .sight.gaps import find_gaps, gap_warning
-from .sight.layers import SIGHT_LAYER, SightFile, open_sight, write_sights
+from .sight.layers import SIGHT_LAYER, open_sight, write_sights
 from .sight.picture import SIGHT_COLOURS, SIGHT_NAMES, draw_sight
 from .sight.recorded import (
     JUDGED_FRAMES,
@@ -48,7 +48,6 @@ __all__ = [
     "Roads",
     "ScanColumns",
     "Sight",
-    "SightFile",
     "SightScan",
     "SightSource",
     "SightTiles",

@@ -9,12 +9,10 @@ from .settings import MapTable, Sensor, Site, ViewTable, read_site, site_templat
 from .stages import convert_stage, measure_stage
 from .toml_file import LARGEST_FILE, read_toml, toml_reference, toml_template
 from .values import (
-    CompassBearing,
     File,
     Meaning,
     Name,
     Place,
-    Position,
     Recordings,
     Switch,
     TextValue,
@@ -30,7 +28,6 @@ from .worker import Pool, WorkerContext, process_pool
 __all__ = [
     "LARGEST_FILE",
     "BrokerTable",
-    "CompassBearing",
     "Duration",
     "File",
     "LiveTable",
@@ -40,7 +37,6 @@ __all__ = [
     "PageTable",
     "Place",
     "Pool",
-    "Position",
     "Recordings",
     "RunState",
     "Sensor",

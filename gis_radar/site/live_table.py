@@ -168,8 +168,6 @@ class LiveTable(TomlTable):
     """How long recordings are kept."""
     gigabytes: Annotated[float, Meaning(Text("gigabytes, over 0")), within(1e-3, 1e6)] = key(100.0)
     """How much room recordings may take; then the oldest are removed sooner."""
-    health: HostPort | None = key('"127.0.0.1:9464"', None, "none")
-    """Where counts and alarms are served as text for Prometheus."""
     broker: BrokerTable
     """The broker."""
     page: PageTable | None = None

@@ -25,7 +25,6 @@ KEYS = {
     "--max-range": "max_range_m in [sensor.view]",
     "--method": "method in [[sensor]]",
     "--origin": "origin in [map]",
-    "--recording": "recordings in [[sensor]]",
     "--road": "road in [scan]",
     "--scan": "files in [scan]",
     "--scan-crs": "crs in [scan]",

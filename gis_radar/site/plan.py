@@ -15,7 +15,7 @@ from gis_radar.site.together import FOUND, RECORDED, SEVERAL
 
 OWNED = (
     "road.", "tiles.gpkg", "sensors", "dataset", "heatmap", "sight.gpkg",
-    "footprints.gpkg", "site.qgz", "site_", "run.json", "summary.md", "pose_errors.csv",
+    "footprints.gpkg", "site.qgz", "site_", "run.json",
     "together.json", *REPORT_FILES,
 )  # fmt: skip
 

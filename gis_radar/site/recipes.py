@@ -17,20 +17,14 @@ from gis_radar.base import (
     InputError,
     Reporter,
     Text,
-    UsageError,
     name_of,
     require_same,
 )
-from gis_radar.poses import Pose, PoseTrack
+from gis_radar.poses import PoseTrack
 
 if TYPE_CHECKING:
-    import geopandas as gpd
-
     from gis_radar.calibration import SensorClock
     from gis_radar.dataset import Dataset
-    from gis_radar.scans import MovingHits, Sight, SightSource, SightTiles
-
-AUTO = "auto"  # offsets of clocks are measured in the recordings
 
 
 def split_map(
@@ -138,11 +132,11 @@ def _names_one(message: str, paths: Sequence[Path]) -> bool:
 def measure_recordings(
     recordings: Sequence[Path], tracks: Sequence[PoseTrack], tile_file: Path,
     map_file: Path | None, output: Path, *, filters: Mapping[str, Any],
-    clocks: str | Path | None, reporter: Reporter, processes: int | None = None, **options: Any,
+    clocks: Path | None, reporter: Reporter, processes: int | None = None, **options: Any,
 ) -> Dataset:  # fmt: skip
-    """Measure recordings, with the clocks of a file or, for `auto`, measured here.
+    """Measure recordings, with the clocks of a file; return the dataset.
 
-    It returns the dataset. Options are those of :func:`gis_radar.measure`.
+    Options are those of :func:`gis_radar.measure`.
     """
     from gis_radar.base import workers_here
     from gis_radar.dataset import measure
@@ -150,7 +144,7 @@ def measure_recordings(
     from gis_radar.measures import Filters
 
     kept, tiles = Filters(**filters), read_tiles(tile_file)
-    known = {} if clocks is None else _clocks(clocks, recordings, tracks, tiles, reporter)
+    known = {} if clocks is None else _clocks(clocks, tracks, reporter)
     return measure(
         recordings, tracks, tiles, map_file, output,
         filters=kept, clocks=known, processes=processes or workers_here(), reporter=reporter,
@@ -160,29 +154,13 @@ def measure_recordings(
 
 def see_tiles(
     tracks: Sequence[PoseTrack], tile_file: Path, output: Path, *, scans: Sequence[Path],
-    scan_crs: str | None, recordings: Sequence[Path], reporter: Reporter,
+    scan_crs: str | None, reporter: Reporter,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write the sights of sensors, corrected by recordings if given; return figures by sensor.
-
-    Recordings with equal poses are added up. The figures of a sensor are those of its last pose.
-
-    Raises
-    ------
-    UsageError
-        If recordings are given, but not as many as poses.
-    """
+    """Write the sights of sensors; return figures by sensor, those of its last pose."""
     from gis_radar.hdmap import read_tiles
-    from gis_radar.scans import (
-        SightTiles,
-        find_contradictions,
-        open_sight,
-        report_contradictions,
-        report_uncovered,
-        write_sights,
-    )
+    from gis_radar.measures import standing_for
+    from gis_radar.scans import SightTiles, find_sight, open_sight, report_uncovered, write_sights
 
-    if recordings and len(recordings) != len(tracks):
-        raise UsageError("{} recordings, but {} poses", len(recordings), len(tracks))
     tiles = read_tiles(tile_file)
     for track in tracks:
         what = Text("the pose of {}", track.sensor)
@@ -193,91 +171,22 @@ def see_tiles(
         track for k, track in enumerate(tracks)
         if not any(track.poses == each.poses for each in tracks[:k])
     ]  # fmt: skip
-    found, place_of = _sights(different, road, source)
+    found = [
+        find_sight(track.poses[head], road, source)
+        for track in different
+        for head in np.unique(standing_for(track.poses)).tolist()
+    ]
     report_uncovered(found, reporter)
-    hits = []
-    for track in different if recordings else ():
-        pairs = zip(recordings, tracks, strict=True)
-        mine = [recording for recording, each in pairs if each.poses == track.poses]
-        hits += _moving_hits(
-            mine, track, {id(sight.pose): sight for sight in found}, road, reporter
-        )
-    compared = find_contradictions(hits, road)
-    report_contradictions(compared, reporter)
-    by_place = {id(each.sight.pose): each for each in compared}
-    written = [
-        by_place[id(place)].corrected(sight) if id(place) in by_place else sight
-        for sight, place in zip(found, place_of, strict=True)
-    ]
-    written.sort(key=lambda sight: sight.pose.sensor)  # equal files for any order of the input
-    write_sights(written, tiles, output, contradictions=compared)
-    figures = {each.pose.sensor: each.figures() for each in written}
-    for each in compared:
-        figures[each.sight.pose.sensor]["contradicted"] = each.tiles
-    return figures
+    found.sort(key=lambda sight: sight.pose.sensor)  # equal files for any order of the input
+    write_sights(found, tiles, output)
+    return {each.pose.sensor: each.figures() for each in found}
 
 
-def _sights(
-    tracks: Sequence[PoseTrack], road: SightTiles, source: SightSource | None
-) -> tuple[list[Sight], list[Pose]]:
-    """Return the different sights of tracks, and for each the first pose at its place."""
-    from gis_radar.measures import places_of, standing_for
-    from gis_radar.scans import find_sight
+def _clocks(path: Path, tracks: Sequence[PoseTrack], reporter: Reporter) -> dict[str, SensorClock]:
+    """Return the clocks of a file; warn of sensors without one."""
+    from gis_radar.calibration import read_clocks
 
-    found: list[Sight] = []
-    place_of: list[Pose] = []
-    for track in tracks:
-        heads, first = np.unique(standing_for(track.poses)).tolist(), places_of(track.poses)
-        found += [find_sight(track.poses[head], road, source) for head in heads]
-        place_of += [track.poses[first[head]] for head in heads]
-    return found, place_of
-
-
-def _moving_hits(
-    recordings: Sequence[Path], track: PoseTrack, sights: Mapping[int, Sight], road: SightTiles,
-    reporter: Reporter,
-) -> list[MovingHits]:  # fmt: skip
-    """Return the movement on tiles for each place of the sensor with enough frames."""
-    from gis_radar.measures import count_movement, road_near, standing_for
-    from gis_radar.scans import JUDGED_FRAMES, MovingHits
-
-    standing = standing_for(track.poses).tolist()
-    near = {k: road_near(sights[id(track.poses[k])], road) for k in dict.fromkeys(standing)}
-    movement, frames = count_movement(
-        recordings, track, road, [near[k] for k in standing], reporter
-    )
-    hits = [
-        MovingHits(sight=sights[id(track.poses[k])], count=count, frames=frames[k])
-        for k, count in movement.items()
-    ]
-    for each in hits:
-        if each.frames < JUDGED_FRAMES:
-            reporter.warn(
-                "{}: {} frames from one place are too few to correct its sight by, {} are needed",
-                track.sensor,
-                each.frames,
-                JUDGED_FRAMES,
-            )
-    return [each for each in hits if each.frames >= JUDGED_FRAMES]
-
-
-def _clocks(
-    source: str | Path, recordings: Sequence[Path], tracks: Sequence[PoseTrack],
-    tiles: gpd.GeoDataFrame, reporter: Reporter,
-) -> dict[str, SensorClock]:  # fmt: skip
-    """Return clocks from a file, or measured in recordings; warn of sensors without one."""
-    from gis_radar.calibration import measure_clocks, read_clocks
-
-    if source == AUTO:
-        found = measure_clocks(recordings, tracks, tiles, reporter=reporter)
-        for sensor, text in found.figures().items():
-            line = Text("clock of {}: {}", sensor, text)
-            if sensor == "reference":
-                line = Text("clocks are corrected to that of {}", text)
-            reporter.log(line)
-        clocks = dict(found.clocks)
-    else:
-        clocks = read_clocks(source)
+    clocks = read_clocks(path)
     for sensor in sorted({track.sensor for track in tracks} - clocks.keys()):
         reporter.warn("the clock of {} is not corrected: its offset is not known", sensor)
     return clocks

@@ -1,6 +1,6 @@
 """Run a site from its raw data to heat maps; a run continues where an earlier one ended.
 
-Its record is written beside the results: `run.json` for programs, `summary.md` to read.
+Its record is written beside the results, as `run.json`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ from gis_radar.site.summary import (
     refused_sensors,
     sensors_in,
     sensors_of,
-    summary_page,
     warnings_of,
 )
 from gis_radar.site.versions import software
@@ -75,7 +74,7 @@ class SiteRun:
         made = [p for each in self.outcomes for p in each.made]
         made = [p.resolve().relative_to(root) for p in made]
         made = [self.folder / p for p in made if STATE not in p.parts]
-        return [*made, self.folder / "run.json", self.folder / "summary.md"]
+        return [*made, self.folder / "run.json"]
 
     @property
     def missing(self) -> dict[str, GisRadarError]:
@@ -313,9 +312,9 @@ def _hash_inputs(site: Site, state: RunState, reporter: Reporter) -> None:
 def _write_record(
     site: Site, root: Path, outcomes: Sequence[Outcome], state: RunState, *, finished: bool
 ) -> None:
-    """Write `run.json`, and for a finished run `summary.md`.
+    """Write `run.json`.
 
-    They hold neither times nor durations, so that a resumed run writes the same as any other. The
+    It holds neither times nor durations, so that a resumed run writes the same as any other. The
     report reads the record of the stages before it.
     """
     base = site.path.parent.resolve()
@@ -330,12 +329,6 @@ def _write_record(
     with atomic_write(root / "run.json") as part:
         text = json_text(with_texts(document), indent=1, default=lambda path: _relative(path, base))
         part.write_text(text + "\n", encoding="utf-8")
-    summary = root / "summary.md"
-    if not finished:
-        summary.unlink(missing_ok=True)
-        return
-    with atomic_write(summary) as part:
-        part.write_text(summary_page(site, outcomes), encoding="utf-8")
 
 
 def _named(name: str, error: GisRadarError) -> GisRadarError:

@@ -269,10 +269,10 @@ def project_stage(*, outputs: Paths, **options: Any) -> Figures:
 
 
 def report_stage(*, outputs: Paths, csv_locale: str, reporter: Reporter) -> Figures:
-    """Write the report of all results; return the figures that the summary shows, too."""
+    """Write the report of all results; return its main figures."""
     from gis_radar.products import write_report
 
     made = write_report(outputs[0].parent, csv_locale=csv_locale, reporter=reporter)
     for remark in made.summary["found"]:
         reporter.log(remark)
-    return {name: made.summary[name] for name in ("facts", "basis", "lanes_named", "remarks")}
+    return {name: made.summary[name] for name in ("facts", "basis", "remarks")}

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
-from maps import EAST, NORTH
 
 import gis_radar as gr
 from gis_radar.base import QUIET
@@ -44,15 +43,14 @@ from gis_radar.live import (
 )
 from gis_radar.live.wire.outbox import ONLINE, status_message
 from gis_radar.measures import FrameCounter
-from gis_radar.scans import SightFile, SightTiles, find_sight, write_sights
+from gis_radar.scans import SightTiles
 
 STREAM, BEGIN_US = b"abcd", 1_700_000_000_000_000
 MESSAGES = ("status", "pose", "detections")  # in the order in which they come
-SENSOR = f"""sensor = "R1"
+SENSOR = """sensor = "R1"
 site = "junction"
 tiles = "tiles.gpkg"
-guess = [{EAST:.1f}, {NORTH:.1f}]
-heading = 10.0
+pose = "R1.json"
 road = "road.laz"
 [source]
 address = "udp://224.0.2.2:42102"
@@ -73,7 +71,6 @@ tiles = "tiles.gpkg"
 lateness = "200ms"
 interval = "15min"
 broker = { address = "mqtt://127.0.0.1:1883", password_file = "password" }
-health = "127.0.0.1:9464"
 [live.page]
 address = "127.0.0.1:8080"
 names = ["traffic.example"]
@@ -119,8 +116,6 @@ def build(folder: Path) -> None:
     (folder / "password").write_text("secret\n")
     (folder / "SENSOR.toml").write_text(SENSOR)
     (folder / "LIVE.toml").write_text((folder / "SITE.toml").read_text() + LIVE)
-    tiles = gr.read_tiles(folder / "tiles.gpkg")
-    write_sights([find_sight(pose, road)], tiles, folder / "sight.gpkg")
 
 
 @cache
@@ -198,7 +193,7 @@ def kept_spool(folder: Path) -> None:
     with _copied(folder, "spool") as path:
         spool = Spool(path.parent / "more")
         intake = _intake(folder, spool)
-        intake.resume([SpoolFile(path)], BEGIN_US)
+        intake.resume([SpoolFile(path)])
         spool.rotate()
         _deliver(intake, folder)
         spool.close()
@@ -269,10 +264,3 @@ def sensor_file(folder: Path) -> None:
 def live_site(folder: Path) -> None:
     """Read the file of a live site."""
     read_live_site(folder / "LIVE.toml").address()
-
-
-def sight(folder: Path) -> None:
-    """Read a file of sight."""
-    found = SightFile(folder / "sight.gpkg", _road(folder))
-    found.read([gr.read_pose(folder / "R1.json")])
-    assert found.digest

@@ -327,7 +327,6 @@ ROWS = {
     "sensor file": ("SENSOR.toml", live.sensor_file, edits.replaced),
     "sensor file text": ("SENSOR.toml", live.sensor_file, edits.text),
     "live site text": ("LIVE.toml", live.live_site, edits.text),
-    "sight": ("sight.gpkg", live.sight, edits.database),
 }
 TARGETS = {
     name: Target(

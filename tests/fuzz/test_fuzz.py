@@ -137,13 +137,6 @@ FOUND = [
         )
     ),
     ("live records", "live/pose", instead(b'"event":""', b'"event":"\\ud800"')),
-    *(
-        ("sight", "sight.gpkg", statement(text))
-        for text in (
-            "UPDATE sight SET tile_id = 99999 WHERE rowid = 1",
-            "UPDATE sight SET tile_id = NULL WHERE rowid = 1",
-        )
-    ),
     ("osm", "map.osm", half_moved),
     ("rosbag2 metadata", "bag/metadata.yaml", instead(b"nanoseconds: ", b"nanoseconds: &a ")),
     ("pcd", FIRST_CLOUD, instead(b"SIZE 4", b"SIZE ,,,1")),

@@ -65,7 +65,7 @@ def test_nothing_is_done_twice(small, copied):
     done = gr.run_site(path, out)
     assert set(states(done).values()) == {"kept"}
     after = {name: (out / name).stat().st_mtime_ns for name in results(out)}
-    assert {name for name in after if after[name] != before[name]} == {"run.json", "summary.md"}
+    assert {name for name in after if after[name] != before[name]} == {"run.json"}
     same(out, small[1])
 
 
@@ -94,7 +94,6 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(
     with pytest.raises(KeyboardInterrupt):
         gr.run_site(path, out, reporter=Killing("tiles"))
     assert json.loads((out / "run.json").read_text())["finished"] is False
-    assert not (out / "summary.md").exists()
     words = [sys.executable, "-m", "gis_radar", "run", str(path), "-o", str(out), "--json"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment()) as run:
         for line in run.stdout:
@@ -138,7 +137,6 @@ def test_finished_means_that_the_report_is_made(small, copied, moment, blank_pap
     before = json.loads((out / "run.json").read_text())
     assert before["finished"] is False
     assert "report" not in [stage["name"] for stage in before["stages"]]
-    assert not (out / "summary.md").exists()
     done = gr.run_site(path, out)
     assert states(done)["report"] == ("done" if moment == "report begins" else "kept")
     after = json.loads((out / "run.json").read_text())
@@ -325,7 +323,7 @@ def test_what_is_set_for_measuring_counts_and_repeats_no_localization(
     assert after["begin"].min() == before["begin"].min() - pd.Timedelta(seconds=2)
     rows = gr.open_dataset(out / "dataset").recordings().set_index("sensor")
     assert rows.loc["R2", ["clock_offset", "validity_s"]].tolist() == [2.0, 0.225]
-    assert "the clock of R1 is not corrected" in (out / "summary.md").read_text(encoding="utf-8")
+    assert "the clock of R1 is not corrected" in (out / "run.json").read_text(encoding="utf-8")
     assert "clocks.json" in json.loads((out / "run.json").read_text(encoding="utf-8"))["inputs"]
 
 

@@ -1,15 +1,13 @@
-"""Recent counts of steps in which tiles were hit and observed, restored from disk at a restart."""
+"""Recent counts of steps in which tiles were hit and observed."""
 
 from __future__ import annotations
 
-import zipfile
-from pathlib import Path
 from threading import Lock
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
-from gis_radar.base import QUIET, Booleans, Integers, Reporter, atomic_write, output_errors
+from gis_radar.base import Booleans, Integers
 
 MINUTE = 1_200  # steps
 MINUTES = 15  # length of a moving sum
@@ -98,48 +96,3 @@ class RecentCounts:
             numbers = range(max(found.number - QUARTERS + 1, 0), found.number + 1)
             rows = [(each, found.rows[each % QUARTERS].copy()) for each in numbers]
         return [(number, counts) for number, counts in rows if counts[1].any()]
-
-    def keep(self, path: Path, fingerprint: str) -> None:
-        """Write the counts to a file, for :meth:`restore` after a restart.
-
-        Raises
-        ------
-        OutputError
-            If it cannot be written.
-        """
-        with self._lock:
-            rows: dict[str, Any] = {name: each.rows.copy() for name, each in self._kinds.items()}
-            numbers = [(each.steps, each.number) for each in self._kinds.values()]
-            state = np.array([self.step, *np.ravel(numbers)], np.int64)
-        with output_errors(path), atomic_write(path) as part, part.open("wb") as file:
-            np.savez(file, tiles=np.array(fingerprint), state=state, **rows)
-
-    def restore(self, path: Path, fingerprint: str, reporter: Reporter = QUIET) -> None:
-        """Restore the counts of a file, if its intervals have the same lengths.
-
-        Parameters
-        ----------
-        path : Path
-            The file; if it is missing or of other tiles, counting starts from zero.
-        fingerprint : str
-            Fingerprint of the tiles.
-        reporter : Reporter
-            Receives a warning where it cannot be read.
-        """
-        try:
-            with np.load(path) as found:
-                if str(found["tiles"]) != fingerprint:
-                    return
-                step, *numbers = found["state"].tolist()
-                rows = {name: found[name] for name in self._kinds}
-        except FileNotFoundError:
-            return
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            reporter.warn("{}: cannot be read: the map's counts begin anew", path)
-            return
-        self.step = step
-        for (name, each), (steps, number) in zip(
-            self._kinds.items(), zip(numbers[::2], numbers[1::2], strict=True), strict=True
-        ):
-            if steps == each.steps and rows[name].shape == each.rows.shape:
-                each.number, each.rows = number, rows[name]

@@ -264,11 +264,6 @@ class SpoolFile:
         first = self.at(0)
         return first is not None and first.kind == HEAD
 
-    @property
-    def written_us(self) -> int:
-        """Time of the last write, microseconds since 1970."""
-        return self.path.stat().st_mtime_ns // 1000
-
     def records(self) -> Iterator[tuple[int, Record]]:
         """Yield all records, each with its offset in the file."""
         at = end = 0  # end: of the last whole record

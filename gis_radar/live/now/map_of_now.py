@@ -40,14 +40,12 @@ class Windows:
     ----------
     lateness_s : float
         How long after its end a step stays open, seconds.
-    closed : int, optional
-        The last step that an earlier run has closed.
     """
 
-    def __init__(self, lateness_s: float, *, closed: int | None = None) -> None:
+    def __init__(self, lateness_s: float) -> None:
         self._lateness_us = round(lateness_s * 1e6)
         self._open: dict[int, dict[str, Seen]] = {}
-        self._closed = closed  # the last closed step
+        self._closed: int | None = None  # the last closed step
 
     def add(self, sensor: str, step: int, seen: Seen) -> bool:
         """Add a frame; return whether its step was still open."""
@@ -59,33 +57,13 @@ class Windows:
         sensors[sensor] = seen
         return True
 
-    def close_open(self, now_us: int, held_s: float) -> Iterator[tuple[int, dict[str, Seen]]]:
-        """Close the steps in which frames that came so far are valid, as :meth:`close` does.
-
-        Parameters
-        ----------
-        now_us : int
-            Microseconds since 1970.
-        held_s : float
-            Longest validity of a frame, seconds.
-        """
-        if not self._open:
-            return iter(())
-        last = max(self._open) + valid_steps(held_s)
-        end_us = (last + 1) * STEP_US + self._lateness_us
-        return self.close(min(now_us, end_us), most=last - min(self._open) + 1)
-
-    def close(
-        self, now_us: int, *, most: int = MOST_STEPS
-    ) -> Iterator[tuple[int, dict[str, Seen]]]:
+    def close(self, now_us: int) -> Iterator[tuple[int, dict[str, Seen]]]:
         """Close the steps that are over, in order; yield each with the reports by sensor.
 
         Parameters
         ----------
         now_us : int
             Microseconds since 1970.
-        most : int
-            Most steps to close; of more, the earliest are left out.
         """
         last = (now_us - self._lateness_us) // STEP_US - 1
         if self._closed is None:
@@ -94,8 +72,8 @@ class Windows:
             # else no step would be closed until it is as late again
             self._closed = last - 1
             self._open = {step: seen for step, seen in self._open.items() if step >= last}
-        if last - self._closed > most:
-            self._closed = last - most
+        if last - self._closed > MOST_STEPS:
+            self._closed = last - MOST_STEPS
             self._open = {step: seen for step, seen in self._open.items() if step > self._closed}
         while self._closed < last:
             self._closed += 1

@@ -6,6 +6,7 @@ import multiprocessing
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from itertools import islice
 from typing import Any, NamedTuple
 
 import geopandas as gpd
@@ -19,13 +20,15 @@ from gis_radar.base import (
     stop_pool,
     watch_parent,
 )
-from gis_radar.hdmap import LaneGraph, lane_graph
+from gis_radar.hdmap import LaneGraph, lane_graph, make_tiles, read_map
 from gis_radar.live.now.now_filter import NowFilter, VehiclesNow
 from gis_radar.live.wire.detections import DetectionSelector, pack_detections, unpack_detections
-from gis_radar.live.wire.first_run import SampleSensor
 from gis_radar.live.wire.payload import POSE_BYTES
+from gis_radar.live.wire.sources import frames_of_recording
 from gis_radar.measures import rows_of
-from gis_radar.poses import Pose
+from gis_radar.poses import Pose, read_pose
+from gis_radar.sample import sample_folder
+from gis_radar.scans import SightTiles
 from gis_radar.tracking import map_detections
 
 NOW_S, REORDER_S = 0.5, 0.3  # period of the results; how long frames wait for other sensors
@@ -125,13 +128,14 @@ def _go_on(messages: Sequence[PlacedMessage]) -> VehiclesAnswer:
 
 def run_vehicles_once() -> None:
     """Follow a few seconds of the sample, so that all loops are compiled."""
-    sample = SampleSensor()
-    selector = DetectionSelector(sample.road)
-    following = VehicleFollower(lane_graph(sample.roads.lanelets))
-    for frame in sample.frames(SAMPLE_FRAMES):
-        found = selector.find(frame, sample.pose, road_m=np.nan)
+    sample = sample_folder()
+    roads, pose = read_map(sample / "junction.osm"), read_pose(sample / "R1.json")
+    selector = DetectionSelector(SightTiles.of(make_tiles(roads)))
+    following = VehicleFollower(lane_graph(roads.lanelets))
+    for frame in islice(frames_of_recording(sample / "R1.parquet"), SAMPLE_FRAMES):
+        found = selector.find(frame, pose, road_m=np.nan)
         content = pack_detections([found], pose=bytes(POSE_BYTES))
-        following.go_on([PlacedMessage(0, sample.pose, np.nan, content)])
+        following.go_on([PlacedMessage(0, pose, np.nan, content)])
 
 
 class LiveVehicles:

@@ -85,7 +85,6 @@ MEASURES = {
 }  # fmt: skip
 """By the last word of the Datastream's name; those of traffic are columns of it."""
 COMPONENTS = ["phenomenonTime", "resultTime", "result", "parameters"]
-_NOT_OFFERED = {404, 405, 501}  # status of servers without the extension for many observations
 _UNWRITTEN = "error"  # entry in place of the link of an observation that was not stored
 
 
@@ -194,9 +193,7 @@ class Service:
     def _refusal(self, path: str, error: urllib.error.HTTPError) -> ServerError:
         location = error.headers.get("Location") if 300 <= error.code < 400 else None
         if location is None:
-            return ServerError(
-                "{}: answers {} to {}", self.root, error.code, path, hint=str(error.code)
-            )
+            return ServerError("{}: answers {} to {}", self.root, error.code, path)
         place = urljoin(f"{self.root}/{path}", location).partition("?")[0].removesuffix(f"/{path}")
         return ServerError("{}: has moved; the address to use is {}", self.root, place)
 
@@ -241,7 +238,6 @@ class LaneServer:
     def __init__(self, service: Service, place: Place, site: str) -> None:
         self._service, self._place, self._site = service, place, site
         self._streams: dict[tuple[int, str], Any] = {}
-        self._one_by_one = False
         lanes = place.lanes.set_index("lane")
         shapes = geometries(place.in_degrees(place.lanes).geometry.to_numpy())
         self._shapes = dict(zip(lanes.index.tolist(), shapes, strict=True))
@@ -287,20 +283,6 @@ class LaneServer:
         return there, -math.inf if whole else min(there)
 
     def _create(self, measures: Sequence[LaneMeasure]) -> int:
-        if not self._one_by_one:
-            try:
-                return self._create_at_once(measures)
-            except ServerError as error:
-                if error.hint not in {str(code) for code in _NOT_OFFERED}:
-                    raise
-                self._one_by_one = True
-        for each in measures:
-            record = dict(zip(COMPONENTS, _values(each), strict=True))
-            stream = _key(self._stream(*each.stream))
-            self._service.post(f"Datastreams({stream})/Observations", record)
-        return 0
-
-    def _create_at_once(self, measures: Sequence[LaneMeasure]) -> int:
         arrays = []
         for stream, group in groupby(measures, lambda each: each.stream):
             values = [_values(each) for each in group]

@@ -1,12 +1,10 @@
-"""Files for a broker: Mosquitto's configuration, access, passwords; systemd units; containers."""
+"""Files for a broker: Mosquitto's configuration, access, passwords; systemd units."""
 
 from __future__ import annotations
 
 import base64
 import getpass
 import hashlib
-import json
-import os
 import secrets
 import shutil
 import sys
@@ -20,9 +18,8 @@ from gis_radar.live.wire.payload import MOST_BYTES
 from gis_radar.live.wire.settings import LiveSite, read_live_site
 
 CONFIG, ACCESS, PASSWORDS = "mosquitto.conf", "access", "passwords"
-COMPOSE, IMAGE = "compose.yaml", "Dockerfile"
 # What begins with `server.` is of TLS, from elsewhere, and stays.
-OWNED = (CONFIG, ACCESS, PASSWORDS, COMPOSE, IMAGE, "gis-radar-", "password_of_", "server.")
+OWNED = (CONFIG, ACCESS, PASSWORDS, "gis-radar-", "password_of_", "server.")
 _ROUNDS, _SALT_BYTES = 101, 12  # as in Mosquitto's own mosquitto_passwd
 _HEADER_BYTES = 1024  # bytes of a message beside its content: topic and properties
 
@@ -54,9 +51,6 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
             PASSWORDS: password_lines(known),
             **{f"password_of_{user}": f"{password}\n" for user, password in known.items()},
             **units(site, Path(path).resolve(), place.resolve()),
-            COMPOSE: compose_text(site, Path(path).resolve(), place.resolve()),
-            IMAGE: _IMAGE,
-            f"{IMAGE}.dockerignore": _LEFT_OUT,
         }
         for name, text in texts.items():
             file = part / name
@@ -164,69 +158,6 @@ _KEPT = "CacheDirectory=gis_radar\nEnvironment=NUMBA_CACHE_DIR=%C/gis_radar\n"
 _THERE, _PROGRAM = "/var/lib/gis_radar", "/usr/local/lib/gis_radar/bin/gis-radar"
 _USER = "gis_radar"
 _STOP_S = 300  # time to stop: fusion follows the last minutes of vehicles and writes the hour
-
-_IMAGE = """\
-# Broker and gis_radar in one image; see docs/live.md.
-FROM debian:bookworm-slim
-RUN apt-get update \\
-    && apt-get install -y --no-install-recommends mosquitto python3-venv \\
-    && rm -rf /var/lib/apt/lists/*
-# Another version, or a wheel beside this file: --build-arg GIS_RADAR=/build/gis_radar-....whl[live]
-ARG GIS_RADAR=gis_radar[live]
-# Nothing else of this folder: passwords and keys lie here, and a layer would keep them.
-COPY Dockerfile *.whl /build/
-RUN python3 -m venv /venv && /venv/bin/pip install --no-cache-dir "$GIS_RADAR" && rm -r /build
-ENV PATH=/venv/bin:/usr/sbin:/usr/bin:/sbin:/bin
-"""
-# Patterns that keep passwords and keys out of the image.
-_LEFT_OUT = "*\n!Dockerfile\n!*.whl\n"
-
-
-def compose_text(site: LiveSite, file: Path, folder: Path) -> str:
-    """Return a compose file with broker and fusion; paths are the same inside as outside.
-
-    Parameters
-    ----------
-    site : LiveSite
-        Of the site's file.
-    file, folder : Path
-        The site's file, and where the files of the broker are.
-    """
-    uid, gid = (os.getuid(), os.getgid()) if hasattr(os, "getuid") else (0, 0)
-    if uid == 0:  # nothing in the containers needs root
-        uid, gid = 1000, 1000
-    common = {
-        "image": "gis_radar-live",
-        "network_mode": "host",  # addresses of SITE.toml hold, and multicast of radars comes in
-        "user": f"{uid}:{gid}",
-        "restart": "always",
-        "read_only": True,
-        "tmpfs": ["/tmp"],  # noqa: S108 - of the container
-        "cap_drop": ["ALL"],
-        "security_opt": ["no-new-privileges:true"],
-    }
-    services = {
-        "broker": common | {
-            "build": {"context": str(folder)},
-            "command": ["mosquitto", "-c", str(folder / CONFIG)],
-            "volumes": [f"{folder}:{folder}:ro"],
-        },
-        "fusion": common | {
-            "depends_on": ["broker"],
-            "working_dir": str(file.parent),
-            "environment": {"NUMBA_CACHE_DIR": str(file.parent / site.folder / "compiled")},
-            "command": ["gis-radar", "live", file.name],
-            "volumes": [f"{file.parent}:{file.parent}"],
-            "stop_signal": "SIGTERM",
-            "stop_grace_period": f"{_STOP_S}s",
-        },
-    }  # fmt: skip
-    text = json.dumps(
-        {"name": f"gis-radar-{site.live.site}".lower(), "services": services}, indent=2
-    )
-    return (
-        f"# YAML, of which JSON is a part. Needs all files of {file.name} in its folder.\n{text}\n"
-    )
 
 
 def units(site: LiveSite, file: Path, folder: Path) -> dict[str, str]:

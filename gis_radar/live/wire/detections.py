@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gis_radar.base import Floats, InputError, Integers, compiled
 from gis_radar.hdmap import LANE_MARGIN_M, TileGrid
-from gis_radar.live.wire.payload import HEAD_BYTES, MOST_FRAMES, POSE_BYTES, Numbers, varint
+from gis_radar.live.wire.payload import MOST_FRAMES, POSE_BYTES, Numbers, varint
 from gis_radar.measures import NO_FURTHER
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections
@@ -207,15 +207,6 @@ def unpack_detections(content: bytes) -> tuple[bytes, tuple[FrameDetections, ...
         frames.append(_frame_of(time_us, columns))
     read.end()
     return pose, tuple(frames)
-
-
-def first_time_us(message: bytes) -> int:
-    """Return the time of the first frame of a whole message, without unpacking it."""
-    read = Numbers(message, HEAD_BYTES)
-    read.take()
-    read.bytes(POSE_BYTES)
-    read.take()
-    return read.take()
 
 
 def _frame_of(time_us: int, columns: Integers) -> FrameDetections:

@@ -12,13 +12,11 @@ from gis_radar.live.wire.broker import FUSION, BrokerAddress
 from gis_radar.measures import Filters
 from gis_radar.site import (
     BrokerTable,
-    CompassBearing,
     Duration,
     File,
     LiveTable,
     MapTable,
     Meaning,
-    Position,
     Recordings,
     Sensor,
     Site,
@@ -75,18 +73,12 @@ class EdgeFile(TomlTable):
     """The site's name in the topics, as in SITE.toml."""
     tiles: File = key('"tiles.gpkg"')
     """The tiles, the same file that fusion has."""
-    pose: File | None = key('"R1.json"', None, "found at the start")
-    """Its pose; without it a guess is needed."""
-    guess: Position | None = key("[690356.0, 5336183.0]", None, "none")
-    """Where it stands, within 15 m, in the map frame."""
-    heading: Annotated[float, Meaning("degrees"), within()] | None = key("20.0", None, "searched")
-    """Yaw within 25 deg: from grid east, anticlockwise."""
-    compass: CompassBearing | None = key('"north-east"', None, "searched")
-    """The same as a bearing, clockwise from true north."""
+    pose: File = key('"R1.json"')
+    """Its pose, from `gis-radar localize`."""
     follow: Switch = key("false", True, "true, where map and road are given")
     """Whether the pose is followed every 5 s."""
     road: File | None = key('"road.laz"', None, "none")
-    """The scanned road, from `gis-radar mask`, to find and follow the pose by."""
+    """The scanned road, from `gis-radar mask`, to follow the pose by."""
     frames_a_message: Annotated[int, Meaning("1 to 100"), Field(strict=True, ge=1, le=100)] = key(
         "5", 1, "1"
     )
@@ -96,24 +88,12 @@ class EdgeFile(TomlTable):
     broker: BrokerTable
     """The broker."""
     map: MapTable | None = None
-    """The lanes, to find and follow the pose by."""
+    """The lanes, to follow the pose by."""
     view: ViewTable | None = None
     """What it sees, where its pose does not state it."""
     buffer: BufferTable = BufferTable()
     """The disk buffer."""
     _path: Path = PrivateAttr(Path("SENSOR.toml"))
-
-    @model_validator(mode="after")
-    def _fits_together(self) -> Self:
-        if (self.guess is None) == (self.pose is None):
-            both = "both guess and pose" if self.pose else "neither guess nor pose"
-            raise Unfit(message=Text("has {}", both), hint=Text("give one of them"))
-        if self.guess is not None and (self.map is None or self.road is None):
-            raise Unfit(
-                message="its pose is to be found, which needs lanes and road",
-                hint="give road and a table [map], or a pose",
-            )
-        return self
 
     @property
     def path(self) -> Path:

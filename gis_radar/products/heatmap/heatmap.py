@@ -56,7 +56,6 @@ OWNED = (
     "report.",
     "lanes.csv",
     "lanes_by_interval.csv",
-    "sensors.csv",
     "quality.csv",
     "traffic.csv",
     "turns.csv",

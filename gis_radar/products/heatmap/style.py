@@ -1,7 +1,7 @@
 """Style of all heat maps: colour ramp, class breaks, and QGIS styles.
 
-The QGIS styles are `occupancy.qml`, a pattern, and `ground.qml`. Everything here needs the
-standard library only, so that a Python without the geographic packages can load this file.
+The QGIS styles are `tiles.qml.jinja` and `ground.qml`. The file loads with the standard library
+only, so that a Python without the geographic packages, that of QGIS, has its classes.
 
 The ramp runs from light yellow over red to near-black violet, in equal steps of lightness, so
 that it reads the same in grey and for colour-blind eyes; dark is high, as in the paper's
@@ -11,14 +11,17 @@ is mostly small (0.5 to 30 %), and never depend on the data, so that maps compar
 
 from __future__ import annotations
 
-import copy
 import struct
 from collections.abc import Mapping
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
-from xml.etree.ElementTree import Element, SubElement, indent, parse, tostring
+from typing import TYPE_CHECKING, Any, NamedTuple
+from xml.sax.saxutils import escape
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 BREAKS = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # occupancy and hit share
 RAMP = (
@@ -141,14 +144,8 @@ def vector_qml(
     str
         QML text. Where tiles overlap, the busiest is on top.
     """
-    without = ("pipe",) if interval_s is not None else ("pipe", "temporal")
-    root = _measure_style(measure, least_s, without=without)
-    if interval_s is not None:
-        element_at(root, "temporal").set("fixedDuration", str(_shown_ms(interval_s)))
-    aliases = element_at(root, "aliases")
-    for number, (name, title) in enumerate(titles.items()):
-        SubElement(aliases, "alias", {"index": str(number), "field": name, "name": title})
-    return qgis_document(root)
+    shown_ms = None if interval_s is None else _shown_ms(interval_s)
+    return _filled(measure, least_s, layer=True, shown_ms=shown_ms, titles=titles)
 
 
 def sidecar_qml(measure: str = "hit_share", least_s: float = 0.0) -> str:
@@ -156,9 +153,7 @@ def sidecar_qml(measure: str = "hit_share", least_s: float = 0.0) -> str:
 
     QGIS loads it by itself if it has the file's name with the suffix `.qml`.
     """
-    root = _measure_style(measure, least_s, without=("temporal", "layerGeometryType"))
-    root.set("styleCategories", "Symbology")
-    return qgis_document(root)
+    return _filled(measure, least_s, layer=False, shown_ms=None, titles={})
 
 
 def ground_qml() -> str:
@@ -170,78 +165,25 @@ def ground_qml() -> str:
     return (_HERE / "ground.qml").read_text(encoding="utf-8")
 
 
-def _measure_style(measure: str, least_s: float, *, without: tuple[str, ...]) -> Element:
-    """Return `occupancy.qml` with an entry for each class of a measure, without some parts."""
-    root = parse(_HERE / "occupancy.qml").getroot()  # noqa: S314 - our own file
-    for name in without:
-        root.remove(element_at(root, name))
-    for parent in ("pipe//colorrampshader", "renderer-v2/ranges", "renderer-v2/symbols"):
-        if (entries := root.find(parent)) is not None:
-            _repeat_for_each_class(entries, measure)
-    if measure == "occupancy":
-        _hatch(element_at(root, "renderer-v2"), least_s)
-    element_at(root, "mapTip").text = _TIPS.get(measure, "")
-    element_at(root, "renderer-v2").set("attr", measure)
-    element_at(root, "renderer-v2/orderby/orderByClause").text = f'"{measure}"'
-    return root
+def _filled(measure: str, least_s: float, **more: Any) -> str:
+    """Return `tiles.qml.jinja` with the classes of a measure."""
+    rule = escape(uncertain_rule(least_s), {'"': "&quot;"}) if measure == "occupancy" else ""
+    return qml_template(_HERE / "tiles.qml.jinja").render(
+        measure=measure, classes=colour_classes(measure), hatches=hatches(), rule=rule,
+        tip=escape(_TIPS.get(measure, "")), rgba=_rgba, single=_single, **more,
+    )  # fmt: skip
 
 
-def _repeat_for_each_class(entries: Element, measure: str) -> None:
-    """Replace the only entry by one for each colour class."""
-    (pattern,) = entries
-    entries.remove(pattern)
-    for number, each in enumerate(colour_classes(measure)):
-        entry = copy.deepcopy(pattern)
-        entries.append(entry)
-        if entry.tag == "item":
-            value = f"{_single(each.upper):.17g}"
-            entry.attrib |= {"value": value, "color": each.colour, "label": each.label}
-        elif entry.tag == "range":
-            entry.attrib |= {"symbol": str(number), "label": each.label}
-            entry.attrib |= {"lower": f"{each.lower:.15f}", "upper": f"{each.upper:.15f}"}
-        else:
-            entry.set("name", str(number))
-            for name in ("color", "outline_color"):
-                element_at(entry, f".//Option[@name='{name}']").set("value", _rgba(each.colour))
+@cache
+def qml_template(path: Path) -> Template:
+    """Return the template of a QGIS style, which escapes texts."""
+    from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - see above
 
-
-def _hatch(renderer: Element, least_s: float) -> None:
-    """Hatch uncertain tiles in each class, and add an entry to the legend.
-
-    The entry is a class of its own, above all shares, that no tile is in.
-    """
-    pattern = element_at(parse(_HERE / "hatch.qml").getroot(), "symbol")  # noqa: S314 - our own file
-    symbols = element_at(renderer, "symbols")
-    for symbol, colour in zip(symbols, hatches(), strict=True):
-        layer = copy.deepcopy(element_at(pattern, "layer"))
-        shown = f"if({uncertain_rule(least_s)}, 'solid', 'no')"
-        element_at(layer, ".//Option[@name='expression']").set("value", shown)
-        _colour_lines(layer, colour)
-        symbol.append(layer)
-    entry = copy.deepcopy(pattern)
-    entry.set("name", str(len(symbols)))
-    line = element_at(entry, "layer/symbol/layer")
-    line.remove(element_at(line, "data_defined_properties"))
-    element_at(line, ".//Option[@name='line_style']").set("value", "solid")
-    _colour_lines(element_at(entry, "layer"), HATCH_DARK)
-    symbols.append(entry)
-    bounds = {"lower": "2.000000000000000", "upper": "2.000000000000000"}
-    named = {"symbol": entry.get("name", ""), "render": "true", "label": UNCERTAIN}
-    SubElement(element_at(renderer, "ranges"), "range", named | bounds)
-
-
-def _colour_lines(layer: Element, colour: str) -> None:
-    for option in layer.iterfind(".//Option"):
-        if option.get("name") in {"color", "line_color"}:
-            option.set("value", _rgba(colour))
-
-
-def element_at(root: Element, path: str) -> Element:
-    """Return an element of one of our templates, which has it."""
-    found = root.find(path)
-    if found is None:
-        raise LookupError(f"the template has no {path}")
-    return found
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )  # fmt: skip
+    return environment.from_string(path.read_text(encoding="utf-8"))
 
 
 def _shown_ms(interval_s: float) -> int:
@@ -262,10 +204,3 @@ def _rgba(colour: str) -> str:
 def _single(value: float) -> float:
     """Round a value to float32 as pixels are, so that a pixel on a break stays below it."""
     return float(struct.unpack("f", struct.pack("f", value))[0])
-
-
-def qgis_document(root: Element) -> str:
-    """Return a style or project of QGIS as text."""
-    indent(root)
-    heading = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
-    return f"{heading}\n{tostring(root, encoding='unicode')}\n"

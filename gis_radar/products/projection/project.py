@@ -28,13 +28,10 @@ from gis_radar.base import (
     gps_seconds,
     name_of,
     refuse_inputs,
-    require_same,
     require_true_scale,
     write_stream,
 )
-from gis_radar.hdmap import LaneletMap
 from gis_radar.poses import Pose, PoseTrack, as_track
-from gis_radar.products.projection.on_lanes import LANE_COLUMNS, OnLanes
 from gis_radar.recordings import Detections, Recording, as_recording
 
 laspy = lazy_loader.load("laspy")  # 0.2 s, and most files written are no scans
@@ -44,7 +41,6 @@ def project(
     recording: str | Path | Recording,
     pose: Pose | PoseTrack | str | Path,
     *,
-    roads: LaneletMap | None = None,
     reporter: Reporter = QUIET,
 ) -> gpd.GeoDataFrame:
     """Return the detections of a recording as points in the map.
@@ -55,10 +51,6 @@ def project(
         The sensor's recording.
     pose : Pose, PoseTrack or its file
         Pose of the sensor.
-    roads : LaneletMap, optional
-        Map by which columns are added: `lanelet_id`, `s_m` along it, `d_m` left of its middle, and
-        `speed_along` it, m/s, by the range rate (null where the lane lies across the line of
-        sight).
     reporter : Reporter
         Receives progress and the names of renamed columns.
 
@@ -77,7 +69,7 @@ def project(
     >>> len(points), points.crs.to_string()
     (167616, 'EPSG:25832')
     """
-    batches = _PointStream(as_recording(recording), as_track(pose), reporter, roads)
+    batches = _PointStream(as_recording(recording), as_track(pose), reporter)
     table = pa.Table.from_batches(batches, schema=batches.schema)
     frame = table.drop_columns([GEOMETRY]).to_pandas()
     points = shapely.from_wkb(table[GEOMETRY].to_numpy())
@@ -89,14 +81,13 @@ def write_projection(
     pose: Pose | PoseTrack | str | Path,
     path: str | Path,
     *,
-    roads: LaneletMap | None = None,
     reporter: Reporter = QUIET,
 ) -> int:
     """Write the detections of a recording as points in the map, in bounded memory.
 
     Parameters
     ----------
-    recording, pose, roads, reporter
+    recording, pose, reporter
         As for :func:`project`.
     path : str or Path
         GeoPackage (layer `hits`), LAZ or LAS, or GeoParquet, by its ending. What a format
@@ -126,7 +117,7 @@ def write_projection(
         )
     source = as_recording(recording)
     refuse_inputs(path, source.path)
-    points = _PointStream(source, as_track(pose), reporter, roads)
+    points = _PointStream(source, as_track(pose), reporter)
     with atomic_write(path) as part:
         WRITERS[path.suffix.lower()](points, part)
     return points.rows
@@ -183,20 +174,14 @@ class _PointStream:
     coordinate system and a place near the points. `rows` counts the points so far.
     """
 
-    def __init__(
-        self, recording: Recording, track: PoseTrack, reporter: Reporter, roads: LaneletMap | None
-    ) -> None:
+    def __init__(self, recording: Recording, track: PoseTrack, reporter: Reporter) -> None:
         self._recording, self._track = recording, track
-        if roads is not None:
-            require_same(track.poses[0].crs, roads.crs, what=track.sensor, other_what="the map")
-        self._lanes = None if roads is None else OnLanes(roads)
-        placed = LANE_COLUMNS if self._lanes else pa.schema([])
         self._batches = recording.read(further=True)
         self._first = next(self._batches)
         further = self._first.further.schema
-        self.names = _distinct_names(further.names, (*TAKEN, *placed.names))
+        self.names = _distinct_names(further.names, TAKEN)
         kept = [pa.field(self.names[field.name], _plain(field.type)) for field in further]
-        self.schema: pa.Schema = pa.schema([*OWN, *placed, *kept, pa.field(GEOMETRY, pa.binary())])
+        self.schema: pa.Schema = pa.schema([*OWN, *kept, pa.field(GEOMETRY, pa.binary())])
         self.pose: Pose = track.poses[0]
         for pose in track.poses:  # in degrees, in millimetres, with its axes swapped
             whose = Text("pose of {}", pose.sensor)
@@ -234,22 +219,18 @@ class _PointStream:
                 detections.further.schema.names, detections.further.columns, strict=True
             )
         ]
-        places, sensors = self._in_map(detections)
-        placed = []
-        if self._lanes is not None:
-            placed = self._lanes.columns(places, sensors, detections.range_rate)
-        geometry = pa.array(shapely.to_wkb(shapely.points(places)), pa.binary())
-        return pa.RecordBatch.from_arrays([*own, *placed, *further, geometry], schema=self.schema)
+        points = shapely.points(self._in_map(detections))
+        geometry = pa.array(shapely.to_wkb(points), pa.binary())
+        return pa.RecordBatch.from_arrays([*own, *further, geometry], schema=self.schema)
 
-    def _in_map(self, detections: Detections) -> tuple[Floats, Floats]:
-        """Return the places of detections in the map, and those of their sensor."""
-        places, sensors = np.empty_like(detections.points), np.empty_like(detections.points)
+    def _in_map(self, detections: Detections) -> Floats:
+        """Return the places of detections in the map."""
+        places = np.empty_like(detections.points)
         held = self._track.at(detections.time)
         for pose_index in np.unique(held):
             now = held == pose_index
             places[now] = self._track.poses[pose_index].to_map(detections.points[now])
-            sensors[now] = self._track.poses[pose_index].position
-        return places, sensors
+        return places
 
 
 def _floats(values: np.ndarray) -> pa.Array:

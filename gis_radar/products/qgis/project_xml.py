@@ -11,13 +11,12 @@ from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
-from xml.etree.ElementTree import Element, SubElement, fromstring
+from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 from pyproj import CRS
 
 from gis_radar.base import Box, class_label, name_of, translated, utc_offsets, zone_of
 from gis_radar.products.heatmap import style
-from gis_radar.products.heatmap.style import element_at, qgis_document
 
 _FRAMES_A_SECOND = "2"  # vehicles move as fast as they drove
 _DATE = {"en": "yyyy-MM-dd", "de": "dd.MM.yyyy"}
@@ -64,20 +63,22 @@ def project_xml(content: ProjectContent, home: Path) -> str:
     """Return a project as text; its files are named from its folder."""
     root = _template("project.qgs")
     root.set("projectname", content.title)
-    element_at(root, "title").text = content.title
-    element_at(root, "layer-tree-group/layer-tree-group[@name='Heat map']").set(
+    _element_at(root, "title").text = content.title
+    _element_at(root, "layer-tree-group/layer-tree-group[@name='Heat map']").set(
         "name", style.MAP_WORDS[content.measure].title
     )
-    element_at(root, "Layouts").append(_sheet(content))
+    _element_at(root, "Layouts").append(_sheet(content))
     _fill_layers(root, content.layers, home)
     _fill_time(root, content.played, content.language)
     if "gis_radar_footprints" in content.layers:
-        element_at(root, "ProjectTimeSettings").set("frameRate", _FRAMES_A_SECOND)
+        _element_at(root, "ProjectTimeSettings").set("frameRate", _FRAMES_A_SECOND)
     _fill_place(root, content.crs, content.box)
     if content.measure != "hit_share":
         _rename_layers(root, content.measure)
     _translate(root, content.language)
-    return qgis_document(root)
+    indent(root)
+    heading = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
+    return f"{heading}\n{tostring(root, encoding='unicode')}\n"
 
 
 def _rename_layers(root: Element, measure: str) -> None:
@@ -137,7 +138,7 @@ def _sheet(content: ProjectContent) -> Element:
     chart = _item(layout, "map")
     width, height, _ = chart.attrib["size"].split(",")
     box = fit_box(content.box, float(width), float(height))
-    element_at(chart, "Extent").attrib |= _limits(box)
+    _element_at(chart, "Extent").attrib |= _limits(box)
     return layout
 
 
@@ -171,13 +172,13 @@ def _fill_layers(root: Element, layers: Mapping[str, LayerSource], home: Path) -
         if layer is None:
             parent.remove(element)
         elif element.tag == "maplayer":
-            element_at(element, "datasource").text = _source(layer, home)
+            _element_at(element, "datasource").text = _source(layer, home)
             body = layer.qml[layer.qml.index("<qgis") :]
             parts = fromstring(body)  # noqa: S314 - our own text
             element.extend(part for part in parts if part.tag != "layerGeometryType")
         else:
             element.set("source", _source(layer, home))
-    tree = element_at(root, "layer-tree-group")
+    tree = _element_at(root, "layer-tree-group")
     for group in tree.findall("layer-tree-group"):
         if len(group) == 0:
             tree.remove(group)
@@ -203,23 +204,23 @@ def _source(layer: LayerSource, home: Path) -> str:
 
 
 def _fill_time(root: Element, played: TimeRange | None, language: str) -> None:
-    settings, properties = element_at(root, "ProjectTimeSettings"), element_at(root, "properties")
-    controller = element_at(properties, "TemporalControllerWidget")
-    clock = element_at(properties, "TitleLabel")
+    settings, properties = _element_at(root, "ProjectTimeSettings"), _element_at(root, "properties")
+    controller = _element_at(properties, "TemporalControllerWidget")
+    clock = _element_at(properties, "TitleLabel")
     if played is None:
         root.remove(settings)
         properties.remove(controller)
         properties.remove(clock)
         return
     for begin in (
-        element_at(settings, "TemporalRange/start"),
-        element_at(controller, "StartDateTime"),
+        _element_at(settings, "TemporalRange/start"),
+        _element_at(controller, "StartDateTime"),
     ):
         begin.text = played.begin
-    for end in (element_at(settings, "TemporalRange/end"), element_at(controller, "EndDateTime")):
+    for end in (_element_at(settings, "TemporalRange/end"), _element_at(controller, "EndDateTime")):
         end.text = played.end
     minutes = played.step_s % 60 == 0
-    element_at(clock, "Label").text = map_clock(played, language)
+    _element_at(clock, "Label").text = map_clock(played, language)
     step = played.step_s / 60 if minutes else played.step_s
     settings.attrib |= {"timeStep": f"{step:g}", "timeStepUnit": "min" if minutes else "s"}
 
@@ -274,8 +275,8 @@ def _by_time(figures: str, values: list[tuple[datetime, str]]) -> str:
 
 def _fill_place(root: Element, crs: CRS, box: Box) -> None:
     for name, value in _limits(box).items():
-        element_at(root, f"mapcanvas/extent/{name}").text = value
-    element_at(root, "ProjectViewSettings/DefaultViewExtent").attrib |= _limits(box)
+        _element_at(root, f"mapcanvas/extent/{name}").text = value
+    _element_at(root, "ProjectViewSettings/DefaultViewExtent").attrib |= _limits(box)
     name = name_of(crs)
     for system in root.iter("spatialrefsys"):
         SubElement(system, "wkt").text = crs.to_wkt()
@@ -292,4 +293,12 @@ def _template(name: str) -> Element:
 
 
 def _item(layout: Element, name: str) -> Element:
-    return element_at(layout, f"LayoutItem[@id='{name}']")
+    return _element_at(layout, f"LayoutItem[@id='{name}']")
+
+
+def _element_at(root: Element, path: str) -> Element:
+    """Return an element of one of our templates, which has it."""
+    found = root.find(path)
+    if found is None:
+        raise LookupError(f"the template has no {path}")
+    return found

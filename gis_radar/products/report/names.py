@@ -2,6 +2,6 @@
 
 PAGE, PAPER = "report.html", "report.pdf"
 LANES, LANES_BY_INTERVAL = "lanes.csv", "lanes_by_interval.csv"
-SENSORS, QUALITY = "sensors.csv", "quality.csv"
+QUALITY = "quality.csv"
 TRAFFIC, TURNS = "traffic.csv", "turns.csv"
-REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, SENSORS, QUALITY, TRAFFIC, TURNS)
+REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, QUALITY, TRAFFIC, TURNS)

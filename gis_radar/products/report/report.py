@@ -82,7 +82,6 @@ from gis_radar.products.report.results import (
     Results,
     read_results,
     sensor_table,
-    write_sensor_table,
 )
 from gis_radar.products.report.sources import made_by, settings_of, sources_of
 from gis_radar.products.report.traffic import (
@@ -93,7 +92,6 @@ from gis_radar.products.report.traffic import (
 )
 from gis_radar.products.report.trust import trust_table
 
-SUMMARY_LANES = 10
 MOST_LANES = 150  # rows of the table as read; the CSV file holds all
 
 
@@ -282,7 +280,6 @@ def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], ob
         names.PAPER: lambda path: write_pdf(content, path),
         names.LANES: lambda path: write_lanes(path, found.table, clock, heat.measure),
         names.LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, found.lanes, clock),
-        names.SENSORS: lambda path: write_sensor_table(path, found.results),
     }
     if quality is not None:
         writers[names.QUALITY] = quality.write_rows
@@ -306,7 +303,6 @@ def _summary(found: Findings, content: Content) -> dict[str, Any]:
         "facts": {fact.name: " ".join(filter(None, [fact.value, fact.rests and f"({fact.rests})"]))
                   for fact in content.facts},
         "basis": [[each.title for each in content.basis.columns], *map(list, content.basis.rows)],
-        "lanes_named": _top_lanes(found),
         "found": _english_remarks(found),
         "remarks": list(content.remarks),
     }  # fmt: skip
@@ -316,16 +312,6 @@ def _english_remarks(found: Findings) -> list[Text]:
     """Return what it finds for a run's log: all there is English until the console translates."""
     with speaking("en"):
         return own_remarks(found)
-
-
-def _top_lanes(found: Findings) -> list[list[str]]:
-    """Return the head of the table of lanes and its ranked rows, as many as a summary holds."""
-    columns = lane_columns(found.clock, found.results.heat.measure)
-    ranked = found.table[found.table["rank"] > 0].head(SUMMARY_LANES)
-    if ranked.empty:
-        return []
-    heads = [f"{each.title}, {each.unit}" if each.unit else each.title for each in columns[:-1]]
-    return [heads, *text_rows((row for _, row in ranked.iterrows()), columns[:-1])]
 
 
 def _content(found: Findings, drawn: _Pictures, *, ways: bool) -> Content:

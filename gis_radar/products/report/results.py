@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,18 +24,15 @@ from gis_radar.base import (
     read_json,
     restored,
     same_plane,
-    speaking,
     tr,
     warnings_once,
-    write_csv,
 )
 from gis_radar.calibration import Finding, is_record
 from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.hdmap import LANES_LAYER
-from gis_radar.poses import ANGLES, POSITION, Pose, View, pose_from_dict, read_track
+from gis_radar.poses import Pose, View, pose_from_dict, read_track
 from gis_radar.products.heatmap.heatmap import HeatMap, read_heatmap
 from gis_radar.products.heatmap.layers import FILE as PACKAGE
-from gis_radar.products.report import names
 from gis_radar.products.report.content import Column, Table, how_found, text_rows
 
 DATASET = "dataset"
@@ -155,9 +152,7 @@ def lost_sensors(run: Mapping[str, Any]) -> dict[str, str]:
         refused = (stage.get("figures") or {}).get("refused") or {}
         errors |= {n: Text(why).removeprefix(f"{n}: ") for n, why in refused.items()}
     names = [str(each["name"]) for each in (run.get("site") or {}).get("sensor") or []]
-    return {
-        name: errors.get(name, "see summary.md") for name in names if shown and name not in shown
-    }
+    return {name: errors.get(name, "see run.json") for name in names if shown and name not in shown}
 
 
 def read_results(folder: Path, dataset: Path | None = None) -> Results:
@@ -323,7 +318,7 @@ def sensor_table(results: Results) -> Table:
         note = tr("No pose is known here.")
     return Table(
         name="sensors", caption=tr("Sensors, and where they stand"), columns=columns, rows=rows,
-        note=note, files=[(names.SENSORS, tr("all poses"))],
+        note=note,
     )  # fmt: skip
 
 
@@ -363,31 +358,3 @@ def _looks_to(pose: Pose) -> str:
     ahead = pose.R_map_sensor[:2, 0]
     bearing = math.degrees(math.atan2(ahead[0], ahead[1])) % 360.0
     return f"{direction(*ahead)}, {_measured(pose, 'yaw', 1, bearing, '°')}"
-
-
-def write_sensor_table(path: Path, results: Results) -> None:
-    """Write the poses with their standard deviations, and who has none, in English."""
-    with speaking("en"):
-        _write_sensor_table(path, results)
-
-
-def _write_sensor_table(path: Path, results: Results) -> None:
-    parts = (*POSITION, *ANGLES)
-    header = (
-        "sensor", "crs", *parts, *(f"sigma_{name}" for name in parts),
-        "azimuth_deg", "elevation_deg", "min_range_m", "max_range_m", "how_found",
-    )  # fmt: skip
-    rows = [
-        {
-            "sensor": pose.sensor,
-            "crs": pose.as_dict()["crs"],
-            "how_found": how_found(pose.evidence),
-            **{name: round(getattr(pose, name), 4) for name in parts},
-            **{f"sigma_{n}": round(v, 4) for n, v in pose.parsed_evidence().sigma.items()},
-            **asdict(pose.view or View()),
-        }
-        for pose in results.poses
-    ]
-    lost = results.lost.items()
-    rows += [{"sensor": name, "how_found": Text("no result: {}", why)} for name, why in lost]
-    write_csv(path, header, ([row.get(name, "") for name in header] for row in rows))

@@ -1,4 +1,4 @@
-"""Compare sight with what moves in a recording, and correct what the recording contradicts.
+"""Compare sight with what moves in a recording.
 
 A scan shows what stood when it was flown. Two findings contradict it: directions in which nothing
 ever moves although vehicles pass there (a wall built since), and hidden tiles with as much movement
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,8 +21,6 @@ from gis_radar.base import Booleans, Floats, Integers, Reporter, Text
 from gis_radar.scans.sight.sight import (
     HIDDEN,
     IN_SIGHT,
-    NOT_IN_SCAN,
-    NOTHING,
     OUT_OF_VIEW,
     Sight,
 )
@@ -79,37 +77,14 @@ class Contradiction:
     Parameters
     ----------
     sight : Sight
-        Sight before correction.
+        Sight of the sensor from one pose.
     no_movement, movement : (n,) bool array
         Tiles in sight without the expected movement; hidden tiles with movement.
-    count, expected : (n,) array
-        Number of frames with movement on each tile: as recorded, and to expect if it is in sight.
     """
 
     sight: Sight
     no_movement: Booleans = field(repr=False)
     movement: Booleans = field(repr=False)
-    count: Integers = field(repr=False)
-    expected: Floats = field(repr=False)
-
-    def corrected(self, sight: Sight | None = None) -> Sight:
-        """Return sight corrected by the recording; also another sight, from the same place."""
-        sight = self.sight if sight is None else sight
-        hides = self.no_movement & (sight.state == IN_SIGHT)
-        frees = self.movement & (sight.state == HIDDEN)
-        return replace(
-            sight,
-            state=np.where(hides, HIDDEN, np.where(frees, IN_SIGHT, sight.state)).astype(np.uint8),
-            hider=np.where(hides, NOT_IN_SCAN, np.where(frees, NOTHING, sight.hider)).astype(
-                np.uint8
-            ),
-            hidden_at_m=np.where(hides | frees, np.nan, sight.hidden_at_m),
-        )
-
-    @property
-    def tiles(self) -> int:
-        """Number of tiles with a contradiction."""
-        return int(np.count_nonzero(self.no_movement | self.movement))
 
 
 def find_contradictions(hits: Sequence[MovingHits], tiles: SightTiles) -> list[Contradiction]:
@@ -157,8 +132,7 @@ def report_contradictions(found: Iterable[Contradiction], reporter: Reporter) ->
         if parts:
             reporter.warn(
                 "the recording of {} contradicts its sight: {}; was it built or pulled "
-                "down since the scan, or is the pose off? gis-radar sight --recording "
-                "lists the tiles and corrects sight",
+                "down since the scan, or is the pose off?",
                 sensor,
                 Text("; ").join(parts),
             )
@@ -243,8 +217,6 @@ def _compare(hits: MovingHits, polar: _Polar, expected: Floats) -> Contradiction
         sight=hits.sight,
         no_movement=in_sight & empty[polar.turn, polar.away],
         movement=hidden & freed[polar.turn, polar.hidden],
-        count=hits.count,
-        expected=expected,
     )
 
 

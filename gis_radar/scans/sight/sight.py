@@ -49,8 +49,8 @@ from gis_radar.scans.sight.tiles import SightTiles
 
 OUT_OF_VIEW, IN_SIGHT, HIDDEN = 0, 1, 2
 STATES = ("out of view", "in sight", "hidden")
-NOTHING, STANDING, GROUND, DECK, NOT_IN_SCAN = 0, 1, 2, 3, 4
-HIDERS = ("", "something that stands", "the ground", "a deck", "something not in the scan")
+NOTHING, STANDING, GROUND, DECK = 0, 1, 2, 3
+HIDERS = ("", "something that stands", "the ground", "a deck")
 VIEW_ONLY = "view only"
 
 METHOD = 1  # raised whenever the same scan, tiles and pose would give another sight
@@ -87,8 +87,7 @@ class Sight:
     state : (n,) uint8 array
         `OUT_OF_VIEW`, `IN_SIGHT` or `HIDDEN` for each.
     hider : (n,) uint8 array
-        Obstacle that hides a tile: `NOTHING`, `STANDING`, `GROUND`, `DECK`, or `NOT_IN_SCAN`, as a
-        recording shows.
+        Obstacle that hides a tile: `NOTHING`, `STANDING`, `GROUND` or `DECK`.
     hidden_at_m : (n,) array
         Horizontal distance from the sensor to the obstacle's begin, metres; NaN without one.
     uncovered : (n,) bool array
@@ -136,7 +135,7 @@ class Sight:
 
 
 class SightSource(Protocol):
-    """A source of sight: scans, or a file of sight."""
+    """A source of sight: scans, or a folder of sights that were found before."""
 
     def read(self, poses: Sequence[Pose]) -> None:
         """Read, in one pass, what the sights of these poses need."""
@@ -318,9 +317,9 @@ def find_sight(
     tiles : GeoDataFrame or SightTiles
         The tiles, in the pose's CRS. Where the road's height is unknown, that of the scan's ground
         counts; without a scan, any elevation is in view.
-    source : path or sequence of paths, SightScan, KeptSight or SightFile, optional
-        Airborne scans, whole and not masked, or what keeps them for several poses, or a file that
-        holds sight; without it, sight is the view alone.
+    source : path or sequence of paths, SightScan or KeptSight, optional
+        Airborne scans, whole and not masked, or what keeps them for several poses; without it,
+        sight is the view alone.
     scan_crs : CRS, str or int, optional
         Coordinate system of scans that do not state it.
 

@@ -244,20 +244,13 @@ class FindSight(WorkerAlgorithm):
     GROUP = SITE
     HELP = (
         "Finds which tiles radars see from where they stand, and which are hidden by what stands "
-        "in an airborne scan: houses, walls, trees.\n"
-        "With recordings, tiles are listed where these contradict the scan, such as what was built "
-        "or pulled down since, and what they see is corrected. 'Measure traffic' takes "
-        "the result in place of the scans."
+        "in an airborne scan: houses, walls, trees."
     )
     KEYWORDS = ("visibility", "line of sight", "viewshed")
     PARAMETERS = (
         replace(shared.POSES, about="Of each sensor: pose files (JSON) or pose tracks (CSV)."),
         replace(shared.TILES, about="From 'Split lanelets into tiles', with heights."),
         shared.SCANS,
-        replace(
-            shared.RECORDINGS, flag="--recording", optional=True,
-            about="One a pose, to correct what the scan shows.",
-        ),
         shared.SCAN_CRS,
         OutputLayer("OUTPUT", "Sight", "GeoPackage, a row a sensor and tile."),
     )  # fmt: skip

@@ -116,11 +116,6 @@ class MeasureTraffic(WorkerAlgorithm):
         shared.TILES,
         replace(shared.MAP, about="The map that the tiles were made from."),
         shared.SCANS,
-        File(
-            "SIGHT", "Sight",
-            "What sensors see, from 'What sensors see', in place of the scans.",
-            optional=True, advanced=True, kinds="GeoPackages (*.gpkg)",
-        ),
         shared.SCAN_CRS,
         Switch(
             "HITS_ONLY", "Hits only",
@@ -155,7 +150,7 @@ class MeasureTraffic(WorkerAlgorithm):
         ),
         Text(
             "CLOCKS", "Clocks",
-            "Corrects clocks that are off: a file from 'Compare clocks', or the word auto.",
+            "Corrects clocks that are off: a file from 'Compare clocks'.",
         ),
         replace(shared.TIMEZONE, about="The site's, such as Europe/Berlin; UTC without."),
         Number("JOBS", "Processes at once", "As cores and memory allow, without it."),
@@ -207,12 +202,6 @@ class ShowDetections(WorkerAlgorithm):
     PARAMETERS = (
         shared.RECORDING,
         shared.POSE,
-        replace(
-            shared.MAP, optional=True,
-            about="Adds the lane of each detection, where on it that lies, and how fast it moves "
-            "along it.",
-        ),
-        shared.ORIGIN,
         Output(
             "OUTPUT", "Detections",
             kinds="GeoPackages (*.gpkg);;Point clouds (*.laz);;Tables (*.parquet)",
