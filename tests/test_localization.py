@@ -72,8 +72,13 @@ def test_round_an_even_bend_a_pose_is_open_and_neither_refused_nor_sure(tmp_path
     pose = street.pose()
     street.record(tmp_path / "R1.parquet", pose)
     guess = street.placed([(-14.0 + along_m, 11.0)])[0]
-    found = find(street, tmp_path / "R1.parquet", guess)
+    told = Listener()
+    found = find(street, tmp_path / "R1.parquet", guess, reporter=told)
     assert not found.observable
+    (line,) = [text for text in told.lines if "leaves open" in text]
+    assert " m of its place" in line
+    assert "--scan" in line
+    assert "record more traffic" in str(found.left_open(scanned=True))
     assert np.hypot(*(found.pose.position[:2] - guess)) < 15.0
     sigma = found.pose.evidence["sigma"]
     across = np.hypot(sigma["easting"], sigma["northing"])

@@ -35,6 +35,7 @@ from gis_radar.calibration.several.placing import Station
 from gis_radar.calibration.single.localization import (
     localize_one,
     localize_with_scan,
+    warn_of_open,
     read_ground,
     refuse_both,
     start_in_map,
@@ -251,6 +252,7 @@ def locate_all(
             for name, found in placed.items()
         }
     found = {name: (placed | kept)[name] for name in used if name in placed or name in kept}
+    warn_of_open(found.values(), scanned=look_at is not None, reporter=reporter)
     why = {name: error.message for name, error in refused.items()} | solved.refused
     left = {name: text for name, text in why.items() if name not in found}
     return JointCalibration(found=found, refused=left, pairs=solved.pairs)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -206,10 +206,18 @@ def localize(
     look = None if look_at is None else look_at(recording, pose)
     if look is not None:
         found = found.with_scan_check(look)
+    warn_of_open([found], scanned=look is not None, reporter=reporter)
     if figure is not None:
         seen = _sight(found.pose, roads, points, scans, scan_crs, reporter) if scans else None
         found.draw(figure, roads, points, look=look, seen=seen)
     return found
+
+
+def warn_of_open(found: Iterable[Localization], *, scanned: bool, reporter: Reporter) -> None:
+    """Warn of poses of which the traffic, and a scan if there is one, leave something open."""
+    for each in found:
+        if line := each.left_open(scanned=scanned):
+            reporter.warn(line)
 
 
 def refuse_both(heading: Any, compass: Any) -> None:

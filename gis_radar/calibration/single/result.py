@@ -27,6 +27,7 @@ from gis_radar.base import (
     step_of,
     tr,
 )
+from gis_radar.calibration.registration.certainty import UNFIXED, longest_m
 from gis_radar.calibration.registration.state import State
 from gis_radar.calibration.registration.traces import Moving
 from gis_radar.calibration.scan.scan_check_result import ScanCheck
@@ -119,6 +120,37 @@ class Localization:
         if look.range_m > View.min_range_m:
             pose = pose.with_view(View(max_range_m=look.range_m))
         return replace(self, pose=pose)
+
+    def left_open(self, *, scanned: bool) -> Text | None:
+        """Return a line on what of the pose is not fixed, with what would fix it, or None.
+
+        Parameters
+        ----------
+        scanned : bool
+            Whether a scan was given.
+        """
+        covariance = self.pose.evidence.get("covariance")
+        if self.observable or covariance is None:
+            return None
+        known = np.asarray(covariance)
+        sigma, place_m = np.sqrt(np.diag(known)), longest_m(known)
+        parts = []
+        if place_m >= UNFIXED[0]:
+            parts.append(Text("{:.1f} m of its place", place_m))
+        if sigma[2] >= UNFIXED[2]:
+            parts.append(Text("{:.1f} m of its height", float(sigma[2])))
+        parts += [
+            Text("{:.1f} deg of {}", math.degrees(sigma[k]), COMPONENTS[k])
+            for k in (3, 4, 5)
+            if sigma[k] >= UNFIXED[k]
+        ]
+        advice = Text("record more traffic, on crossing lanes, too")
+        if not scanned and max(place_m / UNFIXED[0], sigma[5] / UNFIXED[5]) >= 1.0:
+            advice = Text("give the scan ({}): what stands fixes it", "--scan")
+        return Text(
+            "{}: its traffic leaves open {} (one standard deviation); {}",
+            self.pose.sensor, Text(", ").join(parts), advice,
+        )  # fmt: skip
 
     def plot(
         self, roads: LaneletMap | None = None, road_points: Floats | None = None, ax: Any = None
