@@ -35,10 +35,10 @@ from gis_radar.calibration.several.placing import Station
 from gis_radar.calibration.single.localization import (
     localize_one,
     localize_with_scan,
-    warn_of_open,
     read_ground,
     refuse_both,
     start_in_map,
+    warn_of_open,
 )
 from gis_radar.calibration.single.moving import (
     RIGHT,
