@@ -204,10 +204,11 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
     """Widen sigma along the least-known direction in the plane by profile likelihood.
 
     Along a bend of constant curvature, or a straight road, the pose can slide with hardly a change
-    of cost, over small local optima. Several metres away along this valley, all else fitted anew,
-    the cost must have risen as the curvature predicts (profile likelihood); where it has not, sigma
-    follows from the least rise. Where the cost is lower there, the fit was such a local optimum,
-    whose curvature gives no sigma: it is fitted again from the lowest place.
+    of cost, over small local optima. Several metres away along this valley, on the line or circle
+    on which the pose turns with the road and with all else fitted anew, the cost must have risen as
+    the curvature predicts (profile likelihood); where it has not, as far as the vehicles agree,
+    sigma follows from the least rise. Where it is lower there, the fit begins again from the lowest
+    place: so where traffic leaves a place open, the prior decides.
 
     Parameters
     ----------

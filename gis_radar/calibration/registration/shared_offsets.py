@@ -77,7 +77,7 @@ def habits_of(by_offset: Floats, stiff: Floats, variance: Floats, street: Intege
     Parameters
     ----------
     by_offset : (tracks,) array
-        Change of the cost of each vehicle by an offset of all drivers, 1/m.
+        Derivative of each vehicle's cost by a common offset of drivers across their lane, 1/m.
     stiff, variance : (tracks,) arrays
         Inverse variance of a vehicle's own offset by the prior (1/m^2), and its variance by all
         (m^2).
@@ -99,7 +99,7 @@ def shared_variance(groups: Groups, by_offset: Floats) -> float:
         By street section and by lane: the group of each vehicle, and one standard deviation of the
         offset of each group, metres.
     by_offset : (tracks,) array
-        Change of each vehicle's change of cost by an offset, 1/m.
+        Derivative of each vehicle's change of cost by such an offset, 1/m.
     """
     return sum(
         float(np.square(sigma_m * np.bincount(group, by_offset, len(sigma_m))).sum())

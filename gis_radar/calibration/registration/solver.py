@@ -431,7 +431,7 @@ def _costs(samples: Samples, here: _Here) -> Floats:
 
 
 def _by_offset(here: _Here) -> Floats:
-    """Return the change of each vehicle's cost by an offset of all drivers, 1/m."""
+    """Return the derivative of each vehicle's cost by a common offset across the lane, 1/m."""
     return np.asarray(here.point.effects[0][:, 0] * here.families[0].stiffness[:, 0, 0])
 
 
