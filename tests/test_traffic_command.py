@@ -10,6 +10,7 @@ from itertools import combinations
 from xml.etree import ElementTree as ET
 
 import geopandas as gpd
+import numpy as np
 import pandas as pd
 import pytest
 from datasets import HOUR, write_dataset
@@ -164,15 +165,16 @@ def test_numbers_of_approaches_that_meet_do_not_lie_on_each_other():
     assert not any(one.intersects(other) for one, other in combinations(areas, 2))
 
 
-def test_heads_of_the_workbook_stay_in_view(written):
+def test_the_workbook_shows_heads_and_whole_times(written):
     folder, _ = written()
     with zipfile.ZipFile(folder / "traffic.xlsx") as file:
         sheets = [file.read(name) for name in file.namelist() if "/worksheets/" in name]
     assert sheets
     for sheet in map(ET.fromstring, sheets):
-        assert [each.tag for each in sheet][:2] == [f"{SHEET}sheetViews", f"{SHEET}cols"]
         pane = sheet.find(f"{SHEET}sheetViews/{SHEET}sheetView/{SHEET}pane")
         assert (pane.get("state"), pane.get("ySplit")) == ("frozen", "1")
+        wide = [each for each in sheet.iter(f"{SHEET}col") if float(each.get("width")) > 19.0]
+        assert wide  # columns of times, which are ### where they do not fit
 
 
 def test_the_workbook_speaks_german(written):
@@ -247,6 +249,85 @@ def test_edges_and_lanes_carry_the_measures(written):
     assert float(first.find("edge").get("speed")) == pytest.approx(10.0, abs=0.05)
     lanes = ET.parse(folder / "sumo.lanedata.xml").getroot()  # noqa: S314 - ours
     assert lanes.find("interval/edge/lane").get("id") == "10_0"
+
+
+# What is in what and in which order, by the schemas of DATEX II 3.2 to 3.5.
+DATEX_ORDER = {
+    "payload": "publicationTime publicationCreator measurementSiteTableReference headerInformation "
+    "measurementSiteTable siteMeasurements",
+    "publicationCreator": "country nationalIdentifier",
+    "headerInformation": "informationStatus",
+    "measurementSiteTable": "measurementSite",
+    "measurementSite": "measurementSiteName measurementSiteNumberOfLanes "
+    "measurementSpecificCharacteristics measurementSiteLocation",
+    "measurementSiteName": "values",
+    "values": "value",
+    "measurementSpecificCharacteristics": "measurementSpecificCharacteristics period "
+    "specificMeasurementValueType",
+    "measurementSiteLocation": "gmlLineString",
+    "gmlLineString": "posList",
+    "siteMeasurements": "measurementSiteReference physicalQuantity measurementTimeDefault",
+    "physicalQuantity": "physicalQuantity basicData",
+    "basicData": "percentageLongVehicles vehicleFlow averageVehicleSpeed speedPercentile density "
+    "occupancy",
+    "vehicleFlow": "vehicleFlowRate",
+    "averageVehicleSpeed": "speed",
+    "speedPercentile": "vehiclePercentage speedPercentile speed",
+    "density": "densityOfVehicles",
+    **dict.fromkeys(("percentageLongVehicles", "vehiclePercentage", "occupancy"), "percentage"),
+    "measurementTimeDefault": "timeMeaning timeValue period",
+    "period": "startOfPeriod endOfPeriod",
+}
+
+
+def test_datex_sends_the_table_of_sites_and_what_is_measured(written, dataset):
+    folder, last = written("--datex", "DE:City of Example")
+    assert {"datex.sites.xml", "datex.measured.xml"} <= {path.name for path in folder.iterdir()}
+    assert len(last["outputs"]) == len(FILES) + 2
+    sites, measured = (
+        ET.parse(folder / f"datex.{name}.xml").getroot()  # noqa: S314 - ours
+        for name in ("sites", "measured")
+    )
+    for each in (*sites.iter(), *measured.iter()):
+        children = [child.tag.partition("}")[2] for child in each]
+        order = DATEX_ORDER.get(each.tag.partition("}")[2], "").split()
+        assert [order.index(child) for child in children] == sorted(map(order.index, children))
+    lanes = dataset.traffic()
+    assert len(measured.findall("{*}siteMeasurements")) == len(lanes)
+    names = {each.get("id"): each.find(".//{*}value").text for each in sites.iter() if
+             each.tag.endswith("}measurementSite")}  # fmt: skip
+    assert names == dict(zip(lanes["lane"].astype(str), lanes["name"], strict=True))
+    first, row = measured.find("{*}siteMeasurements"), lanes.iloc[0]
+    assert first.find("{*}measurementSiteReference").get("id") == str(row["lane"])
+    flow = first.find(".//{*}vehicleFlow")
+    assert flow.get("numberOfInputValuesUsed") == "8"
+    assert float(flow.get("standardDeviation")) == pytest.approx(4 * row["volume_se"], abs=0.01)
+    assert flow.find("{*}vehicleFlowRate").text == str(round(row["volume_veh_h"]))
+    occupancy = first.find(".//{*}occupancy/{*}percentage").text
+    assert float(occupancy) == pytest.approx(100 * row["occupancy"], abs=0.01)
+    assert first.find(".//{*}startOfPeriod").text == "2023-11-14T22:00:00Z"
+    line = sites.find(".//{*}posList").text.split()
+    assert [float(each) for each in line[:2]] == pytest.approx(
+        [*lanes.to_crs(4326).geometry.iloc[0].coords[0]][1::-1], abs=1e-6
+    )
+
+
+def test_datex_leaves_out_what_is_null(dataset, tmp_path):
+    made = gr.make_traffic(dataset)
+    lanes = made.lanes.assign(volume_veh_h=np.nan, speed_time_mean_kmh=np.nan)
+    Traffic(lanes=lanes, turns=made.turns).write(tmp_path / "out", datex="fr:Ville")
+    text = (tmp_path / "out" / "datex.measured.xml").read_text()
+    assert "vehicleFlow" not in text
+    assert "averageVehicleSpeed" not in text
+    assert "occupancy" in text
+
+
+@pytest.mark.parametrize("publisher", ["City of Example", "DEU:City", "DE:", "D1:City"])
+def test_a_publisher_is_a_country_and_a_name(run, dataset, tmp_path, publisher):
+    code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", "--datex", publisher)
+    assert code == 2
+    assert "expected a country and a name such as 'DE:City of Example'" in err
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_diagram_shows_means_of_what_is_known(dataset):

@@ -78,12 +78,16 @@ def _dataset_or_city(folder: Path, reporter: Reporter) -> gr.Dataset | gr.City:
     "--service", type=click.Choice(["hcm"]),
     help="Add levels of service from the delay: Highway Capacity Manual.",
 )  # fmt: skip
+@click.option(
+    "--datex", metavar="CC:NAME",
+    help="Write DATEX II files, too, published by this country and name: 'DE:City of Example'.",
+)  # fmt: skip
 @names_of_lanes
 @language("Of the lanes' names and the titles.")
 @csv_locale
 def traffic(
-    *, folder: Path, output: Path, site: Path | None, language: str, csv_locale: str,
-    reporter: Reporter, **options: Any,
+    *, folder: Path, output: Path, site: Path | None, datex: str | None, language: str,
+    csv_locale: str, reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
     """Count traffic by lane and turn: volumes, speeds, queues (CSV, xlsx, GeoPackage, SUMO)."""
     from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
@@ -91,7 +95,7 @@ def traffic(
     measured = _opened(folder, site, reporter)
     made = gr.make_traffic(measured, language=language, **options)
     with csv_for(csv_locale):
-        outputs = made.write(output, language=language, reporter=reporter)
+        outputs = made.write(output, datex=datex, language=language, reporter=reporter)
     figures = made.figures()
     advice = "" if figures["rows_with_volume"] else TOO_SHORT
     return Result(outputs=outputs, summary=figures, advice=advice, timezone=measured.timezone)

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyogrio
 
 from gis_radar.base import (
-    FILE_DATE,
     QUIET,
     InputError,
     LayerNotes,
@@ -34,8 +30,16 @@ from gis_radar.measures import TURN_WORDS
 from gis_radar.products.hand_counts import beside_hand_counts
 from gis_radar.products.results_folder import write_results
 from gis_radar.products.service_level import service_levels
+from gis_radar.products.traffic_exchange import (
+    publisher_of,
+    write_datex_measurements,
+    write_datex_sites,
+    write_mean_data,
+    write_turn_counts,
+)
 from gis_radar.products.traffic_picture import write_turning_diagram
 from gis_radar.products.traffic_style import VOLUMES, traffic_style
+from gis_radar.products.workbook import write_workbook
 
 LANES, TURNS, SECTIONS, CYCLES = "lanes", "turns", "sections", "cycles"
 TITLES = {
@@ -69,10 +73,6 @@ TITLES = {
 }  # fmt: skip
 """Titles of all columns, with units."""
 _KEPT = {"shows": VOLUMES}  # GDAL then makes the tables of metadata, which titles need
-_FROZEN_HEAD = (  # what GDAL cannot write: the head of a sheet stays where rows are scrolled
-    b'<sheetViews><sheetView workbookViewId="0"><pane ySplit="1" topLeftCell="A2" '
-    b'activePane="bottomLeft" state="frozen"/></sheetView></sheetViews>\n'
-)
 _IDS = ("lane", "from_lane", "to_lane")  # up to 9e18: as numbers, xlsx and JSON would round them
 _TIMES = ("begin", "end")
 _DIGITS = 4  # of numbers in tables for people: far below their errors
@@ -125,8 +125,9 @@ class Traffic:
         }
 
     def write(
-        self, folder: str | Path, *, language: str | None = None, reporter: Reporter = QUIET
-    ) -> list[Path]:
+        self, folder: str | Path, *, datex: str | None = None, language: str | None = None,
+        reporter: Reporter = QUIET,
+    ) -> list[Path]:  # fmt: skip
         """Write all files into a folder, which appears whole or not at all.
 
         `traffic.csv` and `turns.csv`; `traffic.xlsx` with a sheet each; `traffic.gpkg` with the
@@ -134,12 +135,16 @@ class Traffic:
         `sumo.edgedata.xml`, `sumo.lanedata.xml` and `sumo.turns.xml`, in which an edge is a lane
         with its number; and where turns have volumes `turns.png`, the turning diagram. Of sections
         `sections.csv`, of counts by hand `hand_counts.csv`, of cycles `cycles.csv`, and a sheet
-        each.
+        each; for DATEX II `datex.sites.xml`, the table of measurement sites, and
+        `datex.measured.xml`.
 
         Parameters
         ----------
         folder : str or Path
             The folder; an earlier result there is replaced.
+        datex : str, optional
+            Who publishes, country and name such as `DE:City of Example`, to write files for DATEX
+            II version 3, too.
         language : str, optional
             Language of titles in sheets and layers, `en` or `de`; by default the current one.
         reporter : Reporter
@@ -154,6 +159,8 @@ class Traffic:
         ------
         OutputError
             If the folder cannot be written, or holds other files.
+        UsageError
+            If the publisher is no country and name.
         """
         zero = self.lanes["begin"].min()
         writers: dict[str, Callable[[Path], object]] = {
@@ -162,10 +169,14 @@ class Traffic:
             **{f"{name}.csv": partial(write_table, table) for name, table in self._more.items()},
             "traffic.xlsx": self._write_workbook,
             "traffic.gpkg": self._write_package,
-            "sumo.edgedata.xml": partial(_write_mean_data, self.lanes, zero, by_lane=False),
-            "sumo.lanedata.xml": partial(_write_mean_data, self.lanes, zero, by_lane=True),
-            "sumo.turns.xml": partial(_write_turn_counts, self.turns, zero),
+            "sumo.edgedata.xml": partial(write_mean_data, self.lanes, zero, by_lane=False),
+            "sumo.lanedata.xml": partial(write_mean_data, self.lanes, zero, by_lane=True),
+            "sumo.turns.xml": partial(write_turn_counts, self.turns, zero),
         }
+        if datex is not None:
+            publisher = publisher_of(datex)
+            writers["datex.sites.xml"] = partial(write_datex_sites, self.lanes, publisher)
+            writers["datex.measured.xml"] = partial(write_datex_measurements, self.lanes, publisher)
         if self.turns["volume"].notna().any():
             writers["turns.png"] = partial(write_turning_diagram, self.lanes, self.turns)
         return write_results(
@@ -183,6 +194,7 @@ class Traffic:
         names = {SECTIONS: tr("Count sections"), "hand_counts": tr("Counts by hand"),
                  CYCLES: tr("Cycles")}  # fmt: skip
         sheets |= {names[name]: table for name, table in self._more.items()}
+        shown_by_sheet = {}
         for sheet, table in sheets.items():
             zone = str(table["begin"].dt.tz)
             shown = _for_people(table)
@@ -192,10 +204,8 @@ class Traffic:
                 shown[name] = shown[name].dt.tz_localize(None)
             titles = {str(name): tr(TITLES[str(name)]) for name in shown}
             titles |= {name: f"{titles[name]} ({zone})" for name in _TIMES}
-            pyogrio.write_dataframe(
-                shown.rename(columns=titles), path, layer=sheet, driver="XLSX", append=path.exists()
-            )
-        _finish_workbook(path)
+            shown_by_sheet[sheet] = shown.rename(columns=titles)
+        write_workbook(shown_by_sheet, path)
 
     def _write_package(self, path: Path) -> None:
         titles = {name: (tr(title), tr(title)) for name, title in TITLES.items()}
@@ -303,18 +313,6 @@ def _for_people(table: pd.DataFrame) -> pd.DataFrame:
     return shown
 
 
-def _finish_workbook(path: Path) -> None:
-    """Rewrite a workbook: heads stay in view; with one date, equal tables give equal bytes."""
-    with zipfile.ZipFile(path) as file:
-        parts = {name: file.read(name) for name in file.namelist()}
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
-        for name, data in parts.items():
-            if name.startswith("xl/worksheets/"):
-                data = data.replace(b"<cols>", _FROZEN_HEAD + b"<cols>", 1)  # noqa: PLW2901
-            entry = zipfile.ZipInfo(name, (FILE_DATE.year, FILE_DATE.month, FILE_DATE.day, 0, 0, 0))
-            file.writestr(entry, data, zipfile.ZIP_DEFLATED)
-
-
 def write_table(table: pd.DataFrame, path: Path) -> None:
     """Write CSV: columns by their names, times by the clocks of the site with their offset.
 
@@ -330,51 +328,3 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
         shown[name] = [each.isoformat() for each in shown[name]]
     rows = shown.astype(object).where(shown.notna(), None).itertuples(index=False)
     write_csv(path, [*shown.columns], rows)
-
-
-def _intervals(
-    table: pd.DataFrame, root: Element, zero: pd.Timestamp
-) -> list[tuple[Element, pd.DataFrame]]:
-    """Add an element for each interval, in seconds from `zero`; return it with its rows."""
-    found = []
-    for begin, rows in table.groupby("begin", sort=True):
-        edges = (pd.Timestamp(begin), rows["end"].iloc[0])  # type: ignore[arg-type]
-        seconds = (f"{(each - zero).total_seconds():.2f}" for each in edges)
-        stated = dict(zip(_TIMES, seconds, strict=True)) | {"id": edges[0].isoformat()}
-        found.append((SubElement(root, "interval", stated), rows))
-    return found
-
-
-def _write_mean_data(
-    table: gpd.GeoDataFrame, zero: pd.Timestamp, path: Path, *, by_lane: bool
-) -> None:
-    """Write SUMO's edgeData or laneData, without attributes for unknown values."""
-    root = Element("meandata")
-    columns = {
-        "entered": ("volume", 1.0), "speed": ("speed_kmh", 1 / 3.6),
-        "occupancy": ("occupancy", 100.0), "density": ("density_veh_km", 1.0),
-        "traveltime": ("travel_time_s", 1.0), "timeLoss": ("delay_s", 1.0),
-    }  # fmt: skip
-    for element, rows in _intervals(table, root, zero):
-        for row in rows.to_dict("records"):
-            edge = SubElement(element, "edge", {"id": str(row["lane"])})
-            place = SubElement(edge, "lane", {"id": f"{row['lane']}_0"}) if by_lane else edge
-            for name, (of, factor) in columns.items():
-                if pd.notna(row[of]):
-                    place.set(name, f"{row[of] * factor:.2f}")
-    _write_xml(root, path)
-
-
-def _write_turn_counts(table: gpd.GeoDataFrame, zero: pd.Timestamp, path: Path) -> None:
-    """Write edge relations, which SUMO's jtrrouter and routeSampler read as turn counts."""
-    root = Element("edgeRelations")
-    for element, rows in _intervals(table, root, zero):
-        for row in rows[rows["volume"].notna()].to_dict("records"):
-            ends = {"from": str(row["from_lane"]), "to": str(row["to_lane"])}
-            SubElement(element, "edgeRelation", ends | {"count": f"{row['volume']:.2f}"})
-    _write_xml(root, path)
-
-
-def _write_xml(root: Element, path: Path) -> None:
-    indent(root)
-    ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)

@@ -43,6 +43,7 @@ LEFT_OUT = {
         "cycles": "a table for engineers, without lines to show",
         "signals": "for cycles",
         "service": "a table for engineers; a run's report has the levels",
+        "datex": "files for a data exchange, which an administrator fills",
     },
     "dataset": {
         "keep": "an administrator's, every night",

@@ -1,0 +1,229 @@
+"""Files by which other programs take traffic: SUMO's, and publications of DATEX II version 3.
+
+DATEX II (CEN/TS 16157) sends what is measured apart from the table of where it is measured: each
+lane is a measurement site, whose quantities have numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
+
+import geopandas as gpd
+import pandas as pd
+
+from gis_radar.base import UsageError, current_language, iso_from_time
+
+_DATEX = {
+    **{
+        f"xmlns:{prefix}": f"http://datex2.eu/schema/3/{name}"
+        for prefix, name in (
+            ("d2", "d2Payload"), ("com", "common"), ("loc", "locationReferencing"),
+            ("roa", "roadTrafficData"),
+        )
+    },
+    "xmlns:xsi": "http://www.w3.org/2001/XMLSchema-instance",
+}  # fmt: skip
+# Numbers of the quantities of a site, in the table and in what is measured.
+_FLOW, _SPEED, _CONCENTRATION = 1, 2, 3
+_QUANTITIES = {
+    _FLOW: "trafficFlow", _SPEED: "trafficSpeed", _CONCENTRATION: "trafficConcentration"
+}  # fmt: skip
+_VERSION = "1"  # of the table of sites and of each site
+_DEGREES = 7  # decimals of latitudes and longitudes: a centimetre
+
+
+def _intervals(
+    table: pd.DataFrame, root: Element, zero: pd.Timestamp
+) -> list[tuple[Element, pd.DataFrame]]:
+    """Add an element for each interval, in seconds from `zero`; return it with its rows."""
+    found = []
+    for begin, rows in table.groupby("begin", sort=True):
+        edges = (pd.Timestamp(begin), rows["end"].iloc[0])  # type: ignore[arg-type]
+        seconds = (f"{(each - zero).total_seconds():.2f}" for each in edges)
+        stated = dict(zip(("begin", "end"), seconds, strict=True)) | {"id": edges[0].isoformat()}
+        found.append((SubElement(root, "interval", stated), rows))
+    return found
+
+
+def write_mean_data(
+    table: gpd.GeoDataFrame, zero: pd.Timestamp, path: Path, *, by_lane: bool
+) -> None:
+    """Write SUMO's edgeData or laneData, without attributes for unknown values."""
+    root = Element("meandata")
+    columns = {
+        "entered": ("volume", 1.0), "speed": ("speed_kmh", 1 / 3.6),
+        "occupancy": ("occupancy", 100.0), "density": ("density_veh_km", 1.0),
+        "traveltime": ("travel_time_s", 1.0), "timeLoss": ("delay_s", 1.0),
+    }  # fmt: skip
+    for element, rows in _intervals(table, root, zero):
+        for row in rows.to_dict("records"):
+            edge = SubElement(element, "edge", {"id": str(row["lane"])})
+            place = SubElement(edge, "lane", {"id": f"{row['lane']}_0"}) if by_lane else edge
+            for name, (of, factor) in columns.items():
+                if pd.notna(row[of]):
+                    place.set(name, f"{row[of] * factor:.2f}")
+    _write_xml(root, path)
+
+
+def write_turn_counts(table: gpd.GeoDataFrame, zero: pd.Timestamp, path: Path) -> None:
+    """Write edge relations, which SUMO's jtrrouter and routeSampler read as turn counts."""
+    root = Element("edgeRelations")
+    for element, rows in _intervals(table, root, zero):
+        for row in rows[rows["volume"].notna()].to_dict("records"):
+            ends = {"from": str(row["from_lane"]), "to": str(row["to_lane"])}
+            SubElement(element, "edgeRelation", ends | {"count": f"{row['volume']:.2f}"})
+    _write_xml(root, path)
+
+
+def _write_xml(root: Element, path: Path) -> None:
+    indent(root)
+    ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def publisher_of(text: str) -> tuple[str, str]:
+    """Return country and name of a publisher, as in `DE:City of Example`.
+
+    Raises
+    ------
+    UsageError
+        If it is not a country of two letters, a colon and a name.
+    """
+    country, _, name = (part.strip() for part in text.partition(":"))
+    if len(country) != 2 or not country.isalpha() or not name:
+        raise UsageError(
+            "the publisher is {}, expected a country and a name such as 'DE:City of Example'",
+            repr(text),
+        )
+    return country.lower(), name
+
+
+def write_datex_sites(lanes: gpd.GeoDataFrame, publisher: tuple[str, str], path: Path) -> None:
+    """Write the table of measurement sites: each lane with its name, its line and its quantities.
+
+    Parameters
+    ----------
+    lanes : GeoDataFrame
+        From :meth:`gis_radar.Dataset.traffic`.
+    publisher : (str, str)
+        From :func:`publisher_of`.
+    path : Path
+        The file: a MeasurementSiteTablePublication.
+    """
+    root = _publication("MeasurementSiteTablePublication", lanes, publisher)
+    _add_header(root)
+    table = SubElement(root, "roa:measurementSiteTable", id=publisher[1], version=_VERSION)
+    period_s = (lanes["end"] - lanes["begin"]).max().total_seconds()
+    sites = lanes.drop_duplicates("lane").to_crs("EPSG:4326")
+    for site in sites.itertuples():
+        place = SubElement(table, "roa:measurementSite", id=str(site.lane), version=_VERSION)
+        name = SubElement(SubElement(place, "roa:measurementSiteName"), "com:values")
+        _add(name, "com:value", site.name, lang=current_language())
+        _add(place, "roa:measurementSiteNumberOfLanes", 1)
+        for index, quantity in _QUANTITIES.items():
+            outer = "roa:measurementSpecificCharacteristics"
+            inner = SubElement(SubElement(place, outer, index=str(index)), outer)
+            _add(inner, "roa:period", f"{period_s:g}")
+            _add(inner, "roa:specificMeasurementValueType", quantity)
+        linear = {"xsi:type": "loc:LinearLocation"}
+        where = SubElement(place, "roa:measurementSiteLocation", linear)
+        line = SubElement(where, "loc:gmlLineString", srsName="EPSG:4326")
+        pairs = [f"{y:.{_DEGREES}f} {x:.{_DEGREES}f}" for x, y, *_ in site.geometry.coords]
+        _add(line, "loc:posList", " ".join(pairs))
+    _write_xml(root, path)
+
+
+def write_datex_measurements(
+    lanes: gpd.GeoDataFrame, publisher: tuple[str, str], path: Path
+) -> None:
+    """Write flow, speed, occupancy and density of each lane and interval; what is null is left out.
+
+    Parameters
+    ----------
+    lanes, publisher
+        As for :func:`write_datex_sites`.
+    path : Path
+        The file: a MeasuredDataPublication.
+    """
+    root = _publication("MeasuredDataPublication", lanes, publisher)
+    table = {"targetClass": "roa:MeasurementSiteTable", "id": publisher[1], "version": _VERSION}
+    SubElement(root, "roa:measurementSiteTableReference", table)
+    _add_header(root)
+    for row in lanes.drop(columns="geometry").to_dict("records"):
+        site = SubElement(root, "roa:siteMeasurements")
+        lane = {"targetClass": "roa:MeasurementSite", "id": str(row["lane"]), "version": _VERSION}
+        SubElement(site, "roa:measurementSiteReference", lane)
+        for index, kind, values in _quantities(row):
+            outer = SubElement(site, "roa:physicalQuantity", index=str(index))
+            single = {"xsi:type": "roa:SinglePhysicalQuantity"}
+            inner = SubElement(outer, "roa:physicalQuantity", single)
+            SubElement(inner, "roa:basicData", {"xsi:type": f"roa:{kind}"}).extend(values)
+        time = SubElement(site, "roa:measurementTimeDefault")
+        _add(time, "roa:timeMeaning", "beginTime")
+        _add(time, "roa:timeValue", iso_from_time(row["begin"]))
+        period = SubElement(time, "roa:period")
+        _add(period, "com:startOfPeriod", iso_from_time(row["begin"]))
+        _add(period, "com:endOfPeriod", iso_from_time(row["end"]))
+    _write_xml(root, path)
+
+
+def _quantities(row: dict[Any, Any]) -> Iterator[tuple[int, str, list[Element]]]:
+    """Yield number, type and values of what is known, in the order of the schema."""
+    if pd.notna(row["volume_veh_h"]):
+        hours = (row["end"] - row["begin"]).total_seconds() / 3600.0
+        flow = [_value("vehicleFlow", "com:vehicleFlowRate", round(row["volume_veh_h"]),
+                       error=row["volume_se"] / hours, count=row["counted"])]  # fmt: skip
+        if row["counted"]:
+            heavy = 100.0 * row["heavy"] / row["counted"]
+            flow.insert(0, _value("percentageLongVehicles", "com:percentage", f"{heavy:.1f}"))
+        yield _FLOW, "TrafficFlow", flow
+    if pd.notna(row["speed_time_mean_kmh"]):
+        mean = f"{row['speed_time_mean_kmh']:.1f}"
+        speed = [_value("averageVehicleSpeed", "com:speed", mean, count=row["counted"])]
+        if pd.notna(row["speed_85_kmh"]):
+            speed.append(Element("roa:speedPercentile"))
+            known = f"{row['speed_85_kmh']:.1f}"
+            speed[-1].append(_value("vehiclePercentage", "com:percentage", 85))
+            speed[-1].append(_value("speedPercentile", "com:speed", known))
+        yield _SPEED, "TrafficSpeed", speed
+    if pd.notna(row["occupancy"]):
+        share, error = 100.0 * row["occupancy"], 100.0 * row["occupancy_se"]
+        dense = [_value("occupancy", "com:percentage", f"{share:.2f}", error=error)]
+        if pd.notna(row["density_veh_km"]):
+            density = round(row["density_veh_km"])
+            dense.insert(0, _value("density", "roa:densityOfVehicles", density))
+        yield _CONCENTRATION, "TrafficConcentration", dense
+
+
+def _value(
+    name: str, unit: str, value: object, *, error: float | None = None, count: int | None = None
+) -> Element:
+    """Return a value with its standard error and the number of vehicles it is of, where known."""
+    element = Element(f"roa:{name}")
+    if count is not None:
+        element.set("numberOfInputValuesUsed", str(count))
+    if error is not None and pd.notna(error):
+        element.set("standardDeviation", f"{error:.2f}")
+    _add(element, unit, value)
+    return element
+
+
+def _publication(kind: str, lanes: pd.DataFrame, publisher: tuple[str, str]) -> Element:
+    """Return a publication, dated to the last interval so that equal traffic gives equal bytes."""
+    stated = {"xsi:type": f"roa:{kind}", "lang": current_language(), "modelBaseVersion": "3"}
+    root = Element("d2:payload", _DATEX | stated)
+    _add(root, "com:publicationTime", iso_from_time(lanes["end"].max()))
+    creator = SubElement(root, "com:publicationCreator")
+    _add(creator, "com:country", publisher[0])
+    _add(creator, "com:nationalIdentifier", publisher[1])
+    return root
+
+
+def _add_header(root: Element) -> None:
+    _add(SubElement(root, "roa:headerInformation"), "com:informationStatus", "real")
+
+
+def _add(parent: Element, name: str, value: object, **attributes: str) -> None:
+    SubElement(parent, name, attributes).text = str(value)
