@@ -306,9 +306,9 @@ def _window(look: ScanCheck) -> tuple[Floats, Floats]:
 
 def _corner(look: ScanCheck, low: Floats, high: Floats) -> tuple[float, float, float, float]:
     """Choose the emptiest corner, other than the legend's, for the inset."""
-    size, gap = 0.24, 0.02
-    corners = [(1.0 - size - gap, 1.0 - size - 2 * gap), (gap, 1.0 - size - 2 * gap),
-               (1.0 - size - gap, 2 * gap)]  # fmt: skip
+    size, gap = 0.24, 0.07  # the gap holds title and numbers of the inset
+    far = 1.0 - size - gap
+    corners = [(far, far), (gap, far), (far, gap)]
     spots = np.vstack([look.level.to_map(look.standing.points[:, :2]), look.pose.position[:2]])
     share = ((spots - low) / (high - low))[:, None]
     counts = ((share > corners) & (share < np.add(corners, size))).all(axis=2).sum(axis=0)
