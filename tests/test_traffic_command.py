@@ -15,8 +15,10 @@ import pandas as pd
 import pytest
 from datasets import HOUR, write_dataset
 from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
+from maps import EAST, NORTH
 from shapely import LineString, box
 from shapely.affinity import rotate
+from sites import pose
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
@@ -249,6 +251,23 @@ def test_edges_and_lanes_carry_the_measures(written):
     assert float(first.find("edge").get("speed")) == pytest.approx(10.0, abs=0.05)
     lanes = ET.parse(folder / "sumo.lanedata.xml").getroot()  # noqa: S314 - ours
     assert lanes.find("interval/edge/lane").get("id") == "10_0"
+
+
+def test_a_line_that_is_seen_straight_across_has_a_larger_error(tmp_path):
+    """There a range rate does not tell who sets off; by 12 m along the lane it does."""
+    tracks = [through(n, BEGIN + 1200 * n, STRAIGHT) for n in range(4)]
+    east, north = EAST + 60.0, NORTH - 30.0
+    across, along = (
+        fork_dataset(
+            tmp_path / str(ahead), tracks, seen_from=pose(easting=east - ahead, northing=north)
+        ).traffic()
+        for ahead in (0.0, 12.0)
+    )
+    volume = across["volume"].iloc[0]
+    assert volume == along["volume"].iloc[0] >= 4
+    more = across["volume_se"].iloc[0] ** 2 - along["volume_se"].iloc[0] ** 2
+    assert np.sqrt(more) == pytest.approx(0.33 * volume, rel=0.01)
+    assert across["volume_se"].iloc[1:].equals(along["volume_se"].iloc[1:])
 
 
 # What is in what and in which order, by the schemas of DATEX II 3.2 to 3.5.

@@ -49,9 +49,9 @@ from gis_radar.dataset.files.registry import (
     refuse_two_sensors,
     touched_hours,
 )
+from gis_radar.dataset.hours import remarks
 from gis_radar.dataset.hours.job import HourSite, MadeHour, MeasureSettings
 from gis_radar.dataset.hours.making import change, writing
-from gis_radar.dataset.hours.remarks import Examined, remark_on_recordings, remark_on_vehicles
 from gis_radar.hdmap import LaneGraph, LaneletMap, fingerprint, lane_graph, require_tiles
 from gis_radar.measures import Filters, PlacedRecording, RecordingCounts, SightBook, validity_of
 from gis_radar.poses import Pose, PoseTrack, as_tracks
@@ -221,9 +221,12 @@ def measure(
             made = _replace(given, folder, processes, reporter, before_hour=before_hour)
         else:
             made = _add(given, folder, processes, reporter, only=only, before_hour=before_hour)
+    dataset = open_dataset(folder, reporter=reporter)
     if made:
         _report(given, made, reporter)
-    return open_dataset(folder, reporter=reporter)
+        if dataset.has_vehicles:
+            remarks.remark_on_lines(dataset, reporter)
+    return dataset
 
 
 def _given(
@@ -484,10 +487,10 @@ def _report(given: _Given, made: Sequence[MadeHour], reporter: Reporter) -> None
         for hour in made:
             evidence.add(hour.evidence.get(each.path, RecordingCounts()))
         source = given.sources[each.path]
-        examined.append(Examined(entry=each, source=source, evidence=evidence))
+        examined.append(remarks.Examined(entry=each, source=source, evidence=evidence))
     given.book.report(reporter)
-    remark_on_recordings(examined, given.book, reporter)
+    remarks.remark_on_recordings(examined, given.book, reporter)
     if given.settings.vehicles:
         on_lanes = [table for hour in made for table in hour.on_lanes]
         count = sum(hour.vehicles for hour in made)
-        remark_on_vehicles(count, on_lanes, reporter)
+        remarks.remark_on_vehicles(count, on_lanes, reporter)

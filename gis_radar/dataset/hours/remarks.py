@@ -10,7 +10,11 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.base import CLOCK_SET_S, STEP_US, Reporter, Text, iso_from_step
+from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.files.registry import RecordingEntry
+from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.traffic.shifts import lanes_across
+from gis_radar.hdmap import TILES_LAYER
 from gis_radar.measures import PlacedRecording, RecordingCounts, SightBook, valid_steps
 from gis_radar.poses import View
 from gis_radar.recordings import RangeCounts, time_warnings
@@ -89,6 +93,20 @@ def remark_on_vehicles(count: int, on_lanes: Sequence[pd.DataFrame], reporter: R
         reporter.warn("no vehicle moves in these recordings: the occupancy is zero")
     for line in warn_of_poses(on_lanes):
         reporter.warn(line)
+
+
+def remark_on_lines(dataset: Source, reporter: Reporter) -> None:
+    """Warn of lanes over whose counting lines all sensors look straight across."""
+    network = LaneTraffic.of(dataset).network
+    tiles = dataset.layer(TILES_LAYER).sort_values("tile_id", ignore_index=True)
+    across = lanes_across(dataset.poses(), dataset.sights(), tiles, network) & ~network.connector
+    if across.any():
+        reporter.warn(
+            "{}: every sensor looks straight across at the counting line: range rates do not tell "
+            "there who sets off, and a third of the vehicles may be missed; a sensor that looks "
+            "along the lane counts them",
+            Text(", ").join(Text("lane {}", lane) for lane in network.lane[across].tolist()),
+        )
 
 
 def _moving_hits(examined: Sequence[Examined], sights: Mapping[str, Sight]) -> list[MovingHits]:

@@ -18,6 +18,7 @@ from gis_radar.base import (
     STEP_US,
     STEPS_PER_HOUR,
     STEPS_PER_SECOND,
+    Booleans,
     Floats,
     InputError,
     Integers,
@@ -34,7 +35,7 @@ from gis_radar.dataset.files.records import HourRecord
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Source
 from gis_radar.dataset.files.tables import LANE_MEASURES, TRACKS, TURNS
-from gis_radar.dataset.traffic.shifts import OtherLanes, shifts_of
+from gis_radar.dataset.traffic.shifts import MISSED_ACROSS, OtherLanes, lanes_across, shifts_of
 from gis_radar.dataset.traffic.stated_lanes import delays
 from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 from gis_radar.measures import LEAST_SHARE, SPEED_CLASS_KMH, LaneNetwork, lane_names, turn_lines
@@ -83,7 +84,7 @@ class TrafficReader:
         """Return a row for each lane and interval, as :meth:`gis_radar.Dataset.traffic` does."""
         table, network = self._rows(LANE_MEASURES), self.traffic.network
         for name in ("volume", "occupancy"):
-            left_open = self._pose_variance(table, "lane", name)
+            left_open = self._lasting_variance(table, "lane", name)
             table[f"{name}_se"] = np.sqrt(table[f"{name}_se"] ** 2 + left_open)
         layer = self.dataset.layer(LANES_LAYER)
         table["delay_s"] = delays(table, layer, network)
@@ -128,7 +129,7 @@ class TrafficReader:
         )
         approach = table.groupby(["from_lane", "begin"])["volume"].transform("sum")
         part = (table["volume"] / approach.where(approach > 0.0)).fillna(1.0)
-        left_open = part * np.sqrt(self._pose_variance(table, "from_lane", "volume"))
+        left_open = part * np.sqrt(self._lasting_variance(table, "from_lane", "volume"))
         table["volume_se"] = np.hypot(table["volume_se"], left_open)
         shown = table[_WITH_TURN].assign(from_name=names[start], to_name=names[end])
         shown["turn"] = np.array(words, object)[at]
@@ -138,20 +139,31 @@ class TrafficReader:
         return gpd.GeoDataFrame(shown, geometry=lines_at, crs=self.dataset.manifest.crs)
 
     @cached_property
+    def _tiles(self) -> gpd.GeoDataFrame:
+        return self.dataset.layer(TILES_LAYER).sort_values("tile_id", ignore_index=True)
+
+    @cached_property
     def _others(self) -> OtherLanes:
-        tiles = self.dataset.layer(TILES_LAYER).sort_values("tile_id", ignore_index=True)
-        shifts = shifts_of(self.dataset.poses(), self.dataset.sights(), tiles)
-        return OtherLanes.of(shifts, tiles, self.traffic.network)
+        shifts = shifts_of(self.dataset.poses(), self.dataset.sights(), self._tiles)
+        return OtherLanes.of(shifts, self._tiles, self.traffic.network)
 
-    def _pose_variance(self, table: pd.DataFrame, lane: str, name: str) -> Floats:
-        """Return for each row the variance that errors of poses add to a measure.
+    @cached_property
+    def _across(self) -> Booleans:
+        poses, sights = self.dataset.poses(), self.dataset.sights()
+        return lanes_across(poses, sights, self._tiles, self.traffic.network)
 
+    def _lasting_variance(self, table: pd.DataFrame, lane: str, name: str) -> Floats:
+        """Return for each row the variance of a measure that no time averages out.
+
+        It is by errors of poses, and of a volume where all sensors look straight across the lane.
         It is the same in all intervals, so it is added after quarters are summed.
         """
         network = self.traffic.network
         sums = table.groupby([lane, "begin"], as_index=False)[name].sum(min_count=1)
         wide = sums.pivot_table(name, lane, "begin", dropna=False).reindex(network.lane)
         variance = self._others.variance(wide.to_numpy(np.float64))
+        if name == "volume":
+            variance[self._across] += (MISSED_ACROSS * wide.to_numpy(np.float64)[self._across]) ** 2
         row = np.searchsorted(network.lane, table[lane].to_numpy(np.int64))
         return np.asarray(variance[row, wide.columns.get_indexer(table["begin"])])
 
