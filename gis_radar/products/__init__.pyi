@@ -1,7 +1,6 @@
-from .comparison.compared import NOT_TOLD
 from .comparison.comparison import compare
 from .comparison.result import Comparison, change_rows
-from .comparison.rows import with_verdicts
+from .comparison.rows import NOT_TOLD, with_verdicts
 from .heatmap.by_lane import lane_totals, lanes_with_tiles
 from .heatmap.heatmap import HeatMap, joint_layer, make_heatmap, read_heatmap, write_joint_layer
 from .heatmap.intervals import MapLabels

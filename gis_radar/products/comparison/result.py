@@ -35,7 +35,7 @@ from gis_radar.base import (
     write_csv,
 )
 from gis_radar.measures import INTERVALS
-from gis_radar.products.comparison.compared import COMPARED, LESS, MORE, NOT_TOLD
+from gis_radar.products.comparison.rows import COMPARED, LESS, MORE, NOT_TOLD
 from gis_radar.products.results_folder import write_results
 from gis_radar.products.traffic_style import LineClass, class_style
 
