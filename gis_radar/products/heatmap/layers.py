@@ -109,7 +109,7 @@ def long_layer(tally: Tally) -> gpd.GeoDataFrame:
     return gpd.GeoDataFrame(rows, geometry=geometry, crs=tally.crs)
 
 
-def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
+def write_table(tally: Tally, path: Path) -> None:
     """Write the layer `heatmap` as GeoParquet 1.1 with a box for each row."""
     frame = wide_layer(tally)
     frame.attrs = tally.metadata
