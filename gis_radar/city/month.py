@@ -10,7 +10,7 @@ from functools import cached_property
 import pandas as pd
 
 from gis_radar.base import STEPS_PER_HOUR, InputError, Text, UsageError, step_begin, zone_of
-from gis_radar.city.root import City
+from gis_radar.city.city import City
 from gis_radar.dataset import Dataset, listed_hours
 
 

@@ -33,6 +33,7 @@ from gis_radar.base import (
     tr,
     zone_of,
 )
+from gis_radar.city.city import RESULTS, City, open_city
 from gis_radar.city.executors import Workers, workers_of
 from gis_radar.city.health import WORKS, health_of, worst_first
 from gis_radar.city.month import CityMonth, month_of
@@ -47,7 +48,6 @@ from gis_radar.city.month_tables import (
     site_table,
     worst_lanes,
 )
-from gis_radar.city.root import RESULTS, City, open_city
 from gis_radar.city.site_month import SiteMonth, site_month
 from gis_radar.products import (
     NOT_TOLD,

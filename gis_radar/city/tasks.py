@@ -25,7 +25,7 @@ from gis_radar.base import (
     only_writer,
     read_json,
 )
-from gis_radar.city.root import RESULTS
+from gis_radar.city.city import RESULTS
 from gis_radar.city.settings import CityFile
 from gis_radar.dataset import Manifest, make_registered, open_dataset, site_folder, update_days
 from gis_radar.site import (

@@ -22,13 +22,13 @@ from .files.parts import (
     unfinished,
     write_whole,
 )
-from .files.reading import read_rows
 from .files.records import (
     HourRecord,
     HourWriter,
     listed_hours,
     read_hour,
     read_hours,
+    read_rows,
     record_path,
     write_record,
 )

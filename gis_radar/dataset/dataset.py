@@ -37,8 +37,14 @@ from gis_radar.dataset.files.parts import (
     hour_text,
     whole_file,
 )
-from gis_radar.dataset.files.reading import Span, read_rows
-from gis_radar.dataset.files.records import HourRecord, hour_bounds, read_hour, read_hours
+from gis_radar.dataset.files.records import (
+    HourRecord,
+    Span,
+    hour_bounds,
+    read_hour,
+    read_hours,
+    read_rows,
+)
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Moment
 from gis_radar.dataset.files.units import for_people

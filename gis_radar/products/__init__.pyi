@@ -18,8 +18,7 @@ from .report.pages import render_page
 from .report.report import Report, write_report
 from .report.results import as_stated, lost_sensors, read_run
 from .report.sources import made_by
-from .service_level import service_levels
-from .traffic import Traffic, make_traffic
+from .traffic import Traffic, make_traffic, service_levels
 
 __all__ = [
     "BREAKS",

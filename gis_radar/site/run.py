@@ -28,21 +28,16 @@ from gis_radar.base import (
     output_errors,
     refuse_foreign,
     refuse_inputs,
+    warnings_once,
     with_texts,
     workers_here,
 )
 from gis_radar.site import stages as work
 from gis_radar.site.execution import Execution, RunState, discard
+from gis_radar.site.messages import error_in_site_words
 from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
 from gis_radar.site.settings import Site, read_site
 from gis_radar.site.stages import STATE
-from gis_radar.site.summary import (
-    doubts_of,
-    refused_sensors,
-    sensors_in,
-    sensors_of,
-    warnings_of,
-)
 from gis_radar.site.versions import software
 from gis_radar.site.worker import own_pool, process_pool
 
@@ -358,3 +353,59 @@ def _relative(path: Path, *bases: Path) -> str:
         if whole.is_relative_to(base.resolve()):
             return whole.relative_to(base.resolve()).as_posix()
     return str(whole)
+
+
+def sensors_in(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return the sensors that the heat maps are made of."""
+    return [
+        name
+        for each in outcomes
+        if each.has_result and each.stage.work is work.measure_stage
+        for name in each.figures["sensors"]
+    ]
+
+
+def refused_sensors(outcomes: Sequence[Outcome], timezone: str) -> dict[str, GisRadarError]:
+    """Return the error of each sensor whose recordings are not in the dataset."""
+    measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
+    return {
+        name: error_in_site_words(
+            (NoAnswerError if name in each.get("implausible", ()) else InputError)(
+                why, hint=each.get("hints", {}).get(name, "")
+            ),
+            timezone,
+        )
+        for each in measured
+        for name, why in each.get("refused", {}).items()
+    }
+
+
+def doubts_of(outcomes: Sequence[Outcome]) -> dict[str, str]:
+    """Return, by sensor, the doubt of the check of poses and recordings."""
+    measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
+    return {name: line for each in measured for name, line in each.get("doubts", {}).items()}
+
+
+def sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, Any]]:
+    """Return pose and `state` of each sensor; the state is `ok`, or the reason against it."""
+    found: dict[str, dict[str, Any]] = {sensor.name: {} for sensor in site.sensor}
+    for each in outcomes:
+        if not each.stage.sensor:
+            continue
+        facts = found[each.stage.sensor]
+        if each.error is not None:
+            reason = each.error.message.removeprefix(f"{each.stage.sensor}: ")
+            facts.setdefault("state", reason)
+        elif each.stage.work in {work.localize_stage, work.pose_stage, work.tied_pose_stage}:
+            # figures of the localization come first; the pose in use replaces them
+            found[each.stage.sensor] = {**facts, **each.figures}
+    for name, error in refused_sensors(outcomes, site.timezone).items():
+        found[name]["state"] = Text(error.message).removeprefix(f"{name}: ")
+    for name, doubt in doubts_of(outcomes).items():
+        found[name]["state"] = Text(doubt).removeprefix(f"{name}: ")
+    return {name: {"state": "ok"} | facts for name, facts in found.items()}
+
+
+def warnings_of(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return the warnings of all stages, each once."""
+    return warnings_once({each.stage.name: list(each.warnings) for each in outcomes})

@@ -22,8 +22,7 @@ from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, DayT
 from gis_radar.dataset.days.tile_counts import TileCounts, count_spans
 from gis_radar.dataset.files.manifest import TILES
 from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys, hour_text
-from gis_radar.dataset.files.reading import Span
-from gis_radar.dataset.files.records import HourRecord, read_hour
+from gis_radar.dataset.files.records import HourRecord, Span, read_hour
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import (
     CONTINUED,

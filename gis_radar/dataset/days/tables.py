@@ -25,8 +25,7 @@ from gis_radar.dataset.files.parts import (
     part_path,
     whole_metadata,
 )
-from gis_radar.dataset.files.reading import Span
-from gis_radar.dataset.files.records import HourRecord, read_hours
+from gis_radar.dataset.files.records import HourRecord, Span, read_hours
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Source
 from gis_radar.dataset.files.tables import DAY_TABLES

@@ -9,8 +9,7 @@ import pyarrow.compute as pc
 
 from gis_radar.base import STEPS_PER_HOUR, InputError, step_of
 from gis_radar.dataset.files.parts import MEASURE_AGAIN
-from gis_radar.dataset.files.reading import read_rows
-from gis_radar.dataset.files.records import HourRecord
+from gis_radar.dataset.files.records import HourRecord, read_rows
 from gis_radar.dataset.files.source import Source
 from gis_radar.dataset.files.tables import FRAMES, RECORDINGS
 from gis_radar.measures import LONGEST_VALID_STEPS, Runs, union_of_runs, valid_steps

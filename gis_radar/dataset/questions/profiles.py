@@ -12,8 +12,7 @@ from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError, current_langu
 from gis_radar.dataset.days.asked_time import AskedTime, Holidays, day_numbers, month_edges
 from gis_radar.dataset.days.rollups import RollUps, with_month
 from gis_radar.dataset.files.parts import hour_of_step
-from gis_radar.dataset.files.reading import Span
-from gis_radar.dataset.files.records import hour_bounds
+from gis_radar.dataset.files.records import Span, hour_bounds
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Moment, Source, require_vehicles
 from gis_radar.dataset.files.tables import LANE_MONTHS, TILE_MONTHS

@@ -29,8 +29,7 @@ from gis_radar.base import (
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
 from gis_radar.dataset.files.parts import hour_text
-from gis_radar.dataset.files.reading import Span
-from gis_radar.dataset.files.records import HourRecord
+from gis_radar.dataset.files.records import HourRecord, Span
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Source
 from gis_radar.dataset.files.tables import LANE_MEASURES, TRACKS, TURNS

@@ -23,7 +23,7 @@ from gis_radar.base import (
     speaking,
 )
 from gis_radar.dataset.days.lane_measures import LaneTraffic
-from gis_radar.dataset.files.reading import Span
+from gis_radar.dataset.files.records import Span
 from gis_radar.dataset.files.source import Source, require_vehicles
 from gis_radar.dataset.traffic.reader import TrafficReader
 from gis_radar.hdmap import LANES_LAYER

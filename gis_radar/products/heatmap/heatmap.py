@@ -113,9 +113,9 @@ class HeatMap(Tally):
             )
         raster = partial(write_raster, self, reporter=reporter)
         writers: dict[str, Callable[[Path], object]] = {
-            "heatmap.gpkg": partial(write_package, self, reporter=reporter),
+            "heatmap.gpkg": lambda path: write_package(self, path, reporter),
             "heatmap.parquet": partial(write_table, self),
-            "heatmap.png": partial(write_figure, self, reporter=reporter),
+            "heatmap.png": lambda path: write_figure(self, path, reporter),
             "heatmap.qml": partial(_write_style, self),
             "hits.tif": partial(raster, measure="hit_share"),
         }

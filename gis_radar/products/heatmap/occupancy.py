@@ -63,7 +63,7 @@ ERROR_UNIT = 1.0 / 32767**2
 def summed(counts: NDArray[Any], interval: int | slice | None) -> Integers:
     """Return the steps of an interval, or the sums over several; over all where it is None."""
     if isinstance(interval, int):
-        return counts[interval].astype(np.int64)
+        return np.asarray(counts[interval], np.int64)
     rows = slice(None) if interval is None else interval
     return np.asarray(counts[rows].sum(axis=0, dtype=np.int64))
 

@@ -48,6 +48,7 @@ from gis_radar.products.report.basis import (
     quality_table,
     remarks_of,
     totals_of,
+    trust_table,
 )
 from gis_radar.products.report.chart import draw_lanes_over_time
 from gis_radar.products.report.content import (
@@ -75,8 +76,7 @@ from gis_radar.products.report.lanes import (
     write_lanes,
 )
 from gis_radar.products.report.maps import draw_maps, draw_sights, lay_out
-from gis_radar.products.report.pages import page_of
-from gis_radar.products.report.paper import write_pdf
+from gis_radar.products.report.pages import page_of, write_pdf
 from gis_radar.products.report.plan import draw_plan
 from gis_radar.products.report.results import (
     Results,
@@ -90,7 +90,6 @@ from gis_radar.products.report.traffic import (
     write_lane_traffic,
     write_turn_traffic,
 )
-from gis_radar.products.report.trust import trust_table
 
 MOST_LANES = 150  # rows of the table as read; the CSV file holds all
 

@@ -50,8 +50,7 @@ from gis_radar.products.report.content import (
     text_rows,
 )
 from gis_radar.products.report.courses import MOST_COURSES, WINDOW_S, LongQueue, draw_courses
-from gis_radar.products.service_level import service_levels
-from gis_radar.products.traffic import write_table
+from gis_radar.products.traffic import service_levels, write_table
 from gis_radar.products.traffic_picture import draw_turning_diagram
 
 # The longest time that intervals of a length are for: some 30 points a strip, then 96 a day.
