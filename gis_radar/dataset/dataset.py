@@ -25,8 +25,7 @@ from gis_radar.base import (
     step_at,
     zone_of,
 )
-from gis_radar.dataset.days.lane_measures import maker_of
-from gis_radar.dataset.days.tables import check_days
+from gis_radar.dataset.days.lane_measures import day_makers, maker_of
 from gis_radar.dataset.files import tables
 from gis_radar.dataset.files.frame_times import frame_steps
 from gis_radar.dataset.files.manifest import TILES, Manifest
@@ -307,7 +306,8 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
             for name in sorted(record.parts.keys() - set(record.dropped)):
                 record.check_bytes(self.folder, tables.TABLES[name])
             reporter.progress("checking parts", done + 1, len(records))
-        check_days(self.folder, self.manifest.fingerprint, records)
+        for maker in day_makers(self.folder, self.manifest.fingerprint):
+            maker.check(records)
         roll_ups(self).check()
 
     def figures(self) -> dict[str, Any]:

@@ -275,9 +275,8 @@ def _count(folder: Path, hours: Iterable[int], records: Mapping[int, HourRecord]
     """Update the tables of the dates and months of some hours, and of the hour after each."""
     manifest = Manifest.read(folder)
     touched = {later for hour in hours for later in (hour, hour + 1)}
-    makers = day_makers(folder, manifest.fingerprint)
-    for day in days_of(touched):
-        for maker in makers:
+    for maker in day_makers(folder, manifest.fingerprint):
+        for day in days_of(touched):
             maker.update(day, records)
     rolled = RollUps(folder=folder, fingerprint=manifest.fingerprint, timezone=manifest.timezone)
     rolled.update(touched, records)
