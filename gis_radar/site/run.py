@@ -6,8 +6,8 @@ Its record is written beside the results, as `run.json`.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
@@ -182,12 +182,8 @@ def run_site(
         raise UsageError("jobs is {}, expected 1 or more", jobs)
     site, root = read_site(path), Path(folder).absolute()
     refuse_inputs(root, site.path, *site.inputs)
-    state = _prepared(root)
     with ExitStack() as stack:
-        stack.enter_context(only_writer(Path(folder), lock=state / "lock", reporter=reporter))
-        scratch = _cleared(root, state)
-        stack.callback(shutil.rmtree, scratch, ignore_errors=True)
-        kept = RunState(state / "state.json", root)
+        kept, scratch = stack.enter_context(_opened(Path(folder), reporter))
         if fresh:
             kept.outdate()
         _hash_inputs(site, kept, reporter)
@@ -227,15 +223,10 @@ def prepare_site(site: Site, folder: Path, *, reporter: Reporter = QUIET) -> Seq
         As :func:`run_site`.
     """
     root = folder.absolute()
-    state = _prepared(root)
-    with ExitStack() as stack:
-        stack.enter_context(only_writer(folder, lock=state / "lock", reporter=reporter))
-        scratch = _cleared(root, state)
-        stack.callback(shutil.rmtree, scratch, ignore_errors=True)
-        kept = RunState(state / "state.json", root)
-        before = takewhile(lambda stage: stage.work != work.measure_stage, stages_of(site, root))
+    before = takewhile(lambda stage: stage.work != work.measure_stage, stages_of(site, root))
+    with _opened(folder, reporter) as (kept, _), own_pool() as pool:
         execution = Execution(
-            stages=list(before), state=kept, pool=stack.enter_context(own_pool()),
+            stages=list(before), state=kept, pool=pool,
             reporter=reporter, timezone=site.timezone, folder=site.path.absolute().parent,
         )  # fmt: skip
         outcomes = execution.run()
@@ -244,25 +235,29 @@ def prepare_site(site: Site, folder: Path, *, reporter: Reporter = QUIET) -> Seq
     return outcomes
 
 
-def _prepared(root: Path) -> Path:
-    """Make the folders of a run; refuse a folder that holds something else."""
+@contextmanager
+def _opened(folder: Path, reporter: Reporter) -> Iterator[tuple[RunState, Path]]:
+    """Yield the state of earlier runs into a folder, and an empty folder for temporary files.
+
+    A folder that holds something else is refused; unfinished files of a killed run are removed.
+    """
+    root = folder.absolute()
     state = root / STATE
     with output_errors(root):
         if root.is_dir() and not state.is_dir():
             refuse_foreign(root, OWNED)
         state.mkdir(parents=True, exist_ok=True)
         (state / ".gitignore").write_text("*\n", encoding="utf-8")
-    return state
-
-
-def _cleared(root: Path, state: Path) -> Path:
-    """Remove unfinished files of a killed run; return an empty folder for temporary files."""
     scratch = state / "scratch"
-    halves = [each for pattern in (".*.part", ".*.before") for each in root.rglob(pattern)]
-    for leftover in (*halves, scratch):
-        shutil.rmtree(leftover, ignore_errors=True)
-    scratch.mkdir()
-    return scratch
+    with only_writer(folder, lock=state / "lock", reporter=reporter):
+        halves = [each for pattern in (".*.part", ".*.before") for each in root.rglob(pattern)]
+        for leftover in (*halves, scratch):
+            shutil.rmtree(leftover, ignore_errors=True)
+        scratch.mkdir()
+        try:
+            yield RunState(state / "state.json", root), scratch
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
 
 
 def forget_stages_gone(state: RunState, stages: Sequence[Stage], reporter: Reporter) -> None:
