@@ -26,8 +26,7 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.dataset.days.lane_measures import day_makers, maker_of
-from gis_radar.dataset.files import tables
-from gis_radar.dataset.files.frame_times import frame_steps
+from gis_radar.dataset.files import frame_times, tables
 from gis_radar.dataset.files.manifest import TILES, Manifest
 from gis_radar.dataset.files.parts import (
     MEASURE_AGAIN,
@@ -50,18 +49,18 @@ from gis_radar.dataset.files.units import for_people
 from gis_radar.dataset.hours.changes import Upkeep
 from gis_radar.dataset.questions.profiles import Questions, roll_ups
 from gis_radar.dataset.questions.sql import DatasetQueries
+from gis_radar.dataset.traffic import headways_cycles, sections
+from gis_radar.dataset.traffic import tables as traffic_tables
 from gis_radar.dataset.traffic.stated_lanes import stated_lanes
-from gis_radar.dataset.traffic.tables import TrafficTables
-from gis_radar.dataset.vehicles.tables import VehicleTables
+from gis_radar.dataset.vehicles import footprints, trajectories
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER, fingerprint, read_tiles
-from gis_radar.measures import Runs
 
 _LAST_STEP = 1 << 62
 _STEPS_TODAY = range(10_000_000_000, 100_000_000_000)  # 1985 to 2128: seconds are far fewer
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
+class Dataset(DatasetQueries, Questions, Upkeep):
     """Dataset of a site: tables by hour, read when they are asked for.
 
     Tables come in metres, degrees, m/s and UTC timestamps; `begin` is included, `end` is not.
@@ -81,6 +80,16 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
     manifest: Manifest
     found: dict[Any, Any] = field(default_factory=dict, repr=False)
     _layers: dict[str, gpd.GeoDataFrame] = field(default_factory=dict, repr=False)
+
+    frame_steps = frame_times.frame_steps
+    traffic = traffic_tables.traffic
+    turns = traffic_tables.turns
+    queues = traffic_tables.queues
+    count_sections = sections.count_sections
+    signal_cycles = headways_cycles.signal_cycles
+    track_points = trajectories.track_points
+    to_trajectories = trajectories.to_trajectories
+    write_footprints = footprints.write_footprints
 
     @property
     def crs(self) -> str:
@@ -170,26 +179,6 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
             maker = maker_of(table, self.folder, self.manifest.fingerprint)
             return maker.read(table, records, span, columns)
         return read_rows(self.folder, table, records, span, columns)
-
-    def frame_steps(self, sensor: str | None = None, *, valid: bool = True) -> Runs:
-        """Return the steps in which a frame is valid, or into which one falls.
-
-        Hours whose frames were deleted are taken as recorded without a gap, from the first to the
-        last frame of each recording.
-
-        Parameters
-        ----------
-        sensor : str, optional
-            Name of the sensor; by default any sensor counts.
-        valid : bool
-            If False, return only the steps into which a frame falls.
-
-        Raises
-        ------
-        InputError
-            If there is no such sensor.
-        """
-        return frame_steps(self, sensor, valid=valid)
 
     def tiles(self) -> gpd.GeoDataFrame:
         """Read the tiles.

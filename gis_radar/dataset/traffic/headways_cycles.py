@@ -30,7 +30,7 @@ from gis_radar.base import (
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
 from gis_radar.dataset.files.records import Span
-from gis_radar.dataset.files.source import Source, require_vehicles
+from gis_radar.dataset.files.source import Moment, Source, require_vehicles
 from gis_radar.dataset.files.tables import TRACKS
 from gis_radar.dataset.traffic.reader import interval_edges
 from gis_radar.hdmap import LANES_LAYER
@@ -99,12 +99,37 @@ def _by_interval(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame({"headways": number, **named})
 
 
-def cycles_of(
-    dataset: Source, signals: str | Path | None, span: Span | None, language: str | None
-) -> pd.DataFrame:
-    """Return the cycles of signals; see :meth:`gis_radar.Dataset.signal_cycles`."""
+def signal_cycles(
+    dataset: Source, *, signals: str | Path | None = None, begin: Moment = None,
+    end: Moment = None, language: str | None = None,
+) -> pd.DataFrame:  # fmt: skip
+    """Return the cycles of signals at stop lines, as the traffic shows them.
+
+    Parameters
+    ----------
+    signals : str or Path, optional
+        CSV of green times, which count in place of those that the traffic shows: `lane` (its
+        number or name), `green_begin`, and where known `green_end`; without a zone by the
+        clocks of the site.
+    begin, end, language
+        As for :meth:`traffic`; hours are taken as a whole.
+
+    Returns
+    -------
+    DataFrame
+        A row a stop line and cycle, from a begin of green to the next: `lane`, `name`, `begin`,
+        `end`, `cycle_s` and `cycle_se_s` (of the hour), `counted`, `queue_max_m`,
+        `queue_mean_m`, `queue_end_m` (at the end of green), `reason` (why figures are missing).
+        Where no cycle can be told in an hour, one row that says why.
+
+    Raises
+    ------
+    InputError
+        If vehicles were not looked for, exact tables of that time were deleted, or the signals
+        are not what they should be or of a lane without a stop line.
+    """
     require_vehicles(dataset)
-    network, hours = _exact(dataset, span)
+    network, hours = _exact(dataset, dataset.span(begin, end))
     with speaking(language):
         names = np.array(lane_names(dataset.layer(LANES_LAYER), network), object)
     at = {str(each): k for name in (names, network.lane) for k, each in enumerate(name.tolist())}
