@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -20,18 +19,20 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from gis_radar.base import STEPS_PER_HOUR, InputError, output_errors, read_json, writing_errors
+from gis_radar.base import STEPS_PER_HOUR, InputError, output_errors, read_json
 from gis_radar.dataset.files.parts import (
     MEASURE_AGAIN,
     Origin,
     PartDigest,
     Values,
     date_of,
+    digest_of,
     hour_begin,
     hour_text,
     opened_part,
     part_path,
     rename_whole,
+    replacing,
     sync_folder,
     unfinished,
     write_part,
@@ -113,8 +114,8 @@ class HourRecord:
             If they differ, or as :meth:`opened`.
         """
         path = part_path(folder, table, self.hour)
-        with self.opened(folder, table), path.open("rb") as file:
-            if hashlib.file_digest(file, "sha256").hexdigest() != self.parts[table.name].sha256:
+        with self.opened(folder, table):
+            if digest_of(path) != self.parts[table.name].sha256:
                 raise InputError("{}: its bytes have changed", path, hint=MEASURE_AGAIN)
 
 
@@ -257,11 +258,8 @@ def write_record(folder: Path, record: HourRecord) -> None:
         "schema": SCHEMA, "hour": hour_text(record.hour), **asdict(record.origin),
         "dropped": list(record.dropped), "parts": parts,
     }  # fmt: skip
-    with output_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    with writing_errors(path):
-        unfinished(path).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    rename_whole(unfinished(path), path)
+    with replacing(path) as fresh:
+        fresh.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 def remove_record(folder: Path, hour: int) -> None:
@@ -329,7 +327,7 @@ class HourWriter:
         remove_record(self.folder, self.hour)
         for name, path in places.items():
             if name in self._parts:
-                rename_whole(unfinished(path), path)
+                rename_whole(path)
             else:
                 path.unlink(missing_ok=True)
         write_record(self.folder, HourRecord(hour=self.hour, origin=self.origin, parts=self._parts))

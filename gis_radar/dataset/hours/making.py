@@ -29,13 +29,12 @@ from gis_radar.base import (
 from gis_radar.dataset.days.lane_measures import day_makers
 from gis_radar.dataset.days.rollups import RollUps
 from gis_radar.dataset.files.manifest import Manifest
-from gis_radar.dataset.files.parts import clear_unfinished, days_of, hour_text, part_path
+from gis_radar.dataset.files.parts import clear_unfinished, days_of, digest_of, hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord, read_hour, read_hours, remove_record
 from gis_radar.dataset.files.registry import (
     Placing,
     RecordingEntry,
     Registry,
-    digest_of,
     source_of,
     touched_hours,
     validity_by_sensor,

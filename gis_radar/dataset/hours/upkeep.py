@@ -14,12 +14,11 @@ from zoneinfo import ZoneInfo
 from gis_radar.base import InputError, Reporter, Text, UsageError, output_errors, zone_of
 from gis_radar.dataset.days.lane_measures import day_makers
 from gis_radar.dataset.files.manifest import Manifest
-from gis_radar.dataset.files.parts import days_of, hour_text, part_path
+from gis_radar.dataset.files.parts import days_of, digest_of, hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord, read_hours, write_record
 from gis_radar.dataset.files.registry import (
     RecordingEntry,
     Registry,
-    digest_of,
     touched_hours,
 )
 from gis_radar.dataset.files.source import Source
