@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -145,19 +144,15 @@ def read_hours(
     return {record.hour: record for record in found if record is not None}
 
 
-def _records(folder: Path, first: int | None, last: int | None) -> Iterator[tuple[int, Path]]:
-    """Yield the hours from `first` to `last` that have a record, with its path."""
-    low, high = -math.inf if first is None else first, math.inf if last is None else last
-    for date in _dates(folder, first, last):
-        for hour, path in _listed(folder, date):
-            if low <= hour <= high:
-                yield hour, path
-
-
-def _dates(folder: Path, first: int | None, last: int | None) -> list[str]:
-    """Return the dates of the records of some hours, ascending."""
-    low, high = (str(date_of(min(hour, _LAST_HOUR))) for hour in (first or 0, last or _LAST_HOUR))
-    return sorted(name for name in _names(folder / HOURS) if low <= name <= high)
+def _records(
+    folder: Path, first: int | None = None, last: int | None = None, way: int = 1
+) -> Iterator[tuple[int, Path]]:
+    """Yield the hours from `first` to `last` that have a record, with its path; -1: backwards."""
+    low, high = 0 if first is None else first, _LAST_HOUR if last is None else last
+    begin, end = (str(date_of(min(hour, _LAST_HOUR))) for hour in (low, high))
+    dates = sorted(name for name in _names(folder / HOURS) if begin <= name <= end)
+    for date in dates[::way]:
+        yield from (each for each in _listed(folder, date)[::way] if low <= each[0] <= high)
 
 
 def _listed(folder: Path, date: str) -> list[tuple[int, Path]]:
@@ -190,19 +185,13 @@ def hour_bounds(
     first, last : int, optional
         Only hours from `first` to `last`, inclusive.
     """
-    low, high = -math.inf if first is None else first, math.inf if last is None else last
-    dates, found = _dates(folder, first, last), list[int]()
-    for way in (1, -1):
-        for date in dates[::way]:
-            if inside := [hour for hour, _ in _listed(folder, date) if low <= hour <= high]:
-                found += inside
-                break
-    return (min(found), max(found)) if found else None
+    lowest, highest = (next(_records(folder, first, last, way), None) for way in (1, -1))
+    return None if lowest is None or highest is None else (lowest[0], highest[0])
 
 
-def listed_hours(folder: Path, first: int | None = None, last: int | None = None) -> list[int]:
-    """List the hours since 1970 that have a record, as for :func:`read_hours`; none is read."""
-    return [hour for hour, _ in _records(folder, first, last)]
+def listed_hours(folder: Path) -> list[int]:
+    """List the hours since 1970 that have a record, ascending; none is read."""
+    return [hour for hour, _ in _records(folder)]
 
 
 def read_hour(folder: Path, hour: int) -> HourRecord | None:
