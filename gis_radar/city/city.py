@@ -10,6 +10,7 @@ from typing import Any
 import geopandas as gpd
 import pandas as pd
 
+from gis_radar import dataset as dataset_room
 from gis_radar.base import (
     QUIET,
     CrsError,
@@ -216,12 +217,10 @@ class City(SqlQueries):
         OutputError
             If it cannot be written.
         """
-        from gis_radar.dataset import catalogue_of  # noqa: PLC0415 - DuckDB, 0.2 s
-
         place = root or self.root.resolve().as_posix()
         with atomic_write(Path(path)) as part:
             folders = [each.folder for each in self.sites.values()]
-            views = catalogue_of(folders, f"{place.rstrip('/')}/site=*")
+            views = dataset_room.catalogue_of(folders, f"{place.rstrip('/')}/site=*")
             part.write_text(views, encoding="utf-8")
 
     def _of_sites(self, ask: Callable[[Dataset], Any]) -> dict[str, Any]:

@@ -9,10 +9,12 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 import click
 
+from gis_radar import base
 from gis_radar.base import Text, UsageError
 
 FILE = click.Path(path_type=Path)
@@ -57,21 +59,17 @@ def _numbers(names: str, text: str) -> tuple[float, ...]:
 
 
 def _position(text: str) -> tuple[float, ...]:
-    from gis_radar.base import looks_like_degrees  # noqa: PLC0415 - NumPy
-
     numbers = _numbers("E,N,H" if text.count(",") == 2 else "E,N", text)
-    if looks_like_degrees(*numbers[:2]):
+    if base.looks_like_degrees(*numbers[:2]):
         raise ValueError(Text("{} looks like degrees: metres of the map are needed", repr(text)))
     return numbers
 
 
 def _bearing(text: str) -> float:
-    from gis_radar.base import WINDS, bearing_of  # noqa: PLC0415 - pyproj comes late
-
     try:
-        return bearing_of(text)
+        return base.bearing_of(text)
     except ValueError:
-        expected = Text("neither degrees nor one of {}", ", ".join(WINDS))
+        expected = Text("neither degrees nor one of {}", ", ".join(base.WINDS))
         raise ValueError(Text("{} is {}", repr(text), expected)) from None
 
 
@@ -90,24 +88,20 @@ def _pairs(text: str) -> dict[str, str]:
 
 
 def _duration(text: str) -> float:
-    from gis_radar.base import duration_s  # noqa: PLC0415 - NumPy
-
     try:
         return float(text)
     except ValueError:
-        return duration_s(text)
+        return base.duration_s(text)
 
 
 def _cycles(text: str) -> dict[str, float]:
-    from gis_radar.base import CYCLE_HINT, duration_s  # noqa: PLC0415 - NumPy
-
     if text == "auto":
-        raise ValueError(Text("'auto' is none: {}", CYCLE_HINT))
+        raise ValueError(Text("'auto' is none: {}", base.CYCLE_HINT))
     cycles: dict[str, float] = {}
     for part in text.split(","):
         sensor, _, time = part.rpartition("=")
         try:
-            cycles[sensor.strip()] = duration_s(time)
+            cycles[sensor.strip()] = base.duration_s(time)
         except UsageError as error:
             raise ValueError(Text("{}: {}", repr(part), error.message)) from error
         if not sensor.strip():
@@ -129,13 +123,16 @@ def numbers(names: str) -> Parsed:
 
 
 def template(
-    make: Callable[[], str], text: str, *, name: str = "--template"
+    room: ModuleType, maker: str, text: str, *, name: str = "--template"
 ) -> Callable[[Verb], Verb]:
-    """Return a decorator that adds `--template`, which prints a file to fill in, and its help."""
+    """Return a decorator that adds `--template`, which prints a file to fill in, and its help.
+
+    The function of the room that returns the file is named, as rooms load when they are used.
+    """
 
     def show(context: click.Context, _option: click.Parameter, wanted: object) -> None:
         if wanted:
-            click.echo(make(), nl=False)
+            click.echo(getattr(room, maker)(), nl=False)
             context.exit()
 
     return click.option(

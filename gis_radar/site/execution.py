@@ -15,6 +15,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from gis_radar import base, products
 from gis_radar.base import (
     GisRadarError,
     InputError,
@@ -244,11 +245,8 @@ def discard(paths: Sequence[Path]) -> None:
     A QGIS project that somebody has edited stays.
     """
     for path in paths:
-        if path.suffix == ".qgz" and path.exists():
-            from gis_radar.products import was_edited  # noqa: PLC0415 - 2 s, needed rarely
-
-            if was_edited(path):
-                continue
+        if path.suffix == ".qgz" and path.exists() and products.was_edited(path):
+            continue
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:
@@ -349,10 +347,8 @@ class RunState:
 
     def _hash_of_tables(self, path: Path, name: str, of_bytes: str, but: Sequence[str] = ()) -> str:
         """Return the hash of a GeoPackage's tables; it takes 15 times as long as that of bytes."""
-        from gis_radar.base import content_digest  # noqa: PLC0415 - 1 s, needed rarely
-
         if name not in self._packages or self._packages[name][0] != of_bytes:
-            self._packages[name] = (of_bytes, content_digest(path, but) or of_bytes)
+            self._packages[name] = (of_bytes, base.content_digest(path, but) or of_bytes)
         return self._packages[name][1]
 
     def _hash_for(self, stage: Stage, path: Path) -> str | None:
