@@ -15,7 +15,10 @@ from gis_radar.cli.options import FILE, template
 
 @command(example="gis-radar edge R1.toml")
 @click.argument("sensor", metavar="SENSOR.toml", type=FILE)
-@template(live_room, "edge_template", "Print a sensor's file to fill in, and do nothing else.")
+@template(
+    lambda: live_room.edge_template(),  # noqa: PLW0108 - the room loads when it is asked
+    "Print a sensor's file to fill in, and do nothing else.",
+)
 def edge(*, sensor: Path, reporter: Reporter) -> Result:
     """Run a sensor's side of the live system: detections near the road go to fusion.
 

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Any, TypeVar
 
 import click
@@ -123,16 +122,13 @@ def numbers(names: str) -> Parsed:
 
 
 def template(
-    room: ModuleType, maker: str, text: str, *, name: str = "--template"
+    make: Callable[[], str], text: str, *, name: str = "--template"
 ) -> Callable[[Verb], Verb]:
-    """Return a decorator that adds `--template`, which prints a file to fill in, and its help.
-
-    The function of the room that returns the file is named, as rooms load when they are used.
-    """
+    """Return a decorator that adds `--template`, which prints a file to fill in, and its help."""
 
     def show(context: click.Context, _option: click.Parameter, wanted: object) -> None:
         if wanted:
-            click.echo(getattr(room, maker)(), nl=False)
+            click.echo(make(), nl=False)
             context.exit()
 
     return click.option(

@@ -31,11 +31,15 @@ SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
     "--executor", metavar="tcp://HOST:PORT",
     help="Let the workers of a Dask cluster do the work, for a city.",
 )  # fmt: skip
-@template(site_room, "site_template", "Print a site file to fill in, and do nothing else.")
 @template(
-    city, "city_template", "Print a city file to fill in, and do nothing else.",
+    lambda: site_room.site_template(),  # noqa: PLW0108 - the room loads when it is asked
+    "Print a site file to fill in, and do nothing else.",
+)
+@template(
+    lambda: city.city_template(),  # noqa: PLW0108 - as above
+    "Print a city file to fill in, and do nothing else.",
     name="--city-template",
-)  # fmt: skip
+)
 def run(
     *, site: Path, output: Path, executor: str | None, fresh: bool, jobs: int | None,
     reporter: Reporter,

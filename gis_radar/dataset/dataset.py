@@ -46,9 +46,9 @@ from gis_radar.dataset.files.records import (
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Moment
 from gis_radar.dataset.files.units import for_people
-from gis_radar.dataset.hours.changes import Upkeep
-from gis_radar.dataset.questions.profiles import Questions, roll_ups
-from gis_radar.dataset.questions.sql import DatasetQueries
+from gis_radar.dataset.hours import changes
+from gis_radar.dataset.questions import profiles
+from gis_radar.dataset.questions.sql import SqlQueries
 from gis_radar.dataset.traffic import headways_cycles, sections
 from gis_radar.dataset.traffic import tables as traffic_tables
 from gis_radar.dataset.traffic.stated_lanes import stated_lanes
@@ -60,7 +60,7 @@ _STEPS_TODAY = range(10_000_000_000, 100_000_000_000)  # 1985 to 2128: seconds a
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Dataset(DatasetQueries, Questions, Upkeep):
+class Dataset(SqlQueries):
     """Dataset of a site: tables by hour, read when they are asked for.
 
     Tables come in metres, degrees, m/s and UTC timestamps; `begin` is included, `end` is not.
@@ -81,6 +81,12 @@ class Dataset(DatasetQueries, Questions, Upkeep):
     found: dict[Any, Any] = field(default_factory=dict, repr=False)
     _layers: dict[str, gpd.GeoDataFrame] = field(default_factory=dict, repr=False)
 
+    lane_months = profiles.lane_months
+    tile_months = profiles.tile_months
+    profile = profiles.profile
+    withdraw = changes.withdraw
+    keep = changes.keep
+    relink = changes.relink
     frame_steps = frame_times.frame_steps
     traffic = traffic_tables.traffic
     turns = traffic_tables.turns
@@ -121,6 +127,10 @@ class Dataset(DatasetQueries, Questions, Upkeep):
     def methods(self) -> list[int]:
         """Methods by which its hours were made; results of different methods do not compare."""
         return sorted({each.origin.method for each in self.records().values()})
+
+    def asked_sites(self) -> tuple[Path, Mapping[str, Dataset]]:
+        """Return folder and dataset, under no name."""
+        return self.folder, {"": self}
 
     def records(self, span: Span | None = None) -> dict[int, HourRecord]:
         """Read the records of the complete hours, all or those with steps of a span.
@@ -297,7 +307,7 @@ class Dataset(DatasetQueries, Questions, Upkeep):
             reporter.progress("checking parts", done + 1, len(records))
         for maker in day_makers(self.folder, self.manifest.fingerprint):
             maker.check(records)
-        roll_ups(self).check()
+        profiles.roll_ups(self).check()
 
     def figures(self) -> dict[str, Any]:
         """Return sensors, recordings, time span, hours and numbers of rows of the tables."""
