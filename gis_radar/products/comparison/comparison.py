@@ -90,7 +90,7 @@ def _as_period(period: Period | str) -> Period:
         If it is none.
     """
     ends = [each.strip() for each in period.split("/")] if isinstance(period, str) else period
-    if not (isinstance(ends, list | tuple) and len(ends) == 2 and all(ends)):
+    if not (isinstance(ends, list | tuple) and len(ends) == 2 and "" not in ends):
         raise UsageError("{} is no period, expected as 2026-09-07/2026-09-21", repr(period))
     return ends[0], ends[1]
 
