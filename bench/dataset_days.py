@@ -21,11 +21,9 @@ from gis_radar.dataset import (
     create_dataset,
     hour_text,
     part_path,
-    rename_whole,
-    unfinished,
     write_whole,
 )
-from gis_radar.dataset.files.parts import whole_metadata, write_part
+from gis_radar.dataset.files.parts import rename_whole, whole_metadata, write_part
 from gis_radar.dataset.files.tables import HOUR_TABLES, SIGHTS
 from gis_radar.hdmap import fingerprint
 
@@ -74,7 +72,7 @@ def write_days(folder: Path, *, tiles: int, days: int, busy: bool = False) -> gr
         }
         path = part_path(folder, TILE_COUNTS, day)
         write_part(TILE_COUNTS, path, TILE_COUNTS.to_arrow(counts), metadata)
-        rename_whole(unfinished(path), path)
+        rename_whole(path)
     return gr.open_dataset(folder)
 
 

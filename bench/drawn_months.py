@@ -24,13 +24,11 @@ from gis_radar.dataset import (
     hour_text,
     part_path,
     read_hours,
-    rename_whole,
-    unfinished,
     write_record,
     write_whole,
 )
 from gis_radar.dataset.days.lane_measures import METHOD
-from gis_radar.dataset.files.parts import PartDigest, whole_metadata, write_part
+from gis_radar.dataset.files.parts import PartDigest, rename_whole, whole_metadata, write_part
 from gis_radar.dataset.files.tables import HOUR_TABLES, LANE_MEASURES, SIGHTS, TURNS
 from gis_radar.hdmap import fingerprint
 
@@ -95,7 +93,7 @@ def _write(
     }  # fmt: skip
     path = part_path(folder, table, day)
     write_part(table, path, rows, metadata)
-    rename_whole(unfinished(path), path)
+    rename_whole(path)
 
 
 def _key_of_counts(_: int) -> list[str | int]:

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from gis_radar import site
 from gis_radar.base import QUIET, Reporter
 from gis_radar.poses import ANGLES, Pose, read_pose
 from gis_radar.sample import sample_folder
@@ -30,10 +31,8 @@ def run_demo(
     figures : dict
         Figures worth a look, among them the errors of the poses.
     """
-    from gis_radar.site import run_site  # noqa: PLC0415 - a sample file is read without all of it
-
     sample, folder = sample_folder(), Path(folder)
-    done = run_site(sample / "SITE.toml", folder, reporter=reporter)
+    done = site.run_site(sample / "SITE.toml", folder, reporter=reporter)
     if done.failure is not None:
         raise done.failure
     errors = {

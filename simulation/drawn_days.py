@@ -33,7 +33,7 @@ from gis_radar.dataset import (
     write_record,
 )
 from gis_radar.dataset.days.lane_measures import METHOD
-from gis_radar.dataset.days.tables import QUARTERS, Day
+from gis_radar.dataset.days.tables import QUARTERS, DayTables
 from gis_radar.dataset.days.tile_counts import count_keys
 from gis_radar.dataset.files.parts import HOURS_PER_DAY, PartDigest
 from gis_radar.dataset.files.registry import RecordingEntry, Registry
@@ -170,20 +170,22 @@ class DayDrawer:
             quarters = (hours[:, None] * QUARTERS + np.arange(QUARTERS)).ravel()
             made[sensors] = self.parts[sensors].rows(times[sensors][quarters], quarters)
 
-        def rows(hour: int, tables: slice) -> list[pa.Table]:
+        def rows(hour: int) -> list[pa.Table]:
             """Return the rows of an hour: of tile counts, lane measures and turns."""
-            found = made[heard[hour]][tables]
+            found = made[heard[hour]]
             hours = [table["interval"].to_numpy() // QUARTERS for table in found]
             return [
                 table.filter(each == hour - first) for table, each in zip(found, hours, strict=True)
             ]
 
-        fingerprint = self.dataset.manifest.fingerprint
-        day = Day(folder=self.dataset.folder, fingerprint=fingerprint, first_hour=first)
         keys = count_keys(records)
-        day.update((TILE_COUNTS,), keys, lambda hour: rows(hour, slice(0, 1)))
         of_traffic = {hour: [METHOD, *key, *key] for hour, key in keys.items()}
-        day.update(LaneTraffic.tables, of_traffic, lambda hour: rows(hour, slice(1, 3)))
+        parts = zip(*map(rows, records), strict=True)
+        for table, each in zip((TILE_COUNTS, *LaneTraffic.tables), parts, strict=False):
+            whole = pa.concat_tables(each, promote_options="default")
+            whole = whole.sort_by([(name, "ascending") for name in table.order])
+            made_of = keys if table is TILE_COUNTS else of_traffic
+            DayTables.of(self.dataset).file(table, first).write(whole, made_of)
         for record in records.values():
             write_record(self.dataset.folder, record)
         return [*records]

@@ -1,5 +1,7 @@
 """Datasets of months whose day tables are drawn: a street of three lanes."""
 
+from dataclasses import dataclass
+
 import geopandas as gpd
 import numpy as np
 import pyarrow as pa
@@ -8,9 +10,15 @@ from maps import EAST, NORTH, UTM
 from shapely import LineString, Polygon
 
 from gis_radar.base import STEPS_PER_HOUR
-from gis_radar.dataset import STEPS_PER_QUARTER, TILE_COUNTS, LaneTraffic, RollUps, read_hours
-from gis_radar.dataset.days.tables import days_with
-from gis_radar.dataset.days.tile_counts import count_keys
+from gis_radar.dataset import (
+    STEPS_PER_QUARTER,
+    TILE_COUNTS,
+    LaneTraffic,
+    RollUps,
+    TileCounts,
+    read_hours,
+)
+from gis_radar.dataset.files.parts import days_of
 from gis_radar.dataset.files.tables import LANE_MEASURES, TURNS
 
 EASTBOUND, WESTBOUND = (11, 12), 13
@@ -65,15 +73,28 @@ def drawn_months(folder, hours, *, seed=0, timezone="Europe/Berlin", at=(EAST, N
 
 def draw_days(dataset, seed=0):
     """Draw the day tables of the hours of a dataset, each from its number and a seed."""
-    fingerprint, records = dataset.manifest.fingerprint, read_hours(dataset.folder)
-    traffic = LaneTraffic(folder=dataset.folder, fingerprint=fingerprint)
-    for day, hours in days_with(dataset.folder, fingerprint, list(records)):
-        mine = {hour: records[hour] for hour in sorted(hours)}
-        for table in (LANE_MEASURES, TURNS, TILE_COUNTS):
-            day.file(table).path.unlink(missing_ok=True)
-        day.update((TILE_COUNTS,), count_keys(mine), lambda hour: (_counts(hour, seed),))
-        keys = traffic.keys(day, mine)
-        day.update((LANE_MEASURES, TURNS), keys, lambda hour: (_lanes(hour, seed), TURNS.empty()))
+    of = {"folder": dataset.folder, "fingerprint": dataset.manifest.fingerprint, "seed": seed}
+    for day in days_of(read_hours(dataset.folder)):
+        for maker in (_DrawnCounts(**of), _DrawnLanes(**of)):
+            for table in maker.tables:
+                maker.file(table, day).path.unlink(missing_ok=True)
+            maker.update(day)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _DrawnCounts(TileCounts):
+    seed: int
+
+    def make(self, record):
+        return (_counts(record.hour, self.seed),)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _DrawnLanes(LaneTraffic):
+    seed: int
+
+    def make(self, record):
+        return _lanes(record.hour, self.seed), TURNS.empty()
 
 
 def roll_up(dataset):

@@ -488,3 +488,13 @@ def test_a_period_that_is_missing_or_none(run, dataset, tmp_path):
         code, _, said = run(*words, dataset.folder, "--before", period, "--after", "y/z")
         assert code == 2
         assert f"{period!r} is no period" in said
+
+
+def test_two_datasets_compare_as_a_whole(run, dataset, tmp_path):
+    shutil.copytree(dataset.folder, tmp_path / "later")
+    code, _, said = run("compare", dataset.folder, tmp_path / "later", "-o", tmp_path / "out")
+    assert code == 0, said
+    whole = (None, None)
+    found = gr.compare(dataset, tmp_path / "later", before=whole, after=whole)
+    assert set(found.table["verdict"]) == {"not told"}
+    assert found.used == (1.0, 1.0)

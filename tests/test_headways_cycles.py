@@ -33,7 +33,7 @@ from gis_radar.measures import (
 )
 from gis_radar.measures.cycles import FEW, HIDDEN, UNEVEN, period_of
 from gis_radar.products import service_levels
-from gis_radar.products.service_level import HANDBOOKS
+from gis_radar.products.traffic import HANDBOOKS
 
 BEGIN = HOUR * STEPS_PER_HOUR
 GRID = StepGrid(begin=BEGIN, steps=STEPS_PER_HOUR, count=1)

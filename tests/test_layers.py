@@ -209,11 +209,23 @@ def test_what_a_room_offers_is_used_by_another():
 
 
 def taken_from_rooms(text):
-    """Yield the rooms and names that a file imports from their fronts."""
+    """Yield the rooms and names that a file takes from their fronts: imported, or as room.name."""
+    rooms = {}
     for node in imports_in(text):
         if isinstance(node, ast.ImportFrom):
             room = (node.module or "").removeprefix("gis_radar.")
             yield from ((room, alias.name) for alias in node.names)
+            if node.module == "gis_radar":
+                rooms |= {alias.asname or alias.name: alias.name for alias in node.names}
+    for node in ast.walk(ast.parse(text)) if rooms else ():
+        if isinstance(node, ast.Attribute) and getattr(node.value, "id", None) in rooms:
+            yield rooms[node.value.id], node.attr
+
+
+def test_names_are_taken_by_import_and_from_a_room():
+    text = "from gis_radar import poses as p\nfrom gis_radar.scans import Scan\np.Pose.of(q.View)"
+    taken = {each for each in taken_from_rooms(text) if each[0] != "gis_radar"}
+    assert taken == {("scans", "Scan"), ("poses", "Pose")}
 
 
 def test_an_import_past_the_front_is_found():

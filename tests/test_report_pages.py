@@ -17,8 +17,7 @@ import gis_radar as gr
 from gis_radar.base import Clock, OutputError, speaking
 from gis_radar.products import Fact, Table
 from gis_radar.products.report.content import Chapter, Content, Figure, MapSeries
-from gis_radar.products.report.pages import bound
-from gis_radar.products.report.paper import write_pdf
+from gis_radar.products.report.pages import bound, write_pdf
 from gis_radar.products.report.report import lane_columns
 
 MOMENT = datetime(2025, 6, 12, tzinfo=UTC)

@@ -229,7 +229,7 @@ def atomic_folder(
     if path.exists():
         _refuse_working_folder(path)
         refuse_foreign(path, owned)
-    with _locked(path, reporter), _beside(path, alone=True) as private:
+    with only_writer(path, reporter=reporter), _beside(path, alone=True) as private:
         _restore(path)
         fresh = private / path.name
         fresh.mkdir()
@@ -390,15 +390,6 @@ def _clear_up() -> None:
 
 
 @contextmanager
-def _locked(path: Path, reporter: Reporter) -> Iterator[None]:
-    """Hold the lock of an output; name the output where it cannot be locked."""
-    with ExitStack() as held:
-        with output_errors(path):
-            held.enter_context(only_writer(path, reporter=reporter))
-        yield
-
-
-@contextmanager
 def output_errors(path: Path) -> Iterator[None]:
     """Turn errors of the operating system into one that names the output.
 
@@ -451,9 +442,10 @@ def only_writer(
     with output_errors(path):
         handle = _taken(lock, path, reporter, waits=waits)
     try:
-        os.truncate(handle, 0)
-        # From the second byte on: Windows lets nobody else read the first, which is the locked one.
-        os.write(handle, f"\n{os.getpid()}\n".encode())
+        with output_errors(path):
+            os.truncate(handle, 0)
+            # From the second byte on: Windows lets nobody else read the first, which is locked.
+            os.write(handle, f"\n{os.getpid()}\n".encode())
         yield
     finally:
         # Removed while still locked, where the system allows it: others then make a new file.

@@ -1,6 +1,6 @@
+from .city import City, open_city
 from .health import fleet_health
 from .month_page import write_month_page
-from .root import City, open_city
 from .run import CityRun, run_city
 from .settings import city_template, is_city_file
 

@@ -26,8 +26,8 @@ from gis_radar.base import (
     tr,
 )
 from gis_radar.calibration import FITS, WRONG
+from gis_radar.city.city import RESULTS, City, open_city
 from gis_radar.city.month import CityMonth, month_of
-from gis_radar.city.root import RESULTS, City, open_city
 from gis_radar.dataset import POSES, RECORDINGS, TILE_COUNTS, Dataset
 from gis_radar.poses import ANGLES, POSITION
 from gis_radar.products import lost_sensors, read_run

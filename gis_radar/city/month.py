@@ -10,7 +10,7 @@ from functools import cached_property
 import pandas as pd
 
 from gis_radar.base import STEPS_PER_HOUR, InputError, Text, UsageError, step_begin, zone_of
-from gis_radar.city.root import City
+from gis_radar.city.city import City
 from gis_radar.dataset import Dataset, listed_hours
 
 
@@ -53,15 +53,15 @@ class CityMonth:
 
     def span(self, dataset: Dataset) -> tuple[int, int]:
         """Return the first and the last step of the month by the clocks of a site."""
-        begin, after = self._ends
-        found = dataset.span(begin, after)
+        found = dataset.span(*self.period)
         assert found is not None  # noqa: S101 - both ends are given
         return found
 
     @property
     def period(self) -> tuple[str, str]:
         """Begin and end of the month, for the methods of a dataset."""
-        return self._ends
+        period = pd.Period(self.month, "M")
+        return f"{period}-01", f"{period + 1}-01"
 
     @cached_property
     def last_step(self) -> int:
@@ -69,11 +69,6 @@ class CityMonth:
         months = (each.get(self.month) for each in self.hours.values())
         newest = max(hours[-1] for hours in months if hours) if self.newest is None else self.newest
         return (newest + 1) * STEPS_PER_HOUR - 1
-
-    @property
-    def _ends(self) -> tuple[str, str]:
-        period = pd.Period(self.month, "M")
-        return f"{period}-01", f"{period + 1}-01"
 
 
 def month_of(city: City, month: str | None) -> CityMonth:

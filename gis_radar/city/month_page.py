@@ -33,6 +33,7 @@ from gis_radar.base import (
     tr,
     zone_of,
 )
+from gis_radar.city.city import RESULTS, City, open_city
 from gis_radar.city.executors import Workers, workers_of
 from gis_radar.city.health import WORKS, health_of, worst_first
 from gis_radar.city.month import CityMonth, month_of
@@ -47,8 +48,7 @@ from gis_radar.city.month_tables import (
     site_table,
     worst_lanes,
 )
-from gis_radar.city.root import RESULTS, City, open_city
-from gis_radar.city.site_month import SiteMonth, site_month
+from gis_radar.city.site_month import SiteMonth, occupancy_of_lanes, site_month
 from gis_radar.products import (
     NOT_TOLD,
     Fact,
@@ -268,7 +268,7 @@ def _facts(sites: Sequence[SiteMonth], health: pd.DataFrame, worst: pd.DataFrame
     """Return the figures at the top."""
     with_data = sum(each.lanes is not None for each in sites)
     works = int((health["state"] == WORKS).sum())
-    known = (each.lanes for each in sites if each.lanes is not None)
+    known = [each.lanes for each in sites if each.lanes is not None]
     lanes = sum(int((each["volume"].notna() & ~each["is_inside"]).sum()) for each in known)
     facts = [
         Fact(tr("Sites with data"), tr("{n} of {all}", n=with_data, all=len(sites)),
@@ -277,7 +277,8 @@ def _facts(sites: Sequence[SiteMonth], health: pd.DataFrame, worst: pd.DataFrame
              tr("with data for {share} of the month on average",
                 share=percent(float(health["share"].mean()), 0))),
     ]  # fmt: skip
-    if (mean := _city_occupancy(sites)) is not None:
+    mean = occupancy_of_lanes(pd.concat(known)) if known else (np.nan, np.nan)
+    if np.isfinite(mean[0]):
         text = tr("mean of the sites' lanes, by time and length visible")
         facts.append(Fact(tr("Mean occupancy"), share_off(*mean), text))
     if len(worst):
@@ -291,20 +292,6 @@ def _facts(sites: Sequence[SiteMonth], health: pd.DataFrame, worst: pd.DataFrame
             longest = f"{figure_text(float(row['queue_max_m']))}{THIN_SPACE}m"
             facts.append(Fact(tr("Longest queue"), longest, lane))
     return facts
-
-
-def _city_occupancy(sites: Sequence[SiteMonth]) -> tuple[float, float] | None:
-    """Return the mean occupancy of all lanes of the city with its standard error."""
-    parts = [each.lanes.dropna(subset=["occupancy"]) for each in sites if each.lanes is not None]
-    if not parts:
-        return None
-    table = pd.concat(parts)
-    weight = (table["length_m"] * table["visible_share"]).to_numpy(np.float64)
-    share, error = (table[n].to_numpy(np.float64) for n in ("occupancy", "occupancy_se"))
-    if not weight.sum() > 0.0:
-        return None
-    off = float(np.sqrt(np.nansum((weight * error) ** 2)) / weight.sum())
-    return float((weight * share).sum() / weight.sum()), off
 
 
 def _profiles(sites: Sequence[SiteMonth]) -> list[Profile]:

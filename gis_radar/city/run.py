@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -222,8 +222,7 @@ class CitySteps:
     def register(self) -> list[str]:
         """Register the new recordings of all sites; return the sites with a dataset."""
         tasks = {name: (add_recordings, _task(self.root, self.city, name)) for name in self.sites}
-        for _ in self._each(tasks, Text("registering recordings")):
-            pass
+        self._each(tasks, Text("registering recordings"))
         there = [name for name in self.sites if Manifest.is_there(self._dataset(name))]
         for name in self.sites.keys() - {*there}:
             if not self.sites[name].failures:
@@ -250,11 +249,18 @@ class CitySteps:
                 (name, hour): (make_site_hour, self._dataset(name), hour, share)
                 for _, name, hour in sorted(order)
             }
-            with self._noting(opened) as note:
+            noted = dict.fromkeys(opened, time.monotonic())
+            try:  # which hours are made is recorded from time to time, and at the end
                 for name, hour in self._made(calls):
                     opened[name].made.append(hour)
                     self.sites[name].hours += 1
-                    note(name)
+                    if time.monotonic() - noted[name] > NOTED_EVERY_S:
+                        opened[name].note()
+                        noted[name] = time.monotonic()
+            finally:  # also of a broken run
+                for each in opened.values():
+                    if each.made:
+                        each.note()
         return [*opened]
 
     def update(self, names: Sequence[str]) -> None:
@@ -262,8 +268,7 @@ class CitySteps:
         tasks = {
             name: (update_site, _task(self.root, self.city, name), self.city) for name in names
         }
-        for _ in self._each(tasks, Text("updating tables and reports")):
-            pass
+        self._each(tasks, Text("updating tables and reports"))
 
     def write_page(self) -> None:
         """Write the page of the city's last month with measured hours."""
@@ -278,19 +283,14 @@ class CitySteps:
                 self.root, f"{begin:%Y-%m}", title=self.city.title, timezone=self.city.timezone,
                 language=self.city.language, workers=self.workers, reporter=self.reporter,
             )  # fmt: skip
-        except (
-            InputError,
-            NoAnswerError,
-        ) as error:  # its site has a line, too
+        except (InputError, NoAnswerError) as error:  # its site has a line, too
             self.reporter.warn("there is no page of the month: {}", error.message)
 
     def _dataset(self, name: str) -> Path:
         return _task(self.root, self.city, name).dataset
 
-    def _each(
-        self, tasks: Mapping[str, Sequence[Any]], stage: Text
-    ) -> Iterator[tuple[str, SiteTask]]:
-        """Carry out a task a site; keep what it says, and yield those that have ended."""
+    def _each(self, tasks: Mapping[str, Sequence[Any]], stage: Text) -> None:
+        """Carry out a task a site, and keep what it says."""
         self.reporter.progress(stage, 0, len(tasks))
         for done, (name, found) in enumerate(self.workers.results(tasks), start=1):
             if isinstance(found, GisRadarError):
@@ -301,7 +301,6 @@ class CitySteps:
                 for message in found.warnings:
                     self.sites[name].warnings.append(message)
                     self.reporter.warn("{}: {}", name, message)
-                yield name, found
             self.reporter.progress(stage, done, len(tasks))
 
     def _made(self, calls: Mapping[tuple[str, int], Sequence[Any]]) -> Iterator[tuple[str, int]]:
@@ -321,23 +320,6 @@ class CitySteps:
             return
         self.sites[name].failures.append((what, error))
         self.reporter.warn("{}", _line(name, (what, error)))
-
-    @contextmanager
-    def _noting(self, opened: Mapping[str, OpenHours]) -> Iterator[Any]:
-        """Record from time to time which hours are made, and at the end, also of a broken run."""
-        noted = dict.fromkeys(opened, time.monotonic())
-
-        def note(name: str) -> None:
-            if time.monotonic() - noted[name] > NOTED_EVERY_S:
-                opened[name].note()
-                noted[name] = time.monotonic()
-
-        try:
-            yield note
-        finally:
-            for each in opened.values():
-                if each.made:
-                    each.note()
 
 
 def _write_record(run: CitySteps) -> None:

@@ -15,8 +15,8 @@ import shapely
 from pyproj import CRS
 
 from gis_radar.base import Floats, InputError, NoAnswerError, metric_crs, transformer
+from gis_radar.city.city import RESULTS
 from gis_radar.city.month import CityMonth
-from gis_radar.city.root import RESULTS
 from gis_radar.dataset import Dataset, LaneTraffic
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork
@@ -75,15 +75,7 @@ class SiteMonth:
     @property
     def occupancy(self) -> tuple[float, float]:
         """Mean occupancy of its lanes by the time and length visible, and the standard error."""
-        if self.lanes is None:
-            return np.nan, np.nan
-        known = self.lanes.dropna(subset=["occupancy"])
-        weight = (known["length_m"] * known["visible_share"]).to_numpy(np.float64)
-        if not weight.sum() > 0.0:
-            return np.nan, np.nan
-        share, error = (known[n].to_numpy(np.float64) for n in ("occupancy", "occupancy_se"))
-        mean = float((weight * share).sum() / weight.sum())
-        return mean, float(np.sqrt(np.nansum((weight * error) ** 2)) / weight.sum())
+        return (np.nan, np.nan) if self.lanes is None else occupancy_of_lanes(self.lanes)
 
     @property
     def volume(self) -> tuple[float, float]:
@@ -105,6 +97,17 @@ class SiteMonth:
         if mine["volume"].notna().sum() < 24:
             return np.nan, np.nan
         return float(mine["volume"].sum()), float(np.sqrt((mine["volume_se"] ** 2).sum()))
+
+
+def occupancy_of_lanes(lanes: pd.DataFrame) -> tuple[float, float]:
+    """Return the mean occupancy of lanes by the time and length visible, and its error."""
+    known = lanes.dropna(subset=["occupancy"])
+    weight = (known["length_m"] * known["visible_share"]).to_numpy(np.float64)
+    if not weight.sum() > 0.0:
+        return np.nan, np.nan
+    share, error = (known[n].to_numpy(np.float64) for n in ("occupancy", "occupancy_se"))
+    mean = float((weight * share).sum() / weight.sum())
+    return mean, float(np.sqrt(np.nansum((weight * error) ** 2)) / weight.sum())
 
 
 def site_month(month: CityMonth, name: str, folder: Path) -> SiteMonth:

@@ -15,6 +15,7 @@ from typing import Any
 
 import pandas as pd
 
+from gis_radar import products
 from gis_radar.base import (
     GisRadarError,
     InputError,
@@ -25,7 +26,7 @@ from gis_radar.base import (
     only_writer,
     read_json,
 )
-from gis_radar.city.root import RESULTS
+from gis_radar.city.city import RESULTS
 from gis_radar.city.settings import CityFile
 from gis_radar.dataset import Manifest, make_registered, open_dataset, site_folder, update_days
 from gis_radar.site import (
@@ -305,20 +306,20 @@ def update_site(task: SiteTask, city: CityFile) -> SiteTask:
 
 def _report(task: SiteTask, timezone: str) -> None:
     """Write heat map and report of the local month of the last measured hour."""
-    from gis_radar.products import MapLabels, make_heatmap, write_report  # noqa: PLC0415 - 2 s
-
     dataset, site = open_dataset(task.dataset), read_site(task.file)
     hours = dataset.records()
     if not hours:
         return
     last = pd.Timestamp(max(hours) * 3600, unit="s", tz="UTC").tz_convert(timezone)
     begin = last.normalize().replace(day=1)
-    labels = MapLabels(
+    labels = products.MapLabels(
         title=site.title, timezone=site.timezone, language=site.language, sources=site.credits
     )
-    heat = make_heatmap(
+    heat = products.make_heatmap(
         dataset, begin=begin, end=begin + pd.DateOffset(months=1),
         timezone=None if site.timezone == "UTC" else site.timezone, labels=labels, reporter=task,
     )  # fmt: skip
     heat.write(task.results / "heatmap", reporter=task)
-    write_report(task.results, dataset=task.dataset, csv_locale=site.csv_locale, reporter=task)
+    products.write_report(
+        task.results, dataset=task.dataset, csv_locale=site.csv_locale, reporter=task
+    )

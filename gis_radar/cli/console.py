@@ -22,6 +22,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 from rich.text import Text as Cell
 
+from gis_radar import base
 from gis_radar.base import (
     LETTERS_OF_AN_ERROR,
     GisRadarError,
@@ -265,16 +266,14 @@ def _by_local_clocks(result: Result) -> dict[str, Any]:
     summary = dict(result.summary)
     if result.timezone == "UTC":
         return summary
-    from gis_radar.base import localised, zone_of  # noqa: PLC0415 - NumPy
-
-    zone = zone_of(result.timezone)
+    zone = base.zone_of(result.timezone)
 
     def local(value: Any) -> Any:
         if isinstance(value, Mapping):
             return {name: local(each) for name, each in value.items()}
         if isinstance(value, list | tuple):
             return [local(each) for each in value]
-        return localised(value, zone) if isinstance(value, str) else value
+        return base.localised(value, zone) if isinstance(value, str) else value
 
     shown = {name: local(value) for name, value in summary.items()}
     return {**shown, "timezone": result.timezone} if shown != summary else summary

@@ -8,6 +8,8 @@ from typing import Any
 import click
 
 import gis_radar as gr
+from gis_radar import base, products
+from gis_radar import dataset as dataset_room
 from gis_radar.base import Reporter, Text, UsageError, placed
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import (
@@ -46,9 +48,7 @@ several_sites = click.argument("folder", metavar="DATASET|CITY", type=FILE)
 
 def _dataset_or_city(folder: Path, reporter: Reporter) -> gr.Dataset | gr.City:
     """Open a dataset, or a folder with a dataset a site."""
-    from gis_radar.products import is_city  # noqa: PLC0415 - --help needs no NumPy
-
-    if is_city(folder):
+    if products.is_city(folder):
         return gr.open_city(folder, reporter=reporter)
     return gr.open_dataset(folder, reporter=reporter)
 
@@ -90,11 +90,9 @@ def traffic(
     csv_locale: str, reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
     """Count traffic by lane and turn: volumes, speeds, queues (CSV, xlsx, GeoPackage, SUMO)."""
-    from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
-
     measured = _opened(folder, site, reporter)
     made = gr.make_traffic(measured, language=language, **options)
-    with csv_for(csv_locale):
+    with base.csv_for(csv_locale):
         outputs = made.write(output, datex=datex, language=language, reporter=reporter)
     figures = made.figures()
     advice = "" if figures["rows_with_volume"] else TOO_SHORT
@@ -119,8 +117,6 @@ def compare(
     site: Path | None, csv_locale: str, language: str, days: str | None, reporter: Reporter,
 ) -> Result:  # fmt: skip
     """Compare the traffic of two periods by lane: what changed, and how sure that is."""
-    from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
-
     if other is None and (before is None or after is None):
         raise UsageError(
             "a period is missing", hint="name --before and --after, or a second dataset"
@@ -132,7 +128,7 @@ def compare(
         first, second, before=whole if before is None else before,
         after=whole if after is None else after, days=days, language=language,
     )  # fmt: skip
-    with csv_for(csv_locale):
+    with base.csv_for(csv_locale):
         outputs = found.write(output, language=language, reporter=reporter)
     return Result(outputs=outputs, summary=found.figures(), timezone=first.timezone)
 
@@ -204,13 +200,11 @@ def profile(
     *, folder: Path, output: Path | None, csv_locale: str, reporter: Reporter, **options: Any
 ) -> Result:
     """Return the usual traffic of streets by hour of the day, day of the week, or month."""
-    from gis_radar.base import atomic_write, csv_for, write_csv  # noqa: PLC0415 - --help: no NumPy
-
     found = _dataset_or_city(folder, reporter).profile(**options)
     summary, names = {"total": len(found)}, list(map(str, found))
     if output is not None:
-        with csv_for(csv_locale), atomic_write(output) as part:
-            write_csv(part, names, found.itertuples(index=False))
+        with base.csv_for(csv_locale), base.atomic_write(output) as part:
+            base.write_csv(part, names, found.itertuples(index=False))
         return Result(outputs=[output], summary=summary)
     values = found.astype(object).where(found.notna(), None).to_numpy().tolist()
     rows = [dict(zip(names, each, strict=True)) for each in values]
@@ -229,9 +223,7 @@ def publish(
     *, folder: Path, url: str, schema: str, reader: str | None, reporter: Reporter
 ) -> Result:  # fmt: skip
     """Publish a dataset, or all of a city's, in PostGIS; only what changed is sent."""
-    from gis_radar.products import is_city  # noqa: PLC0415 - --help needs no NumPy
-
-    verb = gr.publish_city if is_city(folder) else gr.publish
+    verb = gr.publish_city if products.is_city(folder) else gr.publish
     done = verb(folder, url, schema=schema, reader=reader, reporter=reporter)
     return Result(outputs=[], summary=done.figures())
 
@@ -287,10 +279,8 @@ def dataset(
 
 
 def _matched(old: gr.Dataset, new: Path, output: Path) -> dict[str, int]:
-    from gis_radar.dataset import write_lane_matches  # noqa: PLC0415 - --help needs no NumPy
-
     table = gr.match_lanes(old, new)
-    write_lane_matches(table, output)
+    dataset_room.write_lane_matches(table, output)
     same = table["same"]
     gone, fresh = (int(table[side].isna().sum()) for side in ("new_lane", "old_lane"))
     changed = table.loc[~same & table["new_lane"].notna(), "old_lane"].nunique()

@@ -7,20 +7,18 @@ from pathlib import Path
 import click
 
 import gis_radar as gr
+from gis_radar import live as live_room
 from gis_radar.base import Reporter, stopped_by_signals
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import FILE, template
 
 
-def _edge_template() -> str:
-    from gis_radar.live import edge_template  # noqa: PLC0415 - --help needs no NumPy
-
-    return edge_template()
-
-
 @command(example="gis-radar edge R1.toml")
 @click.argument("sensor", metavar="SENSOR.toml", type=FILE)
-@template(_edge_template, "Print a sensor's file to fill in, and do nothing else.")
+@template(
+    lambda: live_room.edge_template(),  # noqa: PLW0108 - the room loads when it is asked
+    "Print a sensor's file to fill in, and do nothing else.",
+)
 def edge(*, sensor: Path, reporter: Reporter) -> Result:
     """Run a sensor's side of the live system: detections near the road go to fusion.
 
@@ -43,9 +41,7 @@ def live(*, site: Path, broker_files: Path | None, reporter: Reporter) -> Result
     It ends with Ctrl-C; hours that are over are then measured.
     """
     if broker_files is not None:
-        from gis_radar.live import write_broker_files  # noqa: PLC0415 - a command's
-
-        return Result(outputs=write_broker_files(site, broker_files))
+        return Result(outputs=live_room.write_broker_files(site, broker_files))
     with stopped_by_signals() as stop:
         done = gr.run_fusion(site, stop=stop, reporter=reporter)
     return Result(outputs=done.outputs, summary=done.figures())

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 import gis_radar as gr
+from gis_radar import products, site
 from gis_radar.base import Reporter, UsageError
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import (
@@ -40,9 +41,7 @@ MASK_ENGINES = ("auto", "pdal", "laspy")
 @click.option("--street-field", help="Their column of names; by default the first usual one.")
 def tiles(*, map_path: Path, output: Path, reporter: Reporter, **options: Any) -> Result:
     """Split the lanelets of a Lanelet2 map into tiles (GeoPackage), and list its lanes."""
-    from gis_radar.site import split_map  # noqa: PLC0415 - --help needs no NumPy
-
-    summary = split_map(map_path, output, reporter=reporter, **options)
+    summary = site.split_map(map_path, output, reporter=reporter, **options)
     return Result(outputs=[output], summary=summary)
 
 
@@ -66,9 +65,7 @@ def mask(
     *, scans: tuple[Path, ...], map_path: Path, output: Path, reporter: Reporter, **options: Any
 ) -> Result:
     """Mask the road out of airborne laser scans: one point each 0.5 m (LAZ)."""
-    from gis_radar.site import mask_scans  # noqa: PLC0415 - --help needs no NumPy
-
-    outputs, summary = mask_scans(scans, map_path, output, reporter=reporter, **options)
+    outputs, summary = site.mask_scans(scans, map_path, output, reporter=reporter, **options)
     return Result(outputs=outputs, summary=summary)
 
 
@@ -109,9 +106,7 @@ def heatmap(
 
     Of a city, DIR with a dataset a site, --month makes one layer of all sites (GeoPackage).
     """
-    from gis_radar.products import is_city  # noqa: PLC0415 - --help needs no NumPy
-
-    if is_city(folder):
+    if products.is_city(folder):
         others = {**options, "title": title, "language": language if language != "en" else "",
                   "source": sources}  # fmt: skip
         return _map_of_city(folder, output, reporter, **others)
@@ -161,7 +156,5 @@ def project(*, recording: Path, pose: Path, output: Path, reporter: Reporter) ->
     A name without an ending becomes GeoParquet, which is the smallest.
     """
     output = output if output.suffix else output.with_suffix(".parquet")
-    from gis_radar.products import write_projection  # noqa: PLC0415 - --help needs no NumPy
-
-    count = write_projection(recording, pose, output, reporter=reporter)
+    count = products.write_projection(recording, pose, output, reporter=reporter)
     return Result(outputs=[output], summary={"points": count})

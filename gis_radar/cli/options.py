@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import click
 
+from gis_radar import base
 from gis_radar.base import Text, UsageError
 
 FILE = click.Path(path_type=Path)
@@ -57,21 +58,17 @@ def _numbers(names: str, text: str) -> tuple[float, ...]:
 
 
 def _position(text: str) -> tuple[float, ...]:
-    from gis_radar.base import looks_like_degrees  # noqa: PLC0415 - NumPy
-
     numbers = _numbers("E,N,H" if text.count(",") == 2 else "E,N", text)
-    if looks_like_degrees(*numbers[:2]):
+    if base.looks_like_degrees(*numbers[:2]):
         raise ValueError(Text("{} looks like degrees: metres of the map are needed", repr(text)))
     return numbers
 
 
 def _bearing(text: str) -> float:
-    from gis_radar.base import WINDS, bearing_of  # noqa: PLC0415 - pyproj comes late
-
     try:
-        return bearing_of(text)
+        return base.bearing_of(text)
     except ValueError:
-        expected = Text("neither degrees nor one of {}", ", ".join(WINDS))
+        expected = Text("neither degrees nor one of {}", ", ".join(base.WINDS))
         raise ValueError(Text("{} is {}", repr(text), expected)) from None
 
 
@@ -90,24 +87,20 @@ def _pairs(text: str) -> dict[str, str]:
 
 
 def _duration(text: str) -> float:
-    from gis_radar.base import duration_s  # noqa: PLC0415 - NumPy
-
     try:
         return float(text)
     except ValueError:
-        return duration_s(text)
+        return base.duration_s(text)
 
 
 def _cycles(text: str) -> dict[str, float]:
-    from gis_radar.base import CYCLE_HINT, duration_s  # noqa: PLC0415 - NumPy
-
     if text == "auto":
-        raise ValueError(Text("'auto' is none: {}", CYCLE_HINT))
+        raise ValueError(Text("'auto' is none: {}", base.CYCLE_HINT))
     cycles: dict[str, float] = {}
     for part in text.split(","):
         sensor, _, time = part.rpartition("=")
         try:
-            cycles[sensor.strip()] = duration_s(time)
+            cycles[sensor.strip()] = base.duration_s(time)
         except UsageError as error:
             raise ValueError(Text("{}: {}", repr(part), error.message)) from error
         if not sensor.strip():

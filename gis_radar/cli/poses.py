@@ -8,6 +8,9 @@ from typing import Any
 import click
 
 import gis_radar as gr
+from gis_radar import calibration, site
+from gis_radar import poses as pose_room
+from gis_radar import scans as scan_room
 from gis_radar.base import OutputError, Reporter, Text, UsageError, refuse_inputs, require_folder
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import (
@@ -88,9 +91,7 @@ def localize(
         if figure or options.pop("method") != "lane":
             raise UsageError("--figure and {} icp are for one sensor", "--method")
         _check_folder(output, recordings, map_path, road, *scans)
-        from gis_radar.calibration import localize_together  # noqa: PLC0415 - --help needs no NumPy
-
-        several = localize_together(
+        several = calibration.localize_together(
             recordings, map_path, road, guesses=guesses, headings=headings or None,
             compasses=compasses or None, scans=scans, reporter=reporter, **options,
         )  # fmt: skip
@@ -145,10 +146,8 @@ def track(
     if output.suffix.lower() != ".csv":
         raise UsageError("{}: a pose track is a CSV file", output, hint="name it track.csv")
     _check_outputs(output, figure)
-    from gis_radar.scans import road_crs  # noqa: PLC0415 - --help needs no NumPy
-
     start = gr.read_track(pose)
-    roads = gr.read_map(map_path, crs=road_crs(road), origin=origin, reporter=reporter)
+    roads = gr.read_map(map_path, crs=scan_room.road_crs(road), origin=origin, reporter=reporter)
     points = gr.read_road(road, roads.crs)
     followed = gr.track(recording, roads, points, start, reporter=reporter)
     outputs = [output]
@@ -165,9 +164,7 @@ def track(
 def sensors(*, poses: tuple[Path, ...], output: Path, reporter: Reporter) -> Result:
     """Write sensors as layers of a map: points, views, uncertainty (GeoPackage)."""
     found = [gr.read_track(path).poses[-1] for path in poses]
-    from gis_radar.poses import write_sensors  # noqa: PLC0415 - --help needs no NumPy
-
-    write_sensors(found, output)
+    pose_room.write_sensors(found, output)
     reporter.progress("writing sensors", len(found), len(found))
     return Result(outputs=[output], summary={"sensors": [pose.sensor for pose in found]})
 
@@ -190,12 +187,10 @@ def sight(
     **options: Any,
 ) -> Result:
     """Find which tiles sensors see from their poses, and which something hides (GeoPackage)."""
-    from gis_radar.site import see_tiles  # noqa: PLC0415 - --help needs no NumPy
-
     if not scans:
         raise UsageError("no scan is given", hint=Text("name one with {}; see --help", "--scan"))
     tracks = [gr.read_track(path) for path in poses]
-    figures = see_tiles(tracks, tiles_path, output, scans=scans, reporter=reporter, **options)
+    figures = site.see_tiles(tracks, tiles_path, output, scans=scans, reporter=reporter, **options)
     return Result(outputs=[output], summary={"sensors": figures})
 
 

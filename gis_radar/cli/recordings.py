@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 import gis_radar as gr
+from gis_radar import products, site
 from gis_radar.base import Reporter
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import (  # fmt: skip
@@ -91,11 +92,9 @@ def measure(
 
     A dataset that is there is added to; what did not change is not made again.
     """
-    from gis_radar.site import measure_recordings  # noqa: PLC0415 - --help needs no NumPy
-
     tracks = _tracks(poses, options, reporter)
     names = ("min_speed", "min_rcs", "clearance", "elevation_error_deg")
-    found = measure_recordings(
+    found = site.measure_recordings(
         recordings, tracks, tiles_path, map_path, output,
         filters={name: options.pop(name) for name in names}, reporter=reporter, **options,
     )  # fmt: skip
@@ -169,9 +168,7 @@ def quality(
 ) -> Result:
     """Show what a dataset rests on: frames, detections, clocks, poses, and a verdict."""
     if output is not None:
-        from gis_radar.products import require_table_name  # noqa: PLC0415 - late as above
-
-        require_table_name(output)
+        products.require_table_name(output)
     found = gr.measure_quality(gr.open_dataset(folder), timezone=timezone, reporter=reporter)
     outputs = [] if output is None else [found.write(output, csv_locale=csv_locale)]
     return Result(outputs=outputs, summary=found.figures(), timezone=timezone)

@@ -9,23 +9,13 @@ from typing import Any
 import click
 
 import gis_radar as gr
+from gis_radar import city, products
+from gis_radar import site as site_room
 from gis_radar.base import Reporter, Text, UsageError, atomic_folder, refuse_inputs
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import FILE, csv_locale, language, output, template
 
 SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
-
-
-def _city_template() -> str:
-    from gis_radar.city import city_template  # noqa: PLC0415 - --help needs no NumPy
-
-    return city_template()
-
-
-def _site_template() -> str:
-    from gis_radar.site import site_template  # noqa: PLC0415 - --help needs no NumPy
-
-    return site_template()
 
 
 @command(example="gis-radar run SITE.toml -o results")
@@ -42,11 +32,11 @@ def _site_template() -> str:
     help="Let the workers of a Dask cluster do the work, for a city.",
 )  # fmt: skip
 @template(
-    _site_template,
+    lambda: site_room.site_template(),  # noqa: PLW0108 - the room loads when it is asked
     "Print a site file to fill in, and do nothing else.",
 )
 @template(
-    _city_template,
+    lambda: city.city_template(),  # noqa: PLW0108 - as above
     "Print a city file to fill in, and do nothing else.",
     name="--city-template",
 )
@@ -59,17 +49,15 @@ def run(
     It continues where an earlier run ended. Exit code 4: a sensor has no trustworthy pose; 3: its
     data are bad; the heat maps show the others.
     """
-    from gis_radar.city import is_city_file  # noqa: PLC0415 - as above
-
-    if is_city_file(site):
+    if city.is_city_file(site):
         if fresh:
             raise UsageError(
                 "{} is for one site", "--fresh", hint="remove the folder of a site to make it anew"
             )
-        city = gr.run_city(site, output, jobs=jobs, executor=executor, reporter=reporter)
+        whole = gr.run_city(site, output, jobs=jobs, executor=executor, reporter=reporter)
         return Result(
-            outputs=city.outputs, summary=city.figures(), failure=city.failure,
-            timezone=city.city.timezone,
+            outputs=whole.outputs, summary=whole.figures(), failure=whole.failure,
+            timezone=whole.city.timezone,
         )  # fmt: skip
     if executor is not None:
         raise UsageError("{} is for a city", "--executor", hint="name a city file: CITY.toml")
@@ -128,9 +116,7 @@ def report(*, folder: Path, month: str | None, reporter: Reporter, **options: An
     DIR holds the results of gis-radar run or demo, or a heat map. With --month it is a city, and
     month.html shows all of its sites and the health of its sensors.
     """
-    from gis_radar.products import is_city  # noqa: PLC0415 - --help needs no NumPy
-
-    if month is not None or is_city(folder):
+    if month is not None or products.is_city(folder):
         made = gr.write_month_page(folder, month, reporter=reporter, **_of_a_month(options))
     else:
         made = gr.write_report(folder, reporter=reporter, **options)

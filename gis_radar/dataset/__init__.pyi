@@ -17,18 +17,17 @@ from .files.parts import (
     hour_of_step,
     hour_text,
     part_path,
-    rename_whole,
+    replacing,
     sync_folder,
-    unfinished,
     write_whole,
 )
-from .files.reading import read_rows
 from .files.records import (
     HourRecord,
     HourWriter,
     listed_hours,
     read_hour,
     read_hours,
+    read_rows,
     record_path,
     write_record,
 )
@@ -102,7 +101,7 @@ __all__ = [
     "read_hours",
     "read_rows",
     "record_path",
-    "rename_whole",
+    "replacing",
     "require_same_settings",
     "require_same_site",
     "run_variance",
@@ -112,7 +111,6 @@ __all__ = [
     "stated_lanes",
     "states_of",
     "sync_folder",
-    "unfinished",
     "update_days",
     "warn_of_copies",
     "write_lane_matches",

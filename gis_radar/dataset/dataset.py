@@ -25,10 +25,8 @@ from gis_radar.base import (
     step_at,
     zone_of,
 )
-from gis_radar.dataset.days.lane_measures import maker_of
-from gis_radar.dataset.days.tables import check_days
-from gis_radar.dataset.files import tables
-from gis_radar.dataset.files.frame_times import frame_steps
+from gis_radar.dataset.days.lane_measures import day_makers, maker_of
+from gis_radar.dataset.files import frame_times, tables
 from gis_radar.dataset.files.manifest import TILES, Manifest
 from gis_radar.dataset.files.parts import (
     MEASURE_AGAIN,
@@ -37,26 +35,32 @@ from gis_radar.dataset.files.parts import (
     hour_text,
     whole_file,
 )
-from gis_radar.dataset.files.reading import Span, read_rows
-from gis_radar.dataset.files.records import HourRecord, hour_bounds, read_hour, read_hours
+from gis_radar.dataset.files.records import (
+    HourRecord,
+    Span,
+    hour_bounds,
+    read_hour,
+    read_hours,
+    read_rows,
+)
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Moment
 from gis_radar.dataset.files.units import for_people
-from gis_radar.dataset.hours.changes import Upkeep
-from gis_radar.dataset.questions.profiles import Questions, roll_ups
-from gis_radar.dataset.questions.sql import DatasetQueries
+from gis_radar.dataset.hours import changes
+from gis_radar.dataset.questions import profiles
+from gis_radar.dataset.questions.sql import SqlQueries
+from gis_radar.dataset.traffic import headways_cycles, sections
+from gis_radar.dataset.traffic import tables as traffic_tables
 from gis_radar.dataset.traffic.stated_lanes import stated_lanes
-from gis_radar.dataset.traffic.tables import TrafficTables
-from gis_radar.dataset.vehicles.tables import VehicleTables
+from gis_radar.dataset.vehicles import footprints, trajectories
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER, fingerprint, read_tiles
-from gis_radar.measures import Runs
 
 _LAST_STEP = 1 << 62
 _STEPS_TODAY = range(10_000_000_000, 100_000_000_000)  # 1985 to 2128: seconds are far fewer
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
+class Dataset(SqlQueries):
     """Dataset of a site: tables by hour, read when they are asked for.
 
     Tables come in metres, degrees, m/s and UTC timestamps; `begin` is included, `end` is not.
@@ -76,6 +80,22 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
     manifest: Manifest
     found: dict[Any, Any] = field(default_factory=dict, repr=False)
     _layers: dict[str, gpd.GeoDataFrame] = field(default_factory=dict, repr=False)
+
+    lane_months = profiles.lane_months
+    tile_months = profiles.tile_months
+    profile = profiles.profile
+    withdraw = changes.withdraw
+    keep = changes.keep
+    relink = changes.relink
+    frame_steps = frame_times.frame_steps
+    traffic = traffic_tables.traffic
+    turns = traffic_tables.turns
+    queues = traffic_tables.queues
+    count_sections = sections.count_sections
+    signal_cycles = headways_cycles.signal_cycles
+    track_points = trajectories.track_points
+    to_trajectories = trajectories.to_trajectories
+    write_footprints = footprints.write_footprints
 
     @property
     def crs(self) -> str:
@@ -107,6 +127,10 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
     def methods(self) -> list[int]:
         """Methods by which its hours were made; results of different methods do not compare."""
         return sorted({each.origin.method for each in self.records().values()})
+
+    def asked_sites(self) -> tuple[Path, Mapping[str, Dataset]]:
+        """Return folder and dataset, under no name."""
+        return self.folder, {"": self}
 
     def records(self, span: Span | None = None) -> dict[int, HourRecord]:
         """Read the records of the complete hours, all or those with steps of a span.
@@ -165,26 +189,6 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
             maker = maker_of(table, self.folder, self.manifest.fingerprint)
             return maker.read(table, records, span, columns)
         return read_rows(self.folder, table, records, span, columns)
-
-    def frame_steps(self, sensor: str | None = None, *, valid: bool = True) -> Runs:
-        """Return the steps in which a frame is valid, or into which one falls.
-
-        Hours whose frames were deleted are taken as recorded without a gap, from the first to the
-        last frame of each recording.
-
-        Parameters
-        ----------
-        sensor : str, optional
-            Name of the sensor; by default any sensor counts.
-        valid : bool
-            If False, return only the steps into which a frame falls.
-
-        Raises
-        ------
-        InputError
-            If there is no such sensor.
-        """
-        return frame_steps(self, sensor, valid=valid)
 
     def tiles(self) -> gpd.GeoDataFrame:
         """Read the tiles.
@@ -301,8 +305,9 @@ class Dataset(TrafficTables, VehicleTables, DatasetQueries, Questions, Upkeep):
             for name in sorted(record.parts.keys() - set(record.dropped)):
                 record.check_bytes(self.folder, tables.TABLES[name])
             reporter.progress("checking parts", done + 1, len(records))
-        check_days(self.folder, self.manifest.fingerprint, records)
-        roll_ups(self).check()
+        for maker in day_makers(self.folder, self.manifest.fingerprint):
+            maker.check(records)
+        profiles.roll_ups(self).check()
 
     def figures(self) -> dict[str, Any]:
         """Return sensors, recordings, time span, hours and numbers of rows of the tables."""

@@ -33,7 +33,7 @@ from gis_radar.measures.lane_fronts import (
     driven,
 )
 from gis_radar.measures.lane_network import LaneNetwork
-from gis_radar.measures.queues import LOOK_STEPS, queues, standing_states
+from gis_radar.measures.queues import LOOK_STEPS, queue_backs, standing_states
 
 SPEED_CLASS_KMH = 5.0
 SPEED_CLASSES = 40  # up to 200 km/h; the last one is open
@@ -132,7 +132,7 @@ def measure_lanes(
     edie = driven(states, moves, network, visible, grid)
     stand = standing_states(states)
     length_m = vehicles.length_m[vehicles.of(states.vehicle)]
-    backs = queues(states, stand.stands, length_m, network, visible, grid)
+    backs = queue_backs(states, stand.stands, length_m, network, visible, grid)
     columns: dict[str, Any] = _volumes(counts, share)
     columns |= _speeds(counts, edie.seconds, edie.metres, share)
     columns |= _occupancies(areas)

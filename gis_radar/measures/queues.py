@@ -64,7 +64,7 @@ class QueueBacks(NamedTuple):
     sum_m: Floats
 
 
-def queues(
+def queue_backs(
     states: FrontStates, stands: Booleans, length_m: Floats, network: LaneNetwork,
     visible: VisibleRuns, grid: StepGrid,
 ) -> QueueBacks:  # fmt: skip

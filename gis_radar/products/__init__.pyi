@@ -1,7 +1,6 @@
-from .comparison.compared import NOT_TOLD
 from .comparison.comparison import compare
 from .comparison.result import Comparison, change_rows
-from .comparison.rows import with_verdicts
+from .comparison.rows import NOT_TOLD, with_verdicts
 from .heatmap.by_lane import lane_totals, lanes_with_tiles
 from .heatmap.heatmap import HeatMap, joint_layer, make_heatmap, read_heatmap, write_joint_layer
 from .heatmap.intervals import MapLabels
@@ -19,8 +18,7 @@ from .report.pages import render_page
 from .report.report import Report, write_report
 from .report.results import as_stated, lost_sensors, read_run
 from .report.sources import made_by
-from .service_level import service_levels
-from .traffic import Traffic, make_traffic
+from .traffic import Traffic, make_traffic, service_levels
 
 __all__ = [
     "BREAKS",

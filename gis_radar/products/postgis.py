@@ -37,7 +37,7 @@ from gis_radar.products.postgis_rows import binary_rows_of, csv_rows_of
 from gis_radar.products.traffic import TITLES
 
 if TYPE_CHECKING:
-    from psycopg import Connection, Cursor
+    from psycopg import Cursor
 
 VERSION = 2  # of the tables; raised when they change
 MARK = "gis_radar,"  # begin of the comment on a schema of ours
@@ -99,7 +99,7 @@ _LATEST = """
     SELECT DISTINCT ON (lane) m.*, l.name, l.geometry
     FROM {schema}.lane_measures m JOIN {schema}.lanes l USING (lane) ORDER BY lane, begin_time DESC
 """
-_VIEWS = {
+VIEWS = {
     "occupancy": (_OCCUPANCY, "Share of time that a vehicle is on a tile, over all dates"),
     "latest_traffic": (_LATEST, "Traffic of each lane in its last quarter of an hour"),
 }
@@ -179,8 +179,7 @@ def publish(
     code = CRS.from_user_input(dataset.crs).to_epsg()
     if code is None:
         raise CrsError("{}: {} has no EPSG code, which PostGIS needs", dataset.folder, dataset.crs)
-    with connected(url, schema) as (connection, place):
-        session = Session(cursor=connection.cursor(), schema=schema, place=place, srid=code)
+    with opened_session(url, schema, code) as session:
         session.prepare(dataset.manifest.fingerprint)
         known, days = session.published(), _digests(dataset)
         changed = [day for day in days if days[day] != known.get(day)]
@@ -196,7 +195,7 @@ def publish(
         if notify:
             session.notify(schema)
     return Publication(
-        place=f"{place}, schema {schema}", sent=len(changed), kept=len(days) - len(changed),
+        place=f"{session.place}, schema {schema}", sent=len(changed), kept=len(days) - len(changed),
         removed=len(gone), rows=session.rows,
     )  # fmt: skip
 
@@ -229,8 +228,8 @@ def _digests(dataset: Dataset) -> dict[date, str]:
 
 
 @contextmanager
-def connected(url: str, schema: str) -> Iterator[tuple[Connection, str]]:
-    """Open a connection whose changes are committed if nothing is raised."""
+def opened_session(url: str, schema: str, srid: int = 0) -> Iterator[Session]:
+    """Open a session whose changes are committed if nothing is raised."""
     try:
         import psycopg  # noqa: PLC0415 - an extra
         from psycopg.conninfo import conninfo_to_dict  # noqa: PLC0415
@@ -253,7 +252,7 @@ def connected(url: str, schema: str) -> Iterator[tuple[Connection, str]]:
             row = connection.execute(lock, [f"gis_radar {schema}"]).fetchone()
             if row is None or not row[0]:
                 raise OutputError("{}: schema {} is being published just now", place, schema)
-            yield connection, place
+            yield Session(cursor=connection.cursor(), schema=schema, place=place, srid=srid)
     except psycopg.Error as error:
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise OutputError("{}: {}", place, reason, hint=_hint(reason)) from error
@@ -400,7 +399,7 @@ class Session:
 
     def make_views(self) -> None:
         """Make the views."""
-        for name, (statement, comment) in _VIEWS.items():
+        for name, (statement, comment) in VIEWS.items():
             if self.is_there("lane_measures"):
                 self.run(statement)
                 self.run("COMMENT ON VIEW {schema}.{view} IS {text}", text=comment, view=name)

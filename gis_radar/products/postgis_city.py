@@ -19,16 +19,15 @@ from gis_radar.dataset import site_folders, warn_of_copies
 from gis_radar.products.postgis import (
     MARK,
     VERSION,
+    VIEWS,
     Publication,
     Session,
-    connected,
+    opened_session,
     publish,
     require_name,
 )
 
-_VIEWS = {
-    "occupancy": "Share of time that a vehicle is on a tile, over all dates",
-    "latest_traffic": "Traffic of each lane in its last quarter of an hour",
+_VIEWS = {name: comment for name, (_, comment) in VIEWS.items()} | {
     "tiles": "Tiles of all sites", "lanes": "Lanes of all sites", "sensors": "Radars of all sites",
     "tile_counts": "Steps of 50 ms of a tile in a quarter of an hour",
     "lane_measures": "Traffic of a lane in a quarter of an hour",
@@ -104,8 +103,7 @@ def publish_city(
         raise InputError("{}: has no dataset {}", root, "site=NAME/")
     schemas = _schemas(Path(root), list(places), schema)
     warn_of_copies(places, reporter)
-    with connected(url, schema) as (connection, place):
-        session = Session(cursor=connection.cursor(), schema=schema, place=place, srid=0)
+    with opened_session(url, schema) as session:
         session.prepare_schema(f"{MARK} a city of version {VERSION}")
     done, lost = dict[str, Publication](), dict[str, GisRadarError]()
     for number, (name, folder) in enumerate(places.items()):
@@ -116,8 +114,7 @@ def publish_city(
             lost[name] = error
             reporter.warn("site {}: {}", name, error.message)
     reporter.progress("publishing sites", len(places), len(places))
-    with connected(url, schema) as (connection, place):
-        session = Session(cursor=connection.cursor(), schema=schema, place=place, srid=0)
+    with opened_session(url, schema) as session:
         _make_views(session, schemas)
         session.grant(reader)
         session.notify(schema)  # first, as QGIS takes in one message a second

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from gis_radar.base import (
@@ -17,8 +17,9 @@ from gis_radar.base import (
 
 
 def write_results(
-    folder: str | Path, writers: Mapping[str, Callable[[Path], object]], *, name: str, stage: str,
-    language: str | None = None, reporter: Reporter = QUIET,
+    folder: str | Path, writers: Mapping[str, Callable[[Path], object]], *, name: str,
+    owned: Sequence[str] = (), stage: str = "", language: str | None = None,
+    reporter: Reporter = QUIET,
 ) -> list[Path]:  # fmt: skip
     """Write files, and keep the styles that a user gave to the layers of an earlier result.
 
@@ -27,12 +28,14 @@ def write_results(
     folder : str or Path
         The folder; an earlier result there is replaced.
     writers : mapping
-        By name of the file, a function that writes it to a path; called in this order. A folder
-        whose files have these names up to the first point counts as an earlier result.
+        By name of the file, a function that writes it to a path; called in this order.
     name : str
         Name of the GeoPackage, without its suffix.
+    owned : sequence of str
+        What the names of the files of an earlier result begin with; by default these files' names
+        up to the first point.
     stage : str
-        Name of the stage for progress.
+        Name of the stage for progress; without one the writers report theirs.
     language : str, optional
         Language of the files, `en` or `de`; by default the current one.
     reporter : Reporter
@@ -49,14 +52,13 @@ def write_results(
         If the folder cannot be written, or holds other files.
     """
     folder, package = Path(folder), f"{name}.gpkg"
-    owned = tuple(sorted({f"{each.partition('.')[0]}." for each in (*writers, package)}))
-    with (
-        speaking(language),
-        atomic_folder(folder, owned=owned, reporter=reporter) as fresh,
-    ):
+    own = {f"{each.partition('.')[0]}." for each in (*writers, package)}
+    begins = tuple(owned or sorted(own))
+    with speaking(language), atomic_folder(folder, owned=begins, reporter=reporter) as fresh:
         for done, (file, write) in enumerate(writers.items(), start=1):
             with output_errors(folder / file), writing_errors(folder / file):
                 write(fresh / file)
-            reporter.progress(stage, done, len(writers))
+            if stage:
+                reporter.progress(stage, done, len(writers))
         keep_styles(fresh / package, earlier=folder / package)
     return [folder / file for file in writers]

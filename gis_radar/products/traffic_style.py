@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from xml.sax.saxutils import escape
 
 from gis_radar.base import tr
-from gis_radar.products.heatmap.style import qml_template
+from gis_radar.products.heatmap.style import text_template
 
 VOLUMES = "volume_veh_h"
 BREAKS = (0.0, 50.0, 100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 1e6)  # of lanes, veh/h
@@ -67,7 +67,7 @@ def class_style(column: str, classes: Iterable[LineClass]) -> str:
 
 
 def _filled(**content: Any) -> str:
-    return qml_template(Path(__file__).parent / "lines.qml.jinja").render(**content)
+    return text_template(Path(__file__).parent / "lines.qml.jinja").render(**content)
 
 
 def _tip(layer: str) -> str:

@@ -15,6 +15,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from gis_radar import base, products
 from gis_radar.base import (
     GisRadarError,
     InputError,
@@ -244,11 +245,8 @@ def discard(paths: Sequence[Path]) -> None:
     A QGIS project that somebody has edited stays.
     """
     for path in paths:
-        if path.suffix == ".qgz" and path.exists():
-            from gis_radar.products import was_edited  # noqa: PLC0415 - 2 s, needed rarely
-
-            if was_edited(path):
-                continue
+        if path.suffix == ".qgz" and path.exists() and products.was_edited(path):
+            continue
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:
@@ -340,34 +338,25 @@ class RunState:
             return known[1]
         found = _hash(path, progress)
         if path.suffix.lower() == ".gpkg":
-            found = self._hash_of_package(path, name, found)
+            found = self._hash_of_tables(path, name, found)
         if time.time() - stamp[1] / 1e9 > _SETTLED_S:
             self._hashes[name] = (stamp, found)
         else:
             self._hashes.pop(name, None)
         return found
 
-    def _hash_of_package(self, path: Path, name: str, of_bytes: str) -> str:
+    def _hash_of_tables(self, path: Path, name: str, of_bytes: str, but: Sequence[str] = ()) -> str:
         """Return the hash of a GeoPackage's tables; it takes 15 times as long as that of bytes."""
-        from gis_radar.base import content_digest  # noqa: PLC0415 - 1 s, needed rarely
-
         if name not in self._packages or self._packages[name][0] != of_bytes:
-            self._packages[name] = (of_bytes, content_digest(path) or of_bytes)
+            self._packages[name] = (of_bytes, base.content_digest(path, but) or of_bytes)
         return self._packages[name][1]
-
-    def _hash_of_tiles(self, path: Path) -> str | None:
-        """Return the hash of a file of tiles without the layers that no stage counts by."""
-        from gis_radar.base import content_digest  # noqa: PLC0415 - 1 s, needed rarely
-
-        whole, name = self.hash_of(path), f"{path.resolve()}: tiles"
-        if whole is not None and self._packages.get(name, ("", ""))[0] != whole:
-            self._packages[name] = (whole, content_digest(path, _BESIDE_TILES) or whole)
-        return None if whole is None else self._packages[name][1]
 
     def _hash_for(self, stage: Stage, path: Path) -> str | None:
         """Return the hash of the part of a file that a stage reads."""
-        of_tiles = stage.inputs.get(_TILES) == path
-        return self._hash_of_tiles(path) if of_tiles else self.hash_of(path)
+        found = self.hash_of(path)
+        if found is None or stage.inputs.get(_TILES) != path:
+            return found
+        return self._hash_of_tables(path, f"{path.resolve()}: tiles", found, _BESIDE_TILES)
 
     def key_of(self, stage: Stage) -> str:
         """Return the hash of all that a stage's result depends on; missing inputs are left out."""

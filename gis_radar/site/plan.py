@@ -160,6 +160,11 @@ def stages_of(site: Site, folder: Path) -> list[Stage]:
     ]
 
 
+def _given(**files: Path | tuple[Path, ...] | None) -> dict[str, Path | tuple[Path, ...]]:
+    """Return the inputs of a stage without those that the site does not have."""
+    return {name: each for name, each in files.items() if each is not None}
+
+
 def _map_options(site: Site) -> dict[str, Any]:
     return {"crs": site.map.crs, "origin": site.map.origin}
 
@@ -202,16 +207,16 @@ def _recordings(sensor: Sensor, folder: Path) -> tuple[Path, ...]:
 
 def _localization(site: Site, sensor: Sensor, folder: Path) -> Stage:
     place = folder / "sensors" / sensor.name
-    scans = site.scan.files if site.scan else ()
+    scans = _scans(site)
     return Stage(
         name=Text("localize {}", sensor.name),
         work=stages.localize_stage,
-        inputs={
-            "recordings": _recordings(sensor, folder),
-            "map_file": site.map.file,
-            "road": folder / "road.laz",
-            **({"scans": scans} if scans else {}),
-        },
+        inputs=_given(
+            recordings=_recordings(sensor, folder),
+            map_file=site.map.file,
+            road=folder / "road.laz",
+            scans=scans,
+        ),
         options={
             **_map_options(site),
             "sensor": sensor.name,
@@ -241,17 +246,16 @@ def _together(site: Site, folder: Path) -> Iterator[Stage]:
     if not tied:
         return
     places = [folder / "sensors" / each.name for each in tied]
-    clocks = site.measure.clocks
     ours, converted = _all_recordings(tied, folder)
     yield Stage(
         name=Text("poses together"),
         work=stages.together_stage,
-        inputs={
-            "map_file": site.map.file,
-            "road": folder / "road.laz",
-            "recordings": tuple(path for paths in ours.values() for path in paths),
-            **({"clocks": clocks} if clocks else {}),
-        },
+        inputs=_given(
+            map_file=site.map.file,
+            road=folder / "road.laz",
+            recordings=tuple(path for paths in ours.values() for path in paths),
+            clocks=site.measure.clocks,
+        ),
         beside=((*(place / name for place in places for name in (FOUND, SEVERAL)), *converted),),
         options={
             **_map_options(site),
@@ -297,20 +301,19 @@ def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
 
 
 def _tiles(site: Site, folder: Path) -> Stage:
-    subtypes = site.map.subtypes
     return Stage(
         name=Text("tiles"),
         work=stages.tiles_stage,
-        inputs={
-            "map_file": site.map.file,
-            **({"streets": site.map.streets} if site.map.streets else {}),
-            **({"road": folder / "road.laz"} if site.scan else {}),
-        },
+        inputs=_given(
+            map_file=site.map.file,
+            streets=site.map.streets,
+            road=folder / "road.laz" if site.scan else None,
+        ),
         options={
             **_map_options(site),
             "street_field": site.map.street_field,
             "length_m": site.tiles.length,
-            "subtypes": subtypes,
+            "subtypes": site.map.subtypes,
         },
         outputs=(folder / "tiles.gpkg",),
         phases=2,
@@ -327,20 +330,21 @@ def _measure(site: Site, folder: Path) -> Stage:
     return Stage(
         name=Text("measure"),
         work=stages.measure_stage,
-        inputs={
-            "map_file": site.map.file,
-            "tile_file": folder / "tiles.gpkg",
-            "recordings": tuple(path for paths in ours.values() for path in paths),
-            **({"clocks": clocks} if clocks else {}),
-            **_scans(site),
-        },
+        inputs=_given(
+            map_file=site.map.file,
+            tile_file=folder / "tiles.gpkg",
+            recordings=tuple(path for paths in ours.values() for path in paths),
+            clocks=clocks,
+            scans=_scans(site),
+        ),
         parts={"poses": tuple(poses.values())},
         beside=((*poses.values(), *converted),),
         options={
             "sensors": {
                 each.name: {
                     "recordings": len(ours[each.name]),
-                    "view": _view_of_track(each, poses[each.name]),
+                    # a pose has its view already
+                    "view": _view(each) if poses[each.name].suffix == ".csv" else None,
                     "cycle": each.cycle,
                 }
                 for each in site.sensor
@@ -357,13 +361,8 @@ def _measure(site: Site, folder: Path) -> Stage:
     )
 
 
-def _scans(site: Site) -> dict[str, tuple[Path, ...]]:
-    return {"scans": site.scan.files} if site.scan and site.scan.files else {}
-
-
-def _view_of_track(sensor: Sensor, pose: Path) -> dict[str, float] | None:
-    """Return the view for a pose track; None for a pose, which has its view already."""
-    return _view(sensor) if pose.suffix == ".csv" else None
+def _scans(site: Site) -> tuple[Path, ...] | None:
+    return (site.scan.files or None) if site.scan else None
 
 
 def _products(site: Site, folder: Path) -> Iterator[Stage]:

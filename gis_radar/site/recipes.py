@@ -1,17 +1,19 @@
 """Recipes from files to files, which commands share with the stages of a site.
 
-Further options are passed to the library's function named in each docstring. Each recipe imports
-what it calls, so that a command loads only the rooms that it uses.
+Further options are passed to the library's function named in each docstring. Rooms load when a
+recipe uses them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from gis_radar import calibration, dataset, hdmap, measures
+from gis_radar import scans as scan_room
 from gis_radar.base import (
     GisRadarError,
     InputError,
@@ -19,12 +21,9 @@ from gis_radar.base import (
     Text,
     name_of,
     require_same,
+    workers_here,
 )
 from gis_radar.poses import PoseTrack
-
-if TYPE_CHECKING:
-    from gis_radar.calibration import SensorClock
-    from gis_radar.dataset import Dataset
 
 
 def split_map(
@@ -37,16 +36,13 @@ def split_map(
     Tiles take their heights from the scanned road, if given; lanes without a street's name take it
     from the layer `streets`. Options are those of :func:`gis_radar.make_tiles`.
     """
-    from gis_radar.hdmap import fingerprint, make_tiles, read_map, write_tiles
-    from gis_radar.scans import read_road
-
-    roads = read_map(map_file, crs=crs, origin=origin, reporter=reporter)
-    points = None if road is None else read_road(road, roads.crs)
-    table = make_tiles(roads, road=points, reporter=reporter, **options)
+    roads = hdmap.read_map(map_file, crs=crs, origin=origin, reporter=reporter)
+    points = None if road is None else scan_room.read_road(road, roads.crs)
+    table = hdmap.make_tiles(roads, road=points, reporter=reporter, **options)
     ways = roads.lanes(streets=streets, street_field=street_field, reporter=reporter)
     tiled = ways[ways["lane"].isin(table["lane"])]
     stops = roads.stop_lines()
-    write_tiles(table, output, problems=roads.problems, lanes=tiled, stop_lines=stops)
+    hdmap.write_tiles(table, output, problems=roads.problems, lanes=tiled, stop_lines=stops)
     actions = roads.problems["action"].value_counts()
     return {
         "crs": name_of(roads.crs),
@@ -60,7 +56,7 @@ def split_map(
         "stop_lines": int(stops["stop_line"].nunique()),
         "tiles": len(table),
         "with_height": int(table["height_m"].notna().sum()),
-        "fingerprint": fingerprint(table),
+        "fingerprint": hdmap.fingerprint(table),
     }
 
 
@@ -72,11 +68,9 @@ def mask_scans(
 
     Options are those of :func:`gis_radar.scans.read_roads`.
     """
-    from gis_radar.scans import mask_road, read_roads, require_road_name
-
-    require_road_name(output)
-    roads = read_roads(map_file, reporter=reporter, **options)
-    road = mask_road(scans, roads, engine=engine, scan_crs=scan_crs, reporter=reporter)
+    scan_room.require_road_name(output)
+    roads = scan_room.read_roads(map_file, reporter=reporter, **options)
+    road = scan_room.mask_road(scans, roads, engine=engine, scan_crs=scan_crs, reporter=reporter)
     return road.write(output), road.figures()
 
 
@@ -84,14 +78,12 @@ def measure_site(
     sensors: Mapping[str, tuple[Sequence[Path], PoseTrack]], tile_file: Path, map_file: Path,
     output: Path, *, reporter: Reporter, accept: Sequence[str] = (), only: bool = True,
     **options: Any,
-) -> tuple[Dataset, dict[str, GisRadarError]]:  # fmt: skip
+) -> tuple[dataset.Dataset, dict[str, GisRadarError]]:  # fmt: skip
     """Measure the recordings of several sensors, by name, without sensors that are refused.
 
     It returns the dataset, and the error of each sensor that was left out. Options are those of
     :func:`measure_recordings`.
     """
-    from gis_radar.calibration import ImplausibleError
-
     left, refused = dict(sensors), dict[str, GisRadarError]()
     while True:
         recordings = [path for paths, _ in left.values() for path in paths]
@@ -101,7 +93,7 @@ def measure_site(
                 recordings, tracks, tile_file, map_file, output, only=only, reporter=reporter,
                 accept=[name for name in accept if name in left], **options,
             )  # fmt: skip
-        except ImplausibleError as error:
+        except calibration.ImplausibleError as error:
             found = error.findings
             if len(found) == len(left):
                 kept = next((each for each in found if each.is_of_clocks), None)
@@ -133,19 +125,14 @@ def measure_recordings(
     recordings: Sequence[Path], tracks: Sequence[PoseTrack], tile_file: Path,
     map_file: Path | None, output: Path, *, filters: Mapping[str, Any],
     clocks: Path | None, reporter: Reporter, processes: int | None = None, **options: Any,
-) -> Dataset:  # fmt: skip
+) -> dataset.Dataset:  # fmt: skip
     """Measure recordings, with the clocks of a file; return the dataset.
 
     Options are those of :func:`gis_radar.measure`.
     """
-    from gis_radar.base import workers_here
-    from gis_radar.dataset import measure
-    from gis_radar.hdmap import read_tiles
-    from gis_radar.measures import Filters
-
-    kept, tiles = Filters(**filters), read_tiles(tile_file)
+    kept, tiles = measures.Filters(**filters), hdmap.read_tiles(tile_file)
     known = {} if clocks is None else _clocks(clocks, tracks, reporter)
-    return measure(
+    return dataset.measure(
         recordings, tracks, tiles, map_file, output,
         filters=kept, clocks=known, processes=processes or workers_here(), reporter=reporter,
         **options,
@@ -157,36 +144,32 @@ def see_tiles(
     scan_crs: str | None, reporter: Reporter,
 ) -> dict[str, Any]:  # fmt: skip
     """Write the sights of sensors; return figures by sensor, those of its last pose."""
-    from gis_radar.hdmap import read_tiles
-    from gis_radar.measures import standing_for
-    from gis_radar.scans import SightTiles, find_sight, open_sight, report_uncovered, write_sights
-
-    tiles = read_tiles(tile_file)
+    tiles = hdmap.read_tiles(tile_file)
     for track in tracks:
         what = Text("the pose of {}", track.sensor)
         require_same(track.poses[0].crs, tiles.crs, what=what, other_what="the tiles")
-    road = SightTiles.of(tiles)
-    source = open_sight(road, scans=scans, scan_crs=scan_crs, reporter=reporter)
+    road = scan_room.SightTiles.of(tiles)
+    source = scan_room.open_sight(road, scans=scans, scan_crs=scan_crs, reporter=reporter)
     different = [
         track for k, track in enumerate(tracks)
         if not any(track.poses == each.poses for each in tracks[:k])
     ]  # fmt: skip
     found = [
-        find_sight(track.poses[head], road, source)
+        scan_room.find_sight(track.poses[head], road, source)
         for track in different
-        for head in np.unique(standing_for(track.poses)).tolist()
+        for head in np.unique(measures.standing_for(track.poses)).tolist()
     ]
-    report_uncovered(found, reporter)
+    scan_room.report_uncovered(found, reporter)
     found.sort(key=lambda sight: sight.pose.sensor)  # equal files for any order of the input
-    write_sights(found, tiles, output)
+    scan_room.write_sights(found, tiles, output)
     return {each.pose.sensor: each.figures() for each in found}
 
 
-def _clocks(path: Path, tracks: Sequence[PoseTrack], reporter: Reporter) -> dict[str, SensorClock]:
+def _clocks(
+    path: Path, tracks: Sequence[PoseTrack], reporter: Reporter
+) -> dict[str, calibration.SensorClock]:
     """Return the clocks of a file; warn of sensors without one."""
-    from gis_radar.calibration import read_clocks
-
-    clocks = read_clocks(path)
+    clocks = calibration.read_clocks(path)
     for sensor in sorted({track.sensor for track in tracks} - clocks.keys()):
         reporter.warn("the clock of {} is not corrected: its offset is not known", sensor)
     return clocks

@@ -6,8 +6,8 @@ Its record is written beside the results, as `run.json`.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
@@ -28,21 +28,16 @@ from gis_radar.base import (
     output_errors,
     refuse_foreign,
     refuse_inputs,
+    warnings_once,
     with_texts,
     workers_here,
 )
 from gis_radar.site import stages as work
 from gis_radar.site.execution import Execution, RunState, discard
+from gis_radar.site.messages import error_in_site_words
 from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
 from gis_radar.site.settings import Site, read_site
 from gis_radar.site.stages import STATE
-from gis_radar.site.summary import (
-    doubts_of,
-    refused_sensors,
-    sensors_in,
-    sensors_of,
-    warnings_of,
-)
 from gis_radar.site.versions import software
 from gis_radar.site.worker import own_pool, process_pool
 
@@ -187,12 +182,8 @@ def run_site(
         raise UsageError("jobs is {}, expected 1 or more", jobs)
     site, root = read_site(path), Path(folder).absolute()
     refuse_inputs(root, site.path, *site.inputs)
-    state = _prepared(root)
     with ExitStack() as stack:
-        stack.enter_context(only_writer(Path(folder), lock=state / "lock", reporter=reporter))
-        scratch = _cleared(root, state)
-        stack.callback(shutil.rmtree, scratch, ignore_errors=True)
-        kept = RunState(state / "state.json", root)
+        kept, scratch = stack.enter_context(_opened(Path(folder), reporter))
         if fresh:
             kept.outdate()
         _hash_inputs(site, kept, reporter)
@@ -232,15 +223,10 @@ def prepare_site(site: Site, folder: Path, *, reporter: Reporter = QUIET) -> Seq
         As :func:`run_site`.
     """
     root = folder.absolute()
-    state = _prepared(root)
-    with ExitStack() as stack:
-        stack.enter_context(only_writer(folder, lock=state / "lock", reporter=reporter))
-        scratch = _cleared(root, state)
-        stack.callback(shutil.rmtree, scratch, ignore_errors=True)
-        kept = RunState(state / "state.json", root)
-        before = takewhile(lambda stage: stage.work != work.measure_stage, stages_of(site, root))
+    before = takewhile(lambda stage: stage.work != work.measure_stage, stages_of(site, root))
+    with _opened(folder, reporter) as (kept, _), own_pool() as pool:
         execution = Execution(
-            stages=list(before), state=kept, pool=stack.enter_context(own_pool()),
+            stages=list(before), state=kept, pool=pool,
             reporter=reporter, timezone=site.timezone, folder=site.path.absolute().parent,
         )  # fmt: skip
         outcomes = execution.run()
@@ -249,25 +235,29 @@ def prepare_site(site: Site, folder: Path, *, reporter: Reporter = QUIET) -> Seq
     return outcomes
 
 
-def _prepared(root: Path) -> Path:
-    """Make the folders of a run; refuse a folder that holds something else."""
+@contextmanager
+def _opened(folder: Path, reporter: Reporter) -> Iterator[tuple[RunState, Path]]:
+    """Yield the state of earlier runs into a folder, and an empty folder for temporary files.
+
+    A folder that holds something else is refused; unfinished files of a killed run are removed.
+    """
+    root = folder.absolute()
     state = root / STATE
     with output_errors(root):
         if root.is_dir() and not state.is_dir():
             refuse_foreign(root, OWNED)
         state.mkdir(parents=True, exist_ok=True)
         (state / ".gitignore").write_text("*\n", encoding="utf-8")
-    return state
-
-
-def _cleared(root: Path, state: Path) -> Path:
-    """Remove unfinished files of a killed run; return an empty folder for temporary files."""
     scratch = state / "scratch"
-    halves = [each for pattern in (".*.part", ".*.before") for each in root.rglob(pattern)]
-    for leftover in (*halves, scratch):
-        shutil.rmtree(leftover, ignore_errors=True)
-    scratch.mkdir()
-    return scratch
+    with only_writer(folder, lock=state / "lock", reporter=reporter):
+        halves = [each for pattern in (".*.part", ".*.before") for each in root.rglob(pattern)]
+        for leftover in (*halves, scratch):
+            shutil.rmtree(leftover, ignore_errors=True)
+        scratch.mkdir()
+        try:
+            yield RunState(state / "state.json", root), scratch
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
 
 
 def forget_stages_gone(state: RunState, stages: Sequence[Stage], reporter: Reporter) -> None:
@@ -358,3 +348,59 @@ def _relative(path: Path, *bases: Path) -> str:
         if whole.is_relative_to(base.resolve()):
             return whole.relative_to(base.resolve()).as_posix()
     return str(whole)
+
+
+def sensors_in(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return the sensors that the heat maps are made of."""
+    return [
+        name
+        for each in outcomes
+        if each.has_result and each.stage.work is work.measure_stage
+        for name in each.figures["sensors"]
+    ]
+
+
+def refused_sensors(outcomes: Sequence[Outcome], timezone: str) -> dict[str, GisRadarError]:
+    """Return the error of each sensor whose recordings are not in the dataset."""
+    measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
+    return {
+        name: error_in_site_words(
+            (NoAnswerError if name in each.get("implausible", ()) else InputError)(
+                why, hint=each.get("hints", {}).get(name, "")
+            ),
+            timezone,
+        )
+        for each in measured
+        for name, why in each.get("refused", {}).items()
+    }
+
+
+def doubts_of(outcomes: Sequence[Outcome]) -> dict[str, str]:
+    """Return, by sensor, the doubt of the check of poses and recordings."""
+    measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
+    return {name: line for each in measured for name, line in each.get("doubts", {}).items()}
+
+
+def sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, Any]]:
+    """Return pose and `state` of each sensor; the state is `ok`, or the reason against it."""
+    found: dict[str, dict[str, Any]] = {sensor.name: {} for sensor in site.sensor}
+    for each in outcomes:
+        if not each.stage.sensor:
+            continue
+        facts = found[each.stage.sensor]
+        if each.error is not None:
+            reason = each.error.message.removeprefix(f"{each.stage.sensor}: ")
+            facts.setdefault("state", reason)
+        elif each.stage.work in {work.localize_stage, work.pose_stage, work.tied_pose_stage}:
+            # figures of the localization come first; the pose in use replaces them
+            found[each.stage.sensor] = {**facts, **each.figures}
+    for name, error in refused_sensors(outcomes, site.timezone).items():
+        found[name]["state"] = Text(error.message).removeprefix(f"{name}: ")
+    for name, doubt in doubts_of(outcomes).items():
+        found[name]["state"] = Text(doubt).removeprefix(f"{name}: ")
+    return {name: {"state": "ok"} | facts for name, facts in found.items()}
+
+
+def warnings_of(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return the warnings of all stages, each once."""
+    return warnings_once({each.stage.name: list(each.warnings) for each in outcomes})

@@ -1,8 +1,8 @@
 """The stages of a run as functions from files to files, each a call or two of the library.
 
 Their arguments are paths and small settings, which any executor can send to a worker; options that
-a stage does not use itself are passed to the library's function. Each stage imports what it calls,
-so that a worker loads only the rooms that its stages use. They return figures by name.
+a stage does not use itself are passed to the library's function. Rooms load when a stage of a
+worker uses them. Stages return figures by name.
 """
 
 from __future__ import annotations
@@ -11,8 +11,11 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from gis_radar import calibration, products, scans
+from gis_radar import dataset as dataset_room
+from gis_radar import recordings as recording_room
 from gis_radar.base import (
     GisRadarError,
     InputError,
@@ -24,6 +27,7 @@ from gis_radar.base import (
     scratch_folder,
 )
 from gis_radar.poses import COMPONENTS, Pose, PoseTrack, View, read_track
+from gis_radar.site.recipes import mask_scans, measure_site, split_map
 from gis_radar.site.together import (
     RECORDED,
     read_together,
@@ -33,9 +37,6 @@ from gis_radar.site.together import (
     write_together,
 )
 
-if TYPE_CHECKING:
-    from gis_radar.dataset import Dataset
-
 STATE = ".gis-radar"
 SIGHTS = "sights"  # folder in STATE: a cache of the sights of poses
 Figures = dict[str, Any]
@@ -44,17 +45,13 @@ Paths = Sequence[Path]
 
 def mask_stage(*, map_file: Path, scans: Paths, outputs: Paths, **options: Any) -> Figures:
     """Mask the road out of the scans."""
-    from gis_radar.site.recipes import mask_scans
-
     return mask_scans(scans, map_file, outputs[0], **options)[1]
 
 
 def road_stage(*, road: Path, outputs: Paths, reporter: Reporter) -> Figures:
     """Copy a road that was masked before, after a check."""
-    from gis_radar.scans import read_road, road_crs
-
-    crs = road_crs(road)
-    points = read_road(road, crs)
+    crs = scans.road_crs(road)
+    points = scans.read_road(road, crs)
     with atomic_write(outputs[0]) as part:
         shutil.copyfile(road, part)
     reporter.progress("copying the road", 1, 1)
@@ -63,17 +60,13 @@ def road_stage(*, road: Path, outputs: Paths, reporter: Reporter) -> Figures:
 
 def tiles_stage(*, map_file: Path, outputs: Paths, **options: Any) -> Figures:
     """Split the lanes into tiles, at the heights of the scanned road if there is one."""
-    from gis_radar.site.recipes import split_map
-
     return split_map(map_file, outputs[0], **options)
 
 
 def convert_stage(*, recordings: Paths, outputs: Paths, **options: Any) -> Figures:
     """Convert the files of a sensor, of any known format, to one recording."""
-    from gis_radar.recordings import convert
-
     with scratch_folder() as folder:
-        made = convert(recordings, folder / outputs[0].name, **options)
+        made = recording_room.convert(recordings, folder / outputs[0].name, **options)
         if len(made.outputs) != 1:
             names = ", ".join(str(each.sensor) for each in made.recordings)
             raise InputError(
@@ -94,14 +87,12 @@ def localize_stage(
 
     If several poses fit, all are written: other sensors may decide among them.
     """
-    from gis_radar.calibration import AmbiguousError, localize
-
     pose, picture, several = outputs
     for before in outputs:
         before.unlink(missing_ok=True)  # so that a pose and candidates never exist together
     try:
-        found = localize(recordings, map_file, road, figure=picture, **options)
-    except AmbiguousError as refusal:
+        found = calibration.localize(recordings, map_file, road, figure=picture, **options)
+    except calibration.AmbiguousError as refusal:
         write_candidates(refusal, options["sensor"], several)
         return {"candidates": len(refusal.answers)}
     found.pose.write(pose)
@@ -205,8 +196,6 @@ def measure_stage(
     lie in the sensors' folders. Sensors without a pose or a recording are left out, as are those
     whose recordings are refused.
     """
-    from gis_radar.site.recipes import measure_site
-
     numbers = {name: each["recordings"] for name, each in sensors.items()}
     paths = _by_sensor(recordings, numbers, outputs[0].parent / "sensors")
     given = {
@@ -232,11 +221,9 @@ def measure_stage(
     }  # fmt: skip
 
 
-def _findings(made: Dataset, refused: Mapping[str, GisRadarError]) -> Figures:
+def _findings(made: dataset_room.Dataset, refused: Mapping[str, GisRadarError]) -> Figures:
     """Return the findings of the plausibility check by sensor, also of those left out."""
-    from gis_radar.calibration import ImplausibleError
-
-    left_out = (each for each in refused.values() if isinstance(each, ImplausibleError))
+    left_out = (each for each in refused.values() if isinstance(each, calibration.ImplausibleError))
     known = {name: made.manifest.checks.get(name) for name in made.sensors}
     return {name: found for name, found in known.items() if found} | {
         each.sensor: each.record for error in left_out for each in error.findings
@@ -248,13 +235,10 @@ def heatmap_stage(
     labels: dict[str, Any],
 ) -> Figures:  # fmt: skip
     """Make a heat map of the dataset."""
-    from gis_radar.dataset import open_dataset
-    from gis_radar.products import MapLabels, make_heatmap
-
     zone = None if labels["timezone"] == "UTC" else labels["timezone"]
-    heat = make_heatmap(
-        open_dataset(dataset), interval=interval, timezone=zone, labels=MapLabels(**labels),
-        reporter=reporter,
+    heat = products.make_heatmap(
+        dataset_room.open_dataset(dataset), interval=interval, timezone=zone,
+        labels=products.MapLabels(**labels), reporter=reporter,
     )  # fmt: skip
     heat.write(outputs[0], reporter=reporter)
     return heat.figures()
@@ -262,17 +246,13 @@ def heatmap_stage(
 
 def project_stage(*, outputs: Paths, **options: Any) -> Figures:
     """Write sensors, sight and, if asked, vehicles as layers, and the project that shows them."""
-    from gis_radar.products import write_site_project
-
-    write_site_project(outputs[0].parent, **options)
+    products.write_site_project(outputs[0].parent, **options)
     return {}
 
 
 def report_stage(*, outputs: Paths, csv_locale: str, reporter: Reporter) -> Figures:
     """Write the report of all results; return its main figures."""
-    from gis_radar.products import write_report
-
-    made = write_report(outputs[0].parent, csv_locale=csv_locale, reporter=reporter)
+    made = products.write_report(outputs[0].parent, csv_locale=csv_locale, reporter=reporter)
     for remark in made.summary["found"]:
         reporter.log(remark)
     return {name: made.summary[name] for name in ("facts", "basis", "remarks")}

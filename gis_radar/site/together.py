@@ -6,8 +6,9 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from gis_radar import calibration, hdmap, scans
 from gis_radar.base import (
     InputError,
     NoAnswerError,
@@ -20,14 +21,11 @@ from gis_radar.base import (
 )
 from gis_radar.poses import Pose, pose_from_dict, read_pose
 
-if TYPE_CHECKING:
-    from gis_radar.calibration import AmbiguousError, Solved
-
 FOUND, SEVERAL, RECORDED = "localization.json", "candidates.json", "recording.parquet"
 Record = dict[str, Any]
 
 
-def write_candidates(refusal: AmbiguousError, sensor: str, path: Path) -> None:
+def write_candidates(refusal: calibration.AmbiguousError, sensor: str, path: Path) -> None:
     """Write the candidate poses of a sensor, and the reason why it is refused alone."""
     poses = [replace(each.pose, sensor=sensor).as_dict() for each in refusal.answers]
     _write(path, {"message": refusal.message, "hint": refusal.hint, "poses": poses})
@@ -73,18 +71,14 @@ def solve_together(
         For each sensor its `pose`, or the `message` and `hint` of its refusal; and `line`, a text
         on what the adjustment gained, or why the sensor is not part of it.
     """
-    from gis_radar.calibration import Solved, adjust_poses, read_clocks
-    from gis_radar.hdmap import read_map
-    from gis_radar.scans import read_road
-
     alone = {name: _alone(folder / name) for name in sensors}
     poses = {name: found[0] for name, found in alone.items() if found[0]}
-    solved = Solved(poses={}, chosen={}, refused={}, pairs={})
+    solved = calibration.Solved(poses={}, chosen={}, refused={}, pairs={})
     if len(poses) > 1:
-        roads = read_map(map_file, reporter=reporter, **options)
-        known = {} if clocks is None else read_clocks(clocks)
-        solved = adjust_poses(
-            {name: sensors[name] for name in poses}, poses, roads, read_road(road, roads.crs),
+        roads = hdmap.read_map(map_file, reporter=reporter, **options)
+        known = {} if clocks is None else calibration.read_clocks(clocks)
+        solved = calibration.adjust_poses(
+            {name: sensors[name] for name in poses}, poses, roads, scans.read_road(road, roads.crs),
             clocks=known, reporter=reporter,
         )  # fmt: skip
     return {
@@ -104,12 +98,16 @@ def _alone(place: Path) -> tuple[tuple[Pose, ...], Record]:
     return tuple(pose_from_dict(each, what=what) for each in record.pop("poses")), record
 
 
-def _entry(name: str, poses: tuple[Pose, ...], solved: Solved, refusal: Record) -> Record:
+def _entry(
+    name: str, poses: tuple[Pose, ...], solved: calibration.Solved, refusal: Record
+) -> Record:
     """Return the record of a sensor, as :func:`solve_together` returns it."""
-    from gis_radar.calibration import CLASH_HINT, gain_line
-
     if name in solved.refused:
-        return {"message": solved.refused[name], "hint": CLASH_HINT, "line": Text("refused")}
+        return {
+            "message": solved.refused[name],
+            "hint": calibration.CLASH_HINT,
+            "line": Text("refused"),
+        }
     why = solved.unmatched.get(name, "no other sensor has a pose")
     if name not in solved.poses:
         if not refusal:
@@ -118,7 +116,7 @@ def _entry(name: str, poses: tuple[Pose, ...], solved: Solved, refusal: Record) 
     pose = solved.poses[name]
     if "together" not in pose.evidence:
         return {"pose": pose.as_dict(), "line": Text("alone: {}", why)}
-    line = gain_line(pose)
+    line = calibration.gain_line(pose)
     if refusal:
         why = refusal["message"].removeprefix(f"{name}: ")
         line = Text("{}; alone it was refused ({})", line, why)

@@ -45,7 +45,7 @@ def test_a_profile_is_that_of_each_site(city):
             city.profile(**left_out)
     with pytest.raises(UsageError, match="there is no street 'Allee'"):
         city.profile("Allee")
-    with pytest.raises(TypeError, match=r"CityQuestions.profile\(\) got .* 'holidays'"):
+    with pytest.raises(TypeError, match=r"City.profile\(\) got .* 'holidays'"):
         city.profile(holidays="2026-11-02")
     with pytest.raises(UsageError, match="names no days of the week"):
         city.profile(days="Mon")

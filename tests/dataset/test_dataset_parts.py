@@ -25,9 +25,8 @@ from gis_radar.dataset import (
     read_hour,
     read_hours,
     record_path,
-    unfinished,
 )
-from gis_radar.dataset.files.parts import ROWS_IN_GROUP, PartDigest, PartWriter
+from gis_radar.dataset.files.parts import ROWS_IN_GROUP, PartDigest, PartWriter, unfinished
 from gis_radar.dataset.files.tables import (
     HITS,
     HOUR_TABLES,
@@ -179,11 +178,11 @@ def test_a_making_that_ends_between_two_parts_is_no_hour(tmp_path, monkeypatch):
     write_hour(tmp_path, hits=HIT_ROWS)
     moves = []
 
-    def stop_at_third(fresh, path):
+    def stop_at_third(path):
         moves.append(path)
         if len(moves) == 3:
             raise KeyboardInterrupt
-        fresh.replace(path)
+        unfinished(path).replace(path)
 
     other = replace(ORIGIN, inputs="other")
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):

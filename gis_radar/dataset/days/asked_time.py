@@ -24,7 +24,7 @@ from gis_radar.base import (
 )
 from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER
 from gis_radar.dataset.files.parts import HOURS_PER_DAY
-from gis_radar.dataset.files.reading import Span
+from gis_radar.dataset.files.records import Span
 
 DAY_NAMES = ("Mo", "Tu", "We", "Th", "Fr", "Sa", "Su")  # as in opening hours of OpenStreetMap
 QUARTERS_PER_DAY = HOURS_PER_DAY * QUARTERS

@@ -18,12 +18,11 @@ import pyarrow.compute as pc
 import pyogrio
 
 from gis_radar.base import STEPS_PER_HOUR, STEPS_PER_SECOND, InputError, Integers, opened_package
-from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, DayTables
+from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, DayTables
 from gis_radar.dataset.days.tile_counts import TileCounts, count_spans
 from gis_radar.dataset.files.manifest import TILES
 from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys, hour_text
-from gis_radar.dataset.files.reading import Span
-from gis_radar.dataset.files.records import HourRecord, read_hour
+from gis_radar.dataset.files.records import HourRecord, Span, read_hour
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import (
     CONTINUED,
@@ -96,7 +95,7 @@ class LaneTraffic(DayTables):
         """Keep records that were read, as the hours before others."""
         self._before.update(_with_tracks(records))
 
-    def keys(self, day: Day, records: Mapping[int, HourRecord]) -> Keys:
+    def keys(self, day: int, records: Mapping[int, HourRecord]) -> Keys:
         """Return the keys of the hours of a date: what the rows of each follow from.
 
         Hours without vehicles have none. Where exact tables were deleted, the rows stay as they
@@ -104,7 +103,8 @@ class LaneTraffic(DayTables):
         """
         keys = {hour: self.key(each) for hour, each in _with_tracks(records).items()}
         gone = {hour for hour in keys if TRACKS.name in records[hour].dropped}
-        known = day.file(LANE_MEASURES).keys() if gone and day.file(TURNS).keys() else {}
+        lanes, turns = (self.file(table, day) for table in self.tables)
+        known = lanes.keys() if gone and turns.keys() else {}
         return {
             hour: known[hour] if hour in gone else key
             for hour, key in keys.items()

@@ -18,7 +18,7 @@ from gis_radar.base import (
     compiled,
     ranges,
 )
-from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, Day, DayTables
+from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, DayTables
 from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys
 from gis_radar.dataset.files.records import HourRecord
 from gis_radar.dataset.files.schema import TableSchema
@@ -232,7 +232,7 @@ class TileCounts(DayTables):
 
     tables = (TILE_COUNTS,)
 
-    def keys(self, _day: Day, records: Mapping[int, HourRecord]) -> Keys:
+    def keys(self, _day: int, records: Mapping[int, HourRecord]) -> Keys:
         """Return the keys of the counts of hours."""
         return count_keys(records)
 

@@ -9,15 +9,30 @@ import pyarrow.compute as pc
 
 from gis_radar.base import STEPS_PER_HOUR, InputError, step_of
 from gis_radar.dataset.files.parts import MEASURE_AGAIN
-from gis_radar.dataset.files.reading import read_rows
-from gis_radar.dataset.files.records import HourRecord
+from gis_radar.dataset.files.records import HourRecord, read_rows
 from gis_radar.dataset.files.source import Source
 from gis_radar.dataset.files.tables import FRAMES, RECORDINGS
 from gis_radar.measures import LONGEST_VALID_STEPS, Runs, union_of_runs, valid_steps
 
 
-def frame_steps(dataset: Source, sensor: str | None, *, valid: bool) -> Runs:
-    """Return the steps with frames; see :meth:`gis_radar.Dataset.frame_steps`."""
+def frame_steps(dataset: Source, sensor: str | None = None, *, valid: bool = True) -> Runs:
+    """Return the steps in which a frame is valid, or into which one falls.
+
+    Hours whose frames were deleted are taken as recorded without a gap, from the first to the
+    last frame of each recording.
+
+    Parameters
+    ----------
+    sensor : str, optional
+        Name of the sensor; by default any sensor counts.
+    valid : bool
+        If False, return only the steps into which a frame falls.
+
+    Raises
+    ------
+    InputError
+        If there is no such sensor.
+    """
     records = dataset.records()
     kept = {hour: each for hour, each in records.items() if each.has(FRAMES)}
     parts = [*_stored(dataset, kept, sensor, valid=valid)]

@@ -18,10 +18,9 @@ from gis_radar.base import (
     read_json,
     restored,
     with_texts,
-    writing_errors,
 )
 from gis_radar.calibration import Finding, is_record
-from gis_radar.dataset.files.parts import rename_whole, unfinished, write_whole
+from gis_radar.dataset.files.parts import replacing, write_whole
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
 from gis_radar.hdmap import write_tiles
 
@@ -78,9 +77,8 @@ class Manifest:
         path = folder / MANIFEST
         document = with_texts(asdict(self))
         text = json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
-        with writing_errors(path):
-            unfinished(path).write_text(text, encoding="utf-8")
-        rename_whole(unfinished(path), path)
+        with replacing(path) as fresh:
+            fresh.write_text(text, encoding="utf-8")
 
     @staticmethod
     def is_there(folder: Path) -> bool:
@@ -159,10 +157,8 @@ def create_dataset(
     with output_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     if map_file is not None:
-        place = folder / MAP
-        with writing_errors(place):
-            unfinished(place).write_bytes(Path(map_file).read_bytes())
-        rename_whole(unfinished(place), place)
+        with replacing(folder / MAP) as fresh:
+            fresh.write_bytes(Path(map_file).read_bytes())
     write_tiles(tiles, folder / TILES, problems=problems, lanes=lanes, stop_lines=stop_lines)
     for table in (RECORDINGS, POSES, SIGHTS):
         write_whole(table, folder, table.empty(), manifest.fingerprint)

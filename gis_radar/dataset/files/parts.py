@@ -119,6 +119,12 @@ def unfinished(path: Path) -> Path:
     return path.with_name(f".{path.stem}.part")
 
 
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def clear_unfinished(folder: Path) -> None:
     """Remove files that a killed run left; the caller is the dataset's only writer."""
     for left in folder.rglob(".*.part"):
@@ -126,13 +132,40 @@ def clear_unfinished(folder: Path) -> None:
             left.unlink()
 
 
-def rename_whole(fresh: Path, path: Path) -> None:
-    """Move a file to its place, so that it survives a power failure."""
+def rename_whole(path: Path) -> None:
+    """Move a file that was written as :func:`unfinished` to its place, to survive a power failure.
+
+    Parameters
+    ----------
+    path : Path
+        Its place.
+    """
     with output_errors(path):
-        with fresh.open("rb") as file:
+        with unfinished(path).open("rb") as file:
             os.fsync(file.fileno())
-        fresh.replace(path)
+        unfinished(path).replace(path)
         sync_folder(path.parent)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give the name under which a file is written; after the block it is whole in its place.
+
+    Parameters
+    ----------
+    path : Path
+        Its place; a folder that is missing is made.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    with output_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with writing_errors(path):
+        yield unfinished(path)
+    rename_whole(path)
 
 
 def sync_folder(folder: Path) -> None:
@@ -190,9 +223,8 @@ class PartWriter:
         if self._rows > self._written:
             self._write(self._rows - self._written)
         self._writer.close()
-        with self._path.open("rb") as file:
-            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-        return PartDigest(rows=self._rows, size=self._path.stat().st_size, sha256=sha256)
+        size, sha256 = self._path.stat().st_size, digest_of(self._path)
+        return PartDigest(rows=self._rows, size=size, sha256=sha256)
 
     def _write(self, rows: int) -> None:
         waiting = pa.concat_tables(self._waiting)
@@ -301,7 +333,7 @@ class TableFile:
         """Replace it by rows, made from what has these keys."""
         stated = {} if keys is None else {self.keyed: json.dumps(dict(sorted(keys.items())))}
         write_part(self.table, self.path, rows, self.metadata | stated)
-        rename_whole(unfinished(self.path), self.path)
+        rename_whole(self.path)
 
 
 def whole_file(table: TableSchema, folder: Path, fingerprint: str) -> TableFile:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,26 +13,30 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from gis_radar.base import InputError, output_errors, read_json, writing_errors
+from gis_radar.base import STEPS_PER_HOUR, InputError, output_errors, read_json
 from gis_radar.dataset.files.parts import (
     MEASURE_AGAIN,
     Origin,
     PartDigest,
     Values,
     date_of,
+    digest_of,
     hour_begin,
     hour_text,
     opened_part,
     part_path,
     rename_whole,
+    replacing,
     sync_folder,
     unfinished,
     write_part,
 )
-from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.schema import FIRST, LAST, TableSchema
 from gis_radar.dataset.files.tables import HOUR_TABLES, SCHEMA, TABLES
 
 HOURS = "hours"
@@ -111,8 +113,8 @@ class HourRecord:
             If they differ, or as :meth:`opened`.
         """
         path = part_path(folder, table, self.hour)
-        with self.opened(folder, table), path.open("rb") as file:
-            if hashlib.file_digest(file, "sha256").hexdigest() != self.parts[table.name].sha256:
+        with self.opened(folder, table):
+            if digest_of(path) != self.parts[table.name].sha256:
                 raise InputError("{}: its bytes have changed", path, hint=MEASURE_AGAIN)
 
 
@@ -142,19 +144,15 @@ def read_hours(
     return {record.hour: record for record in found if record is not None}
 
 
-def _records(folder: Path, first: int | None, last: int | None) -> Iterator[tuple[int, Path]]:
-    """Yield the hours from `first` to `last` that have a record, with its path."""
-    low, high = -math.inf if first is None else first, math.inf if last is None else last
-    for date in _dates(folder, first, last):
-        for hour, path in _listed(folder, date):
-            if low <= hour <= high:
-                yield hour, path
-
-
-def _dates(folder: Path, first: int | None, last: int | None) -> list[str]:
-    """Return the dates of the records of some hours, ascending."""
-    low, high = (str(date_of(min(hour, _LAST_HOUR))) for hour in (first or 0, last or _LAST_HOUR))
-    return sorted(name for name in _names(folder / HOURS) if low <= name <= high)
+def _records(
+    folder: Path, first: int | None = None, last: int | None = None, way: int = 1
+) -> Iterator[tuple[int, Path]]:
+    """Yield the hours from `first` to `last` that have a record, with its path; -1: backwards."""
+    low, high = 0 if first is None else first, _LAST_HOUR if last is None else last
+    begin, end = (str(date_of(min(hour, _LAST_HOUR))) for hour in (low, high))
+    dates = sorted(name for name in _names(folder / HOURS) if begin <= name <= end)
+    for date in dates[::way]:
+        yield from (each for each in _listed(folder, date)[::way] if low <= each[0] <= high)
 
 
 def _listed(folder: Path, date: str) -> list[tuple[int, Path]]:
@@ -187,19 +185,13 @@ def hour_bounds(
     first, last : int, optional
         Only hours from `first` to `last`, inclusive.
     """
-    low, high = -math.inf if first is None else first, math.inf if last is None else last
-    dates, found = _dates(folder, first, last), list[int]()
-    for way in (1, -1):
-        for date in dates[::way]:
-            if inside := [hour for hour, _ in _listed(folder, date) if low <= hour <= high]:
-                found += inside
-                break
-    return (min(found), max(found)) if found else None
+    lowest, highest = (next(_records(folder, first, last, way), None) for way in (1, -1))
+    return None if lowest is None or highest is None else (lowest[0], highest[0])
 
 
-def listed_hours(folder: Path, first: int | None = None, last: int | None = None) -> list[int]:
-    """List the hours since 1970 that have a record, as for :func:`read_hours`; none is read."""
-    return [hour for hour, _ in _records(folder, first, last)]
+def listed_hours(folder: Path) -> list[int]:
+    """List the hours since 1970 that have a record, ascending; none is read."""
+    return [hour for hour, _ in _records(folder)]
 
 
 def read_hour(folder: Path, hour: int) -> HourRecord | None:
@@ -255,11 +247,8 @@ def write_record(folder: Path, record: HourRecord) -> None:
         "schema": SCHEMA, "hour": hour_text(record.hour), **asdict(record.origin),
         "dropped": list(record.dropped), "parts": parts,
     }  # fmt: skip
-    with output_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    with writing_errors(path):
-        unfinished(path).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    rename_whole(unfinished(path), path)
+    with replacing(path) as fresh:
+        fresh.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 def remove_record(folder: Path, hour: int) -> None:
@@ -327,7 +316,71 @@ class HourWriter:
         remove_record(self.folder, self.hour)
         for name, path in places.items():
             if name in self._parts:
-                rename_whole(unfinished(path), path)
+                rename_whole(path)
             else:
                 path.unlink(missing_ok=True)
         write_record(self.folder, HourRecord(hour=self.hour, origin=self.origin, parts=self._parts))
+
+
+Span = tuple[int, int]
+"""First and last step, inclusive."""
+
+
+def read_rows(
+    folder: Path,
+    table: TableSchema,
+    records: Mapping[int, HourRecord],
+    span: Span | None = None,
+    columns: Sequence[str] | None = None,
+) -> Iterator[pa.Table]:
+    """Read the rows of a table hour by hour; memory holds one hour.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    table : TableSchema
+        A table of hours.
+    records : mapping
+        Records of complete hours, ascending.
+    span : (int, int), optional
+        First and last step of the rows. Runs of tiles are cut to it.
+    columns : sequence of str, optional
+        Names of the columns; by default all.
+
+    Yields
+    ------
+    pyarrow.Table
+        The rows of an hour, in the table's order.
+
+    Raises
+    ------
+    InputError
+        If a part is not the one of its record, or a page of it is damaged.
+    """
+    wanted = list(columns or table.names)
+    for hour, record in records.items():
+        begin = hour * STEPS_PER_HOUR
+        inside = span is None or (span[0] <= begin and begin + STEPS_PER_HOUR - 1 <= span[1])
+        if span is not None and (span[1] < begin or begin + STEPS_PER_HOUR <= span[0]):
+            continue
+        needed = wanted if inside else list(dict.fromkeys([*wanted, *(table.span or ())]))
+        rows = record.read(folder, table, needed)
+        if not inside and span is not None and table.span is not None:
+            rows = _within(table, rows, span)
+        yield rows.select(wanted)
+
+
+def _within(table: TableSchema, rows: pa.Table, span: Span) -> pa.Table:
+    """Return the rows with steps in a span, runs of tiles cut to it."""
+    assert table.span is not None  # noqa: S101 - the caller has looked
+    first, last = table.span
+    kept = rows.filter(
+        pc.and_(pc.less_equal(rows[first], span[1]), pc.greater_equal(rows[last], span[0]))
+    )
+    if not table.runs:
+        return kept
+    for name, bound, cut in ((FIRST.name, span[0], np.maximum), (LAST.name, span[1], np.minimum)):
+        values = pa.array(cut(kept[name].to_numpy(), bound))
+        kept = kept.set_column(kept.schema.get_field_index(name), kept.field(name), values)
+    return kept

@@ -6,7 +6,6 @@ it. An hour that a recording reaches into and does not list has to be made again
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,7 +30,7 @@ from gis_radar.base import (
     step_of,
 )
 from gis_radar.calibration import SensorClock
-from gis_radar.dataset.files.parts import hour_of_step, whole_file, write_whole
+from gis_radar.dataset.files.parts import digest_of, hour_of_step, whole_file, write_whole
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SIGHTS
 from gis_radar.measures import PlacedRecording, PoseSight, pose_names
 from gis_radar.poses import ANGLES, POSITION, PoseTrack, pose_from_dict
@@ -289,12 +288,6 @@ def source_of(
         recording=open_recording(entry.path), track=track, track_name=entry.pose, sights=sights,
         clock=entry.clock,
     )  # fmt: skip
-
-
-def digest_of(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def touched_hours(

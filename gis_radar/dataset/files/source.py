@@ -13,8 +13,7 @@ import pyarrow as pa
 
 from gis_radar.base import InputError
 from gis_radar.dataset.files.manifest import Manifest
-from gis_radar.dataset.files.reading import Span
-from gis_radar.dataset.files.records import HourRecord
+from gis_radar.dataset.files.records import HourRecord, Span
 from gis_radar.dataset.files.schema import TableSchema
 
 Moment: TypeAlias = str | datetime | int | None

@@ -29,13 +29,12 @@ from gis_radar.base import (
 from gis_radar.dataset.days.lane_measures import day_makers
 from gis_radar.dataset.days.rollups import RollUps
 from gis_radar.dataset.files.manifest import Manifest
-from gis_radar.dataset.files.parts import clear_unfinished, days_of, hour_text, part_path
+from gis_radar.dataset.files.parts import clear_unfinished, days_of, digest_of, hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord, read_hour, read_hours, remove_record
 from gis_radar.dataset.files.registry import (
     Placing,
     RecordingEntry,
     Registry,
-    digest_of,
     source_of,
     touched_hours,
     validity_by_sensor,
@@ -275,9 +274,8 @@ def _count(folder: Path, hours: Iterable[int], records: Mapping[int, HourRecord]
     """Update the tables of the dates and months of some hours, and of the hour after each."""
     manifest = Manifest.read(folder)
     touched = {later for hour in hours for later in (hour, hour + 1)}
-    makers = day_makers(folder, manifest.fingerprint)
-    for day in days_of(touched):
-        for maker in makers:
+    for maker in day_makers(folder, manifest.fingerprint):
+        for day in days_of(touched):
             maker.update(day, records)
     rolled = RollUps(folder=folder, fingerprint=manifest.fingerprint, timezone=manifest.timezone)
     rolled.update(touched, records)

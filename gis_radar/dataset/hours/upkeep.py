@@ -13,14 +13,12 @@ from zoneinfo import ZoneInfo
 
 from gis_radar.base import InputError, Reporter, Text, UsageError, output_errors, zone_of
 from gis_radar.dataset.days.lane_measures import day_makers
-from gis_radar.dataset.days.tables import check_days
 from gis_radar.dataset.files.manifest import Manifest
-from gis_radar.dataset.files.parts import days_of, hour_text, part_path
+from gis_radar.dataset.files.parts import days_of, digest_of, hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord, read_hours, write_record
 from gis_radar.dataset.files.registry import (
     RecordingEntry,
     Registry,
-    digest_of,
     touched_hours,
 )
 from gis_radar.dataset.files.source import Source
@@ -182,11 +180,10 @@ def keep(folder: Path, days: float, fingerprint: str, *, reporter: Reporter) -> 
         old = [h for h in records if h + 1 < over and unmade.isdisjoint((h, h + 1))]
         dropped = {hour: _without_exact(records[hour]) for hour in old}
         fresh = [hour for hour in old if dropped[hour] != records[hour]]
-        makers = day_makers(folder, fingerprint)
-        for day in days_of(fresh):
-            for maker in makers:
+        for maker in day_makers(folder, fingerprint):
+            for day in days_of(fresh):
                 maker.update(day, records)
-        check_days(folder, fingerprint, fresh)
+            maker.check(fresh)
         for done, (hour, record) in enumerate(dropped.items()):
             if hour in fresh:
                 write_record(folder, record)  # whoever reads then knows that the parts go

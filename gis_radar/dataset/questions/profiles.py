@@ -1,4 +1,4 @@
-"""Questions to a dataset over months: roll-ups, profiles of streets, the map of a month."""
+"""Questions over months, methods of a dataset: roll-ups, profiles of streets, a month's map."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError, current_langu
 from gis_radar.dataset.days.asked_time import AskedTime, Holidays, day_numbers, month_edges
 from gis_radar.dataset.days.rollups import RollUps, with_month
 from gis_radar.dataset.files.parts import hour_of_step
-from gis_radar.dataset.files.reading import Span
-from gis_radar.dataset.files.records import hour_bounds
+from gis_radar.dataset.files.records import Span, hour_bounds
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Moment, Source, require_vehicles
 from gis_radar.dataset.files.tables import LANE_MONTHS, TILE_MONTHS
@@ -26,92 +25,91 @@ class NotMeasuredError(InputError):
     """A time of which a dataset has no complete hour, or only days that do not count."""
 
 
-class Questions:
-    """Methods of a dataset that answer questions over months."""
+def lane_months(dataset: Source, *, month: str | None = None) -> pd.DataFrame:
+    """Read the sums of lane measures by month, weekday and hour, by the clocks of the site.
 
-    def lane_months(self: Source, *, month: str | None = None) -> pd.DataFrame:
-        """Read the sums of lane measures by month, weekday and hour, by the clocks of the site.
+    Parameters
+    ----------
+    month : str, optional
+        Such as `2026-10`; by default all.
 
-        Parameters
-        ----------
-        month : str, optional
-            Such as `2026-10`; by default all.
+    Returns
+    -------
+    DataFrame
+        `month`, and the columns of the files.
+    """
+    return _read(dataset, LANE_MONTHS, month)
 
-        Returns
-        -------
-        DataFrame
-            `month`, and the columns of the files.
-        """
-        return _read(self, LANE_MONTHS, month)
 
-    def tile_months(self: Source, *, month: str | None = None) -> pd.DataFrame:
-        """Read the sums of tile counts by month and hour of the day; as :meth:`lane_months`."""
-        return _read(self, TILE_MONTHS, month)
+def tile_months(dataset: Source, *, month: str | None = None) -> pd.DataFrame:
+    """Read the sums of tile counts by month and hour of the day; as :meth:`lane_months`."""
+    return _read(dataset, TILE_MONTHS, month)
 
-    def profile(
-        self: Source, street: str | None = None, *, by: By = "hour", days: str | None = None,
-        begin: Moment = None, end: Moment = None, month: str | None = None,
-        without: Holidays = None, language: str | None = None,
-    ) -> pd.DataFrame:  # fmt: skip
-        """Return the usual traffic of streets by direction: means over the days of a time.
 
-        Parameters
-        ----------
-        street : str, optional
-            Name of a street; by default all.
-        by : {"hour", "weekday", "month"}
-            A row for each hour of the day, day of the week, or month, by the clocks of the site.
-        days : str, optional
-            Days of the week that count, such as `Mo-Fr` or `Sa,Su`; by default all.
-        begin, end : str, datetime or step, optional
-            Times between which quarters of an hour count; by default all that was measured.
-        month : str, optional
-            A month in place of these, such as `2026-10`.
-        without : str, Path or sequence, optional
-            Holidays that do not count: dates such as `2026-10-03`, periods such as
-            `2026-10-12/2026-10-23` with both their ends, or a CSV file with a column `date`, or
-            columns `begin` and `end`.
-        language : str, optional
-            Language of the directions; by default the current one.
+def profile(
+    dataset: Source, street: str | None = None, *, by: By = "hour", days: str | None = None,
+    begin: Moment = None, end: Moment = None, month: str | None = None,
+    without: Holidays = None, language: str | None = None,
+) -> pd.DataFrame:  # fmt: skip
+    """Return the usual traffic of streets by direction: means over the days of a time.
 
-        Returns
-        -------
-        DataFrame
-            `direction` (street and direction, as in names of lanes), the hour, day or month;
-            `volume_veh_h` (vehicles an hour over all lanes, mean along the street) with its
-            standard error `volume_se`, poses as given; `heavy_share`; `speed_kmh` (space mean);
-            `occupancy`, `occupancy_se`; `days` (counted, of the lane counted most; a day of which a
-            half was counted is 0.5), `visible_share` (of the time asked for, mean of the lanes that
-            were observed). Null where nothing is visible. Junctions are left out.
+    Parameters
+    ----------
+    street : str, optional
+        Name of a street; by default all.
+    by : {"hour", "weekday", "month"}
+        A row for each hour of the day, day of the week, or month, by the clocks of the site.
+    days : str, optional
+        Days of the week that count, such as `Mo-Fr` or `Sa,Su`; by default all.
+    begin, end : str, datetime or step, optional
+        Times between which quarters of an hour count; by default all that was measured.
+    month : str, optional
+        A month in place of these, such as `2026-10`.
+    without : str, Path or sequence, optional
+        Holidays that do not count: dates such as `2026-10-03`, periods such as
+        `2026-10-12/2026-10-23` with both their ends, or a CSV file with a column `date`, or
+        columns `begin` and `end`.
+    language : str, optional
+        Language of the directions; by default the current one.
 
-        Raises
-        ------
-        UsageError
-            If there is no such street, day, date or month, or an end lies within a quarter of an
-            hour.
-        InputError
-            If vehicles were not looked for, nothing was measured in that time, or holidays and days
-            of the week leave nothing of it.
-        """
-        require_vehicles(self)
-        if by not in get_args(By):
-            raise UsageError("by is {}, expected hour, weekday or month", repr(by))
-        span, measured = _asked_span(self, begin, end, month)
-        asked = AskedTime.of(span, self.timezone, days, without, measured)
-        if not (asked.asked & asked.measured).any():
-            raise NotMeasuredError(
-                "{}: no day is left of those that were measured", self.folder,
-                hint="holidays (without) and days of the week leave none",
-            )  # fmt: skip
-        columns = ["lane", "weekday", "hour", *SUMMED]
-        rolled = roll_ups(self)
-        lanes = _street_lanes(self, rolled, street, language)
-        wanted = pa.array(lanes.lane), pa.array(sorted(day_numbers(days)), pa.int32())
-        parts = [with_month(LANE_MONTHS.empty().select(columns), "")]
-        for each, rows in rolled.sums_of(LANE_MONTHS, asked, columns):
-            kept = pc.and_(pc.is_in(rows["lane"], wanted[0]), pc.is_in(rows["weekday"], wanted[1]))
-            parts.append(with_month(rows.filter(kept), each))
-        return street_profile(pa.concat_tables(parts).to_pandas(), asked, lanes, by)
+    Returns
+    -------
+    DataFrame
+        `direction` (street and direction, as in names of lanes), the hour, day or month;
+        `volume_veh_h` (vehicles an hour over all lanes, mean along the street) with its
+        standard error `volume_se`, poses as given; `heavy_share`; `speed_kmh` (space mean);
+        `occupancy`, `occupancy_se`; `days` (counted, of the lane counted most; a day of which a
+        half was counted is 0.5), `visible_share` (of the time asked for, mean of the lanes that
+        were observed). Null where nothing is visible. Junctions are left out.
+
+    Raises
+    ------
+    UsageError
+        If there is no such street, day, date or month, or an end lies within a quarter of an
+        hour.
+    InputError
+        If vehicles were not looked for, nothing was measured in that time, or holidays and days
+        of the week leave nothing of it.
+    """
+    require_vehicles(dataset)
+    if by not in get_args(By):
+        raise UsageError("by is {}, expected hour, weekday or month", repr(by))
+    span, measured = _asked_span(dataset, begin, end, month)
+    asked = AskedTime.of(span, dataset.timezone, days, without, measured)
+    if not (asked.asked & asked.measured).any():
+        raise NotMeasuredError(
+            "{}: no day is left of those that were measured", dataset.folder,
+            hint="holidays (without) and days of the week leave none",
+        )  # fmt: skip
+    columns = ["lane", "weekday", "hour", *SUMMED]
+    rolled = roll_ups(dataset)
+    lanes = _street_lanes(dataset, rolled, street, language)
+    wanted = pa.array(lanes.lane), pa.array(sorted(day_numbers(days)), pa.int32())
+    parts = [with_month(LANE_MONTHS.empty().select(columns), "")]
+    for each, rows in rolled.sums_of(LANE_MONTHS, asked, columns):
+        kept = pc.and_(pc.is_in(rows["lane"], wanted[0]), pc.is_in(rows["weekday"], wanted[1]))
+        parts.append(with_month(rows.filter(kept), each))
+    return street_profile(pa.concat_tables(parts).to_pandas(), asked, lanes, by)
 
 
 def _street_lanes(

@@ -89,14 +89,6 @@ class SqlQueries:
             return first_rows(batches, most)
 
 
-class DatasetQueries(SqlQueries):
-    """Methods of a dataset that answer SQL queries."""
-
-    def asked_sites(self: Source) -> tuple[Path, Mapping[str, Source]]:
-        """Return folder and dataset, under no name."""
-        return self.folder, {"": self}
-
-
 def _answer(
     folder: Path, sites: Mapping[str, Source], sql: str, timeout_s: float, memory: str,
     reporter: Reporter,

@@ -11,8 +11,8 @@ import pyarrow as pa
 from gis_radar.base import STEPS_PER_SECOND, Reporter
 from gis_radar.dataset.days.lane_measures import maker_of
 from gis_radar.dataset.days.rollups import with_month
-from gis_radar.dataset.days.tables import STEPS_PER_QUARTER, days_with
-from gis_radar.dataset.files.parts import hour_text, part_path
+from gis_radar.dataset.days.tables import STEPS_PER_QUARTER, records_of
+from gis_radar.dataset.files.parts import days_of, hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Source
@@ -166,11 +166,11 @@ class _Views:
         """Make the view of a table of dates; dates that are not up to date are updated first."""
         folder, tiles = self._dataset.folder, self._dataset.manifest.fingerprint
         maker, paths, odd = maker_of(table, folder, tiles), [], {}
-        for day, hours in days_with(folder, tiles, list(records)):
-            mine = {hour: records[hour] for hour in sorted(hours)}
-            keys = maker.keys(day, mine)
-            if keys and day.is_made((table,), keys):
-                paths.append(day.file(table).path)
+        for day in days_of(records):
+            mine = records_of(day, records)
+            keys, file = maker.keys(day, mine), maker.file(table, day)
+            if keys and file.is_made_of(keys):
+                paths.append(file.path)
             else:
                 odd.update(mine)
         further = pa.field("first_step", pa.int64())

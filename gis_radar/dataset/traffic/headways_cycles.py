@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
+from zoneinfo import ZoneInfo
 
 import geopandas as gpd
 import numpy as np
@@ -13,23 +14,30 @@ import pandas as pd
 from gis_radar.base import (
     STEP_US,
     STEPS_PER_HOUR,
+    STEPS_PER_SECOND,
     InputError,
+    Text,
+    csv_rows,
     interval_steps,
+    listed,
     speaking,
+    stated_moment,
+    step_at,
+    text_in,
     tr,
     zone_of,
 )
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
-from gis_radar.dataset.files.reading import Span
-from gis_radar.dataset.files.source import Source, require_vehicles
+from gis_radar.dataset.files.records import Span
+from gis_radar.dataset.files.source import Moment, Source, require_vehicles
 from gis_radar.dataset.files.tables import TRACKS
 from gis_radar.dataset.traffic.reader import interval_edges
-from gis_radar.dataset.traffic.signals import read_signals
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import (
     Cycle,
     FrontStates,
+    Greens,
     Headways,
     LaneNetwork,
     StepGrid,
@@ -91,12 +99,37 @@ def _by_interval(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame({"headways": number, **named})
 
 
-def cycles_of(
-    dataset: Source, signals: str | Path | None, span: Span | None, language: str | None
-) -> pd.DataFrame:
-    """Return the cycles of signals; see :meth:`gis_radar.Dataset.signal_cycles`."""
+def signal_cycles(
+    dataset: Source, *, signals: str | Path | None = None, begin: Moment = None,
+    end: Moment = None, language: str | None = None,
+) -> pd.DataFrame:  # fmt: skip
+    """Return the cycles of signals at stop lines, as the traffic shows them.
+
+    Parameters
+    ----------
+    signals : str or Path, optional
+        CSV of green times, which count in place of those that the traffic shows: `lane` (its
+        number or name), `green_begin`, and where known `green_end`; without a zone by the
+        clocks of the site.
+    begin, end, language
+        As for :meth:`traffic`; hours are taken as a whole.
+
+    Returns
+    -------
+    DataFrame
+        A row a stop line and cycle, from a begin of green to the next: `lane`, `name`, `begin`,
+        `end`, `cycle_s` and `cycle_se_s` (of the hour), `counted`, `queue_max_m`,
+        `queue_mean_m`, `queue_end_m` (at the end of green), `reason` (why figures are missing).
+        Where no cycle can be told in an hour, one row that says why.
+
+    Raises
+    ------
+    InputError
+        If vehicles were not looked for, exact tables of that time were deleted, or the signals
+        are not what they should be or of a lane without a stop line.
+    """
     require_vehicles(dataset)
-    network, hours = _exact(dataset, span)
+    network, hours = _exact(dataset, dataset.span(begin, end))
     with speaking(language):
         names = np.array(lane_names(dataset.layer(LANES_LAYER), network), object)
     at = {str(each): k for name in (names, network.lane) for k, each in enumerate(name.tolist())}
@@ -133,3 +166,63 @@ def _exact(dataset: Source, span: Span | None) -> tuple[LaneNetwork, Iterator[_H
         for each in records
     )  # fmt: skip
     return traffic.network, hours
+
+
+_NEEDED = ("lane", "green_begin")
+
+
+def read_signals(path: str | Path, lanes: Mapping[str, int], zone: ZoneInfo) -> dict[int, Greens]:
+    """Read begins and, where they are stated, ends of green.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV with a header: `lane`, its number or name; `green_begin` and, optional, `green_end`,
+        without a zone by the clocks of the site.
+    lanes : mapping
+        Positions of the lanes by their numbers, as text, and their names.
+    zone : ZoneInfo
+        Time zone of the site.
+
+    Raises
+    ------
+    InputError
+        If it is no such table, is empty, names an unknown lane, or a green ends before it begins or
+        after the next one begins, or two begin within a second.
+    """
+    header, rows = csv_rows(path, Text("not a table of signals"))
+    if missing := [name for name in _NEEDED if name not in header]:
+        hint = Text("columns are lane, green_begin, green_end")
+        raise InputError("{}: lacks the columns {}", path, listed(missing), hint=hint)
+    if not rows:
+        raise InputError("{}: holds no green times", path)
+    found: dict[int, dict[int, int]] = {}
+    for number, row in rows:
+        what = f"{path}, line {number}"
+        lane, begin, end = (text_in(row, name) for name in (*_NEEDED, "green_end"))
+        if lane not in lanes:
+            raise InputError(
+                "{}: lane {} is none that was measured", what, repr(lane),
+                hint="traffic.csv lists lanes with numbers and names",
+            )  # fmt: skip
+        first, ends = _step(begin, zone, f"{what}: green_begin"), found.setdefault(lanes[lane], {})
+        if first in ends:
+            raise InputError("{}: a green of the lane begins then already", what)
+        ends[first] = _step(end, zone, f"{what}: green_end") if end else -1
+    return {lane: _greens(found[lane], path) for lane in sorted(found)}
+
+
+def _step(text: str, zone: ZoneInfo, what: str) -> int:
+    return int(step_at(stated_moment(text, zone, what), zone, what=what))
+
+
+def _greens(ends: Mapping[int, int], path: str | Path) -> Greens:
+    begin = np.array(sorted(ends), np.int64)
+    end = np.array([ends[each] for each in begin.tolist()], np.int64)
+    stated = end >= 0
+    after = np.append(begin[1:], np.iinfo(np.int64).max)
+    if (stated & ((end <= begin) | (end > after))).any():
+        raise InputError("{}: a green ends before it begins, or after the next one begins", path)
+    if (np.diff(begin) < STEPS_PER_SECOND).any():  # queues are looked at each second
+        raise InputError("{}: two greens begin within a second", path)
+    return Greens(begin, end)

@@ -30,8 +30,7 @@ from gis_radar.base import (
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
 from gis_radar.dataset.files.parts import hour_text
-from gis_radar.dataset.files.reading import Span
-from gis_radar.dataset.files.records import HourRecord
+from gis_radar.dataset.files.records import HourRecord, Span
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Source
 from gis_radar.dataset.files.tables import LANE_MEASURES, TRACKS, TURNS
@@ -99,7 +98,7 @@ class TrafficReader:
         shown["heavy"] = table["heavy"]
         for name, of in (("speed", "speed_mean"), ("speed_time_mean", "speed_time_mean")):
             shown[f"{name}_kmh"] = table[of] * 3.6
-        shown["speed_85_kmh"] = _percentiles(table["speed_counts"], 0.85)
+        shown["speed_85_kmh"] = _speed_85_kmh(table["speed_counts"])
         shown = shown.join(table[["occupancy", "occupancy_se"]])
         shown["density_veh_km"], shown["flow_veh_h"] = table["density"], table["flow"]
         shown = shown.join(table[["travel_time_s", "delay_s", "queue_max_m", "queue_mean_m"]])
@@ -374,15 +373,15 @@ def _times(found: Mapping[str, Any], ends: pd.DataFrame, network: LaneNetwork) -
     return {"speed_mean": speed, "travel_time_s": travel_s}
 
 
-def _percentiles(counts: pd.Series, share: float) -> Floats:
-    """Return percentiles (km/h) of speeds counted by classes, spread evenly within a class."""
+def _speed_85_kmh(counts: pd.Series) -> Floats:
+    """Return the speeds that 85 % do not exceed, of speeds spread evenly within their classes."""
     found = np.full(len(counts), np.nan)
     known = np.flatnonzero(counts.notna())
     if not len(known):
         return found
     below = np.cumsum(np.stack(counts.iloc[known].to_list()), axis=1).astype(np.float64)
     known, below = known[below[:, -1] > 0], below[below[:, -1] > 0]
-    wanted = share * below[:, -1]
+    wanted = 0.85 * below[:, -1]
     k = (below < wanted[:, None]).sum(axis=1)
     row = np.arange(len(k))
     before = np.where(k > 0, below[row, k - 1], 0.0)

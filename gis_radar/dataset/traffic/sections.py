@@ -23,8 +23,7 @@ from gis_radar.base import (
     speaking,
 )
 from gis_radar.dataset.days.lane_measures import LaneTraffic
-from gis_radar.dataset.files.reading import Span
-from gis_radar.dataset.files.source import Source, require_vehicles
+from gis_radar.dataset.files.source import Moment, Source, require_vehicles
 from gis_radar.dataset.traffic.reader import TrafficReader
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork, bound_name, place_on
@@ -60,11 +59,36 @@ class _Crossing:
     at_m: float
 
 
-def section_counts(
-    dataset: Source, sections: gpd.GeoDataFrame | str | Path, interval: str, span: Span | None,
-    language: str | None,
+def count_sections(
+    dataset: Source, sections: gpd.GeoDataFrame | str | Path, interval: str = "15min", *,
+    begin: Moment = None, end: Moment = None, language: str | None = None,
 ) -> gpd.GeoDataFrame:  # fmt: skip
-    """Count vehicles by direction at sections; see :meth:`gis_radar.Dataset.count_sections`."""
+    """Count vehicles by direction at sections: lines across a road.
+
+    Parameters
+    ----------
+    sections : GeoDataFrame, str or Path
+        Lines in a projected coordinate system, with their names in a column `name`, `section`
+        or `id`; without one they are numbered from 1.
+    interval, begin, end, language
+        As for :meth:`traffic`.
+
+    Returns
+    -------
+    GeoDataFrame
+        A row for each section, direction and interval: `section`, `direction` (`northbound`),
+        `begin`, `end`, `visible_share` (of the least visible lane), `counted`, `volume`,
+        `volume_se`, `volume_veh_h`, `heavy`, `speed_time_mean_kmh`; the part of the section's
+        line on the lanes of the direction. Null where one of the lanes is not visible.
+
+    Raises
+    ------
+    InputError
+        If a section crosses no lane, one lane twice, or runs along one; if two have one name;
+        if the dataset has no vehicles, or no exact tables of that time any more.
+    CrsError
+        If the sections state no projected coordinate system.
+    """
     lines, what = _lines(sections, dataset.crs)
     require_vehicles(dataset)
     layer, network = dataset.layer(LANES_LAYER), LaneTraffic.of(dataset).network
@@ -76,8 +100,9 @@ def section_counts(
     for counted in _at_once(crossed):
         along = {each.lane: each.along_m for name in counted for each in crossed[name]}
         rows = TrafficReader(
-            dataset=dataset, interval=interval, span=span, language=language, line_m=along
-        ).lanes()
+            dataset=dataset, interval=interval, span=dataset.span(begin, end), language=language,
+            line_m=along,
+        ).lanes()  # fmt: skip
         with speaking(language):
             found |= {name: _by_direction(rows, lines[name], crossed[name]) for name in counted}
     whole = pd.concat(

@@ -1,169 +1,101 @@
-"""Traffic of a dataset: by lane, turn and queue, at count sections, by cycle of signals."""
+"""Traffic of a dataset by lane, turn and queue: methods of :class:`gis_radar.Dataset`."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import geopandas as gpd
-import pandas as pd
 
 from gis_radar.base import UsageError
 from gis_radar.dataset.files.source import Moment, Source, require_vehicles
-from gis_radar.dataset.traffic.headways_cycles import add_headways, cycles_of
+from gis_radar.dataset.traffic.headways_cycles import add_headways
 from gis_radar.dataset.traffic.reader import TrafficReader
-from gis_radar.dataset.traffic.sections import section_counts
 
 
-class TrafficTables:
-    """Methods of a dataset that return its traffic."""
+def traffic(
+    dataset: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
+    language: str | None = None, whole: bool = False, headways: bool = False,
+) -> gpd.GeoDataFrame:  # fmt: skip
+    """Return the traffic of lanes, a row for each lane and interval.
 
-    def traffic(
-        self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
-        language: str | None = None, whole: bool = False, headways: bool = False,
-    ) -> gpd.GeoDataFrame:  # fmt: skip
-        """Return the traffic of lanes, a row for each lane and interval.
+    Parameters
+    ----------
+    interval : str
+        Length of the intervals, such as `15min` or `1h`: a multiple of 15 min that divides a
+        day, or a divisor of 15 min from 1 min on. Intervals follow the clocks of the site.
+    begin, end : str, datetime or step, optional
+        Times between which the intervals begin.
+    language : str, optional
+        Language of the lanes' names, `en` or `de`; by default the current one, else English.
+    whole : bool
+        One row a lane, of all intervals together that were measured: from the begin of the
+        first to the end of the last, `volume` without the time between. Intervals count by the
+        share of them that was visible, so that those in which a recording begins or ends count
+        less. They are of 15 min, or of `interval` where that is less.
+    headways : bool
+        Add headways and gaps, which are measured from exact tables.
 
-        Parameters
-        ----------
-        interval : str
-            Length of the intervals, such as `15min` or `1h`: a multiple of 15 min that divides a
-            day, or a divisor of 15 min from 1 min on. Intervals follow the clocks of the site.
-        begin, end : str, datetime or step, optional
-            Times between which the intervals begin.
-        language : str, optional
-            Language of the lanes' names, `en` or `de`; by default the current one, else English.
-        whole : bool
-            One row a lane, of all intervals together that were measured: from the begin of the
-            first to the end of the last, `volume` without the time between. Intervals count by the
-            share of them that was visible, so that those in which a recording begins or ends count
-            less. They are of 15 min, or of `interval` where that is less.
-        headways : bool
-            Add headways and gaps, which are measured from exact tables.
+    Returns
+    -------
+    GeoDataFrame
+        By lane and time: `lane` (its number), `name`; `begin`, `end` in the site's zone;
+        `visible_share`, `counted`, `volume` (vehicles in the interval), `volume_se`,
+        `volume_veh_h`, `heavy`; `speed_kmh` (space mean), `speed_time_mean_kmh`,
+        `speed_85_kmh`; `occupancy`, `occupancy_se`, `density_veh_km`, `flow_veh_h`,
+        `travel_time_s`, `delay_s`, `queue_max_m`, `queue_mean_m`, `sight_m`, `stops`; the
+        lane's line. Null where nothing is visible. Lanes that no sensor observes have no rows.
+        With headways `headways` (number of pairs of consecutive vehicles at the counting line,
+        between which it was visible throughout), `headway_mean_s` (front to front),
+        `headway_se_s`, `headway_median_s`, `gap_mean_s` (rear to front), `gap_se_s`. Null where
+        the line was not visible, means without a pair, errors with less than two.
 
-        Returns
-        -------
-        GeoDataFrame
-            By lane and time: `lane` (its number), `name`; `begin`, `end` in the site's zone;
-            `visible_share`, `counted`, `volume` (vehicles in the interval), `volume_se`,
-            `volume_veh_h`, `heavy`; `speed_kmh` (space mean), `speed_time_mean_kmh`,
-            `speed_85_kmh`; `occupancy`, `occupancy_se`, `density_veh_km`, `flow_veh_h`,
-            `travel_time_s`, `delay_s`, `queue_max_m`, `queue_mean_m`, `sight_m`, `stops`; the
-            lane's line. Null where nothing is visible. Lanes that no sensor observes have no rows.
-            With headways `headways` (number of pairs of consecutive vehicles at the counting line,
-            between which it was visible throughout), `headway_mean_s` (front to front),
-            `headway_se_s`, `headway_median_s`, `gap_mean_s` (rear to front), `gap_se_s`. Null where
-            the line was not visible, means without a pair, errors with less than two.
+    Raises
+    ------
+    UsageError
+        If there is no such interval, or headways are asked of the whole time.
+    InputError
+        If vehicles were not looked for, or the interval is under 15 min, or headways are asked,
+        and exact tables were deleted.
+    """
+    if headways and whole:
+        raise UsageError("headways are of intervals, not of the whole time")
+    lanes = _reader(dataset, interval, begin, end, language, whole=whole).lanes()
+    return add_headways(dataset, lanes, interval, dataset.span(begin, end)) if headways else lanes
 
-        Raises
-        ------
-        UsageError
-            If there is no such interval, or headways are asked of the whole time.
-        InputError
-            If vehicles were not looked for, or the interval is under 15 min, or headways are asked,
-            and exact tables were deleted.
-        """
-        if headways and whole:
-            raise UsageError("headways are of intervals, not of the whole time")
-        lanes = _reader(self, interval, begin, end, language, whole=whole).lanes()
-        return add_headways(self, lanes, interval, self.span(begin, end)) if headways else lanes
 
-    def turns(
-        self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
-        language: str | None = None, whole: bool = False,
-    ) -> gpd.GeoDataFrame:  # fmt: skip
-        """Return the volumes of turns, a row for each turn and interval; as :meth:`traffic`.
+def turns(
+    dataset: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
+    language: str | None = None, whole: bool = False,
+) -> gpd.GeoDataFrame:  # fmt: skip
+    """Return the volumes of turns, a row for each turn and interval; as :meth:`traffic`.
 
-        Returns
-        -------
-        GeoDataFrame
-            `from_lane`, `to_lane`, `from_name`, `to_name`, `turn` (`left`, `straight`, `right` or
-            `back`), `begin`, `end`, `visible_share`, `volume`, `volume_se`, `volume_veh_h`; the way
-            from the stop line to the exit.
-        """
-        return _reader(self, interval, begin, end, language, whole=whole).turns()
+    Returns
+    -------
+    GeoDataFrame
+        `from_lane`, `to_lane`, `from_name`, `to_name`, `turn` (`left`, `straight`, `right` or
+        `back`), `begin`, `end`, `visible_share`, `volume`, `volume_se`, `volume_veh_h`; the way
+        from the stop line to the exit.
+    """
+    return _reader(dataset, interval, begin, end, language, whole=whole).turns()
 
-    def queues(
-        self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
-        language: str | None = None,
-    ) -> gpd.GeoDataFrame:  # fmt: skip
-        """Return the queues at stop lines: rows of :meth:`traffic`, of lanes with a stop line.
 
-        Returns
-        -------
-        GeoDataFrame
-            `lane`, `name`, `begin`, `end`, `visible_share`, `queue_max_m`, `queue_mean_m`,
-            `sight_m` (how far before the stop line the lane is in sight: a queue that reaches as
-            far may be longer), `stops`, `delay_s`; the lane's line.
-        """
-        found = _reader(self, interval, begin, end, language).lanes()
-        found = found[found["queue_max_m"].notna()].reset_index(drop=True)
-        return found[
-            ["lane", "name", "begin", "end", "visible_share", "queue_max_m", "queue_mean_m",
-             "sight_m", "stops", "delay_s", "geometry"]
-        ]  # fmt: skip
+def queues(
+    dataset: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
+    language: str | None = None,
+) -> gpd.GeoDataFrame:  # fmt: skip
+    """Return the queues at stop lines: rows of :meth:`traffic`, of lanes with a stop line.
 
-    def count_sections(
-        self: Source, sections: gpd.GeoDataFrame | str | Path, interval: str = "15min", *,
-        begin: Moment = None, end: Moment = None, language: str | None = None,
-    ) -> gpd.GeoDataFrame:  # fmt: skip
-        """Count vehicles by direction at sections: lines across a road.
-
-        Parameters
-        ----------
-        sections : GeoDataFrame, str or Path
-            Lines in a projected coordinate system, with their names in a column `name`, `section`
-            or `id`; without one they are numbered from 1.
-        interval, begin, end, language
-            As for :meth:`traffic`.
-
-        Returns
-        -------
-        GeoDataFrame
-            A row for each section, direction and interval: `section`, `direction` (`northbound`),
-            `begin`, `end`, `visible_share` (of the least visible lane), `counted`, `volume`,
-            `volume_se`, `volume_veh_h`, `heavy`, `speed_time_mean_kmh`; the part of the section's
-            line on the lanes of the direction. Null where one of the lanes is not visible.
-
-        Raises
-        ------
-        InputError
-            If a section crosses no lane, one lane twice, or runs along one; if two have one name;
-            if the dataset has no vehicles, or no exact tables of that time any more.
-        CrsError
-            If the sections state no projected coordinate system.
-        """
-        return section_counts(self, sections, interval, self.span(begin, end), language)
-
-    def signal_cycles(
-        self: Source, *, signals: str | Path | None = None, begin: Moment = None,
-        end: Moment = None, language: str | None = None,
-    ) -> pd.DataFrame:  # fmt: skip
-        """Return the cycles of signals at stop lines, as the traffic shows them.
-
-        Parameters
-        ----------
-        signals : str or Path, optional
-            CSV of green times, which count in place of those that the traffic shows: `lane` (its
-            number or name), `green_begin`, and where known `green_end`; without a zone by the
-            clocks of the site.
-        begin, end, language
-            As for :meth:`traffic`; hours are taken as a whole.
-
-        Returns
-        -------
-        DataFrame
-            A row a stop line and cycle, from a begin of green to the next: `lane`, `name`, `begin`,
-            `end`, `cycle_s` and `cycle_se_s` (of the hour), `counted`, `queue_max_m`,
-            `queue_mean_m`, `queue_end_m` (at the end of green), `reason` (why figures are missing).
-            Where no cycle can be told in an hour, one row that says why.
-
-        Raises
-        ------
-        InputError
-            If vehicles were not looked for, exact tables of that time were deleted, or the signals
-            are not what they should be or of a lane without a stop line.
-        """
-        return cycles_of(self, signals, self.span(begin, end), language)
+    Returns
+    -------
+    GeoDataFrame
+        `lane`, `name`, `begin`, `end`, `visible_share`, `queue_max_m`, `queue_mean_m`,
+        `sight_m` (how far before the stop line the lane is in sight: a queue that reaches as
+        far may be longer), `stops`, `delay_s`; the lane's line.
+    """
+    found = _reader(dataset, interval, begin, end, language).lanes()
+    found = found[found["queue_max_m"].notna()].reset_index(drop=True)
+    return found[
+        ["lane", "name", "begin", "end", "visible_share", "queue_max_m", "queue_mean_m",
+         "sight_m", "stops", "delay_s", "geometry"]
+    ]  # fmt: skip
 
 
 def _reader(

@@ -14,6 +14,7 @@ import pyarrow as pa
 import shapely
 
 from gis_radar.base import (
+    QUIET,
     STEP_S,
     STEP_US,
     TRACK_EVERY_STEPS,
@@ -54,8 +55,34 @@ SHOWN_S = EVERY_STEPS * STEP_S  # how long a row is shown
 STANDING_KMH = 5.0  # a slower vehicle is standing: as traffic engineering counts stops
 
 
-def write_footprints(dataset: Source, path: Path, reporter: Reporter) -> int:
-    """Write the footprints of vehicles; see :meth:`gis_radar.Dataset.write_footprints`."""
+def write_footprints(dataset: Source, path: str | Path, *, reporter: Reporter = QUIET) -> int:
+    """Write the footprints of vehicles as a layer, a row for each vehicle and half second.
+
+    Memory holds one hour.
+
+    Parameters
+    ----------
+    path : str or Path
+        The GeoPackage, layer `footprints`; it appears whole or not at all. QGIS loads its style
+        by itself, in which its temporal controller moves the vehicles.
+    reporter : Reporter
+        Receives progress.
+
+    Returns
+    -------
+    int
+        Number of rows written.
+
+    Raises
+    ------
+    UsageError
+        If the name does not end in `.gpkg`.
+    InputError
+        If vehicles were not looked for.
+    OutputError
+        If the file cannot be written.
+    """
+    path = Path(path)
     if path.suffix.lower() != ".gpkg":
         raise UsageError("{}: footprints are written as GeoPackage", path, hint="end it in .gpkg")
     require_vehicles(dataset)

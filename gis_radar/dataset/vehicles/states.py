@@ -9,7 +9,7 @@ import pandas as pd
 import pyarrow as pa
 
 from gis_radar.base import TRACK_EVERY_STEPS, Floats, Integers, ranges
-from gis_radar.dataset.files.reading import Span
+from gis_radar.dataset.files.records import Span
 from gis_radar.dataset.files.source import Source
 from gis_radar.dataset.files.tables import TRACKS, VEHICLES
 

@@ -28,9 +28,8 @@ from gis_radar.base import (
     Text,
     output_errors,
     step_begin,
-    writing_errors,
 )
-from gis_radar.dataset import rename_whole, unfinished
+from gis_radar.dataset import replacing
 from gis_radar.live.hours.spool import FRAMES, POSE, SpoolFile
 from gis_radar.live.wire.detections import FrameDetections, unpack_detections
 from gis_radar.live.wire.payload import PoseContent, key_of_pose, unpack_message
@@ -196,15 +195,12 @@ def _table(rows: Sequence[tuple[FrameDetections, str]]) -> tuple[pa.Table, int]:
 def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
     """Write a table of rows whole or not at all, and flush it to the disk."""
     named = {key: poses[key] for key in sorted(table["pose"].unique().to_pylist())}
-    with output_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    with output_errors(path), writing_errors(path):
+    with output_errors(path), replacing(path) as fresh:
         pq.write_table(
             table.replace_schema_metadata({_POSES: json.dumps(named, sort_keys=True)}),
-            unfinished(path), compression="zstd", row_group_size=ROWS_OF_GROUP,
+            fresh, compression="zstd", row_group_size=ROWS_OF_GROUP,
             use_dictionary=REPEATED, use_byte_stream_split=["x", "y"],
         )  # fmt: skip
-    rename_whole(unfinished(path), path)
 
 
 class JoinedRows:

@@ -6,7 +6,6 @@ import base64
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from jinja2 import Environment, StrictUndefined
 
 from gis_radar.base import (
     NO_FIGURE,
@@ -35,7 +33,8 @@ from gis_radar.base import (
     write_csv,
 )
 from gis_radar.measures import INTERVALS
-from gis_radar.products.comparison.compared import COMPARED, LESS, MORE, NOT_TOLD
+from gis_radar.products.comparison.rows import COMPARED, LESS, MORE, NOT_TOLD
+from gis_radar.products.heatmap.style import text_template
 from gis_radar.products.results_folder import write_results
 from gis_radar.products.traffic_style import LineClass, class_style
 
@@ -222,10 +221,7 @@ def _write_page(comparison: Comparison, path: Path) -> None:
 
 def page_of(comparison: Comparison, picture: bytes) -> str:
     """Return the page (HTML): what got better, what worse, what cannot be told."""
-    text = files("gis_radar.products.comparison").joinpath("page.html.jinja")
-    template = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).from_string(text.read_text(encoding="utf-8"))
+    template = text_template(Path(__file__).parent / "page.html.jinja")
     rows = list(change_rows(comparison.table))
     before, after = (
         whole_span(begin.to_pydatetime(), end.to_pydatetime(), begin.tzinfo)
@@ -249,7 +245,7 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
         ],
         left_out=comparison.left_out.to_dict("records"),
     )  # fmt: skip
-    return made
+    return made.removesuffix("\n")
 
 
 def _cautions(table: gpd.GeoDataFrame) -> list[str]:

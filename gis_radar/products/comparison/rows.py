@@ -9,9 +9,56 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import Booleans, NoAnswerError
+from gis_radar.base import Booleans, NoAnswerError, Text
 from gis_radar.measures import LEVEL, compare_values, holm_corrected
-from gis_radar.products.comparison.compared import COMPARED, LESS, MORE, NOT_TOLD
+
+MORE, LESS, NOT_TOLD = "more", "less", "not told"
+
+
+class Compared(NamedTuple):
+    """A measure that is compared.
+
+    Parameters
+    ----------
+    title : Text
+        Name with unit.
+    less, more : Text
+        Words for a decrease and an increase.
+    better : int
+        1 where more is better, -1 where less is, 0 where neither.
+    resolution : float
+        Resolution of the measurement: smaller differences are not told, however significant.
+    digits : int
+        Digits after the point that are shown.
+    """
+
+    title: Text
+    less: Text
+    more: Text
+    better: int
+    resolution: float
+    digits: int
+
+
+COMPARED = {
+    "volume_veh_h": Compared(
+        Text("Volume [veh/h]"), Text("fewer vehicles"), Text("more vehicles"), 0, 1.0, 0
+    ),
+    "speed_kmh": Compared(
+        Text("Mean speed on the lane [km/h]"), Text("slower"), Text("faster"), 0, 0.1, 1
+    ),
+    "occupancy": Compared(
+        Text("Occupancy [0-1]"), Text("less occupied"), Text("more occupied"), -1, 0.001, 3
+    ),
+    "delay_s": Compared(Text("Delay [s]"), Text("less delay"), Text("more delay"), -1, 0.1, 1),
+    "queue_max_m": Compared(
+        Text("Longest queue [m]"), Text("shorter queue"), Text("longer queue"), -1, 0.5, 1
+    ),
+    "queue_mean_m": Compared(
+        Text("Mean queue [m]"), Text("shorter queue"), Text("longer queue"), -1, 0.5, 1
+    ),
+}
+
 
 LEAST_TOGETHER = 2  # stop lines that are compared together, too
 
@@ -129,7 +176,7 @@ def interval_values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
     rows : DataFrame
         As from :meth:`gis_radar.Dataset.traffic`, of the lane.
     measure : str
-        One of :data:`gis_radar.products.comparison.compared.COMPARED`.
+        One of :data:`gis_radar.products.comparison.rows.COMPARED`.
 
     Returns
     -------

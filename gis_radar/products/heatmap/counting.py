@@ -20,7 +20,6 @@ from pyproj import CRS
 from gis_radar.base import (
     QUIET,
     STEP_US,
-    STEPS_PER_SECOND,
     Booleans,
     Clock,
     Floats,
@@ -45,6 +44,8 @@ from gis_radar.products.heatmap.occupancy import (
     OccupancyShares,
     mean_occupancy,
     occupancy_of,
+    shares_of_tiles,
+    summed,
 )
 from gis_radar.products.heatmap.sums import sums_by_interval, sums_of_month
 
@@ -257,15 +258,7 @@ class Tally:
         UsageError
             If there is no such interval.
         """
-        hit, observed = self.steps(interval)
-        hit_s = np.full(len(self.tiles), np.nan)
-        observed_s = np.zeros(len(self.tiles))
-        known = observed > 0
-        hit_s[self.seen[known]] = hit[known] / STEPS_PER_SECOND
-        observed_s[self.seen] = observed / STEPS_PER_SECOND
-        share = np.full(len(self.tiles), np.nan)
-        share[self.seen[known]] = hit[known] / observed[known]
-        return Shares(hit_s, observed_s, share)
+        return Shares(*shares_of_tiles(self.seen, len(self.tiles), *self.steps(interval)))
 
     def occupancy_shares(self, interval: When = None) -> OccupancyShares | None:
         """Return visible and occupied seconds and occupancy of all tiles, where vehicles are known.
@@ -303,15 +296,8 @@ class Tally:
             return known.occupancy
         if measure not in self.further:
             raise UsageError("the heat map has no {}", measure)
-        asked = self.chosen(interval)
-        rows = slice(asked) if asked is None else asked
-        part, whole = (
-            np.atleast_2d(counts[rows]).sum(axis=0, dtype=np.int64)
-            for counts in self.further[measure]
-        )
-        share = np.full(len(self.tiles), np.nan)
-        share[self.seen[whole > 0]] = part[whole > 0] / whole[whole > 0]
-        return share
+        part, whole = (summed(each, self.chosen(interval)) for each in self.further[measure])
+        return shares_of_tiles(self.seen, len(self.tiles), part, whole)[2]
 
     def least_visible_s(self, interval: When = None) -> float:
         """Return the visible time, seconds, below which a tile's occupancy is uncertain."""
@@ -334,13 +320,7 @@ class Tally:
     def steps(self, interval: When = None) -> tuple[Integers, Integers]:
         """Return the steps in which each of the `seen` tiles was hit and observed."""
         chosen = self.chosen(interval)
-        part = slice(None) if chosen is None else chosen
-        if isinstance(part, int):
-            return self.hit[part].astype(np.int64), self.observed[part].astype(np.int64)
-        hit, observed = (
-            each[part].sum(axis=0, dtype=np.int64) for each in (self.hit, self.observed)
-        )
-        return hit, observed
+        return summed(self.hit, chosen), summed(self.observed, chosen)
 
     @property
     def whole_iso(self) -> tuple[str, str]:

@@ -193,7 +193,7 @@ def heatmap_figure(tally: Tally) -> Figure:
     beside = EDGE_IN + MAP_WIDTH_IN
     over_in = float(figure.get_size_inches()[1]) - 0.72  # beside the title, off the tiles
     add_scale_bar(figure, (beside, over_in), MAP_WIDTH_IN / float(width_m))
-    _add_titles(figure, tally, EDGE_IN)
+    _add_titles(figure, tally)
     _add_side(_axes(figure, beside, foot_in, WIDTH_IN - beside, tall_in), tally)
     return figure
 
@@ -215,10 +215,10 @@ def _add_map(ax: Axes, tally: Tally, extent: Extent, width_in: float) -> None:
     ax.set(xlim=(extent[0][0], extent[1][0]), ylim=(extent[0][1], extent[1][1]))
 
 
-def _add_titles(figure: Figure, tally: Tally, left_in: float) -> None:
+def _add_titles(figure: Figure, tally: Tally) -> None:
     """Write title and time span above the map, and meaning and sources below it."""
     width_in, height_in = figure.get_size_inches()
-    left = left_in / width_in
+    left = EDGE_IN / width_in
     line: dict[str, Any] = {"ha": "left", "va": "baseline", "parse_math": False}
     title, *below = _head(tally)
     size = max(TITLE * min(1.0, TITLE_LETTERS / len(title)), SMALL)

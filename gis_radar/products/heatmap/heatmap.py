@@ -18,14 +18,10 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
-    atomic_folder,
     card,
     iso_from_step,
-    keep_styles,
-    output_errors,
     small_picture,
     step_at,
-    writing_errors,
     zone_of,
 )
 from gis_radar.dataset import Dataset, measured_span, open_dataset
@@ -45,6 +41,7 @@ from gis_radar.products.heatmap.layers import (
 )
 from gis_radar.products.heatmap.raster import write_raster
 from gis_radar.products.heatmap.style import sidecar_qml
+from gis_radar.products.results_folder import write_results
 
 NO_OCCUPANCY = Text("occupancy is missing: no vehicles were measured; the map shows the hit share")
 MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
@@ -114,26 +111,22 @@ class HeatMap(Tally):
                 folder,
                 hint="make it without tile_ids; wide() and long() give its tables",
             )
-        writers: dict[str, Callable[[Tally, Path, Reporter], object]] = {
-            "heatmap.gpkg": write_package,
-            "heatmap.parquet": write_table,
-            "heatmap.png": write_figure,
-            "heatmap.qml": _write_style,
+        raster = partial(write_raster, self, reporter=reporter)
+        writers: dict[str, Callable[[Path], object]] = {
+            "heatmap.gpkg": lambda path: write_package(self, path, reporter),
+            "heatmap.parquet": partial(write_table, self),
+            "heatmap.png": lambda path: write_figure(self, path, reporter),
+            "heatmap.qml": partial(_write_style, self),
+            "hits.tif": partial(raster, measure="hit_share"),
         }
-        writers["hits.tif"] = partial(write_raster, measure="hit_share")
         if self.occupancy is not None:
-            writers["heatmap.tif"] = write_raster
+            writers["heatmap.tif"] = raster
         else:
             writers["hits.qml"] = writers["heatmap.qml"]
         for name in self.further:
-            writers[f"{name}.tif"] = partial(write_raster, measure=name)
-            writers[f"{name}.qml"] = partial(_write_style, measure=name)
-        with atomic_folder(folder, owned=OWNED, reporter=reporter) as fresh:
-            for name, write in writers.items():
-                with output_errors(folder / name), writing_errors(folder / name):
-                    write(self, fresh / name, reporter)
-            keep_styles(fresh / "heatmap.gpkg", earlier=folder / "heatmap.gpkg")
-        return [folder / name for name in writers]
+            writers[f"{name}.tif"] = partial(raster, measure=name)
+            writers[f"{name}.qml"] = partial(_write_style, self, measure=name)
+        return write_results(folder, writers, name="heatmap", owned=OWNED, reporter=reporter)
 
 
 def make_heatmap(
@@ -256,13 +249,9 @@ def write_joint_layer(maps: Mapping[str, HeatMap], folder: Path, crs: Any = None
     OutputError
         If the folder cannot be written or holds other files.
     """
-    path = folder / "heatmap.gpkg"
     least_s = min(each.least_visible_s() for each in maps.values())
-    with (
-        atomic_folder(folder, owned=OWNED) as fresh, output_errors(path), writing_errors(path)
-    ):  # fmt: skip
-        write_one_layer(joint_layer(maps, crs), fresh / path.name, least_s)
-        keep_styles(fresh / path.name, earlier=path)
+    writer = partial(write_one_layer, joint_layer(maps, crs), least_s=least_s)
+    (path,) = write_results(folder, {"heatmap.gpkg": writer}, name="heatmap", owned=OWNED)
     return path
 
 
@@ -282,9 +271,7 @@ def _month(dataset: Dataset, month: str) -> Timeline:
     return Timeline(begin=np.array([first]), end=np.array([last + 1]))
 
 
-def _write_style(
-    tally: Tally, path: Path, _reporter: Reporter, *, measure: str | None = None
-) -> None:
+def _write_style(tally: Tally, path: Path, *, measure: str | None = None) -> None:
     """Write the QGIS style (QML) of the raster and the table with that name."""
     style = sidecar_qml(measure or tally.measure, least_s=tally.least_visible_s())
     path.write_text(style, encoding="utf-8")

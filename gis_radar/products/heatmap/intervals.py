@@ -149,12 +149,6 @@ def aligned_with(runs: Runs, steps: int) -> Timeline:
     return Timeline(begin=begin, end=begin + steps)
 
 
-def those_with(timeline: Timeline, runs: Runs) -> Timeline:
-    """Return only those intervals that hold a step of the set."""
-    filled = timeline.counts(runs) > 0
-    return Timeline(begin=timeline.begin[filled], end=timeline.end[filled])
-
-
 When: TypeAlias = int | slice | str | datetime | None
 """Which interval: its number, several, a time in it, or the whole time."""
 
@@ -281,7 +275,10 @@ def whole_of(runs: Runs, at: str | None) -> Timeline:
     """Return the whole time, or the step that contains `at`, as one interval."""
     first, last = int(runs.first[0]), int(runs.last[-1])
     if at is not None:
-        moment = moment_of(at, "at")
+        try:
+            moment = seconds_from_iso(at, what="at")
+        except InputError as error:
+            raise UsageError(error.message, hint=error.hint) from error
         first = last = int(step_of(np.array([moment]))[0])
         nearest = runs.nearest(first)
         if nearest != first:
@@ -294,14 +291,6 @@ def whole_of(runs: Runs, at: str | None) -> Timeline:
     return Timeline(begin=np.array([first]), end=np.array([last + 1]))
 
 
-def moment_of(text: str, what: str) -> float:
-    """Convert a time given as text to UNIX seconds."""
-    try:
-        return seconds_from_iso(text, what=what)
-    except InputError as error:
-        raise UsageError(error.message, hint=error.hint) from error
-
-
 def intervals_of(
     runs: Runs, interval: str, zone: ZoneInfo | None, tiles: int, reporter: Reporter
 ) -> Timeline:
@@ -309,15 +298,14 @@ def intervals_of(
     steps = interval_steps(interval)
     first, last = int(runs.first[0]), int(runs.last[-1])
     if zone is None or follows_utc(steps):
-        every, filled = last // steps - first // steps + 1, intervals_with(runs, steps)
-        if _all_are_kept(every, filled):
-            return aligned(first, last, steps)
+        local, every, filled = None, last // steps - first // steps + 1, intervals_with(runs, steps)
     else:
         local = local_intervals(first, last, steps, zone)
-        with_frames = those_with(local, runs)
-        every, filled = len(local), len(with_frames)
-        if _all_are_kept(every, filled):
-            return local
+        has_frame = local.counts(runs) > 0
+        every, filled = len(local), int(has_frame.sum())
+    # An outage is kept, a week between two hours is not.
+    if every <= MOST_BANDS and every <= MOST_EMPTY * filled:
+        return aligned(first, last, steps) if local is None else local
     if filled * tiles > MOST_ROWS:
         raise UsageError(
             "{} intervals of {} for {} tiles are more than a heat map can hold",
@@ -334,9 +322,6 @@ def intervals_of(
             MOST_BANDS,
         )
     reporter.log(note)
-    return aligned_with(runs, steps) if zone is None or follows_utc(steps) else with_frames
-
-
-def _all_are_kept(every: int, filled: int) -> bool:
-    """Return whether empty intervals are kept: an outage is, a week between two hours is not."""
-    return every <= MOST_BANDS and every <= MOST_EMPTY * filled
+    if local is None:
+        return aligned_with(runs, steps)
+    return Timeline(begin=local.begin[has_frame], end=local.end[has_frame])

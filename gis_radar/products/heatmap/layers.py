@@ -36,22 +36,20 @@ from gis_radar.products.heatmap import style
 from gis_radar.products.heatmap.counting import Tally
 from gis_radar.products.heatmap.intervals import MapLabels, Timeline
 from gis_radar.products.heatmap.occupancy import Occupancy
-from gis_radar.products.heatmap.registering import list_last
-from gis_radar.products.heatmap.step_table import (
+from gis_radar.products.heatmap.package_tables import (
     BEGIN,
     END,
     ERROR,
     LONG,
-    read_times,
-    step_columns,
-    write_steps,
-)
-from gis_radar.products.heatmap.wide_table import (
     STEPS,
     TILES,
     WIDE,
     interval_columns,
-    whole_columns,
+    list_tiles_last,
+    measure_columns,
+    read_times,
+    step_columns,
+    write_steps,
     write_wide,
 )
 
@@ -72,7 +70,7 @@ def wide_layer(tally: Tally) -> gpd.GeoDataFrame:
         vehicles are known also `visible_s`, `occupied_s`, `occupancy`, `occupancy_se`, and
         `occ_...`, the occupied seconds of each interval, NaN where not visible in it.
     """
-    columns, stamps = whole_columns(tally), interval_columns(tally)
+    columns, stamps = measure_columns(tally), interval_columns(tally)
     for i, stamp in zip(tally.columns, stamps, strict=True):
         columns[f"hit_{stamp}"] = tally.shares(i).hit_s
     for i, stamp in zip(tally.columns, stamps, strict=True):
@@ -101,15 +99,13 @@ def long_layer(tally: Tally) -> gpd.GeoDataFrame:
     for i in range(len(tally.timeline)):
         times = (int(step[i]) * _STEP_MS for step in (tally.timeline.begin, tally.timeline.end))
         begin, end = (pd.Timestamp(time, unit="ms", tz="UTC").as_unit("ms") for time in times)
-        known = tally.occupancy_shares(i)
-        shares = tally.shares(i)._asdict() | ({} if known is None else known._asdict())
-        parts.append(tiles.assign(**{BEGIN: begin, END: end}, **shares))
+        parts.append(tiles.assign(**{BEGIN: begin, END: end}, **measure_columns(tally, i)))
     geometry = np.tile(tally.tiles.geometry.to_numpy(), len(tally.timeline))
     rows = pd.concat(parts, ignore_index=True)
     return gpd.GeoDataFrame(rows, geometry=geometry, crs=tally.crs)
 
 
-def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
+def write_table(tally: Tally, path: Path) -> None:
     """Write the layer `heatmap` as GeoParquet 1.1 with a box for each row."""
     frame = wide_layer(tally)
     frame.attrs = tally.metadata
@@ -139,7 +135,7 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
     with closing(sqlite3.connect(path)) as database, database:
         write_wide(database, tally)
         write_steps(database, tally, reporter)
-        list_last(database, TILES)
+        list_tiles_last(database)
         describe_layers(database, notes)
         add_styles(database, styles, name=measure, about=about)
 

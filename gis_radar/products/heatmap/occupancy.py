@@ -60,6 +60,42 @@ LONGEST_M = 1e5  # longer than any lanelet
 ERROR_UNIT = 1.0 / 32767**2
 
 
+def summed(counts: NDArray[Any], interval: int | slice | None) -> Integers:
+    """Return the steps of an interval, or the sums over several; over all where it is None."""
+    if isinstance(interval, int):
+        return np.asarray(counts[interval], np.int64)
+    rows = slice(None) if interval is None else interval
+    return np.asarray(counts[rows].sum(axis=0, dtype=np.int64))
+
+
+def shares_of_tiles(
+    seen: Integers, tiles: int, part: Integers, whole: Integers
+) -> tuple[Floats, Floats, Floats]:
+    """Return seconds of a part and of the whole, and their quotient, of all tiles.
+
+    Parameters
+    ----------
+    seen : (k,) int64 array
+        Positions of the tiles that were counted.
+    tiles : int
+        Number of all tiles.
+    part, whole : (k,) int64 arrays
+        Steps of the counted tiles.
+
+    Returns
+    -------
+    three (tiles,) float64 arrays
+        Where the whole is 0, the others are NaN.
+    """
+    known = whole > 0
+    place = seen[known]
+    part_s, whole_s, share = np.full(tiles, np.nan), np.zeros(tiles), np.full(tiles, np.nan)
+    part_s[place] = part[known] / STEPS_PER_SECOND
+    whole_s[seen] = whole / STEPS_PER_SECOND
+    share[place] = part[known] / whole[known]
+    return part_s, whole_s, share
+
+
 class OccupancyShares(NamedTuple):
     """Occupancy of each tile with its error, in the order of the tiles.
 
@@ -107,27 +143,19 @@ class Occupancy:
 
     def shares(self, seen: Integers, tiles: int, interval: int | slice | None) -> OccupancyShares:
         """Return the values of all tiles, of which `seen` are counted here."""
-        part = slice(interval) if interval is None else interval
-        visible, occupied = (
-            counts[part] if isinstance(part, int) else counts[part].sum(axis=0, dtype=np.int64)
-            for counts in (self.visible, self.occupied)
+        visible, error = summed(self.visible, interval), np.full(tiles, np.nan)
+        occupied_s, visible_s, share = shares_of_tiles(
+            seen, tiles, summed(self.occupied, interval), visible
         )
-        known = visible > 0
-        found = [np.zeros(tiles), *(np.full(tiles, np.nan) for _ in range(3))]
-        found[0][seen] = visible / STEPS_PER_SECOND
-        place = seen[known]
-        found[1][place] = occupied[known] / STEPS_PER_SECOND
-        found[2][place] = occupied[known] / visible[known]
-        found[3][place] = self._error(interval, visible)[known]
-        return OccupancyShares(*found)
+        error[seen[visible > 0]] = self._error(interval, visible)[visible > 0]
+        return OccupancyShares(visible_s, occupied_s, share, error)
 
     def least_visible_s(self, interval: int | slice | None) -> float:
         """Return half of a tile's longest visible time (s); of an interval, that in any of them."""
         if isinstance(interval, int):
             longest = self.visible.max(initial=0)
         else:
-            part = self.visible[slice(interval) if interval is None else interval]
-            longest = part.sum(axis=0, dtype=np.int64).max(initial=0)
+            longest = summed(self.visible, interval).max(initial=0)
         return UNCERTAIN_SEEN * float(longest) / STEPS_PER_SECOND
 
     def _error(self, interval: int | slice | None, visible: Any) -> Floats:

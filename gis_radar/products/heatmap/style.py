@@ -168,15 +168,15 @@ def ground_qml() -> str:
 def _filled(measure: str, least_s: float, **more: Any) -> str:
     """Return `tiles.qml.jinja` with the classes of a measure."""
     rule = escape(uncertain_rule(least_s), {'"': "&quot;"}) if measure == "occupancy" else ""
-    return qml_template(_HERE / "tiles.qml.jinja").render(
+    return text_template(_HERE / "tiles.qml.jinja").render(
         measure=measure, classes=colour_classes(measure), hatches=hatches(), rule=rule,
         tip=escape(_TIPS.get(measure, "")), rgba=_rgba, single=_single, **more,
     )  # fmt: skip
 
 
 @cache
-def qml_template(path: Path) -> Template:
-    """Return the template of a QGIS style, which escapes texts."""
+def text_template(path: Path) -> Template:
+    """Return the template of a page or a QGIS style, which escapes texts."""
     from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - see above
 
     environment = Environment(

@@ -45,8 +45,7 @@ from gis_radar.poses import (
 )
 from gis_radar.products.heatmap import style
 from gis_radar.products.heatmap.layers import read_own_styles
-from gis_radar.products.heatmap.step_table import LONG, TIMES
-from gis_radar.products.heatmap.wide_table import WIDE
+from gis_radar.products.heatmap.package_tables import LONG, TIMES, WIDE
 from gis_radar.products.qgis.project_file import was_edited, write_project_file
 from gis_radar.products.qgis.project_xml import LayerSource, ProjectContent, TimeRange, project_xml
 from gis_radar.scans import SIGHT_LAYER, SightTiles, write_sights

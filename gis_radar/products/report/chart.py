@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 from textwrap import shorten
 
@@ -94,18 +94,39 @@ def _chart(
     heat: HeatMap, strips: Sequence[tuple[str, Floats, Floats]], top: float, clock: Clock
 ) -> Chart:
     edges, interval = edges_of(heat.timeline.spans())
+
+    def spread(values: Floats) -> Floats:
+        return np.append(values / top, np.nan)[interval]
+
+    drawn = [(name, spread(share), spread(error)) for name, share, error in strips]
+    return chart_over(
+        edges, drawn, clock, caption=_caption(heat.measure), alt=_described(heat, strips, clock),
+        heading=_heading(heat.measure), top=f"{top * 100:g}",
+    )  # fmt: skip
+
+
+def chart_over(
+    edges: Sequence[datetime], strips: Iterable[tuple[str, Floats, Floats]], clock: Clock,
+    **words: str,
+) -> Chart:  # fmt: skip
+    """Return a chart of strips over time.
+
+    Parameters
+    ----------
+    edges : sequence of datetime
+        Of the intervals.
+    strips : iterable of (name, share, error)
+        As for :func:`strip_of`, from top to bottom.
+    clock : Clock
+        By which the times below are shown.
+    **words
+        The texts of the chart.
+    """
     seconds = np.array([(each - edges[0]).total_seconds() for each in edges])
-    place = seconds / seconds[-1]
+    times = times_below(edges, seconds, clock)
     return Chart(
-        caption=_caption(heat.measure), alt=_described(heat, strips, clock),
-        heading=_heading(heat.measure), top=f"{top * 100:g}", below=clock.name,
-        strips=[
-            strip_of(name, place, *(np.append(each / top, np.nan)[interval] for each in known))
-            for name, *known in strips
-        ],
-        times=[
-            (float(at / seconds[-1]), label) for at, label in times_below(edges, seconds, clock)
-        ],
+        strips=[strip_of(name, seconds / seconds[-1], *known) for name, *known in strips],
+        times=[(float(at / seconds[-1]), label) for at, label in times], below=clock.name, **words,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Lay out a page as PDF: the process that :mod:`~gis_radar.products.report.paper` starts."""
+"""Lay out a page as PDF: the process that :mod:`~gis_radar.products.report.pages` starts."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 
@@ -37,6 +37,7 @@ from gis_radar.base import (
 from gis_radar.dataset import FRAMES
 from gis_radar.hdmap import lanes_of
 from gis_radar.products.heatmap.heatmap import HeatMap
+from gis_radar.products.heatmap.picture import MapPicture
 from gis_radar.products.quality.quality import Quality, measure_quality
 from gis_radar.products.report import names
 from gis_radar.products.report.basis import (
@@ -48,17 +49,16 @@ from gis_radar.products.report.basis import (
     quality_table,
     remarks_of,
     totals_of,
+    trust_table,
 )
 from gis_radar.products.report.chart import draw_lanes_over_time
 from gis_radar.products.report.content import (
     QUEUES,
     WORDS,
     Chapter,
-    Chart,
     Column,
     Content,
     Figure,
-    MapSeries,
     Table,
     Terms,
     text_rows,
@@ -75,8 +75,7 @@ from gis_radar.products.report.lanes import (
     write_lanes,
 )
 from gis_radar.products.report.maps import draw_maps, draw_sights, lay_out
-from gis_radar.products.report.pages import page_of
-from gis_radar.products.report.paper import write_pdf
+from gis_radar.products.report.pages import page_of, write_pdf
 from gis_radar.products.report.plan import draw_plan
 from gis_radar.products.report.results import (
     Results,
@@ -90,7 +89,6 @@ from gis_radar.products.report.traffic import (
     write_lane_traffic,
     write_turn_traffic,
 )
-from gis_radar.products.report.trust import trust_table
 
 MOST_LANES = 150  # rows of the table as read; the CSV file holds all
 
@@ -181,7 +179,7 @@ def write_report(
     spoken = language or str(results.site.get("language") or heat.labels.language)
     with csv_for(csv_locale), speaking(known_language(spoken)):
         found = _find(results, title or _named(results, folder), timezone, reporter)
-        content = _content(found, _pictures(found, reporter), ways=ways)
+        content = _content(found, reporter, ways=ways)
         outputs = _write(folder if output is None else Path(output), found, content, reporter)
         return Report(outputs=outputs, summary=_summary(found, content))
 
@@ -206,24 +204,6 @@ def _find(results: Results, title: str, timezone: str | None, reporter: Reporter
         lanes=sums,
         table=table,
         traffic=traffic_of(results.dataset, heat),
-    )
-
-
-class _Pictures(NamedTuple):
-    """The pictures of a report."""
-
-    maps: MapSeries
-    plan: Figure
-    over_time: Sequence[Chart]
-
-
-def _pictures(found: Findings, reporter: Reporter) -> _Pictures:
-    """Draw the pictures of a report."""
-    results, picture = found.results, lay_out(found.results.heat)
-    return _Pictures(
-        maps=draw_maps(results, picture, found.clock, reporter),
-        plan=draw_plan(results.heat.tiles, picture, found.table),
-        over_time=draw_lanes_over_time(results.heat, found.lanes, found.table, found.clock),
     )
 
 
@@ -314,9 +294,10 @@ def _english_remarks(found: Findings) -> list[Text]:
         return own_remarks(found)
 
 
-def _content(found: Findings, drawn: _Pictures, *, ways: bool) -> Content:
+def _content(found: Findings, reporter: Reporter, *, ways: bool) -> Content:
     """Put the findings into words."""
     results, clock = found.results, found.clock
+    picture = lay_out(results.heat)
     questions = traffic_chapters(found.traffic, clock, ways=ways) if found.traffic else []
     queues = (part for each in questions if each.name == QUEUES for part in each.parts)
     ways &= any(isinstance(part, Figure) for part in queues)
@@ -332,24 +313,25 @@ def _content(found: Findings, drawn: _Pictures, *, ways: bool) -> Content:
         basis=basis_of(found),
         questions=questions,
         shows_ways=ways,
-        map=drawn.maps,
-        chapters=_chapters(found, drawn),
+        map=draw_maps(results, picture, clock, reporter),
+        chapters=_chapters(found, picture),
         made_by=made_by(),
         measure=results.heat.measure,
     )
 
 
-def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
+def _chapters(found: Findings, picture: MapPicture) -> list[Chapter]:
     """Return what follows the map."""
     results, clock = found.results, found.clock
     lanes = _lanes(found, intervals=len(results.heat.timeline) > 1)
     sensors = sensor_table(results)
     sources = [settings_of(results), sources_of(results)]
-    over_time = tr("The lanes over time")
+    plan = draw_plan(results.heat.tiles, picture, found.table)
+    over_time = draw_lanes_over_time(results.heat, found.lanes, found.table, clock)
     return [
         Chapter("trust", tr("Can this be trusted?"), [trust_table(results, clock)]),
-        Chapter("lanes", tr("Lanes"), [drawn.plan, lanes]),
-        *([Chapter("time", over_time, drawn.over_time)] if drawn.over_time else []),
+        Chapter("lanes", tr("Lanes"), [plan, lanes]),
+        *([Chapter("time", tr("The lanes over time"), over_time)] if over_time else []),
         Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results)]),
         Chapter("quality", tr("What sensors delivered"), [quality_table(found)]),
         Chapter("settings", tr("Settings and sources"), sources),

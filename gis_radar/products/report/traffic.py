@@ -38,7 +38,7 @@ from gis_radar.measures import JOINED_M, LEAST_SHARE, TURN_WORDS, LaneNetwork, l
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.picture import NARROW_IN, for_a_phone, image_of_figure, png
 from gis_radar.products.report import names
-from gis_radar.products.report.chart import strip_of, times_below
+from gis_radar.products.report.chart import chart_over
 from gis_radar.products.report.content import (
     QUEUES,
     WORDS,
@@ -50,8 +50,7 @@ from gis_radar.products.report.content import (
     text_rows,
 )
 from gis_radar.products.report.courses import MOST_COURSES, WINDOW_S, LongQueue, draw_courses
-from gis_radar.products.service_level import service_levels
-from gis_radar.products.traffic import write_table
+from gis_radar.products.traffic import service_levels, write_table
 from gis_radar.products.traffic_picture import draw_turning_diagram
 
 # The longest time that intervals of a length are for: some 30 points a strip, then 96 a day.
@@ -341,23 +340,16 @@ def _chart(
 ) -> Chart:  # fmt: skip
     begin, end = (traffic.lanes[n].dt.tz_convert("UTC") for n in ("begin", "end"))
     edges = pd.date_range(begin.min(), end.max(), freq=timedelta(seconds=traffic.length_s))
-    seconds = (edges - edges[0]).total_seconds().to_numpy()
-    moments = [each.to_pydatetime() for each in edges]
-    drawn = []
-    for name, rows in strips:
-        values, errors = rows.reindex(edges[:-1]).to_numpy().T
-        drawn.append(strip_of(name, seconds / seconds[-1], values, errors))
+    drawn = ((name, *rows.reindex(edges[:-1]).to_numpy().T) for name, rows in strips)
     length = f"{figure_text(traffic.length_s / 60.0)}{THIN_SPACE}min"
-    return Chart(
+    return chart_over(
+        [each.to_pydatetime() for each in edges], drawn, clock,
         caption=tr(profile.caption, length=length), heading=tr(profile.heading),
         alt=tr(
             "Chart of {n} lanes over {intervals} intervals; the table has the whole time.",
             n=len(strips), intervals=len(edges) - 1,
         ),
-        top=figure_text(top), below=clock.name, strips=drawn,
-        times=[
-            (float(at / seconds[-1]), label) for at, label in times_below(moments, seconds, clock)
-        ],
+        top=figure_text(top),
     )  # fmt: skip
 
 

@@ -1,14 +1,16 @@
-"""Questions to a city: over the datasets of its sites."""
+"""A city: a folder that holds a dataset a site, as `ROOT/site=NAME/`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
 import pandas as pd
 
+from gis_radar import dataset as dataset_room
 from gis_radar.base import (
     QUIET,
     CrsError,
@@ -27,6 +29,9 @@ from gis_radar.dataset import (
     NoVehiclesError,
     SqlQueries,
     UnknownStreetError,
+    open_dataset,
+    site_folders,
+    warn_of_copies,
 )
 from gis_radar.products import (
     Comparison,
@@ -38,10 +43,21 @@ from gis_radar.products import (
 )
 
 SITE_COLUMN = "site"
+RESULTS = "results"
+"""Folder of a city with the results of each site."""
 
 
-class CityQuestions(SqlQueries):
-    """Methods of a city that answer questions over its sites."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class City(SqlQueries):
+    """City: the datasets of its sites.
+
+    Parameters
+    ----------
+    root : Path
+        Its folder.
+    sites : mapping
+        The dataset of each site, by its name, ascending.
+    """
 
     root: Path
     sites: Mapping[str, Dataset]
@@ -201,12 +217,10 @@ class CityQuestions(SqlQueries):
         OutputError
             If it cannot be written.
         """
-        from gis_radar.dataset import catalogue_of  # noqa: PLC0415 - DuckDB, 0.2 s
-
         place = root or self.root.resolve().as_posix()
         with atomic_write(Path(path)) as part:
             folders = [each.folder for each in self.sites.values()]
-            views = catalogue_of(folders, f"{place.rstrip('/')}/site=*")
+            views = dataset_room.catalogue_of(folders, f"{place.rstrip('/')}/site=*")
             part.write_text(views, encoding="utf-8")
 
     def _of_sites(self, ask: Callable[[Dataset], Any]) -> dict[str, Any]:
@@ -220,3 +234,39 @@ class CityQuestions(SqlQueries):
         if not answers:  # a street that some site has is told from one that none has
             raise next((each for each in refused if isinstance(each, NotMeasuredError)), refused[0])
         return answers
+
+    def __repr__(self) -> str:
+        return f"City({str(self.root)!r}: {', '.join(self.sites)})"
+
+
+def open_city(root: str | Path | City, *, reporter: Reporter = QUIET) -> City:
+    """Open a city; the tables of its sites are read when they are asked for.
+
+    Parameters
+    ----------
+    root : str, Path or City
+        A folder with a dataset a site, `ROOT/site=NAME/`; an open city stays as it is.
+    reporter : Reporter
+        Receives a warning where two sites have the same recordings, or hours of a site were made by
+        different methods.
+
+    Raises
+    ------
+    InputError
+        If it is no such folder, two sites have one name or are one folder, or a dataset is damaged
+        or of a newer schema.
+    """
+    if isinstance(root, City):
+        return root
+    root = Path(root)
+    if not root.is_dir():
+        raise InputError("{}: is no folder", root)
+    places = site_folders(root)
+    if not places:
+        raise InputError(
+            "{}: is no city: has no dataset {}", root, "site=NAME/",
+            hint="name the folder that holds the datasets of the sites",
+        )  # fmt: skip
+    sites = {name: open_dataset(place, reporter=reporter) for name, place in places.items()}
+    warn_of_copies(places, reporter)
+    return City(root=root, sites=sites)

@@ -1,10 +1,12 @@
-"""The table of steps of a heat map, and the view that shows it as a layer.
+"""Tables of counts in the GeoPackage of a heat map, and the views that show them as layers.
 
-A row of the table is a tile in an interval: whole steps, no polygon, so that a day of quarter hours
-takes a tenth of the room. Stored are counts that are mostly zero, the steps in which a tile was not
-observed and those in which it was observed but hidden; observed and visible steps are computed. The
-view `by_interval` joins the polygons of the layer `tiles` and the times; QGIS and
-GDAL open it like any other layer.
+A row of the table of steps is a tile in an interval: whole steps, no polygon, so that a day of
+quarter hours takes a tenth of the room. Stored are counts that are mostly zero, the steps in which
+a tile was not observed and those in which it was observed but hidden; observed and visible steps
+are computed. The view `by_interval` joins the polygons of the layer `tiles` and the times. The view
+`heatmap` joins the tiles and the table of the whole time, and looks the columns of the intervals up
+in the table of steps, so that each value is stored once. QGIS and GDAL open both like any other
+layer.
 """
 
 from __future__ import annotations
@@ -15,11 +17,128 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.base import STEPS_PER_SECOND, Reporter, step_begin
+from gis_radar.base import STEPS_PER_SECOND, Floats, Reporter, step_begin
 from gis_radar.products.heatmap.counting import Tally
 from gis_radar.products.heatmap.occupancy import ERROR_UNIT, error_roots
-from gis_radar.products.heatmap.registering import register_table
-from gis_radar.products.heatmap.wide_table import STEPS, TILES
+
+TILES, WIDE = "tiles", "heatmap"
+WHOLE = "whole_time"
+STEPS = "steps_by_interval"
+
+
+# A layer has geometry, extent and metadata of the layer of tiles.
+_REGISTER = """
+INSERT INTO gpkg_contents (
+    table_name, data_type, identifier, description, last_change, min_x, min_y, max_x, max_y, srs_id
+)
+SELECT ?1, ?2, ?1, '', last_change, min_x, min_y, max_x, max_y,
+    CASE ?2 WHEN 'features' THEN srs_id END
+FROM gpkg_contents WHERE table_name = 'tiles'
+"""
+_REGISTER_GEOMETRY = """
+INSERT INTO gpkg_geometry_columns (table_name, column_name, geometry_type_name, srs_id, z, m)
+SELECT ?, column_name, geometry_type_name, srs_id, z, m
+FROM gpkg_geometry_columns WHERE table_name = 'tiles'
+"""
+_REGISTER_METADATA = """
+INSERT INTO gpkg_metadata_reference (
+    reference_scope, table_name, column_name, row_id_value, timestamp, md_file_id, md_parent_id
+)
+SELECT reference_scope, ?, column_name, row_id_value, timestamp, md_file_id, md_parent_id
+FROM gpkg_metadata_reference WHERE table_name = 'tiles'
+"""
+
+
+def _register(database: sqlite3.Connection, table: str, kind: str, rows: int) -> None:
+    """Register a table (`attributes`) or a view (`features`), so that readers see it.
+
+    They would else count its rows each time that they open it.
+    """
+    database.execute(_REGISTER, (table, kind))
+    database.execute("INSERT INTO gpkg_ogr_contents VALUES (?, ?)", (table, rows))
+    if kind == "features":
+        database.execute(_REGISTER_GEOMETRY, (table,))
+        database.execute(_REGISTER_METADATA, (table,))
+
+
+def list_tiles_last(database: sqlite3.Connection) -> None:
+    """Move the layer of tiles behind all others: programs open the first one by default."""
+    for catalogue in ("gpkg_contents", "gpkg_geometry_columns"):
+        last = f"(SELECT max(rowid) + 1 FROM {catalogue})"  # noqa: S608 - our own names
+        database.execute(f"UPDATE {catalogue} SET rowid = {last} WHERE table_name = '{TILES}'")  # noqa: S608
+
+
+def interval_columns(tally: Tally) -> list[str]:
+    """Return the endings of the columns' names: the begins of the intervals."""
+    timeline = tally.timeline
+    return [_stamp(int(timeline.begin[i]), int(timeline.end[i])) for i in tally.columns]
+
+
+def _stamp(begin_step: int, end_step: int) -> str:
+    """Return an interval's begin in UTC, as fine as intervals of that length need."""
+    begin, length_steps = step_begin(begin_step), end_step - begin_step
+    name = f"{begin:%Y%m%dT%H%M}"
+    if length_steps < 60 * STEPS_PER_SECOND:
+        name += f"{begin:%S}"
+    if length_steps < STEPS_PER_SECOND:
+        name += f"{begin.microsecond // 1000:03d}"
+    return name
+
+
+def measure_columns(tally: Tally, interval: int | None = None) -> dict[str, Floats]:
+    """Return the measures of all tiles by name, those of occupancy where vehicles are known."""
+    known = tally.occupancy_shares(interval)
+    return tally.shares(interval)._asdict() | ({} if known is None else known._asdict())
+
+
+def write_wide(database: sqlite3.Connection, tally: Tally) -> None:
+    """Write the counts beside the layer `tiles` of a GeoPackage, and the view of both.
+
+    Parameters
+    ----------
+    database : sqlite3.Connection
+        The GeoPackage.
+    tally : Tally
+        The counts of the heat map.
+    """
+    whole = measure_columns(tally)
+    _write_whole(database, whole)
+    own = [row[1:3] for row in database.execute(f'PRAGMA table_info("{TILES}")')][1:]
+    shown = ['t."fid" AS "OGC_FID"', *(f't."{name}" AS "{name}"' for name, _ in own)]
+    shown += [f'w."{name}" AS "{name}"' for name in whole]
+    shown += [
+        _looked_up(tally, seconds, number, f"{prefix}_{stamp}")
+        for prefix, seconds in (("hit", "hit_s"), ("occ", "occupied_s"))
+        if seconds in whole
+        for number, stamp in zip(tally.columns, interval_columns(tally), strict=True)
+    ]
+    # LEFT, so that SQLite skips a table of which no column is selected.
+    joined = f'LEFT JOIN "{WHOLE}" w ON w."fid" = t."fid"'
+    database.execute(
+        f'CREATE VIEW "{WIDE}" AS SELECT {", ".join(shown)} FROM "{TILES}" t {joined}'  # noqa: S608
+    )
+    database.execute(f'CREATE UNIQUE INDEX "{TILES}_tile_id" ON "{TILES}" ("tile_id")')
+    _register(database, WIDE, "features", len(tally.tiles))
+
+
+def _looked_up(tally: Tally, seconds: str, interval: int, name: str) -> str:
+    """Return the SQL of a column of the view: seconds of each tile in an interval."""
+    row = f't."fid" + {interval * len(tally.tiles)}'
+    return f'(SELECT s."{seconds}" FROM "{STEPS}" s WHERE s."fid" = {row}) AS "{name}"'  # noqa: S608
+
+
+def _write_whole(database: sqlite3.Connection, columns: dict[str, Floats]) -> None:
+    """Write the table of the whole time, a row a tile in their order."""
+    kinds = ", ".join(f'"{name}" REAL' for name in columns)
+    database.execute(f'CREATE TABLE "{WHOLE}" ("fid" INTEGER PRIMARY KEY NOT NULL, {kinds})')
+    lists = [
+        [None if np.isnan(value) else value for value in column.tolist()]
+        for column in columns.values()
+    ]
+    marks = ", ".join("?" * (1 + len(lists)))
+    rows = zip(range(1, 1 + len(lists[0])), *lists, strict=True)
+    database.executemany(f'INSERT INTO "{WHOLE}" VALUES ({marks})', rows)  # noqa: S608 - our own
+
 
 LONG = "by_interval"
 TIMES = "intervals"
@@ -182,9 +301,9 @@ def _add_view(database: sqlite3.Connection, tally: Tally, columns: list[str]) ->
         CROSS JOIN "{TILES}" t ON t."tile_id" = s."tile_id"
     """)  # noqa: S608 - our own names
     every, times = len(tally.timeline) * len(tally.tiles), len(tally.timeline)
-    register_table(database, LONG, "features", like=TILES, rows=every)
-    register_table(database, TIMES, "attributes", like=TILES, rows=times)
-    register_table(database, STEPS, "attributes", like=TILES, rows=every)
+    _register(database, LONG, "features", every)
+    _register(database, TIMES, "attributes", times)
+    _register(database, STEPS, "attributes", every)
 
 
 def read_times(database: sqlite3.Connection) -> list[tuple[str, str]]:
