@@ -9,7 +9,6 @@ from datasets import write_dataset
 from maps import EAST, NORTH, UTM
 from shapely import LineString, Polygon
 
-from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset import (
     STEPS_PER_QUARTER,
     TILE_COUNTS,
@@ -21,7 +20,6 @@ from gis_radar.dataset import (
 from gis_radar.dataset.files.parts import days_of
 from gis_radar.dataset.files.tables import LANE_MEASURES, TURNS
 
-EASTBOUND, WESTBOUND = (11, 12), 13
 LENGTH_M, WIDTH_M, TILES_A_LANE = 10.0, 3.0, 20
 
 
@@ -160,8 +158,3 @@ def _lanes(hour, seed):
 def hour_at(moment):
     """Return the hour since 1970 of a time in UTC."""
     return int(np.datetime64(moment, "h").astype(int))
-
-
-def first_step(hour):
-    """Return the first step of an hour."""
-    return hour * STEPS_PER_HOUR

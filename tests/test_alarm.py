@@ -238,14 +238,6 @@ def test_a_move_shifts_the_places_by_all_of_it(cells, detections):
     assert means[1] - means[0] == pytest.approx(-0.3, abs=0.05)
 
 
-def test_nothing_seen_makes_no_places(cells, detections):
-    empty = window(detections, state(), 500.0, 600.0)
-    found = lane_places(empty, cells, state(), since=START, until=START + 900.0)
-    assert (found.vehicles, len(found)) == (0, 0)
-    alarm = Alarm(cells, np.zeros(2))
-    assert scores(alarm, [found] * 40) == []
-
-
 def test_overlapping_lanes_have_no_cells(cells):
     lanes = cells.lanes
     beside = replace(

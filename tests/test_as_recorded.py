@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,13 +10,11 @@ from pyproj import CRS
 
 from gis_radar.base import STEP_S
 from gis_radar.poses import Pose, View
-from simulation.clutter import Clutter
 from simulation.movement import Traffic
 from simulation.presets import RADARS
 from simulation.radar import RadarModel, place_radar
 from simulation.recording import frame_times, simulate_recording
 from simulation.scene import Building, ParkedCar, Post, Rail, Scene, Tree
-from simulation.targets import Fleeting
 from simulation.terrain import Terrain
 
 ORIGIN = np.array([600_000.0, 5_400_000.0])
@@ -72,16 +68,6 @@ def test_frames_come_in_turn_from_any_phase(name, cycle):
         assert 5.0 <= times[0] < 5.0 + max(cycle)
         firsts.add(int(np.argmin(np.abs(np.array(cycle) - gaps[0]))))
     assert firsts == {0, 1, 2}
-
-
-def test_a_staggered_cycle_misses_steps_of_50_ms():
-    lost = []
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        times = frame_times(0.0, 15.0, rng=rng, cycle_s=MODEL.cycle_s, jitter_s=MODEL.jitter_s)
-        lost.append(1.0 - len(np.unique(times // STEP_S)) / 300.0)
-    assert max(lost) > 0.2  # a third in the worst phase
-    assert 0.08 < np.mean(np.array(lost) > 0.05) < 0.5
 
 
 # a still yard, seen by a radar as on a vehicle
@@ -157,92 +143,10 @@ def test_false_returns_seem_to_move_far_off_and_fast():
     )
 
 
-def test_cross_sections_are_whole_numbers_with_a_floor(still):
-    rcs = standing(still[0])["rcs"]
-    assert np.array_equal(rcs, np.round(rcs))
-    assert rcs.min() == -20.0
-    assert rcs.quantile([0.25, 0.5, 0.75]).to_numpy() == pytest.approx([-14, -7, -1], abs=5.0)
-
-
 # one target over time
 
 
-@pytest.fixture(scope="module")
-def apart() -> pd.DataFrame:
-    """What a radar measures for 60 s of 24 points that stand 4 degrees apart, 40 m away."""
-    way = np.arange(-46.0, 47.0, 4.0)
-    points = 40.0 * np.column_stack([np.cos(np.radians(way)), np.sin(np.radians(way)), 0.0 * way])
-    stand = pose(over_m=5.0)
-    targets = MODEL.targets.draw(
-        Clutter(point=points + stand.position, rcs=np.full(24, 5.0), wobble=np.zeros(24)),
-        np.full(24, 30.0), 24.0, np.random.default_rng(3),
-    )  # fmt: skip
-    bare = Scene(terrain=LEVEL, road=shapely.box(0, 0, 1, 1))
-    model = replace(MODEL, false_alarms=0.0, rcs_scale_db=0.0, quantum=(2.0**-12,) * 5)
-    radar = replace(
-        place_radar(stand, bare, rng=np.random.default_rng(4), model=model), targets=targets
-    )
-    rng = np.random.default_rng(5)
-    times = frame_times(0.0, 60.0, rng=rng, cycle_s=model.cycle_s)
-    nobody = driven(np.zeros((2, 0, 2)), 0.0, kind="car", size=(4.5, 1.8, 1.5))
-    table = simulate_recording(radar, nobody, times, rng=rng)
-    x, y, z = table[["x", "y", "z"]].to_numpy(np.float64).T
-    azimuth = np.degrees(np.arctan2(y, x))
-    nearest = np.rint((azimuth - way[0]) / 4.0)
-    return table.assign(
-        target=nearest.astype(int),
-        range_m=np.sqrt(x**2 + y**2 + z**2),
-        azimuth=azimuth,
-        elevation=np.degrees(np.arctan2(z, np.hypot(x, y))),
-    )
-
-
-def after(table: pd.DataFrame, column: str, seconds: float) -> np.ndarray:
-    """How far a figure of the same target is from what it was some time before."""
-    changes = []
-    for _, rows in table.groupby("target"):
-        time, value = rows["time"].to_numpy(), rows[column].to_numpy(np.float64)
-        later = np.searchsorted(time, time + seconds)
-        there = later < len(time)
-        changes.append(value[later[there]] - value[there])
-    return np.concatenate(changes)
-
-
 FIGURES = ("range_m", "azimuth", "elevation", "rcs")
-
-
-def test_a_target_repeats_from_frame_to_frame(apart):
-    noise = {name: after(apart, name, 0.03).std() / np.sqrt(2.0) for name in FIGURES}
-    assert 0.006 < noise["range_m"] < 0.011
-    assert 0.03 < noise["azimuth"] < 0.06
-    assert 0.1 < noise["elevation"] < 1.95
-    assert 0.3 < noise["rcs"] < 0.6
-
-
-def test_a_target_has_another_bias_after_seconds(apart):
-    for name, size in (("range_m", 0.1), ("azimuth", 0.15), ("elevation", 1.0)):
-        early, late = (after(apart, name, seconds).std() for seconds in (0.5, 12.0))
-        assert late == pytest.approx(size * np.sqrt(2.0), rel=0.2)
-        assert early < 0.5 * late  # it wanders, it does not jump
-    assert after(apart, "rcs", 12.0).std() < 1.0
-
-
-def test_an_average_over_frames_does_not_remove_the_bias(apart):
-    first = apart[apart["time"] < 1.0].groupby("target")[["azimuth", "range_m"]]
-    assert first.size().min() > 15
-    off = first.mean()
-    assert (off["azimuth"] - np.arange(-46.0, 47.0, 4.0)).std() == pytest.approx(0.15, abs=0.05)
-    assert (off["range_m"] - 40.0).std() == pytest.approx(0.1, abs=0.035)
-
-
-def test_a_textbook_radar_forgets(apart):
-    del apart
-    targets = Fleeting().draw(
-        Clutter(point=np.ones((3, 3)), rcs=np.zeros(3), wobble=np.zeros(3)),
-        np.zeros(3), 2.0, np.random.default_rng(0),
-    )  # fmt: skip
-    assert not targets.bias(np.array([0, 1, -1]), 7.0).any()
-    assert targets.chance == pytest.approx(2.0 / 3.0, abs=1e-6)
 
 
 # vehicles

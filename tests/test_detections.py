@@ -6,7 +6,7 @@ import pytest
 from sites import START, recording, table
 
 from gis_radar.base import InputError
-from gis_radar.recordings import as_recording, open_recording
+from gis_radar.recordings import open_recording
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
 
 NAN = np.nan
@@ -154,13 +154,6 @@ def test_times_in_other_units_are_refused(tmp_path, factor):
     assert "UNIX seconds" in caught.value.hint
 
 
-@pytest.mark.parametrize("start", [0.0, -3e9, 4e9])
-def test_times_of_other_decades_are_times(tmp_path, start):
-    time, points = simple()
-    path = recording(tmp_path / "r.parquet", time - START + start, points)
-    assert read(path)[0].time[0] == start
-
-
 @pytest.mark.parametrize("value", [1e38, -1.1e6])
 def test_absurd_positions_are_refused(tmp_path, value):
     time, points = simple()
@@ -197,16 +190,3 @@ def test_text_of_digits_is_no_number(tmp_path, kind):
     pq.write_table(made, tmp_path / "r.parquet")
     with pytest.raises(InputError, match=r"column x is .*, expected numbers"):
         read(tmp_path / "r.parquet")
-
-
-def test_a_column_that_is_null_throughout(tmp_path):
-    made = table(*simple()).set_column(5, "rcs", pa.nulls(6))
-    pq.write_table(made, tmp_path / "r.parquet")
-    assert np.isnan(read(tmp_path / "r.parquet")[0].rcs).all()
-
-
-def test_a_recording_opens_once(tmp_path):
-    path = recording(tmp_path / "r.parquet", *simple())
-    opened = open_recording(path)
-    assert as_recording(opened) is opened
-    assert as_recording(str(path)).path == path

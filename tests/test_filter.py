@@ -20,7 +20,6 @@ from gis_radar.calibration.monitoring.kalman_filter import (
     innovation,
     likeliest_move,
     predicted,
-    same_sign,
     widened,
 )
 from gis_radar.calibration.monitoring.moves import FALSE_ALARMS, GATE, LENGTHS_S, SUSPECT
@@ -221,11 +220,6 @@ def test_the_likeliest_move_leaves_out_what_is_not_seen():
     move = likeliest_move(found)
     assert move[0] == pytest.approx(0.49, abs=0.01)
     assert abs(move[1]) < 0.01
-
-
-def test_the_sign_is_that_of_the_quaternion_before():
-    assert np.array_equal(same_sign(-2.0 * LEVEL, LEVEL), LEVEL)
-    assert np.array_equal(same_sign(LEVEL, -LEVEL), -LEVEL)
 
 
 def test_gates_are_quantiles_of_chi2():

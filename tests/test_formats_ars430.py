@@ -104,15 +104,6 @@ def test_a_ros_1_bag(tmp_path):
     check(table)
 
 
-def test_packets_without_a_stamp_are_by_the_recorder(tmp_path):
-    # The package for ROS 1 leaves the header of what it does not filter empty.
-    result, table, _ = convert(write_camel(tmp_path / "r.bag", CYCLES, stamped=False))
-    assert result.recordings[0].clock == "recorder"
-    first = START + 0.01 + 0.073 * np.arange(4)
-    np.testing.assert_allclose(table["time"].unique(), first, atol=1e-6)
-    check(table)
-
-
 @pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
 def test_a_ros_2_bag_of_the_port(tmp_path, kind):
     messages = [
@@ -122,13 +113,6 @@ def test_a_ros_2_bag_of_the_port(tmp_path, kind):
     result, table, _ = convert(write_bag(tmp_path / "bag", messages, kind))
     assert result.recordings[0].frames == 4
     check(table)
-
-
-def test_cycles_without_detections_are_empty_frames(tmp_path):
-    packets = [(START + 0.1 * i, i, NEAR, TARGETS if i % 2 else []) for i in range(6)]
-    result, table, _ = convert(write_camel(tmp_path / "r.bag", packets))
-    assert (result.recordings[0].frames, result.recordings[0].empty_frames) == (6, 3)
-    assert table["x"].isna().sum() == 3
 
 
 def test_another_make_is_counted_as_damaged(tmp_path):

@@ -116,14 +116,6 @@ def test_a_replay_is_refused_unless_a_clock_is_named(rate):
     assert times_given(frames, "recorder")[1] == ["recorder"]
 
 
-def test_a_header_stamp_is_called_so():
-    true = every(300)
-    frames = frames_at(true, -0.008 * (true - START), jitter(300), stamp="header stamp")
-    _, used, text = times_given(frames)
-    assert used == ["header stamp at the recorder's rate"]
-    assert "the header stamp runs" in text
-
-
 def test_a_capture_of_a_slow_clock(tmp_path):
     true, late = every(240), jitter(240)
     stamped = [

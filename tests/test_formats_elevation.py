@@ -5,7 +5,6 @@ import re
 import numpy as np
 import pyarrow as pa
 import pytest
-from click.testing import CliRunner
 from datasets import measured
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,12 +19,10 @@ from gis_radar.base import InputError, NoAnswerError
 from gis_radar.calibration import lanelets_of
 from gis_radar.calibration.scan.surroundings import read_slow
 from gis_radar.calibration.timing.lane_detections import read_lane_detections
-from gis_radar.cli import group
-from gis_radar.hdmap import write_tiles
 from gis_radar.measures import Filters
 from gis_radar.poses import as_track
 from gis_radar.products import project
-from gis_radar.recordings import RangeCounts, open_recording
+from gis_radar.recordings import open_recording
 
 ROAD_M = 370.0  # of the crossing; the sensor is 5 m over it
 
@@ -153,19 +150,6 @@ def test_recordings_that_have_some_heights_are_refused(tmp_path, heights, said, 
         )
     with pytest.raises(InputError, match=re.escape(said)):
         list(opened.read())
-
-
-def test_x_alone_is_no_position(tmp_path):
-    path = recording(tmp_path / "r.parquet", [START], [[1.0, np.nan, np.nan]])
-    with pytest.raises(InputError, match="position is not finite in row 1"):
-        list(open_recording(path).read())
-
-
-def test_ranges_count_what_has_no_height(tmp_path):
-    counts = RangeCounts()
-    for piece in open_recording(level_recording(tmp_path / "r.parquet")).read():
-        counts.add(piece)
-    assert counts.reached_m(1.0) == 301.0
 
 
 # --- poses
@@ -312,22 +296,3 @@ def test_track_refuses_them(street):
     scene, path = street
     with pytest.raises(NoAnswerError, match="its pose cannot be followed"):
         gr.track(path, scene.roads(), scene.road_points(), scene.pose())
-
-
-def test_the_commands(tmp_path):
-    path = level_recording(tmp_path / "R1.parquet", [[20.0, 0.0], [15.0, 1.0]])
-    pose().write(tmp_path / "R1.json")
-    tiles = crossing(ROAD_M)
-    write_tiles(tiles, tmp_path / "tiles.gpkg", problems=tiles.iloc[:0])
-    words = [str(path), "--pose", str(tmp_path / "R1.json")]
-    tiles = ["--tiles", str(tmp_path / "tiles.gpkg")]
-    runner = CliRunner()
-    done = runner.invoke(
-        group, ["measure", *words, *tiles, "--hits-only", "-o", str(tmp_path / "occ")]
-    )
-    assert done.exit_code == 0, done.output
-    assert "R1 measures no elevation" in done.output
-    done = runner.invoke(group, ["quality", str(tmp_path / "occ")])
-    assert "measures no elevation" in done.output
-    done = runner.invoke(group, ["project", *words, "-o", str(tmp_path / "hits.gpkg")])
-    assert done.exit_code == 0, done.output

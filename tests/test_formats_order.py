@@ -98,14 +98,6 @@ def test_synchronisation_that_is_lost_is_left_from_there_on(tmp_path):
     assert result.recordings[0].clock == "sensor, then recorder"
 
 
-def test_a_busy_recorder_does_not_discredit_the_sensor(tmp_path):
-    # The recorder stood still for a second, then caught up.
-    late = [t + LATER + max(0.0, 1.0 - abs(i - 50) * 0.05) for i, t in enumerate(times(100))]
-    late = np.maximum.accumulate(late)
-    path = capture(tmp_path / "r.pcap", [(t, r, 1) for t, r in zip(times(100), late, strict=True)])
-    assert convert(path)[0].recordings[0].clock == "sensor"
-
-
 def test_frames_that_the_network_shuffled_do_not_discredit_the_sensor(tmp_path):
     order = np.argsort(np.arange(200) + np.random.default_rng(3).uniform(0, 15, 200))
     stamped = [(times(200)[i], times(200)[k] + LATER, 1) for k, i in enumerate(order)]
@@ -244,14 +236,6 @@ def test_the_recording_has_the_columns_of_the_contract(tmp_path):
     schema = pq.read_schema(result.outputs[0])
     assert schema.names[:6] == ["time", "x", "y", "z", "range_rate", "rcs"]
     assert [str(kind) for kind in schema.types[:6]] == ["double"] + ["float"] * 5
-
-
-def test_a_long_recording_has_several_row_groups(tmp_path, monkeypatch):
-    monkeypatch.setattr("gis_radar.recordings.recording_file.ROWS_IN_GROUP", 4)
-    result, _ = convert(whole(tmp_path / "r.pcap"))
-    file = pq.ParquetFile(result.outputs[0])
-    assert file.num_row_groups == 3
-    assert len(file.read()) == 10
 
 
 def test_options_that_make_no_sense(tmp_path):

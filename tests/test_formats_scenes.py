@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from radars import convert
 from test_formats_pcd import write_pcd
 
 from gis_radar.base import InputError, UsageError
-from gis_radar.cli import group
 
 # Eight float32 a point; the names are those of the annotation, without its index.
 FIELDS = [
@@ -53,12 +51,6 @@ def test_a_scene_converts_without_further_ado(tmp_path):
         np.testing.assert_array_equal(table[column], expected[column], column)
 
 
-def test_a_scene_in_a_folder_of_its_own_name(tmp_path):
-    write_scene(tmp_path / "INFRA-3DRC_scene-02" / "INFRA-3DRC_scene-02")
-    result, _, _ = convert(tmp_path / "INFRA-3DRC_scene-02")
-    assert result.recordings[0].frames == 3
-
-
 def test_a_sensor_that_is_not_there(tmp_path):
     with pytest.raises(InputError, match="holds the sensors radar_01"):
         convert(write_scene(tmp_path / "scene"), sensor="radar_02")
@@ -67,9 +59,3 @@ def test_a_sensor_that_is_not_there(tmp_path):
 def test_fields_that_are_not_there_are_refused(tmp_path):
     with pytest.raises(UsageError, match="no field 'doppler'"):
         convert(write_scene(tmp_path / "scene"), columns={"range_rate": "doppler"})
-
-
-def test_the_command(tmp_path):
-    scene = write_scene(tmp_path / "scene")
-    done = CliRunner().invoke(group, ["convert", str(scene), "-o", str(tmp_path / "r.parquet")])
-    assert done.exit_code == 0, done.output

@@ -17,7 +17,6 @@ from test_qgis_project import a_pose
 import gis_radar as gr
 from gis_radar.base import content_digest
 from gis_radar.poses import write_sensors
-from gis_radar.site import RunState
 
 MINE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n<qgis version=\"3.40\"/>"
 
@@ -68,16 +67,6 @@ def test_looking_and_saving_a_style_leave_the_content(path):
     assert content_digest(path) != before
 
 
-def test_a_run_takes_it_for_unchanged(path, tmp_path):
-    state = RunState(tmp_path / "state.json", tmp_path)
-    before = state.hash_of(path)
-    look(path)
-    saved(path)
-    assert state.hash_of(path) == before
-    path.write_bytes(b"no GeoPackage")
-    assert state.hash_of(path) not in {before, None}
-
-
 def test_a_style_that_was_saved_survives(path):
     ours = read_styles(path)
     saved(path)
@@ -89,13 +78,6 @@ def test_a_style_that_was_saved_survives(path):
         assert [name for (name,) in database.execute(names)] == ["sensor", "mine"]
     write_sensors([a_pose()], path)  # and again
     assert read_styles(path) == ours | {"sensors": MINE}
-
-
-def test_our_style_that_was_changed_survives(path):
-    ours = read_styles(path)
-    change(path, ("UPDATE layer_styles SET styleQML = ? WHERE f_table_name = 'views'", (MINE,)))
-    write_sensors([a_pose()], path)
-    assert read_styles(path) == ours | {"views": MINE}
 
 
 def test_styles_of_heat_maps_survive(tmp_path, without_picture):

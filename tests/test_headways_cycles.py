@@ -224,14 +224,6 @@ def test_cycles_are_told_though_some_begins_are_missed_and_some_vehicles_start_l
     assert found.length_s == pytest.approx(cycle_s, abs=0.5)
 
 
-def test_begins_at_random_are_seldom_told():
-    rng, told = np.random.default_rng(2), 0
-    for _ in range(100):
-        begins = np.cumsum(8.0 + rng.exponential(rng.uniform(15.0, 150.0), 60))
-        told += not isinstance(period_of(begins[begins < 3600.0]), str)
-    assert told <= 10  # 5 by chance
-
-
 @pytest.mark.parametrize("between_s", [(50.0, 70.0), (80.0, 120.0)])
 def test_signals_that_follow_demand_are_not_told(between_s):
     """Cycles that differ by some seconds lie near a line for a while, but most do not."""
@@ -308,13 +300,6 @@ def test_the_command_writes_them(run, dataset, tmp_path):
     assert pd.isna(german["counted"]).all()
 
 
-def test_without_pairs_there_are_no_means(tmp_path):
-    alone = fork_dataset(tmp_path / "data", [through(0, BEGIN + 200, LEFT)])
-    lanes = alone.traffic("1min", headways=True)
-    assert set(lanes["headways"]) == {0}
-    assert lanes[["headway_mean_s", "gap_se_s"]].isna().all(axis=None)
-
-
 def test_hours_without_exact_tables_are_refused(dataset, tmp_path):
     shutil.copytree(dataset.folder, tmp_path / "data")
     for record in read_hours(tmp_path / "data").values():
@@ -323,11 +308,6 @@ def test_hours_without_exact_tables_are_refused(dataset, tmp_path):
     for asked in (old.signal_cycles, partial(old.traffic, headways=True)):
         with pytest.raises(gr.InputError, match="has no exact tables any more"):
             asked()
-
-
-def test_headways_of_the_whole_time_are_refused(dataset):
-    with pytest.raises(gr.UsageError, match="headways are of intervals"):
-        dataset.traffic(headways=True, whole=True)
 
 
 GREEN = (
@@ -356,11 +336,6 @@ def test_cycles_of_hours_without_vehicles_have_the_types_of_others(dataset):
     assert none.dtypes.to_dict() == every.dtypes.to_dict()
 
 
-def test_green_times_that_are_not_there_are_named(dataset, tmp_path):
-    with pytest.raises(gr.InputError, match=r"green\.csv: cannot be read: No such file"):
-        dataset.signal_cycles(signals=tmp_path / "green.csv")
-
-
 def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path):
     name = dataset.traffic(language="de").query(f"lane == {APPROACH}")["name"].iloc[0]
     rows = (
@@ -382,11 +357,9 @@ def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path)
         (GREEN + "\0", "line 5"),
         ("lane;begin\n10;x\n", "lacks the columns green_begin"),
         (GREEN.replace("\n10;", "\n11;", 1), "line 2: lane '11' is none"),
-        ("\n\n" + GREEN.replace("\n10;", "\n11;", 1), "line 4: lane '11' is none"),
         ('"";"";""\nsep=;\n' + GREEN.replace("\n10;", "\n11;", 1), "line 4: lane '11' is none"),
         (GREEN.replace("23:01:20", "noon"), "line 4: green_begin is '2023-11-14 noon'"),
         (GREEN.replace("23:00:30", "23:00:41"), "ends before it begins, or after the next"),
-        (GREEN.replace("23:00:30", "23:00:09"), "ends before it begins"),
         (
             GREEN.replace("23:01:20", "23:00:40.3") + "10;2023-11-14 23:00:40.6\n",
             "two greens begin within a second",

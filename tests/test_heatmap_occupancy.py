@@ -1,11 +1,9 @@
 """Occupancy in heat maps, against sets of steps counted one by one."""
 
 import json
-import re
 import sqlite3
 import tempfile
 import xml.etree.ElementTree as ET
-import zipfile
 from collections import defaultdict
 from contextlib import closing
 from dataclasses import replace
@@ -17,7 +15,6 @@ import pandas as pd
 import pyogrio
 import pytest
 import rasterio
-from click.testing import CliRunner
 from datasets import stepwise_dataset
 from driven import straight_tiles
 from hypothesis import given, settings
@@ -27,7 +24,6 @@ from PIL import Image
 from test_heatmap import FOLDERS, T0, lane_tiles
 
 import gis_radar as gr
-from gis_radar.cli import group
 from gis_radar.dataset import STEPS_PER_QUARTER
 from gis_radar.hdmap import lanes_of
 from gis_radar.products import MapLabels, make_heatmap, read_heatmap
@@ -187,6 +183,11 @@ def test_maps_of_further_columns_are_those_of_sets_of_steps(tmp_path, interval):
 
 def test_the_layer_by_interval_reads_as_made(written):
     heat, folder = written
+    again = read_heatmap(folder)
+    for i in [None, *range(len(heat.timeline)), slice(1, 3)]:
+        for one, other in zip(again.occupancy_shares(i), heat.occupancy_shares(i), strict=True):
+            np.testing.assert_array_equal(one, other)
+    assert again.figures() == heat.figures()
     read = pyogrio.read_dataframe(folder / "heatmap.gpkg", layer="by_interval")
     long = heat.long()
     assert read.geometry.geom_equals(long.geometry).all()
@@ -203,18 +204,6 @@ def test_plots_show_occupancy(written):
         text.get_text() for text in heat.plot(Figure().add_subplot()).get_legend().get_texts()
     ]
     assert labels[-3:] == ["0 %, no vehicle", "uncertain", "not visible"]
-
-
-def test_a_qgis_project_of_it_shows_occupancy(written, tmp_path):
-    gr.write_qgis_project(tmp_path / "site.qgz", heatmap=written[1])
-    with zipfile.ZipFile(tmp_path / "site.qgz") as archive:
-        text = archive.read("site.qgs").decode()
-    assert 'attr="occupancy"' in text
-    assert 'attr="hit_share"' not in text
-    assert "Occupancy by interval" in text
-    assert "Occupancy|share of time with a vehicle" in text
-    hits = re.findall(r'<alias [^>]*field="hit_share"[^>]*name="Hit share"', text)
-    assert text.count("Hit share") == len(hits) > 0  # the field beside it, no layer
 
 
 def test_maps_and_qgis_hatch_the_same_tiles(written):
@@ -275,15 +264,6 @@ def test_a_picture_names_site_zone_and_sources(tmp_path, written):
         MapLabels(timezone="Europe/Bayern")
 
 
-def test_it_is_read_back_equal(written):
-    heat, folder = written
-    read = read_heatmap(folder)
-    for i in [None, *range(len(heat.timeline)), slice(1, 3)]:
-        for one, other in zip(read.occupancy_shares(i), heat.occupancy_shares(i), strict=True):
-            np.testing.assert_array_equal(one, other)
-    assert read.figures() == heat.figures()
-
-
 def test_intervals_of_quarters_are_those_counted_step_by_step():
     """Tile counts and exact tables give the same numbers and the same errors."""
     tiles = lane_tiles(9)
@@ -299,15 +279,3 @@ def test_intervals_of_quarters_are_those_counted_step_by_step():
     np.testing.assert_allclose(
         coarse.occupancy_shares().occupancy_se, fine.occupancy_shares().occupancy_se, rtol=1e-6
     )
-
-
-def test_the_command_maps_a_dataset(tmp_path):
-    tiles = lane_tiles(9)
-    dataset, *_ = both_of(tiles)
-    words = ["heatmap", str(dataset.folder), "-o", str(tmp_path / "map"), "--interval", "1s"]
-    done = CliRunner().invoke(group, words, catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    heat = gr.read_heatmap(tmp_path / "map")
-    wanted = make_heatmap(dataset, interval="1s").occupancy_shares()
-    for one, other in zip(heat.occupancy_shares(), wanted, strict=True):
-        np.testing.assert_array_equal(one, other)

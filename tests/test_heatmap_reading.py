@@ -50,12 +50,6 @@ def compared(rows, expected):
             assert np.isnan([row.hit_s, row.hit_share]).all()
 
 
-def test_intervals_are_those_of_a_count(site):
-    rows = gr.make_heatmap(site.dataset, interval="5s").long()
-    assert len(rows) == 16 * 4
-    compared(rows, counted(site, 100))
-
-
 @pytest.mark.parametrize(("interval", "steps"), [("50ms", 1), ("2s", 40)])
 def test_a_series_of_chosen_tiles_and_times(site, interval, steps):
     begin, end = (pd.Timestamp((T0 + k) * 50, unit="ms", tz="UTC") for k in (90, 171))

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pyogrio
-import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "bench"))
 
@@ -26,12 +25,11 @@ QUARTER = 18_000  # steps
 FIRST = 35_258_040_000 // QUARTER * QUARTER
 
 
-@pytest.mark.parametrize("busy", [True, False])
-def test_a_tile_in_an_interval_takes_few_bytes(tmp_path, busy):
-    dataset = write_days(tmp_path / "day", tiles=3000, days=1, busy=busy)
+def test_a_tile_in_an_interval_takes_few_bytes(tmp_path):
+    dataset = write_days(tmp_path / "day", tiles=1000, days=1, busy=True)
     path = tmp_path / "heatmap.gpkg"
     write_package(gr.make_heatmap(dataset, interval="15min"), path, QUIET)
-    assert path.stat().st_size / (3000 * 96) < MOST_BYTES
+    assert path.stat().st_size / (1000 * 96) < MOST_BYTES
 
 
 def counted(tiles, intervals):
@@ -52,14 +50,13 @@ def counted(tiles, intervals):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("tiles", "intervals"), [(200, 500), (4300, 2)])
-def test_the_most_columns_and_thousands_of_tiles_read_as_made(tmp_path, tiles, intervals):
-    heat, path = counted(tiles, intervals), tmp_path / "heatmap.gpkg"
+def test_the_most_columns_read_as_made(tmp_path):
+    heat, path = counted(50, 500), tmp_path / "heatmap.gpkg"
     write_package(heat, path, QUIET)
     layer = pyogrio.list_layers(path)[0, 0]  # what programs open that are given none
     assert layer == "heatmap"
     read, wide = pyogrio.read_dataframe(path, layer=layer), heat.wide()
     assert list(read) == list(wide)
     names = [name for name in wide if name.startswith(("hit_2", "occ_2"))]
-    assert len(names) == 2 * intervals
+    assert len(names) == 2 * 500
     np.testing.assert_array_equal(read[names], wide[names])

@@ -9,9 +9,9 @@ from maps import Listener
 from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, tiles_of
 
 import gis_radar as gr
-from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError
+from gis_radar.base import CrsError, UsageError
 from gis_radar.hdmap import fingerprint
-from gis_radar.measures import Filters, hit_counter, pose_sights, standing_for
+from gis_radar.measures import Filters, standing_for
 from gis_radar.poses import PoseTrack, View
 from gis_radar.scans import SightTiles, find_sight
 
@@ -49,17 +49,6 @@ def test_tiles_seen_follow_the_view(tmp_path):
     assert runs["tile_id"].tolist() == expected
     assert set(steps_of(runs["begin"])) == {FIRST_STEP}
     assert set(steps_of(runs["end"])) == {FIRST_STEP + 3}  # valid for 100 ms
-
-
-def test_a_low_road_leaves_the_view_where_its_height_is_known(tmp_path):
-    """20 deg of elevation reach down 10 deg: 4.4 m below from 25 m on."""
-    path = recording(tmp_path / "r.parquet", [START], [[10.0, 0.0, -5.0]])
-    flat = pose(view=View(elevation_deg=20, max_range_m=100))
-    known = hits_of([path], [flat], crossing(370.0), tmp_path / "a").sights()
-    unknown = hits_of([path], [flat], crossing(np.nan), tmp_path / "b").sights()
-    centres = crossing().geometry.centroid.iloc[known["tile_id"]]
-    assert np.hypot(centres.x - EAST, centres.y - NORTH).min() > 4.4 / np.tan(np.radians(10.0))
-    assert len(unknown) > len(known) > 0
 
 
 def test_a_pose_that_moves_changes_view_and_place(tmp_path):
@@ -252,12 +241,6 @@ def test_doppler_and_cross_section(tmp_path, filters, kept):
     assert bool(found) is kept
 
 
-def test_clearance_needs_heights(tmp_path):
-    with pytest.raises(InputError, match="no road heights"):
-        hits_at(tmp_path / "a", 370.5, Filters(clearance=(0, 4)), tiles=crossing(np.nan))
-    assert not (tmp_path / "a" / "site").exists()
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -291,50 +274,6 @@ def test_a_fingerprint_knows_vertices_ids_and_crs():
     assert fingerprint(tiles.assign(height_m=1.0)) == fingerprint(tiles)
 
 
-def test_a_sensor_that_sees_nothing_is_warned_of(tmp_path):
-    path = recording(tmp_path / "r.parquet", [START], [[12.25, 0.0, -5.0]])
-    other = recording(tmp_path / "o.parquet", [START], [[13.25, 0.0, -5.0]])
-    far = pose(sensor="R2", easting=EAST + 5000)
-    notes = Listener()
-    both = hits_of([path, other], [pose(), far], crossing(), tmp_path / "both", reporter=notes)
-    assert any("R2" in line and "no tile" in line for _, line in notes.messages)
-    assert set(both.frames()["sensor"]) == {"R1", "R2"}
-    assert set(both.sights()["pose"].str[:2]) == {"R1"}
-    with pytest.raises(NoAnswerError, match="no tile lies in the view of R2"):
-        hits_of([path], [far], crossing(), tmp_path / "blind")
-    for height, words in ((330.0, "40 m under it"), (375.0, "5 m over it")):
-        placed = pose(sensor="R2", easting=EAST + 5000, height=height)
-        with pytest.raises(NoAnswerError) as caught:
-            hits_of([path], [placed], crossing().assign(height_m=370.0), tmp_path / "blind")
-        assert words in caught.value.hint
-    assert not (tmp_path / "blind").exists()
-
-
-def test_files_of_poses_and_one_alone_are_taken(tmp_path):
-    path = recording(tmp_path / "r.parquet", [START], [[12.25, 0.0, -5.0]])
-    pose().write(tmp_path / "R1.json")
-    ways = (path, tmp_path / "R1.json"), ([path], [str(tmp_path / "R1.json")]), ([path], [pose()])
-    made = [
-        gr.measure(*way, crossing(), None, tmp_path / str(k), hits_only=True, check=False)
-        for k, way in enumerate(ways)
-    ]
-    assert len({each.hits()["tile_id"].sum() for each in made}) == 1
-    assert repr(gr.open_recording(path)) == f"Recording({str(path)!r}, 1 rows)"
-
-
-def test_views_that_are_near_are_shared_and_filters_stand_in_the_manifest(tmp_path, monkeypatch):
-    time = START + 0.05 * np.arange(3)
-    track = PoseTrack(poses=tuple(pose(easting=EAST + 0.3 * k) for k in range(3)), since=time)
-    path = recording(tmp_path / "t.parquet", time, [[12.25, 0.0, -5.0]] * 3, range_rate=0.4)
-    monkeypatch.setattr(pose_sights, "VIEW_SHARED_M", 5.0)
-    monkeypatch.setattr(hit_counter, "MOVING_MPS", 0.3)
-    ds = hits_of([path], [track], crossing(), tmp_path / "site")
-    assert ds.frames()["pose"].nunique() == 1
-    assert ds.frames()["moving"].tolist() == [1, 1, 1]
-    assert ds.manifest.settings.keys() == {"sight", "filters", "vehicles"}
-    assert ds.manifest.settings["filters"]["levels_apart_m"] == 2.5
-
-
 def test_a_view_far_beyond_the_detections_is_warned_of(tmp_path):
     path = recording(tmp_path / "r.parquet", [START] * 3, [[10.0, 0.0, -5.0]] * 3)
     for reach, lines in ((100.0, 1), (12.0, 0)):
@@ -344,22 +283,3 @@ def test_a_view_far_beyond_the_detections_is_warned_of(tmp_path):
         levels = [level for level, _ in notes.messages]
         assert levels == ["info", *["warning"] * lines]  # sight: view only
         assert ds.recordings()["rows"].tolist() == [3]
-
-
-def test_recordings_of_a_sensor_that_overlap_are_named_and_count_once(tmp_path):
-    times = START + 0.05 * np.arange(60)
-    points = [[10.0, 0.0, -5.0]] * 60
-    whole = recording(tmp_path / "whole.parquet", times, points)
-    first = recording(tmp_path / "first.parquet", times[:40], points[:40])
-    second = recording(tmp_path / "second.parquet", times[20:], points[20:])
-    after = recording(tmp_path / "after.parquet", times[40:], points[40:])
-    near = replace(pose(), view=View(max_range_m=12.0, elevation_deg=90.0))
-    found, warned = [], []
-    for name, paths in (("a", [whole]), ("b", [second, first]), ("c", [first, after])):
-        notes = Listener()
-        poses = [near] * len(paths)
-        found.append(hits_of(paths, poses, crossing(), tmp_path / name, reporter=notes))
-        warned.append([text for level, text in notes.messages if level == "warning"])
-    told = "R1: first.parquet and second.parquet overlap in time: what both hold counts once"
-    assert warned == [[], [told], []]
-    assert pairs_of(found[0]) == pairs_of(found[1]) == pairs_of(found[2]) != []

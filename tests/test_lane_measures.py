@@ -177,22 +177,6 @@ def test_in_minus_out_is_the_change_inside(cars):
         assert inside == between
 
 
-def test_occupied_time_is_length_times_time():
-    """The sum of occupied time x tile length is that of vehicle length x time."""
-    grid = StepGrid(begin=BEGIN, steps=QUARTER, count=1)
-    metres = np.arange(8.0, 50.0, 2.0)  # 10 m/s, wholly on the approach
-    _, counts = seen_all(grid)
-    front = 8.0 + 0.5 * np.arange(4 * (len(metres) - 1) + 1)
-    middles = 0.25 + 0.5 * np.arange(120)
-    on = (middles <= front[:, None]) & (middles > front[:, None] - 4.5)
-    occupied = np.zeros(len(TILES))
-    occupied[:120] = on.sum(axis=0)
-    counts = TileSteps(**{**vars(counts), "occupied": occupied})
-    lanes, _ = measured([(STRAIGHT, BEGIN, metres)], grid, counts=counts)
-    row = lanes.loc[(APPROACH, 0)]
-    assert row["occupancy"] / (row["density"] / 1000.0) == pytest.approx(4.5)
-
-
 def test_what_is_not_visible_is_null_and_never_0():
     cars = [(STRAIGHT, BEGIN, np.arange(50.0, 90.0, 2.0))]
     lanes, turns = measured(cars, GRID, share=0.0)
@@ -255,16 +239,6 @@ def queue(fronts, still=30):
     return [(STRAIGHT, BEGIN, front + np.concatenate([came, np.zeros(still)])) for front in fronts]
 
 
-def test_a_queue_reaches_back_to_the_first_large_gap():
-    lanes, _ = measured(queue([59.0, 51.0, 38.0, 20.0]), GRID)  # gaps of 1, 3.5, 8.5 and 13.5 m
-    row = lanes.loc[(APPROACH, 0)]
-    assert row["queue_max_m"] == pytest.approx(60.0 - 38.0 + 4.5)
-    assert row["stops"] == 4.0
-    assert lanes.loc[(APPROACH, 1), "queue_max_m"] == 0.0
-    assert np.isnan(lanes.loc[(STRAIGHT, 0), "queue_max_m"])  # has no stop line
-    assert 0.0 < row["queue_mean_m"] < row["queue_max_m"]
-
-
 @pytest.mark.parametrize(("hidden", "back_m"), [((21.0, 33.0), 44.5), ((30.0, 33.0), 26.5)])
 def test_a_queue_goes_on_over_road_that_is_not_visible(hidden, back_m):
     """Of a gap of 13.5 m, from 20 to 33.5 m along the lane, 1.5 m are visible, or 10.5 m."""
@@ -286,16 +260,6 @@ def test_sight_ends_at_the_farthest_tile_in_sight():
     assert sight_m[at[0]] == pytest.approx(60.0 - 20.0)
     assert np.isnan(sight_m[at[1]])  # without a stop line
     assert NETWORK.sight_m(np.zeros(0, np.int64))[at[0]] == 0.0
-
-
-def test_a_lorry_beside_a_car_does_not_cut_the_queue():
-    """Lanes merge before the line: a lorry beside a car, and a car 9 m behind the lorry."""
-    cars = queue([59.0, 58.0, 34.0])
-    runs, counts = seen_all(GRID)
-    known = vars(vehicles_of(cars)) | {"length_m": np.array([16.0, 4.5, 4.5])}
-    found = measure_lanes(NETWORK, GRID, states_of(cars), VehicleTable(**known), runs, counts)
-    at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((APPROACH, 0))
-    assert found.lanes["queue_max_m"][at] == pytest.approx(60.0 - 34.0 + 4.5)
 
 
 def merge():
@@ -336,12 +300,6 @@ def test_queues_beyond_a_merge_are_each_lane_s_own(on_one, on_two, hidden, back_
     found = measure_lanes(network, GRID, states, vehicles_of(places), part, counts)
     at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((3, 0))
     assert found.lanes["queue_max_m"][at] == pytest.approx(back_m)
-
-
-def test_who_stands_far_from_the_line_is_no_queue():
-    lanes, _ = measured(queue([45.0]), GRID)
-    assert lanes.loc[(APPROACH, 0), "queue_max_m"] == 0.0
-    assert lanes.loc[(APPROACH, 0), "stops"] == 1.0
 
 
 def brute_back(cars, step):

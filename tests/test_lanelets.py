@@ -72,7 +72,6 @@ def test_bounds_of_several_ways_are_joined_in_any_order(tmp_path):
         ({"subtype": "road"}, "road", ("bicycle", "vehicle"), True),
         ({}, "road", ("vehicle",), True),
         ({"subtype": "road", "one_way": "no"}, "road", ("bicycle", "vehicle"), False),
-        ({"subtype": "road", "one_way": "0"}, "road", ("bicycle", "vehicle"), False),
         ({"subtype": "crosswalk"}, "crosswalk", ("pedestrian",), False),
         ({"subtype": "crosswalk", "one_way": "true"}, "crosswalk", ("pedestrian",), True),
         ({"subtype": "walkway"}, "walkway", ("pedestrian",), False),
@@ -161,14 +160,6 @@ def test_regulatory_elements_are_listed_with_their_members(tmp_path):
     kinds = [shape and shape.geom_type for shape in table.geometry]
     assert kinds == ["LineString", None, "Point", None, "LineString"]
     np.testing.assert_allclose(metres(table.geometry[0]), [[19, 0], [19, 3]], atol=1e-4)
-
-
-def test_areas_and_doubled_ids_are_counted(tmp_path):
-    extra = '<relation id="70"><tag k="type" v="multipolygon"/></relation>'
-    extra += '<relation id="1000"><tag k="type" v="lanelet"/></relation>'
-    road = read_map(write_road(tmp_path / "a.osm", extra=extra))
-    assert road.remarks == ("areas skipped: 1", "elements skipped whose id had been used before: 1")
-    assert len(road.lanelets) == 2
 
 
 DEFECTS = {

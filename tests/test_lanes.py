@@ -32,10 +32,6 @@ def by_the_rule(roads):
     return {ref: min(lane) for ref, lane in lane_of.items()}
 
 
-def test_the_number_of_a_lane_is_its_smallest_lanelet(junction):
-    numbered_by_the_rule(junction)
-
-
 @needs_shared_maps
 @pytest.mark.parametrize("name", ["carla_Town03", "kashiwanoha"])
 def test_the_number_of_a_lane_in_real_maps(name):
@@ -159,10 +155,6 @@ def test_a_stop_line_that_nothing_names_ends_the_lane_before_it_only(tmp_path):
     assert stops["lane_m"].to_numpy() == pytest.approx([20.0], abs=0.01)
 
 
-def test_the_map_names_streets_by_its_tags(tmp_path):
-    assert two_lanes(tmp_path, road_name="Am Markt").lanes()["street"].tolist() == ["Am Markt"] * 2
-
-
 # Names of streets.
 
 
@@ -231,23 +223,6 @@ def test_two_streets_of_one_name_are_told(tmp_path):
         "no lanelet of the map follows another: each is a lane of its own, without turns",
         "streets: 2 streets are called Ring; their lanes differ by number",
     ]
-
-
-def test_two_streets_of_one_name_in_the_map_are_told_too(tmp_path):
-    lanes, warned = told(two_lanes(tmp_path, apart_m=2000.0, road_name="Ring"))
-    assert sorted(lanes["street_part"]) == ["east", "west"]
-    assert warned[1:] == ["2 streets are called Ring; their lanes differ by number"]
-
-
-def test_a_street_whose_middle_has_no_lanes_is_one(tmp_path):
-    roads = two_lanes(tmp_path, apart_m=2000.0)
-    first, last = (shapely.get_coordinates(each)[:, :2] for each in roads.lanelets["centre"])
-    whole = shapely.LineString(np.concatenate([first, last]))
-    streets = gpd.GeoDataFrame({"name": ["Ring"]}, geometry=[whole], crs=roads.crs)
-    lanes, warned = told(roads, streets=streets)
-    assert lanes["street"].tolist() == ["Ring", "Ring"]
-    assert lanes["street_part"].isna().all()
-    assert len(warned) == 1
 
 
 def test_three_streets_in_a_row_are_told_apart_by_numbers():

@@ -49,13 +49,6 @@ def test_each_text_has_its_german_and_no_german_is_left_of_old_ones():
     assert tool.unused(set(german)) == []
 
 
-def test_a_text_that_a_constant_carries_to_a_user_is_asked():
-    carried = {text for _, text in tool.carried()}
-    assert "each lane in each interval" in carried  # through a list, a call and a loop
-    assert carried <= set(tool.asked())
-    assert "Cannot allocate memory" not in carried  # of a library
-
-
 def test_no_text_is_finished_where_a_user_is_told_it():
     finished = [f"{where}: {text}" for where, text in tool.told() if text[:2] in {"f'", 'f"'}]
     assert [each for each in finished if re.search("[A-Za-z]{2} ", each.partition(": ")[2])] == []
@@ -67,18 +60,6 @@ def test_the_catalogue_is_as_the_tool_writes_it():
     assert tool.read() == catalogue("de")
     tool.write(tool.read())
     assert tool.GERMAN.read_text(encoding="utf-8") == before
-
-
-def test_the_tool_names_what_lacks_german(monkeypatch, tmp_path, capsys):
-    known = tool.read()
-    del known["{}: no such file"]
-    monkeypatch.setattr(tool, "GERMAN", tmp_path / "gis_radar.po")
-    tool.write({**known, "of a text that is gone": "von einem Text, den es nicht mehr gibt"})
-    tool.main()
-    told = capsys.readouterr().out
-    assert ".py: {}: no such file\n" in told
-    assert "1 are gone" in told
-    assert tool.read() == {**known, "{}: no such file": ""}
 
 
 def test_holes_of_a_translation_are_those_of_its_text():
@@ -272,20 +253,6 @@ def test_german_numbers_and_days():
 )  # fmt: skip
 def test_durations(seconds, text):
     assert seconds_text(seconds).replace("\u202f", " ") == text
-
-
-def test_one_german_word_for_each_word_of_the_data():
-    """A frame is a Messzyklus, a detection a Detektion; Messung is neither, nor a recording."""
-    told = catalogue("de")
-    others = re.compile(r"(sensor|map) frame|^frames: ")  # of coordinates; a file
-    wrong = [
-        (text, german) for text, german in told.items()
-        if (re.search(r"\bframes?\b", others.sub("", text), re.IGNORECASE)
-            and "Messzykl" not in german)
-        or (re.search(r"\bdetections?\b", text) and "etektion" not in german)
-        or re.search(r"\b[Mm]essung", german)
-    ]  # fmt: skip
-    assert wrong == []
 
 
 def test_the_terminal_shows_figures_in_german():

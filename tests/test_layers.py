@@ -228,33 +228,6 @@ def test_names_are_taken_by_import_and_from_a_room():
     assert taken == {("scans", "Scan"), ("poses", "Pose")}
 
 
-def test_an_import_past_the_front_is_found():
-    text = "from gis_radar.poses.pose import Pose\nfrom gis_radar.poses import Pose as Other\n"
-    assert list(past_the_front(text, {"poses": {"Pose"}})) == ["1: ['Pose'] of poses"]
-    assert list(past_the_front(text, {"poses": {"View"}})) == []
-    assert list(past_the_front(text, room="scans")) == ["1: ['Pose'] of poses"]
-    assert list(past_the_front(text, room="poses")) == []
-
-
-def test_the_reader_sees_every_kind_of_import(tmp_path):
-    package = tmp_path / "gis_radar"
-    (package / "heatmap").mkdir(parents=True)
-    (package / "__init__.py").write_text("from gis_radar.errors import A\n")
-    (package / "errors.py").write_text("def f():\n    import gis_radar.heatmap.style\n")
-    (package / "heatmap" / "__init__.py").write_text("")
-    (package / "heatmap" / "style.py").write_text("from gis_radar import errors, version\n")
-    assert read_imports(package) == {
-        "gis_radar": {"errors"},
-        "errors": {"heatmap.style"},
-        "heatmap": set(),
-        "heatmap.style": {"errors", "gis_radar"},
-    }
-    assert against_the_order(read_imports(package), ["errors", "heatmap", "gis_radar"]) == [
-        "errors imports heatmap.style",
-        "heatmap.style imports gis_radar",
-    ]
-
-
 # Public in spite of the underscore: of Jupyter, of named tuples, of the module `os`.
 PUBLIC = {"_repr_html_", "_asdict", "_exit"}
 OF_US = re.compile(r"\b(import|from) gis_radar\b")  # in code that a test runs in another process
@@ -332,28 +305,3 @@ def test_tests_use_public_names():
         for line in past_the_public(path.read_text(encoding="utf-8"))
     ]
     assert found == []
-
-
-SEEN = """
-from PACKAGE.live.jobs import HourJobs, _begin
-from PACKAGE._hidden import shown
-class Own(Base):
-    def _make(self):
-        self._made = self._make()
-        return self._missing, other._made, self._asdict(), self.__dict__
-class Jobs(HourJobs):
-    def _submit(self):
-        self._running = super()._submit()
-monkeypatch.setattr(files, "_LEAST", 0)
-monkeypatch.setattr("PACKAGE.files._LEAST", 0)
-monkeypatch.setattr("_thread.start", None)
-code = "import PACKAGE as gr; gr._version"
-"""
-
-
-def test_the_reader_sees_every_kind_of_private_access():
-    assert sorted(past_the_public(SEEN.replace("PACKAGE", "gis_radar"))) == [
-        "10: _running", "10: _submit", "11: _LEAST", "12: _LEAST", "14: code: 1: _version",
-        "2: _begin", "3: _hidden", "7: _made", "7: _missing", "8: Jobs._running",
-        "8: Jobs._submit",
-    ]  # fmt: skip

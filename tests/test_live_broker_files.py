@@ -8,13 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from live_programs import Lines
-from live_site import LONGEST_S, LiveSite, needs_mosquitto, wait_for
+from live_site import LiveSite, needs_mosquitto
 
-from gis_radar.base import QUIET, InputError
+from gis_radar.base import InputError
 from gis_radar.live import (
-    BrokerAddress,
-    Link,
     read_edge_file,
     read_live_site,
     write_broker_files,
@@ -80,32 +77,6 @@ def test_mosquitto_says_nothing_against_its_configuration(site):
     said = site.broker.config.with_suffix(".log").read_text()
     assert "Error" not in said
     assert "Warning" not in said.replace("Warning: Mosquitto should not be run as root", "")
-
-
-def linked(site, user, *topics, reporter=QUIET):
-    """Log in at the broker as one of its users."""
-    known = BrokerAddress.of(site.address, user=user, password=site.password(user))
-    link = Link(known, name=user, topics=topics, reporter=reporter)
-    link.open()
-    wait_for(lambda: link.connected)
-    return link
-
-
-@needs_mosquitto
-def test_a_sensor_publishes_in_its_own_name_only(site):
-    site.broker.start()
-    said = Lines()
-    fusion = linked(site, "fusion", "v1/junction/+/detections")
-    sensor = linked(site, "R1", reporter=said)
-    try:
-        for name in ("R2", "R1"):
-            sensor.publish(f"v1/junction/{name}/detections", b"frames")
-        assert fusion.take(LONGEST_S).topic == "v1/junction/R1/detections"
-        wait_for(lambda: said.told("the broker does not take a message"))
-    finally:
-        for link in (fusion, sensor):
-            link.close()
-        site.broker.kill()
 
 
 def test_two_sensors_of_one_folder_have_a_buffer_each(site):

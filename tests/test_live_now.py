@@ -1,8 +1,10 @@
 """The vehicles of now: where the batch has them, by a process that may be killed."""
 
 import itertools
+import json
 import multiprocessing
 import time
+import urllib.request
 
 import geopandas as gpd
 import numpy as np
@@ -10,7 +12,7 @@ import pandas as pd
 import pytest
 from live_hours import SAMPLE, selected_frames
 from live_programs import Lines
-from live_site import Background, LiveSite, needs_mosquitto, wait_for
+from live_site import Background, LiveSite, free_port, is_open, needs_mosquitto, wait_for
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_SECOND
@@ -137,11 +139,17 @@ def test_what_the_process_leaves_out_is_counted(graph):
     vehicles.close()
 
 
+def asked(page, path):
+    with urllib.request.urlopen(f"http://{page}/{path}") as answer:
+        return json.load(answer)
+
+
 @needs_mosquitto
 def test_a_live_site_shows_vehicles_and_measures_the_hour(tmp_path, once):
-    """At the times of now: map and vehicles on the way, the recordings at the end."""
+    """At the times of now: map, page and vehicles on the way, the recordings at the end."""
+    page = f"127.0.0.1:{free_port()}"
     site = LiveSite(tmp_path, once, recordings=SAMPLE, vehicles="true",
-                    of_live='every = "1s"')  # fmt: skip
+                    of_live=f'every = "1s"\n[live.page]\naddress = "{page}"')  # fmt: skip
     site.broker.start()
     fusion = Fusion(read_live_site(site.file))
     middle = Background(fusion.run)
@@ -155,11 +163,18 @@ def test_a_live_site_shows_vehicles_and_measures_the_hour(tmp_path, once):
         assert abs(fusion.state().step / STEPS_PER_SECOND - time.time()) < 2.0
         assert "gis_radar_vehicles_now" in fusion.metrics()
         assert all(not each.health.alarms.keys() - {"clock"} for each in fusion.sensors.values())
+        state = asked(page, "state.json")
+        assert [state["sensors"][name]["online"] for name in NAMES] == [True, True]
+        assert state["sensors"]["R1"]["at"] == pytest.approx((11.561, 48.150), abs=0.002)
+        assert {state["classes"][str(tile)] for tile in state["hit"]} <= set(range(1, 9))
+        lanes = asked(page, "ogc/collections/intervals/items")["features"]
+        assert any(each["properties"]["hit_s"] > 0 for each in lanes)
     finally:
         for each in work:
             each.end()
         middle.end()
         site.broker.kill()
+    assert not is_open(int(page.rpartition(":")[2]))
     layer = gpd.read_file(site.folder / "live" / "now.gpkg", layer="vehicles")
     assert {"vehicle", "speed", "heading"} <= {*layer.columns}
     parts = list((site.folder / "live" / "parts").glob("R?/*.parquet"))

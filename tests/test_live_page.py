@@ -25,31 +25,24 @@ from live_replay import Replay
 from live_site import (
     LONGEST_S,
     OF_THE_SAMPLE,
-    Background,
     LiveSite,
     free_port,
-    is_open,
-    needs_mosquitto,
     wait_for,
 )
 from PIL import Image
 from pydantic import ValidationError
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
-from starlette.requests import Request
 
 from gis_radar.base import InputError, OutputError, Text, step_begin
 from gis_radar.live import (
-    Edge,
     Fusion,
     Snapshot,
     WebServer,
     make_app,
-    read_edge_file,
     read_live_site,
 )
 from gis_radar.live.hours.quarters import TRAFFIC
-from gis_radar.live.served.features import refusal as refused
 from gis_radar.live.served.page import HIT, VEHICLE, difference, page_server, whole_event
 from gis_radar.live.served.snapshot import NOT_OBSERVED
 from gis_radar.products.heatmap import style
@@ -262,28 +255,6 @@ def test_refusals_of_the_service_are_json(address, path):
     caught.value.close()
 
 
-def test_whom_the_service_does_not_know_it_refuses_in_json(live):
-    with served(live, token="s3cret") as address:  # noqa: S106 - of this test only
-        for method, code in (("GET", 401), ("POST", 405)):
-            asked = urllib.request.Request(f"{address}/ogc", method=method)  # noqa: S310
-            with pytest.raises(urllib.error.HTTPError) as caught:
-                urllib.request.urlopen(asked)  # noqa: S310
-            assert json.load(caught.value)["code"] == str(code)
-            assert caught.value.headers.get("www-authenticate") == {401: "Bearer"}.get(code)
-            caught.value.close()
-
-
-@pytest.mark.parametrize(
-    ("path", "kind"),
-    [("/ogc", "json"), ("/ogc/x", "json"), ("/ogcx", "plain"), ("", "plain"), ("*", "plain")],
-)
-def test_an_address_without_a_path_is_refused_too(path, kind):
-    scope = {"type": "http", "method": "POST", "scheme": "http", "server": ("here", 80),
-             "path": path, "query_string": b"", "headers": [(b"host", b"here")]}  # fmt: skip
-    media = refused(Request(scope), 405, "for reading only").media_type
-    assert str(media).endswith(kind)
-
-
 def test_only_who_has_the_token_reads(live):
     with served(live, token="s3cret") as address:  # noqa: S106 - of this test only
         for path in ("/", "/events", "/state.json", "/ogc", "/metrics", "/web/page.js"):
@@ -458,11 +429,6 @@ def test_zoomed_out_the_map_and_its_legend_are_of_lanes(live, address, chromium)
     assert "jetzt nicht getroffen" not in told
 
 
-def test_the_legend_asks_nothing_of_browsers_that_some_lack():
-    """Firefox ESR 115 knows no :has."""
-    assert ":has(" not in (VENDOR.parents[1] / "page.css").read_text(encoding="utf-8")
-
-
 def test_a_little_traffic_does_not_read_as_none(live):
     snapshot = live.snapshot()
     snapshot.lately.lanes["occupancy"] = 0.0003
@@ -559,36 +525,6 @@ def test_what_is_not_observed_has_no_share(live):
     assert {event["classes"][tile] for tile in unseen} == {NOT_OBSERVED}
     share = live.snapshot().by_lane(live.place)
     assert [each is None for each in event["lanes"].values()] == [math.isnan(x) for x in share]
-
-
-@needs_mosquitto
-def test_the_page_shows_what_a_sensor_sends_now(tmp_path, once):
-    site = LiveSite(tmp_path, once)
-    port = free_port()
-    table = f'lateness = "2s"\n[live.page]\naddress = "127.0.0.1:{port}"\n[[sensor]]'
-    site.file.write_text(site.file.read_text().replace("[[sensor]]", table, 1))
-    site.broker.start()
-    fusion = Fusion(read_live_site(site.file))
-    middle = Background(fusion.run)
-    try:
-        edge = Edge(read_edge_file(site.edge("R1", source='speed = 1.0\nloop = "100s"')))
-        sensor = Background(edge.run)
-        wait_for(lambda: is_open(port))
-        address = f"http://127.0.0.1:{port}"
-        wait_for(lambda: len(events(address, 1)[0]["hit"]))  # numba may compile
-        state = get_json(f"{address}/state.json")
-        assert state["sensors"]["R1"]["online"]
-        assert not state["sensors"]["R2"]["online"]
-        assert state["sensors"]["R1"]["at"] == pytest.approx((11.561, 48.150), abs=0.002)
-        assert {state["classes"][str(tile)] for tile in state["hit"]} <= set(range(1, 9))
-        lanes = get_json(f"{address}/ogc/collections/intervals/items")["features"]
-        assert any(each["properties"]["hit_s"] > 0 for each in lanes)
-        assert 'gis_radar_frames_total{sensor="R1"}' in get(f"{address}/metrics")[0]
-        sensor.end()
-    finally:
-        middle.end()
-        site.broker.kill()
-    assert not is_open(port)
 
 
 def test_an_address_that_is_taken_is_one_line(tmp_path, once, live):

@@ -44,7 +44,6 @@ from gis_radar.live.wire.broker import parts_of
 from gis_radar.live.wire.buffer import FullError
 from gis_radar.live.wire.detections import FARTHEST, UNKNOWN_Z
 from gis_radar.live.wire.payload import VersionError
-from gis_radar.live.wire.settings import BufferTable
 from gis_radar.live.wire.sources import Replay
 from gis_radar.measures import NO_FURTHER
 from gis_radar.recordings import Detections
@@ -53,7 +52,6 @@ from gis_radar.site import PageTable
 
 PRINT = "00112233445566778899aabbccddeeff"
 KEY = b"pose"
-ROW_BYTES = 24  # overhead of SQLite for a message
 NUMBERS = st.integers(1, 2**60)
 
 
@@ -166,17 +164,6 @@ def test_messages_are_as_small_as_stated():
     sizes = [len(pack_message(envelope, pack_detections([each], pose=KEY))) for each in frames]
     assert np.percentile(sizes, 99) < 600
     assert np.mean(sizes) * 20 * 8 < 60_000  # bits a second
-
-
-def test_a_day_fits_in_the_default_buffer(tmp_path):
-    content = bytes(range(256)) + bytes(100)
-    with DiskBuffer(tmp_path / "b", most_bytes=10**8, fingerprint=PRINT) as buffer:
-        before = buffer.bytes_used
-        for _ in range(3_000):
-            buffer.append(content)
-        each = (buffer.bytes_used - before) / 3_000
-    assert each - len(content) < ROW_BYTES
-    assert BufferTable().megabytes * 1e6 / (each * 20 * 3600.0) > 24
 
 
 def test_only_what_is_acknowledged_leaves_the_buffer(tmp_path):
@@ -302,17 +289,6 @@ def test_a_clock_that_is_set_back_begins_the_map_anew():
     assert len(recent.quarters()) == 1
 
 
-def test_cumulative_counts_begin_anew_with_the_interval():
-    current, counts = MapOfNow(3), RecentCounts(3, interval=10)
-    current.holds_s["R1"] = 0.1
-    for step in range(5, 15):
-        frames = {"R1": seen(0, in_sight=[0, 1])} if step in {6, 9, 13} else {}
-        state = current.take(step, frames)
-        counts.take(step, state.hit, state.observed)
-    # a frame is valid in its own step and two more, on tiles that are seen: none is in step 12
-    assert [each.tolist() for each in counts.since_begin()] == [[4, 0, 0], [4, 4, 0]]
-
-
 def test_a_looping_replay_is_at_the_same_place_whenever_it_began(monkeypatch):
     now = [1_800_000_000.0]
     monkeypatch.setattr("gis_radar.live.wire.sources.time.time", lambda: now[0])
@@ -377,15 +353,6 @@ def test_a_user_in_the_address_of_a_broker_is_refused_and_the_password_not_repea
 def test_topics():
     assert parts_of("v1/junction/R1/status") == ("R1", "status")
     assert parts_of("v2/junction/R1/status") == parts_of("$SYS/broker") == ("", "")
-
-
-def test_a_state_that_was_given_does_not_change():
-    current = MapOfNow(3)
-    current.take(1, {"R1": seen(0, in_sight=[0, 1])})
-    before = current.state()
-    kept = before.hit.copy()
-    current.take(2, {"R1": seen(1, in_sight=[0, 1])})
-    assert (before.hit == kept).all()
 
 
 def test_alarms_keep_their_last_words_and_end():

@@ -315,9 +315,3 @@ def test_frames_keep_their_pose_however_many_poses_come_before_the_disk(tmp_path
     fed.commit()
     kinds = [each.kind for each in fed.spooled()]
     assert (kinds.count(FRAMES), kinds.count(POSE)) == (100, 100)
-
-
-def test_a_file_of_the_spool_without_a_byte_holds_nothing(tmp_path):
-    path = tmp_path / "00000001.spool"
-    path.touch()
-    assert list(SpoolFile(path).records()) == []

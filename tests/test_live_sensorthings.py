@@ -260,24 +260,6 @@ def test_the_traffic_of_each_quarter_arrives_once_with_its_errors(server, place,
     assert {"visible_share": 0.9} in beside
 
 
-def test_quarters_that_are_read_again_are_neither_sent_nor_waiting_twice(server, place, tmp_path):
-    """After a new start the newest may come first; without its file the server is asked."""
-    day = [quarter_of(place, BEGIN + 6000 - 1 + 18_000 * k) for k in range(4)]
-    push = push_of(server, place, tmp_path, interval="1min")
-    push.take_traffic(day)
-    until_sent(push)
-    sent = server.results()
-    for kept in (True, False):
-        if not kept:
-            (tmp_path / "waiting.json").unlink()
-        again = push_of(server, place, tmp_path, interval="1min")
-        for quarters in (day[-1:], day):
-            again.take_traffic(quarters)
-            assert (again.waiting == 0) is kept
-            until_sent(again)
-    assert server.results() == sent
-
-
 def test_a_server_that_fails_gets_all_of_it_later_and_nothing_twice(server, place, tmp_path):
     said = Lines()
     server.fails, server.drops = 2, 1
@@ -409,13 +391,6 @@ def test_what_is_counted_again_arrives_once(server, place, tmp_path):
     assert again.waiting == lanes
     until_sent(again)
     assert len({each[:2] for each in server.results()}) == len(server.results()) == 4 * lanes
-
-
-def test_what_waits_and_is_counted_again_waits_once(server, place, tmp_path):
-    count(push_of(server, place, tmp_path, interval="1min"), place, BEGIN, 1201)  # and killed
-    again = push_of(server, place, tmp_path, interval="1min")
-    count(again, place, BEGIN, 1201)
-    assert again.waiting == len(place.lane_numbers)
 
 
 @pytest.mark.parametrize("code", [301, 302, 303, 307, 308])

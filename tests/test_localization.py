@@ -56,22 +56,20 @@ def test_a_pose_is_found_from_a_rough_guess(scene, answer):
     assert found.pose.sensor == "R1"
 
 
-@pytest.mark.parametrize("yaw", [-175.0, 95.0])  # the scene has -38, moved 35
-def test_the_search_covers_all_headings(tmp_path, yaw):
-    street = Street(turn_deg=yaw + 38.0)
+def test_the_search_covers_all_headings(tmp_path):
+    street = Street(turn_deg=38.0 - 175.0)  # the scene has -38, moved 35
     pose = street.pose()
     street.record(tmp_path / "R1.parquet", pose)
     found = find(street, tmp_path / "R1.parquet", near(pose, -6.0, 5.0))
     assert (np.abs(errors(found.pose, pose)) < CLOSE).all(), errors(found.pose, pose)
 
 
-@pytest.mark.parametrize("along_m", [-10.0, 10.0])
-def test_round_an_even_bend_a_pose_is_open_and_neither_refused_nor_sure(tmp_path, along_m):
+def test_round_an_even_bend_a_pose_is_open_and_neither_refused_nor_sure(tmp_path):
     """All poses on a circle explain the traffic: they are one answer, near the guess."""
     street = Street(lanes=STRAIGHT, radius_m=80.0, slope=(0.0, 0.0))
     pose = street.pose()
     street.record(tmp_path / "R1.parquet", pose)
-    guess = street.placed([(-14.0 + along_m, 11.0)])[0]
+    guess = street.placed([(-24.0, 11.0)])[0]
     told = Listener()
     found = find(street, tmp_path / "R1.parquet", guess, reporter=told)
     assert not found.observable

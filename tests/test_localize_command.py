@@ -14,7 +14,6 @@ from gis_radar.base import yaw_from_compass
 from gis_radar.calibration.single import localization as localizing
 from gis_radar.cli import group
 from gis_radar.poses import read_pose
-from gis_radar.scans import road_crs
 
 
 @pytest.fixture
@@ -146,8 +145,3 @@ def test_grid_north_is_not_true_north():
     east, north = 647_200.0, 5_396_000.0
     assert yaw_from_compass(90.0, UTM, east, north) == pytest.approx(convergence, abs=0.02)
     assert yaw_from_compass(270.0, UTM, 500_000.0, 5_400_000.0) == pytest.approx(180.0)
-
-
-def test_the_crs_of_a_scan_is_read(files):
-    _, folder = files
-    assert road_crs(folder / "road.laz") == UTM

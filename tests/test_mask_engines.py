@@ -6,16 +6,13 @@ from pathlib import Path
 
 import laspy
 import numpy as np
-import pytest
 from pyproj import CRS
 from scans import EAST, NORTH, UTM, box_roads, ground, hidden, write_points
 from scipy.spatial import cKDTree
 
 import gis_radar as gr
-from gis_radar.base import InputError, transformer
-from gis_radar.scans import engines as pipeline
+from gis_radar.base import transformer
 from gis_radar.scans.mask import relative_name
-from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 
 ROAD = (0.0, 0.0, 60.0, 8.0)
 AROUND = (-30.0, -30.0, 90.0, 38.0)
@@ -75,13 +72,6 @@ def test_engines_agree_over_tiles_with_heights(tmp_path, pdal):
     agree(own, other)
 
 
-def test_engines_on_a_scan_without_classes(tmp_path, pdal):
-    """Ground is chosen in two ways; on a plain road they hardly differ."""
-    path = write_points(tmp_path / "scan.laz", scene()[0])
-    own, other = both([path], box_roads(ROAD))
-    agree(own, other, cells=0.02, metres=0.05)
-
-
 def test_engines_agree_on_mixed_scans(tmp_path, pdal):
     points, category = scene()
     west = points[:, 0] < 30.0
@@ -136,23 +126,6 @@ def test_a_scan_in_another_system(tmp_path, pdal):
     agree(own, other)
 
 
-def test_a_cut_scan_is_refused_by_both(tmp_path, pdal):
-    path = write_points(tmp_path / "scan.laz", scene()[0])
-    cut = tmp_path / "cut.laz"
-    cut.write_bytes(path.read_bytes()[:-20_000])
-    for engine in ("laspy", "pdal"):
-        with pytest.raises(InputError, match=r"cut\.laz"):
-            gr.mask_road([cut], box_roads(ROAD), engine=engine)
-
-
-def test_pdal_finds_no_point_on_the_road(tmp_path, pdal):
-    points, _ = scene()
-    off_road = points[(points[:, 1] < -1.0) | (points[:, 1] > 9.0)]
-    path = write_points(tmp_path / "scan.laz", off_road, category=2)
-    with pytest.raises(InputError, match="do not overlap"):
-        gr.mask_road([path], box_roads(ROAD), engine="pdal")
-
-
 def test_the_stages_of_the_document(tmp_path):
     path = write_points(tmp_path / "scan.laz", scene()[0], category=2, crs=None)
     mask = gr.mask_road([path], box_roads(ROAD), engine="laspy", scan_crs="EPSG:25832")
@@ -182,8 +155,3 @@ def test_names_in_the_document_are_relative_where_they_can_be(tmp_path):
     assert relative_name(str(elsewhere), tmp_path) == str(
         elsewhere
     )  # nothing but the root in common
-
-
-def test_classes_that_pass():
-    assert pipeline.runs([2, 3, 4, 8, 11, 12]) == [(2, 4), (8, 8), (11, 12)]
-    assert not set(ROAD_CLASSES) & set(NEVER_CLASSES)

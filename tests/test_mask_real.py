@@ -106,11 +106,6 @@ def test_a_city_without_classes(ign_roads, ign_mask, tmp_path):
     assert np.percentile(off, 99) < 0.05
 
 
-@needs_ign
-def test_engines_agree_on_a_city(ign_roads, ign_mask, pdal):
-    agree(ign_mask, gr.mask_road(IGN, ign_roads, engine="pdal"))
-
-
 @needs_amsterdam
 def test_amsterdam_with_the_city_s_polygons(tmp_path):
     roads = read_roads(CITY, map_crs="EPSG:28992")

@@ -30,16 +30,3 @@ def is_command(node):
 def test_no_public_name_in_two_rooms():
     twice = {name: sorted(rooms) for name, rooms in public_names(PACKAGE).items() if len(rooms) > 1}
     assert not twice
-
-
-def test_the_reader_sees_names_in_two_rooms(tmp_path):
-    files = {
-        "tiles/tiles.py": "class Grid: ...\ndef _own(): ...\ndef tiles(): ...\n",
-        "tiles/more.py": "class Grid: ...\n",
-        "crs.py": "class Grid: ...\ndef _own(): ...\nif True:\n    def hidden(): ...\n",
-        "cli/commands.py": "@command()\ndef tiles(): ...\n@other\ndef crs(): ...\n",
-    }
-    for name, text in files.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    assert public_names(tmp_path) == {"Grid": {"tiles", "crs"}, "tiles": {"tiles"}, "crs": {"cli"}}

@@ -109,13 +109,6 @@ def test_a_broken_program_is_passed_over(no_pdal, tmp_path, monkeypatch, text, r
     assert remark in line
 
 
-def test_a_named_program_that_is_not_there(no_pdal, tmp_path, monkeypatch):
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "nowhere"))
-    notes = Listener()
-    assert find_pdal(reporter=notes) is None
-    assert "does not start: No such file" in notes.messages[0][1]
-
-
 @needs_sh
 def test_a_program_is_asked_once(no_pdal, tmp_path, monkeypatch):
     program = tmp_path / "pdal"
@@ -159,14 +152,6 @@ def test_a_lost_reprojection_is_an_error_though_pdal_ends_well(stand_in):
     runner = stand_in(f"echo '{line}' >&2")
     with pytest.raises(InputError, match=r"^PDAL: Cannot find coordinate operations"):
         runner.run({"pipeline": []})
-
-
-@needs_sh
-def test_other_remarks_of_pdal_are_handed_on(stand_in):
-    notes = Listener()
-    runner = stand_in("echo '(pdal pipeline readers.las Error) WKT flag not set' >&2")
-    runner.run({"pipeline": []}, reporter=notes)
-    assert notes.messages == [("warning", "PDAL: WKT flag not set")]
 
 
 @needs_sh
@@ -264,9 +249,3 @@ def test_pdal_cannot_write(pdal, tmp_path):
     make_scan(tmp_path / "a.las")
     with pytest.raises(OutputError, match=r"nowhere"):
         pdal.run(from_to(tmp_path / "a.las", tmp_path / "nowhere" / "b.las"))
-
-
-def test_pdal_refuses_a_wrong_stage(pdal, tmp_path):
-    make_scan(tmp_path / "a.las")
-    with pytest.raises(InputError, match=r"filters\.nothing"):
-        pdal.run(from_to(tmp_path / "a.las", tmp_path / "b.las", {"type": "filters.nothing"}))

@@ -192,17 +192,6 @@ def test_recordings_that_are_mixed_up_are_named_in_a_table(run, mixed_up):
     assert "accept = true in [[sensor]] R1" in events["error"]["hint"]
     parts = events["error"]["parts"]
     assert [part["hint"].partition(";")[0] for part in parts] == [line[3] for line in lines]
-    told = [
-        f"gis-radar: {name}: does not fit: recording and pose are mixed up: the recording fits the "
-        f"pose of {other} (" for name, other in (("R1", "R2"), ("R2", "R1"))
-    ]  # fmt: skip
-    lines = [
-        line for line in run("check", mixed_up / "SITE.toml")[2].splitlines() if line[:1] == "g"
-    ]
-    assert [line[: len(begin)] for line, begin in zip(lines, told, strict=True)] == told
-    assert lines[1].endswith(
-        "(give this recording with the pose of R1; or go on anyway: accept = true in [[sensor]] R2)"
-    )
 
 
 def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted(
@@ -210,19 +199,26 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
 ):
     for name, file in (("R1", "A"), ("R2", "B")):
         rows[name].to_parquet(mixed_up / f"{file}.parquet", index=False)
-    there = replace(POSES["R2"], yaw=POSES["R2"].yaw + 180.0)
-    there.write(mixed_up / "R2.json")
+    replace(POSES["R1"], northing=POSES["R1"].northing + 1.0).write(mixed_up / "R1.json")
+    replace(POSES["R2"], yaw=POSES["R2"].yaw + 180.0).write(mixed_up / "R2.json")
     site = mixed_up / "SITE.toml"
-    site.write_text(site.read_text().replace(f"{SAMPLE / 'R2'}.json", "R2.json"))
+    site.write_text(site.read_text().replace(f'pose = "{SAMPLE}/', 'pose = "'))
     with no_report():
-        code, _, err = run("run", site, "-o", mixed_up / "out")
+        code, out, _ = run("run", site, "-o", mixed_up / "out", "--json")
     assert code == 4
-    assert "no result for R2" in err
-    assert "yaw is off by 180 deg" in err
-    hint = "(set yaw to -66.4 deg; or go on anyway: accept = true in [[sensor]] R2)"
-    assert err.rstrip().endswith(hint)
-    assert "R2 is left out: does not fit: yaw is off" in err
-    assert "does not fit: yaw is off" in (mixed_up / "out" / "run.json").read_text()
+    events = {event["event"]: event for event in map(json.loads, out.splitlines())}
+    assert "no result for R2" in events["error"]["message"]
+    assert "yaw is off by 180 deg" in events["error"]["message"]
+    hint = "set yaw to -66.4 deg; or go on anyway: accept = true in [[sensor]] R2"
+    assert events["error"]["hint"] == hint
+    assert "R2 is left out: does not fit: yaw is off" in out
+    record = (mixed_up / "out" / "run.json").read_text()
+    assert "does not fit: yaw is off" in record
+    summary = events["result"]["summary"]
+    (doubt,) = summary["not_known_to_fit"]
+    assert doubt.startswith("R1: fits, but its pose may be off (")
+    assert summary["sensors"]["R1"]["state"] == doubt.removeprefix("R1: ")
+    assert doubt in record
     dataset = mixed_up / "out" / "dataset"
     assert gr.open_dataset(dataset).sensors == ["R1"]
     tiles = mixed_up / "out" / "tiles.gpkg"
@@ -234,7 +230,7 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     assert "yaw is off by 180 deg" in err
     assert "it is accepted anyway" in err
     checks = gr.open_dataset(dataset).manifest.doubts
-    assert list(checks) == ["R2"]
+    assert list(checks) == ["R1", "R2"]
     assert checks["R2"].startswith("R2: does not fit: yaw is off by 180 deg (")
     code, _, err = run("heatmap", dataset, "-o", mixed_up / "map")
     assert code == 0
@@ -243,29 +239,6 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     assert code == 0
     events = [json.loads(line) for line in out.splitlines()]
     assert checks["R2"] in events[-1]["summary"]["remarks"]
-
-
-def test_a_run_shows_what_it_doubts(
-    run, mixed_up, rows, in_this_process, blank_paper, without_report, monkeypatch
-):
-    for name, file in (("R1", "A"), ("R2", "B")):
-        rows[name].to_parquet(mixed_up / f"{file}.parquet", index=False)
-    replace(POSES["R2"], northing=POSES["R2"].northing + 1.0).write(mixed_up / "R2.json")
-    site = mixed_up / "SITE.toml"
-    site.write_text(site.read_text().replace(f"{SAMPLE / 'R2'}.json", "R2.json"))
-    with monkeypatch.context() as german:
-        german.setenv("GIS_RADAR_LANGUAGE", "de")
-        code, told, err = run("check", site)
-    assert code == 0
-    assert "Warnung: R2: passt, aber der Standort ist vielleicht falsch (" in err
-    assert re.search(r"\nSensor +Urteil +Beleg .*\nR1 +passt ", told)
-    code, out, _ = run("run", site, "-o", mixed_up / "out", "--json")
-    assert code == 0
-    summary = json.loads(out.splitlines()[-1])["summary"]
-    (doubt,) = summary["not_known_to_fit"]
-    assert doubt.startswith("R2: fits, but its pose may be off (")
-    assert summary["sensors"]["R2"]["state"] == doubt.removeprefix("R2: ")
-    assert doubt in (mixed_up / "out" / "run.json").read_text()
 
 
 def test_a_pose_track_is_judged_at_the_pose_in_force(tmp_path, tiles, rows):
@@ -287,12 +260,11 @@ def test_a_pose_track_is_judged_at_the_pose_in_force(tmp_path, tiles, rows):
         measured(wrong, replace(wrong, yaw=YAW + 179.9))
 
 
-@pytest.mark.parametrize(("recorded", "pose"), [("R1", "R2"), ("R2", "R1")])
-def test_the_pose_of_a_sensor_that_is_not_given_is_refused(tmp_path, tiles, minute, recorded, pose):
-    minute[recorded].to_parquet(tmp_path / "A.parquet", index=False)
-    with pytest.raises(ImplausibleError, match=f"{pose}: does not fit"):
+def test_the_pose_of_a_sensor_that_is_not_given_is_refused(tmp_path, tiles, rows):
+    rows["R1"].to_parquet(tmp_path / "A.parquet", index=False)
+    with pytest.raises(ImplausibleError, match="R2: does not fit"):
         gr.measure(
-            [tmp_path / "A.parquet"], [POSES[pose]], tiles, MAP, tmp_path / "d", hits_only=True
+            [tmp_path / "A.parquet"], [POSES["R2"]], tiles, MAP, tmp_path / "d", hits_only=True
         )
 
 
@@ -328,17 +300,16 @@ def test_from_half_way_on_it_is_another_sensor(tmp_path, tiles, minute):
         gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True)
 
 
-def test_a_clock_that_is_off_is_named_between_sensors_with_a_common_view(tmp_path, tiles, minute):
-    minute["R1"].to_parquet(tmp_path / "A.parquet", index=False)
-    late = minute["R2"].assign(time=minute["R2"]["time"] + 1.0)
+def test_a_clock_that_is_off_is_named_between_sensors_with_a_common_view(tmp_path, tiles, rows):
+    rows["R1"].to_parquet(tmp_path / "A.parquet", index=False)
+    late = rows["R2"].assign(time=rows["R2"]["time"] + 1.0)
     late.to_parquet(tmp_path / "B.parquet", index=False)
     files = [tmp_path / "A.parquet", tmp_path / "B.parquet"]
-    with pytest.raises(
-        ImplausibleError,
-        match=r"R2: .* clock and that of R1 are apart \(.* this one is 1\.0\d ± 0\.\d+ s ahead",
-    ) as e:
+    second = r"(0\.99|1\.0\d) ± 0\.0\d s"
+    said = rf"R2: .* clock and that of R1 are apart \(.* this one is {second} ahead"
+    with pytest.raises(ImplausibleError, match=said) as e:
         gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True)
-    assert re.search(r"R1: .* that of R2 are apart \(.* 1\.0\d ± 0\.\d+ s behind", e.value.message)
+    assert re.search(rf"R1: .* that of R2 are apart \(.* {second} behind", e.value.message)
     assert [each.sensor for each in e.value.findings] == ["R1", "R2"]
     clocks = {"R2": SensorClock(offset_s=1.0)}
     gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True, clocks=clocks)
@@ -360,8 +331,8 @@ def test_right_poses_pass_and_too_little_traffic_is_said(tmp_path, tiles, minute
     assert ("too little traffic" in str(heard.messages)) == (seconds < 1)
 
 
-def test_without_elevation_and_without_a_map_poses_are_judged_as_well(tmp_path, tiles, minute):
-    minute["R1"].assign(z=np.float32(np.nan)).to_parquet(tmp_path / "R1.parquet")
+def test_without_elevation_and_without_a_map_poses_are_judged_as_well(tmp_path, tiles, rows):
+    rows["R1"].assign(z=np.float32(np.nan)).to_parquet(tmp_path / "R1.parquet")
     made = gr.measure(
         [tmp_path / "R1.parquet"], [POSES["R1"]], tiles, None, tmp_path / "d", hits_only=True
     )

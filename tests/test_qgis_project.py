@@ -18,11 +18,10 @@ from hypothesis import strategies as st
 from maps import Listener
 
 import gis_radar as gr
-from gis_radar.base import LANGUAGES, STEPS_PER_HOUR, metric_crs, moved_position, translated
+from gis_radar.base import STEPS_PER_HOUR, metric_crs, moved_position
 from gis_radar.dataset import measure
 from gis_radar.poses import ellipse, write_sensors
 from gis_radar.products import write_site_project
-from gis_radar.products.heatmap import style
 from gis_radar.products.qgis.project_xml import TimeRange, fit_box, map_clock
 
 SIGMA = {"easting": 0.1, "northing": 0.2, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}
@@ -55,12 +54,6 @@ def test_the_view_is_what_the_sensor_sees(yaw, pitch, roll, azimuth, far, aside)
     assert not outline.contains(shapely.Point(*beyond[:2]))
 
 
-def test_a_view_all_around_is_a_ring():
-    outline = a_pose(view=gr.View(azimuth_deg=360.0), pitch=0.0).outline()
-    assert outline.is_valid
-    assert len(outline.interiors) == 1
-
-
 def test_the_ellipse_holds_95_percent():
     rng = np.random.default_rng(3)
     turn = np.array([[0.8, -0.6], [0.6, 0.8]])
@@ -85,11 +78,6 @@ def test_layers_of_sensors(tmp_path):
     with closing(sqlite3.connect(path)) as database:
         styled = database.execute("SELECT f_table_name FROM layer_styles WHERE useAsDefault")
         assert {name for (name,) in styled} == {"sensors", "views", "uncertainty"}
-
-
-def test_no_sensor_is_known_exactly(tmp_path):
-    write_sensors([a_pose()], tmp_path / "s.gpkg")
-    assert gpd.read_file(tmp_path / "s.gpkg", layer="uncertainty").empty
 
 
 @pytest.mark.parametrize(
@@ -245,18 +233,6 @@ def test_a_sheet_ends_with_what_was_recorded_and_not_with_its_last_interval(resu
     assert "12 June 2025, 07:30:00 to 07:31:40 (UTC)" in texts
 
 
-def test_layers_without_features_are_in_no_legend(results, tmp_path):
-    write_sensors([a_pose()], tmp_path / "sensors.gpkg")  # no sigma: no ellipse
-    gr.write_qgis_project(
-        tmp_path / "site.qgz", heatmap=results / "heatmap", sensors=tmp_path / "sensors.gpkg"
-    )
-    root = read_project(tmp_path / "site.qgz")
-    ids = [node.get("id") for node in root.iter("layer-tree-layer")]
-    assert "gis_radar_sensors" in ids
-    assert "gis_radar_uncertainty" not in ids
-    assert "gis_radar_uncertainty" not in [layer.text for layer in root.iter("Layer")]
-
-
 def test_no_id_of_a_layer_begins_another():
     """QGIS's lists of layers find one by the beginning of its id; what they keep crashes it."""
     text = files("gis_radar").joinpath("products/qgis/project.qgs").read_text(encoding="utf-8")
@@ -315,22 +291,6 @@ def test_a_guess_in_another_system(code):
     there = moved_position((690356.0, 5336183.0), "EPSG:25832", metric_crs(code, what=""))
     back = moved_position((*there, 521.0), f"EPSG:{code}", metric_crs(25832, what=""))
     assert back == pytest.approx((690356.0, 5336183.0, 521.0), abs=1e-3)
-
-
-def test_a_guess_in_degrees_is_refused():
-    with pytest.raises(gr.CrsError):
-        moved_position((11.5, 48.1), "EPSG:4326", metric_crs(25832, what=""))
-
-
-@pytest.mark.parametrize("language", LANGUAGES)
-@pytest.mark.parametrize("measure", style.MAP_WORDS)
-def test_the_words_of_a_sheet_name_hatched_grey_as_its_legend_does(measure, language):
-    with files("gis_radar.products.qgis").joinpath("sheet.qpt").open("rb") as template:
-        sheet = ET.parse(template)  # noqa: S314 - our own text
-    (meaning,) = sheet.iterfind(f".//LayoutItem[@id='meaning {measure}']")
-    (ground,) = sheet.iterfind(".//layer-tree-layer[@id='gis_radar_ground']")
-    what = translated(ground.get("name"), language).split()[-1]  # Road, not *observed*
-    assert what in translated(meaning.get("labelText"), language)
 
 
 def test_a_project_in_german(results, tmp_path):

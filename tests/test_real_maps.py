@@ -57,7 +57,7 @@ def test_real_maps_are_read_as_lanelet2_reads_them(lanelet2, path):
 
 
 @needs_shared_maps
-@pytest.mark.parametrize("user", ["vehicle", "pedestrian", "bicycle"])
+@pytest.mark.parametrize("user", ["vehicle", "bicycle"])
 @pytest.mark.parametrize("path", SHARED_MAPS, ids=map_name)
 def test_traffic_rules_are_those_of_lanelet2(lanelet2, path, user):
     theirs = {lanelet.id: lanelet for lanelet in loaded(lanelet2, path).laneletLayer}

@@ -1,6 +1,6 @@
 """Registration: derivatives, directions, levelling and the evidence's parts."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
@@ -13,8 +13,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from streets import CROSSING, Street
 
-from gis_radar.base import NoAnswerError
-from gis_radar.calibration.registration import certainty as knowing
 from gis_radar.calibration.registration.adaptation import adapted, heights
 from gis_radar.calibration.registration.certainty import (
     CLEAR_RISE,
@@ -209,15 +207,6 @@ def test_an_error_of_elevation_that_lasts_is_told_from_noise(scene, bent_deg):
         assert tilt[0] > 1.1 * tilt[1]
 
 
-def test_a_start_beside_the_truth_comes_back(scene):
-    scene, state, _ = scene
-    start = state.moved(np.array([0.8, -0.6, 0.5, 0.01, -0.01, 0.02, 0.0]))
-    fit = solve(scene, start, prior_at(start))
-    assert fit.converged
-    assert np.abs(fit.state.difference(state)[:3]).max() < 0.4
-    assert np.linalg.eigvalsh(fit.information)[0] > 0.0
-
-
 def test_every_match_has_a_doppler_that_its_lane_allows(scene):
     scene, state, _ = scene
     lanes, samples = scene.lanes, scene.samples
@@ -318,14 +307,6 @@ def test_lanes_have_direction_and_the_scanned_height(scene):
     assert lanes.directed
 
 
-def test_no_lane_within_reach_is_refused():
-    street = Street()
-    with pytest.raises(NoAnswerError, match="no lane"):
-        sample_lanes(
-            street.roads().lanelets, street.road_points(), place=np.zeros(2), reach_m=200.0
-        )
-
-
 @settings(max_examples=30, deadline=None)
 @given(st.floats(-8, 8), st.floats(-8, 8), st.floats(3, 10), st.booleans(), st.integers(0, 1000))
 def test_levelling_finds_which_way_is_up(pitch, roll, over_m, upside_down, seed):
@@ -399,15 +380,6 @@ def test_a_rival_whose_vehicles_all_drive_aside_is_worse(scene):
     assert advantage(replace(fit, habits=0.0), replace(aside, habits=0.0), samples) > 5.0
 
 
-def test_a_gain_within_the_habits_of_drivers_is_no_lead(scene):
-    scene, state, _ = scene
-    fit, samples = solve(scene, state, prior_at(state)), scene.samples
-    little = 1e-3 + 1e-5 * np.random.default_rng(3).normal(size=len(samples))
-    worse = replace(fit, loss=fit.loss + little)  # alike for all vehicles, so a sure gain
-    assert advantage(replace(fit, habits=0.0), replace(worse, habits=0.0), samples) > 5.0
-    assert 0.0 < advantage(fit, worse, samples) < 1.0
-
-
 @pytest.mark.parametrize("rise", [60.0, 5.0])
 def test_sigma_ends_where_all_places_beyond_are_excluded(scene, rise):
     """A curvature of nearly nothing, and a cost that rises 60 nats within a metre: or once, 5."""
@@ -458,28 +430,6 @@ def test_a_fit_on_a_bump_begins_again_from_the_lowest_place(scene):
     again = along_valley(scene, bump, prior, MODEL)
     assert again.cost == pytest.approx(fit.cost, abs=1.0)
     assert again.state.position[:2] == pytest.approx(fit.state.position[:2], abs=0.05)
-
-
-def test_without_looks_a_fit_is_only_measured(scene, monkeypatch):
-    scene, state, _ = scene
-    prior = prior_at(state)
-    fit = solve(scene, state, prior)
-    bump = replace(fit, cost=fit.cost + 30.0)
-    monkeypatch.setattr(knowing, "LOOKS", 0)
-    assert along_valley(scene, bump, prior, MODEL).state == fit.state
-
-
-def test_a_fit_of_the_last_look_is_measured_where_it_came_to_rest(scene, monkeypatch):
-    scene, state, _ = scene
-    prior = prior_at(state)
-    fit = solve(scene, state, prior)
-    off = fit.state.moved(np.array([0.3, 0.3, 0, 0, 0, 0, 0]))
-    bump = replace(fit, state=off, cost=fit.cost + 30.0, information=1e-3 * fit.information)
-    known = along_valley(scene, bump, prior, MODEL)
-    monkeypatch.setattr(knowing, "LOOKS", 1)
-    found = along_valley(scene, bump, prior, MODEL)
-    assert found.state.position == pytest.approx(known.state.position)
-    assert found.information == pytest.approx(known.information)
 
 
 @given(parts=st.integers(1, 6), turn=st.floats(-3.0, 3.0), way=st.floats(-20.0, 20.0))
@@ -544,15 +494,6 @@ def test_a_rival_that_is_the_same_answer_widens_sigma(scene):
     assert both.covariance[1:, 1:] == pytest.approx(alone[1:, 1:])
 
 
-def test_few_vehicles_that_agree_suffice(scene):
-    scene, state, _ = scene
-    few = scene.of(scene.samples.where(scene.samples.track < 6))
-    fit = solve(few, state, prior_at(state))
-    away = state.moved(np.array([6.0, -6.0, 0.0, 0.0, 0.0, 0.4, 0.0]))
-    there = solve(few, away, prior_at(state), schedule=Schedule(scales_m=(0.0,), rounds=0))
-    assert advantage(fit, there, few.samples) > 2.5
-
-
 def test_samples_of_a_vehicle_side_by_side_share_their_weight(scene):
     samples, (compared, _, own) = scene[0].samples, matched(scene, 0.0)
     scene, state, _ = scene
@@ -569,15 +510,6 @@ def test_samples_of_a_vehicle_side_by_side_share_their_weight(scene):
     once = solve(scene, state, prior_at(state)).data_information
     again = solve(scene.of(twice), state, prior_at(state)).data_information
     assert (np.diag(again)[:2] < 1.7 * np.diag(once)[:2]).all()
-
-
-def test_the_models_constants_widen_the_answer(scene):
-    scene, state, _ = scene
-    fit = solve(scene, state, prior_at(state))
-    effects = fit.considered()
-    assert effects.shape == (len(fields(MODEL)), SIZE)
-    sure = replace(fit, considered=lambda: np.zeros_like(effects))
-    assert (certainty(fit).sigma > certainty(sure).sigma).all()
 
 
 def test_each_constant_of_the_model_changes_one_family_alone(scene):
@@ -651,24 +583,3 @@ def test_a_look_around_finds_the_better_optimum_beside_one(scene):
     assert stuck.fit.cost > best.cost + 50.0
     assert found.fit.cost < best.cost + 5.0
     assert np.abs(found.fit.state.difference(best.state)[:2]).max() < 0.2
-
-
-def test_tracks_of_one_vehicle_are_one_cluster(scene):
-    """Each vehicle twice, as two tracks, whose errors are the same."""
-    scene, state, _ = scene
-    samples = scene.samples
-    twice = replace(
-        samples,
-        points=np.tile(samples.points, (2, 1)),
-        range_rate=np.tile(samples.range_rate, 2),
-        track=np.concatenate([samples.track, samples.track + samples.tracks]),
-        tracks=2 * samples.tracks,
-        spell=np.tile(samples.spell, 2),
-        vehicle=None,
-    )
-    joined = replace(twice, vehicle=np.tile(np.arange(samples.tracks), 2))
-    apart, together = (
-        solve(scene.of(each), state, prior_at(state)).scores for each in (twice, joined)
-    )
-    assert np.allclose(together[: samples.tracks], apart.reshape(2, samples.tracks, -1).sum(axis=0))
-    assert not together[samples.tracks :].any()

@@ -135,12 +135,6 @@ def test_times_are_those_of_the_site_and_said_so(page):
     assert "15:06" not in text
 
 
-def test_the_zone_of_the_call_wins(results, tmp_path, blank_paper):
-    report = gr.write_report(results, output=tmp_path, timezone="Asia/Kolkata")
-    assert report.summary["timezone"] == "Asia/Kolkata"
-    assert "20:36:40" in (tmp_path / "report.html").read_text(encoding="utf-8")
-
-
 def test_the_page_shows_what_sensors_see(page):
     alts = [each["alt"] for each in page.all("img") if "in sight" in each.get("alt", "")]
     (alt,) = alts
@@ -218,29 +212,9 @@ def test_the_paper(made):
     assert "lanes.csv" in links
 
 
-def test_lanes_have_the_names_of_their_streets(results, tmp_path, blank_paper):
-    """As the layer of lanes beside the tiles has them."""
-    shutil.copytree(results, tmp_path / "run")
-    lanes = gpd.GeoDataFrame(
-        {"lane": [100, 102], "street": ["Münchner Straße", None], "street_part": None},
-        geometry=[None, None],
-        crs=25832,
-    )
-    lanes.to_file(tmp_path / "run" / "tiles.gpkg", layer="lanes")
-    gr.write_report(tmp_path / "run")
-    table = pd.read_csv(tmp_path / "run" / "lanes.csv").set_index("lane")
-    assert table.loc[100, "street"] == "Münchner Straße"
-    assert pd.isna(table.loc[102, "street"])
-    text = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert ">Münchner Straße, east<" in text
-
-
 def test_a_dataset_from_elsewhere(results, made, tmp_path, blank_paper):
     shutil.copytree(results / "heatmap", tmp_path / "map")
     place = results / "dataset"
     gr.write_report(tmp_path / "map", dataset=place, timezone="Europe/Berlin", title="x")
     for name in ("quality.csv", "lanes.csv"):
         assert (tmp_path / "map" / name).read_bytes() == (made / name).read_bytes()
-    # a new heat map takes the place of all that
-    gr.make_heatmap(gr.open_dataset(place)).write(tmp_path / "map")
-    assert not (tmp_path / "map" / "quality.csv").exists()

@@ -11,101 +11,16 @@ import pytest
 import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from sites import EAST, NORTH, lane_quads, tiles_of
 from test_heatmap import lane_tiles
 from test_heatmap_occupancy import both_of
 from test_report_pages import content_of, letters_of, pages_of
 
-import gis_radar as gr
 from gis_radar.base import Clock
-from gis_radar.hdmap import lanes_of
 from gis_radar.products import make_heatmap
 from gis_radar.products.heatmap.occupancy import surest
 from gis_radar.products.report import chart
 from gis_radar.products.report.lanes import lane_table, sums_of, write_lanes
 from gis_radar.products.report.plan import place_numbers
-
-
-def chains_of(lanes):
-    return sorted(lane.lanelets for lane in lanes)
-
-
-def by_the_map(roads, tiled):
-    """Chain lanelets by the map's successors, in the plainest way."""
-    after = {
-        int(row["lanelet_id"]): [int(each) for each in row["successors"] if int(each) in tiled]
-        for _, row in roads.lanelets.iterrows()
-        if int(row["lanelet_id"]) in tiled
-    }
-    before = {each: [k for k, found in after.items() if each in found] for each in after}
-    linked = {k: found[0] for k, found in after.items() if len(found) == 1 == len(before[found[0]])}
-    chains = []
-    for first in after:
-        if first in linked.values():
-            continue
-        chain = [first]
-        while chain[-1] in linked:
-            chain.append(linked[chain[-1]])
-        chains.append(tuple(chain))
-    return sorted(chains)
-
-
-def test_lanes_of_the_sample_are_those_of_its_map():
-    roads = gr.read_map(gr.sample_folder() / "junction.osm", crs="EPSG:25832")
-    tiles = gr.make_tiles(roads)
-    tiled = set(map(int, tiles["lanelet_id"]))
-    known = by_the_map(roads, tiled)
-    assert chains_of(lanes_of(tiles)) == known
-    assert any(len(chain) > 2 for chain in known)
-
-
-def test_every_tile_is_in_one_lane_and_in_driving_order():
-    tiles = gr.make_tiles(gr.read_map(gr.sample_folder() / "junction.osm", crs="EPSG:25832"))
-    lanes = lanes_of(tiles)
-    rows = np.concatenate([lane.rows for lane in lanes])
-    assert sorted(rows.tolist()) == list(range(len(tiles)))
-    for lane in lanes:
-        mine = tiles.iloc[lane.rows]
-        assert tuple(dict.fromkeys(mine["lanelet_id"])) == lane.lanelets
-        assert (mine.groupby("lanelet_id", sort=False)["index"].diff().dropna() == 1).all()
-
-
-def test_numbers_do_not_depend_on_the_order_of_rows():
-    tiles = gr.make_tiles(gr.read_map(gr.sample_folder() / "junction.osm", crs="EPSG:25832"))
-    turned = tiles.iloc[::-1].reset_index(drop=True)
-    numbers = {lane.lanelets: lane.number for lane in lanes_of(tiles)}
-    assert {lane.lanelets: lane.number for lane in lanes_of(turned)} == numbers
-
-
-def straight(*starts_m, heading=0.0, aside_m=0.0):
-    return [lane_quads(EAST + x, NORTH + aside_m, heading, count=20) for x in starts_m]
-
-
-@pytest.mark.parametrize(
-    ("lanes", "chains"),
-    [
-        (straight(0, 10, 20), [(100, 101, 102)]),
-        (straight(20, 0, 10), [(101, 102, 100)]),
-        (straight(0, 10.2), [(100,), (101,)]),  # a gap
-        (straight(0) + straight(20, heading=180.0), [(100,), (101,)]),  # head on
-        (straight(0, 10, 10), [(100,), (101,), (102,)]),  # ways part
-        (straight(0, 0, 10), [(100,), (101,), (102,)]),  # ways join
-    ],
-)
-def test_chains(lanes, chains):
-    assert chains_of(lanes_of(tiles_of(lanes))) == sorted(chains)
-
-
-def test_a_ring_is_one_lane():
-    corners = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]
-    ring = []
-    for i, start in enumerate(corners):
-        end = corners[(i + 1) % 4]
-        ways = [np.array(start), np.array(end)]
-        outward = [np.array(each) * 1.2 - 1.0 for each in (start, end)]
-        quad = np.array([[outward[0], outward[1], ways[1], ways[0]]]) + (EAST, NORTH)
-        ring.append(quad)
-    assert chains_of(lanes_of(tiles_of(ring))) == [(100, 101, 102, 103)]
 
 
 @pytest.mark.parametrize(

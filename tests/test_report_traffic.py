@@ -51,11 +51,11 @@ def cars():
     return tracks + [through(10 + n, BEGIN + 1200 * n, STRAIGHT) for n in range(5)]
 
 
-def reported(folder, tracks, **options):
+def reported(folder, tracks, languages=("en", "de"), **options):
     """Write a dataset of cars on the fork, its heat map, and a report in each language."""
     dataset = fork_dataset(folder / "dataset", tracks, timezone="Europe/Berlin", **options)
     make_heatmap(dataset).write(folder / "heatmap")
-    for language in ("en", "de"):
+    for language in languages:
         (folder / language).mkdir()
         gr.write_report(folder, output=folder / language, language=language, title="Fork")
     return folder
@@ -191,8 +191,8 @@ def test_in_german(folder):
     assert "Wege von Fahrzeugen" in text  # what the report shows of single vehicles
 
 
-def test_of_one_interval_there_is_no_profile(tmp_path, without_pdf):
-    reported(tmp_path, [through(1, BEGIN + 40, STRAIGHT)])
+def test_of_one_interval_there_is_no_profile(tmp_path, blank_paper):
+    reported(tmp_path, [through(1, BEGIN + 40, STRAIGHT)], ["en"])
     text = (tmp_path / "en" / "report.html").read_text(encoding="utf-8")
     assert volumes(Page(text))[APPROACH]["Counted vehicles"] == "1"
     assert 'class="strip"' not in text
@@ -200,7 +200,7 @@ def test_of_one_interval_there_is_no_profile(tmp_path, without_pdf):
     assert "it shows no way of a vehicle" in text
 
 
-def test_without_exact_tables_there_are_no_ways(folder, tmp_path, without_pdf):
+def test_without_exact_tables_there_are_no_ways(folder, tmp_path, blank_paper):
     shutil.copytree(folder / "dataset", tmp_path / "dataset")
     shutil.copytree(folder / "heatmap", tmp_path / "heatmap")
     place = tmp_path / "dataset"
@@ -215,7 +215,7 @@ def test_without_exact_tables_there_are_no_ways(folder, tmp_path, without_pdf):
     assert table_of(page, ["Lane", "No. on the plan", "Longest queue m"])
 
 
-def test_exact_tables_that_were_deleted_of_other_hours_change_nothing(tmp_path, without_pdf):
+def test_exact_tables_that_were_deleted_of_other_hours_change_nothing(tmp_path, blank_paper):
     second, later = BEGIN + STEPS_PER_HOUR, (HOUR + 1) * 1_000_000
     tracks = [through(1, second - 400, STRAIGHT), through(later, second + 40, STRAIGHT)]
     dataset = fork_dataset(tmp_path / "dataset", tracks)

@@ -62,13 +62,6 @@ def test_a_command_writes_the_same_bytes_twice(places, run, monkeypatch, words):
     assert [key for key in one if one[key] != other[key]] == []
 
 
-def test_footprints_are_the_same_bytes_twice(places):
-    for folder in places:
-        gr.open_dataset(folder / "dataset").write_footprints(folder / "footprints.gpkg")
-    one, other = ((folder / "footprints.gpkg").read_bytes() for folder in places)
-    assert one == other
-
-
 def test_scans_are_of_one_day(places, tmp_path):
     """Two runs of one day would be the same all the same."""
     pose = gr.read_pose(places[0] / "R1.json")

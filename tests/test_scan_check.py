@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from sites import recording
 
 import gis_radar as gr
-from gis_radar.base import CELL_M, speaking
+from gis_radar.base import CELL_M
 from gis_radar.calibration import (
     AmbiguousError,
     Localization,
@@ -27,12 +27,11 @@ from gis_radar.calibration import (
     localize_together,
     require_scans_near,
 )
-from gis_radar.calibration.scan.scan_check import CLOSE_M, Alignment, align
-from gis_radar.calibration.scan.surroundings import LevelFrame, read_slow, read_structure
+from gis_radar.calibration.scan.scan_check import CLOSE_M, align
+from gis_radar.calibration.scan.surroundings import LevelFrame, read_structure
 from gis_radar.calibration.several import joint
 from gis_radar.calibration.single import localization as localizing
 from gis_radar.cli import group
-from gis_radar.cli.result_tables import as_lines
 from gis_radar.scans import scan as scan_files
 from simulation.movement import Traffic
 from simulation.radar import RadarModel, place_radar
@@ -140,7 +139,7 @@ def test_the_truth_is_confirmed(sensor, look):
     assert found.rival.score < 0.7
 
 
-@pytest.mark.parametrize("off", [(0.0, 3.5, 0.0), (-3.5, 0.0, 0.0), (0.0, 0.0, -3.0), (4, -4, 9)])
+@pytest.mark.parametrize("off", [(0.0, 3.5, 0.0), (0.0, 0.0, -3.0)])
 def test_a_pose_off_is_doubted_and_the_way_back_is_told(off):
     wrong = moved(POSE, *off)
     figures = gr.check_against_scan(R2, wrong, [SCAN]).figures()
@@ -159,13 +158,12 @@ def test_a_pose_the_wrong_way_round_is_doubted():
     assert abs(abs(found.best.turn_deg) - 180.0) < 1.0
 
 
-@pytest.mark.parametrize("off", [(0.5, -0.6, 0.4), (-0.5, 0.6, 0.4)])
-def test_a_small_error_is_confirmed_and_measured(off):
+def test_a_small_error_is_confirmed_and_measured():
     """A shift and a turn make up for each other, so what counts is where they bring the cells."""
-    wrong = moved(POSE, *off)
+    wrong = moved(POSE, 0.5, -0.6, 0.4)
     found = gr.check_against_scan(R2, wrong, [SCAN])
     assert found.verdict == "confirms"
-    assert found.best.turn_deg == pytest.approx(-off[2], abs=0.3)
+    assert found.best.turn_deg == pytest.approx(-0.4, abs=0.3)
     before = away_m(found, wrong)
     after = away_m(found, moved(wrong, *found.best.place))
     assert before > 0.55
@@ -241,11 +239,6 @@ def test_an_unclassified_scan_does(tmp_path):
     assert not found.structure.classified
     off = gr.check_against_scan(R2, moved(POSE, 0.0, -3.5), [scan])
     assert off.verdict == "doubts"
-
-
-def test_a_thin_scan_does(tmp_path):
-    scan = rewritten(tmp_path / "thin.laz", lambda xyz, c: (xyz[::6], c[::6]))
-    assert gr.check_against_scan(R2, POSE, [scan]).verdict == "confirms"
 
 
 def test_a_scan_in_another_system_is_brought_into_the_map(tmp_path):
@@ -335,30 +328,6 @@ def test_batches_and_their_order_do_not_matter(tmp_path, monkeypatch):
         assert np.allclose(getattr(parts, name), getattr(whole, name), atol=1e-6, equal_nan=True)
 
 
-def test_the_last_frames_count(monkeypatch):
-    monkeypatch.setattr("gis_radar.calibration.scan.surroundings.FRAMES", 200)
-    table = pq.read_table(R2)
-    slow = read_slow(R2)
-    late = table.filter(pc.field("time") >= np.unique(table["time"].to_numpy())[-200])
-    assert slow.frames == 200
-    assert len(slow.points) == int((np.abs(late["range_rate"].to_numpy()) <= 1.0).sum())
-    assert np.bincount(slow.span).min() > 0.5 * np.bincount(slow.span).max()
-
-
-def test_few_cells_are_nothing_to_compare(monkeypatch):
-    monkeypatch.setattr("gis_radar.calibration.scan.scan_check.LEAST_CELLS", 10**6)
-    few = gr.check_against_scan(R2, POSE, [SCAN])
-    assert few.reason.startswith("little stands in view")
-
-
-def test_votes_turn_with_the_question(look):
-    alignment = alignment_of(look)
-    assert isinstance(alignment, Alignment)
-    assert alignment.z_score(alignment.here, look.rival) == pytest.approx(look.z_score)
-    assert alignment.z_score(look.rival, alignment.here) == pytest.approx(-look.z_score)
-    assert alignment.z_score(look.best, look.best) == 0.0
-
-
 def command(folder, *more):
     return [
         "localize", str(R2), "--map", str(SAMPLE / "junction.osm"), "--road", str(SCAN),
@@ -390,16 +359,6 @@ def test_the_command_tells_the_verdict(tmp_path, monkeypatch, left):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_verdict_is_in_the_language_of_the_terminal():
-    """And it stays a word in JSON."""
-    seen = {"scan_check": dict.fromkeys(["verdict"], "doubts")}
-    answer = Localization(pose=replace(POSE, evidence=seen), fitness=1.0, observable=True)
-    verdict = answer.figures()["scan_check"]
-    assert verdict == "doubts"
-    with speaking("de"):
-        assert as_lines("scan_check", verdict) == "widerspricht"
-
-
 def reached_m(path):
     """Return the whole metres within which 99.9 % of a recording's detections lie."""
     x, y, z = (pq.read_table(path)[axis].to_numpy() for axis in "xyz")
@@ -415,22 +374,6 @@ def test_a_view_that_is_known_is_not_measured(tmp_path, monkeypatch):
     )
     assert found.pose.view == known
     assert found.recording == "R2.parquet"
-
-
-def test_what_stands_decides_between_poses_that_the_traffic_fits_alike(monkeypatch):
-    aside = replace(POSE, easting=POSE.easting + 6.0, northing=POSE.northing + 3.0)
-    both = tuple(Localization(pose=p, fitness=0.95, observable=True) for p in (aside, POSE))
-
-    def ambiguous(*_, **__):
-        raise AmbiguousError("R2: ambiguous", hint="give a scan", answers=both)
-
-    monkeypatch.setattr(localizing, "localize_one", ambiguous)
-    files = (R2, SAMPLE / "junction.osm", SCAN)
-    with pytest.raises(AmbiguousError):
-        gr.localize(*files, guess=POSE.position[:2])
-    found = gr.localize(*files, guess=POSE.position[:2], scans=[SCAN])
-    assert found.pose.easting == POSE.easting
-    assert found.pose.evidence["scan_check"]["verdict"] == "confirms"
 
 
 def test_what_stands_decides_though_it_fits_elsewhere_too(monkeypatch):
@@ -463,37 +406,32 @@ def test_what_stands_decides_though_it_fits_elsewhere_too(monkeypatch):
     assert refused.value.hint == "record longer, or give a heading: the scan does not decide"
 
 
-@pytest.fixture(scope="module")
-def calibrated(tmp_path_factory):
-    """Both sensors of the sample, localized together from guesses metres off, with the scan."""
-    folder = tmp_path_factory.mktemp("together")
-    call = [
-        "localize", str(SAMPLE / "R1.parquet"), str(R2), "--together", "--json",
-        "--map", str(SAMPLE / "junction.osm"), "--road", str(SCAN), "--scan", str(SCAN),
-        *guess_of("R1"), *guess_of("R2"), "-o", str(folder / "poses"),
-    ]  # fmt: skip
-    done = CliRunner().invoke(group, call, catch_exceptions=False)
-    assert done.exit_code == 0
-    return folder / "poses", [json.loads(line) for line in done.stdout.splitlines()]
-
-
 def guess_of(sensor):
     pose = gr.read_pose(SAMPLE / f"{sensor}.json")
     return ["--guess", f"{pose.easting + 3:.1f},{pose.northing - 4:.1f}"]
 
 
-@pytest.mark.parametrize("sensor", ["R1", "R2"])
-def test_poses_found_together_are_checked_each(calibrated, sensor):
-    folder, lines = calibrated
-    pose = gr.read_pose(folder / f"{sensor}.json")
+def test_poses_found_together_are_checked_each(tmp_path, first_seconds):
+    """Of the sample, from guesses metres off, with the scan."""
+    recordings = [first_seconds(SAMPLE / f"{name}.parquet", 40.0) for name in ("R1", "R2")]
+    call = [
+        "localize", *map(str, recordings), "--together", "--json",
+        "--map", str(SAMPLE / "junction.osm"), "--road", str(SCAN), "--scan", str(SCAN),
+        *guess_of("R1"), *guess_of("R2"), "-o", str(tmp_path / "poses"),
+    ]  # fmt: skip
+    done = CliRunner().invoke(group, call, catch_exceptions=False)
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert done.exit_code == 0
+    assert lines[-1]["summary"]["R1"].endswith("; scan check: confirms")
+    pose = gr.read_pose(tmp_path / "poses" / "R2.json")
     assert "together" in pose.evidence
-    assert pose.view == gr.View(max_range_m=reached_m(SAMPLE / f"{sensor}.parquet"))
-    again = gr.check_against_scan(SAMPLE / f"{sensor}.parquet", pose, [SCAN])
+    assert pose.view == gr.View(max_range_m=reached_m(recordings[1]))
+    again = gr.check_against_scan(recordings[1], pose, [SCAN])
     assert pose.evidence["scan_check"] == json.loads(json.dumps(again.figures()))
     assert again.verdict == "confirms"
-    assert lines[-1]["summary"][sensor].endswith("; scan check: confirms")
-    (said,) = [each for each in lines if each.get("message", "").startswith(f"{sensor}: scan ")]
-    assert said["message"] == f"{sensor}: scan check: confirms: {again.reason}"
+    assert lines[-1]["summary"]["R2"].endswith("; scan check: confirms")
+    (said,) = [each for each in lines if each.get("message", "").startswith("R2: scan ")]
+    assert said["message"] == f"R2: scan check: confirms: {again.reason}"
 
 
 def test_the_adjusted_pose_is_checked_and_no_other(tmp_path, monkeypatch):
@@ -580,22 +518,7 @@ def test_a_scan_that_reaches_one_of_two_sensors_is_refused_before_the_search(tmp
     scan = rewritten(tmp_path / "far.laz", change)
     with pytest.raises(gr.InputError, match="no point within 300 m of R1"):
         together(scans=[scan])
-
-
-def test_a_scan_of_another_place_is_told_before_the_search(tmp_path, monkeypatch):
-    def never(*_, **__):
-        raise AssertionError
-
-    monkeypatch.setattr(localizing, "localize_one", never)
-    monkeypatch.setattr(scan_files.Scan, "batches", never)  # nor is a scan read
-    far = rewritten(tmp_path / "far.laz", lambda xyz, c: (xyz[::50] + [900.0, 0.0, 0.0], c[::50]))
-    words = command(tmp_path, "--scan", str(far), "--json")
-    words[words.index("--road") + 1] = str(SAMPLE / "scan.laz")
-    monkeypatch.setattr(localizing, "read_road", lambda *_: np.empty((0, 3)))
-    done = CliRunner().invoke(group, words)
-    assert isinstance(done.exception, gr.InputError)
-    assert "far.laz: no point within 300 m of the sensor" in str(done.exception)
-    require_scans_near([far, SCAN], POSE.crs, [690379.0, 5336233.0])  # one that does is enough
+    require_scans_near([scan, SCAN], POSE.crs, POSE.position[:2])  # one that does is enough
 
 
 def test_the_figure_never_replaces_the_scan(tmp_path):

@@ -180,14 +180,6 @@ def test_counts_are_read_as_excel_writes_them_in_germany(dataset, tmp_path):
     assert made.hand_counts["begin"].nunique() == made.hand_counts["end"].nunique() == 1
 
 
-def test_sections_without_a_name_get_their_number(dataset):
-    first, *_ = ACROSS.geometry
-    for column, names in (("name", ["A", None, ""]), ("id", [7.0, np.nan, np.nan])):
-        layer = gpd.GeoDataFrame({column: names}, geometry=[first] * 3, crs=UTM)
-        found = dataset.count_sections(layer)["section"].unique().tolist()
-        assert found == [f"{names[0]:.0f}" if column == "id" else "A", "2", "3"]
-
-
 @pytest.mark.parametrize(
     ("name", "known"),
     [("a\nb", "a b"), ("\ufffe", "\\ufffe"), ("\x00a", "\\x00a"), ("  ", "1"), ("Süd ", "Süd")],
@@ -207,16 +199,9 @@ def test_the_layer_of_lines_is_taken_and_of_several_none(dataset, tmp_path):
         dataset.count_sections(path)
 
 
-def test_a_section_without_a_line_is_refused(dataset):
-    layer = gpd.GeoDataFrame(geometry=[*ACROSS.geometry, None], crs=UTM)
-    with pytest.raises(gr.InputError, match="a section has no line"):
-        dataset.count_sections(layer)
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("section,begin,volume\nlate,2023-11-14,3\n", "lacks the columns end"),
         ("begin,end,volume\n2023-11-14,2023-11-15,3\n", "lacks the columns section or lane"),
         ("lane,begin,end,volume\n99,22:00,22:05,3\n", "line 2: lane '99' is none"),
         ("section,begin,end,volume\nx,22:00,22:05,3\n", "line 2: section x is none of early"),
@@ -242,10 +227,6 @@ def test_a_section_without_a_line_is_refused(dataset):
         (
             "section;begin;end;volume\n\n;;;\nlate;2023-11-14 22:00;2023-11-14 22:05;1.234\n",
             "line 4: volume is '1.234'",
-        ),
-        (
-            "section,begin,end,volume\nlate,2023-11-14 22:00,2023-11-14 22:05,1,234\n",
-            "line 2: has more values than the header",
         ),
     ],
 )

@@ -92,15 +92,6 @@ def test_ghosts_behind_a_facade_contradict_nothing(tmp_path):
     assert not (found.no_movement | found.movement).any()
 
 
-def test_where_nothing_is_expected_nothing_is_missed(tmp_path):
-    tiles = across()
-    sight = sight_over(tmp_path, flat(), tiles)
-    hits = MovingHits(sight=sight, count=np.zeros(240, np.int64), frames=4000)
-    (found,) = find_contradictions([hits], tiles)
-    assert not (found.no_movement | found.movement).any()
-    assert find_contradictions([], tiles) == []
-
-
 def test_another_sensor_shows_the_flow_behind_a_wall(tmp_path):
     """A lane that one sensor has wholly behind a new wall counts by what the other one sees."""
     right = lane_quads(EAST + 100.0, NORTH - 60.0, 90.0, count=120)
@@ -167,13 +158,6 @@ def test_hits_warn_of_a_house_that_the_scan_lacks(rebuilt, run, tmp_path):
     assert "contradicts its sight: nothing moves on" in " ".join(err.split())
 
 
-def test_hits_says_nothing_of_sight_after_a_short_recording(rebuilt, run, tmp_path):
-    traffic(tmp_path / "R1.parquet", unseen=(BEHIND_THE_HOUSE,), seconds=200)
-    given = ("R1.parquet", "--pose", "R1.json", "--tiles", "tiles.gpkg")
-    code, _, err = run("measure", *given, "--hits-only", "--scan", "scan.laz", "-o", "plain")
-    assert (code, "contradicts" in err) == (0, False)
-
-
 def test_the_pose_and_the_tiles_of_a_sight_are_in_one_system(rebuilt, run, tmp_path):
     moved(crs="EPSG:25833").write(tmp_path / "R1.json")
     words = ("--pose", "R1.json", "--tiles", "tiles.gpkg", "--scan", "scan.laz")
@@ -196,8 +180,3 @@ def test_sensors_that_see_the_same_tiles_keep_their_own_sight(tmp_path, monkeypa
     np.testing.assert_array_equal(one.tile_id, other.tile_id)
     assert [book.sights[each.name].pose for each in (one, other)] == [near, far]
     assert [each.road_m for each in (one, other)] == [370.0, 374.0]
-
-
-def test_sight_needs_a_scan(rebuilt, run):
-    code, _, err = run("sight", "--pose", "R1.json", "--tiles", "tiles.gpkg", "-o", "sight.gpkg")
-    assert (code, "no scan is given" in err) == (2, True)

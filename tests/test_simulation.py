@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -111,14 +110,6 @@ def test_range_rate_is_positive_when_receding_and_zero_when_standing(scene):
 
 
 # frames
-
-
-def test_frames_obey_the_view_and_the_limit(radar, traffic):
-    frame = radar.frame(traffic.at(1001.0), rng())
-    assert frame.shape[1] == len(COLUMNS)
-    assert radar.view.sees(frame[:, :3]).all()
-    few = replace(radar, model=replace(radar.model, most=50))
-    assert 0 < len(few.frame(traffic.at(1001.0), rng())) <= 50
 
 
 def test_detections_of_a_car_lie_on_it_and_tell_its_range_rate(radar, traffic):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gis_radar.base import InputError, Text, speaking, tr
-from gis_radar.site import error_in_site_words, site_template
+from gis_radar.site import error_in_site_words
 from gis_radar.site.messages import KEYS, in_site_words
 from tools.catalogue import PACKAGE, told, trees
 
@@ -57,11 +57,6 @@ def test_options_with_a_key_are_values():
     assert kept == {"--cycle {}={}ms"}
 
 
-def test_every_key_is_one():
-    keys = set(re.findall(r"^#? ?(\w+) = ", site_template(), flags=re.MULTILINE))
-    assert {re.split("[ =]", text)[0] for text in KEYS.values()} <= keys
-
-
 @pytest.mark.parametrize(
     ("told", "shown", "german"),
     [(Text("a frame is not observed by it; {}", Text("--cycle {}={}ms", "R1", 57)),
@@ -84,14 +79,6 @@ def test_messages_are_in_the_words_of_the_site_file(told, shown, german):
     assert said == shown
     with speaking("de"):
         assert german is None or tr(said) == german
-
-
-def test_remarks_name_files_from_the_folder_of_the_site_on(tmp_path):
-    """A report goes out: where its site lay on somebody's computer is nobody's business."""
-    told = Text("{}: {} streets are called {}", tmp_path / "streets.gpkg", 2, "Ring")
-    assert in_site_words(told, "UTC", tmp_path) == "streets.gpkg: 2 streets are called Ring"
-    elsewhere = Text("{}: x", Path("/else/streets.gpkg"))
-    assert in_site_words(elsewhere, "UTC", tmp_path) == "/else/streets.gpkg: x"
 
 
 @pytest.mark.parametrize(

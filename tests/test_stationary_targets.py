@@ -23,7 +23,7 @@ from gis_radar.calibration.monitoring.stationary_targets import (
     by_move,
     polar_of,
 )
-from gis_radar.calibration.monitoring.watch import BLOW_BLOCKS, Watch, decided
+from gis_radar.calibration.monitoring.watch import Watch, decided
 from gis_radar.calibration.registration.state import State
 from gis_radar.recordings import Detections
 
@@ -161,16 +161,6 @@ def test_nothing_is_said_after_a_blow_in_snow_or_of_few_targets(taught, move, co
     assert targets.verdict(1) is None
 
 
-def test_seven_minutes_are_enough():
-    yard, targets = Yard(seed=5), StationaryTargets()
-    yard.feed(targets, 19)
-    assert targets.verdict(BLOW_BLOCKS).rests
-    yard.feed(targets, 2)
-    assert all(each.sees and each.found.score < GATE for each in targets.tested)
-    yard.feed(targets, 8, np.array(MOVES["pitch"]))
-    assert targets.tested[0].found.score > GATE
-
-
 def test_targets_that_are_told_later_begin_anew(taught):
     yard, targets = again(taught, 6)
     yard.feed(targets, 8, np.array(MOVES["ahead"]))
@@ -182,17 +172,6 @@ def test_targets_that_are_told_later_begin_anew(taught):
     assert len(targets) >= 30
     told = targets.verdict(6)
     assert told.found.score < GATE
-
-
-def test_without_still_returns_or_frames_there_is_no_target():
-    targets = StationaryTargets()
-    for block in range(40):
-        targets.push(np.array([20.0 * block]), np.full((1, 3), np.nan), np.array([np.nan]))
-        targets.end_block()
-    targets.end_block()
-    assert len(targets) == 0
-    assert targets.tested == []
-    assert targets.verdict(1) is None
 
 
 def test_what_drives_or_stands_for_a_while_is_no_target():

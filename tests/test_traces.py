@@ -48,11 +48,6 @@ def test_the_sources_of_icp_are_the_largest_cluster_of_dbscan(seed):
     assert mine.sum() >= max(group.sum() for group in groups)
 
 
-def test_voxels_are_centres_of_cells():
-    points = np.array([[0.1, 0.1, 0.1], [0.4, 0.2, 0.3], [-0.1, 0.1, 0.1]])
-    assert voxels(points, 0.5).tolist() == [[-0.25, 0.25, 0.25], [0.25, 0.25, 0.25]]
-
-
 def batch(time, rate):
     count = len(time)
     return Detections(
@@ -75,15 +70,6 @@ def test_a_window_keeps_the_last_frames_across_batches(monkeypatch):
     assert found.range_rate.tolist() == [-2.0, 5.0]
     assert found.frames == 3
     assert (found.begin, found.end) == (2.0, 4.0)
-
-
-def test_a_window_forgets_what_is_old(monkeypatch):
-    monkeypatch.setattr(reading, "FRAMES", 5)
-    window = MovingWindow()
-    for frame in range(1000):
-        window.push(batch([frame] * 10, [3.0] * 10))
-        assert window.detections_held <= 60
-    assert len(window.moving()) == 50
 
 
 def test_moving_is_read_from_a_recording(tmp_path, monkeypatch):
@@ -214,11 +200,3 @@ def test_tracks_of_one_vehicle_are_told_from_those_of_others():
     assert alone.tolist() == [0]
     samples = thin(moving, number[order])
     assert samples.vehicles.tolist() == [0, 0, 0, 1, 2, 3]
-
-
-def test_no_tracks_are_no_vehicles():
-    moving = Moving(
-        time=np.empty(0), points=np.empty((0, 3)), range_rate=np.empty(0), frames=9,
-        begin=0.0, end=1.0,
-    )  # fmt: skip
-    assert len(vehicles_of(moving, link_tracks(moving))) == 0

@@ -13,7 +13,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
-from datasets import HOUR, write_dataset
+from datasets import HOUR
 from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
 from maps import EAST, NORTH
 from shapely import LineString, box
@@ -93,11 +93,6 @@ def test_verbs_take_a_dataset_or_its_folder(dataset):
     assert repr(gr.make_heatmap(folder)) == repr(gr.make_heatmap(dataset))
     assert repr(gr.measure_quality(folder)) == repr(gr.measure_quality(dataset))
     assert gr.open_dataset(dataset) is dataset
-
-
-def test_an_interval_that_is_a_number_is_named(dataset):
-    with pytest.raises(gr.UsageError, match="interval 15 is no duration"):
-        dataset.traffic(15)
 
 
 def test_tables_are_those_of_the_dataset(written, dataset):
@@ -201,15 +196,6 @@ def test_layers_have_times_in_utc_and_a_style(written, dataset):
         assert 'attr="volume_veh_h"' in qml
         assert ET.fromstring(qml.partition("\n")[2]) is not None  # noqa: S314 - ours
     assert 'fixedDuration="899990"' in styles["lanes"]
-
-
-def test_legends_and_tips_of_layers_speak_german(written):
-    folder, _ = written("--language", "de")
-    with closing(sqlite3.connect(folder / "traffic.gpkg")) as database:
-        styles = [qml for (qml,) in database.execute("SELECT styleQML FROM layer_styles")]
-    for qml in styles:
-        assert " 100 Kfz/h" in qml
-        assert "veh/h" not in qml
 
 
 def test_sumo_reads_back_the_same_turns(written, tmp_path, sumo_installed):
@@ -359,12 +345,6 @@ def test_the_diagram_shows_means_of_what_is_known(dataset):
     assert means["error_veh_h"].between(1.0, means["volume_veh_h"] + 20.0).all()
 
 
-def test_without_volumes_there_is_no_diagram(run, dataset, tmp_path):
-    code, *_ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h")
-    assert code == 0
-    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES - {"turns.png"}
-
-
 def test_a_recording_too_short_for_its_intervals_is_told(run, dataset, tmp_path):
     code, out, _ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h")
     assert code == 0
@@ -384,31 +364,6 @@ def test_what_cannot_be_is_refused_in_one_line(run, dataset, tmp_path, options, 
     assert got == code
     assert text in " ".join(err.split())
     assert not (tmp_path / "out").exists()
-
-
-def test_a_folder_with_files_of_others_stays(run, dataset, tmp_path):
-    (tmp_path / "mine.txt").write_text("mine")
-    code, _, err = run("traffic", dataset.folder, "-o", tmp_path)
-    assert code == 3
-    assert "mine.txt" in err
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
-
-
-def test_a_dataset_of_hits_alone_is_refused(run, tmp_path):
-    folder = write_dataset(tmp_path / "data", hours=[HOUR], vehicles=False).folder
-    code, _, err = run("traffic", folder, "-o", tmp_path / "out")
-    assert code == 3
-    assert "holds no vehicles" in err
-
-
-def test_the_same_in_python(dataset, tmp_path):
-    made = gr.make_traffic(dataset, interval="1h")
-    assert isinstance(made, Traffic)
-    assert made.lanes["name"].iloc[0].startswith("=Ring eastbound")
-    made.write(tmp_path / "one", language="de")
-    made.write(tmp_path / "two", language="de")
-    for name in FILES:
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
 def test_a_site_file_names_lanes(run, dataset, tmp_path):

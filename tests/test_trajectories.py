@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -73,22 +72,6 @@ def test_moving_pandas_measures_the_ways(dataset):
         way = np.hypot(np.diff(mine["easting"]), np.diff(mine["northing"])).sum()
         assert each.get_length() == pytest.approx(way)
         assert each.crs == dataset.crs
-
-
-def test_moving_pandas_is_silent_about_extras_of_its_own(dataset, monkeypatch):
-    pytest.importorskip("movingpandas", reason="movingpandas is not installed")
-    monkeypatch.delitem(sys.modules, "movingpandas")
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        dataset.to_trajectories()
-    assert not [each for each in said if each.category is UserWarning]
-
-
-def test_a_time_without_vehicles(dataset):
-    pytest.importorskip("movingpandas", reason="movingpandas is not installed")
-    assert dataset.track_points(begin="2101-01-01").empty
-    with pytest.raises(gr.InputError, match="there is no vehicle in that time"):
-        dataset.to_trajectories(begin="2101-01-01")
 
 
 def test_what_is_refused(dataset, monkeypatch):

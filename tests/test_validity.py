@@ -50,22 +50,6 @@ def test_no_clock_phase_loses_a_step_of_a_staggered_cycle():
     assert 0.30 < max(lost) < 0.35
 
 
-@pytest.mark.parametrize("phase_ms", [0.0, 7.3, 8.7, 21.1, 41.25, 49.9])
-@pytest.mark.parametrize("cut", [None, 50, 51])
-def test_a_standing_vehicle_under_a_staggered_cycle_is_all_of_the_time(tmp_path, phase_ms, cut):
-    """One hit a frame: observed and hit throughout, also where a file ends in between."""
-    time = START + (phase_ms * 1000 + np.cumsum(np.tile(STAGGERED_US, 40))) / 1e6
-    paths = [
-        recording(tmp_path / f"{i}.parquet", some, [ON_TILE_4] * len(some))
-        for i, some in enumerate([time] if cut is None else [time[:cut], time[cut:]])
-    ]
-    found = measured_by(paths, [pose()] * len(paths), crossing(), tmp_path / "ds")
-    row = make_heatmap(found).wide().iloc[4]
-    first, last = np.floor(time[[0, -1]] * 1e6 / 50_000 + 1e-9)
-    assert row["observed_s"] == (last - first + 3) / 20  # the last frame is valid for two more
-    assert row["hit_share"] == 1.0
-
-
 def measured(tmp_path, name="a", *, frames=range(40), cycle_s=0.1, **options):
     """Measure a radar before a standing vehicle, from the numbers of its frames."""
     time = START + 0.02 + np.array(frames) * cycle_s

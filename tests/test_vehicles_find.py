@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from maps import Listener
 from pyproj import CRS
 
 import gis_radar as gr
@@ -102,13 +101,6 @@ def test_most_moving_vehicles_near_the_sensors_are_followed(whole):
     assert np.mean(np.array(hit)[detected]) > 0.85
 
 
-def test_each_vehicle_states_how_likely_it_exists(whole):
-    stated = whole.vehicles()["p_exists"]
-    assert stated.between(0.5, 0.98).all()
-    assert stated.median() > 0.9
-    assert stated.nunique() > 20
-
-
 def test_blocks_neither_lose_nor_double_occupancy(site, whole, monkeypatch):
     monkeypatch.setattr(hour_blocks, "BLOCK_STEPS", 300)
     monkeypatch.setattr(hour_blocks, "MARGIN_STEPS", 100)
@@ -142,16 +134,6 @@ def test_frames_missing_around_the_edge_of_a_block_part_no_vehicle(site, tmp_pat
     assert len(states[1]) == pytest.approx(len(states[0]), rel=0.05)
 
 
-def test_where_nothing_moves_occupancy_is_zero_with_a_warning(site, tmp_path):
-    table = begin_of(SAMPLE / "R1.parquet", 10.0)
-    still = table[table["range_rate"].abs() < 0.05]
-    still.to_parquet(tmp_path / "R1.parquet", index=False)
-    heard = Listener()
-    none = found(site, "still", [tmp_path / "R1.parquet"], reporter=heard)
-    assert len(none.vehicles()) == 0
-    assert any("occupancy is zero" in text for rank, text in heard.messages if rank == "warning")
-
-
 def test_a_quiet_recording_has_occupancy_zero(site, tmp_path, run):
     columns = dict.fromkeys(["x", "y", "z", "range_rate", "rcs"], np.float32(np.nan))
     quiet = pd.DataFrame({"time": 1.7e9 + 0.05 * np.arange(200)}).assign(**columns)
@@ -167,19 +149,10 @@ def test_a_quiet_recording_has_occupancy_zero(site, tmp_path, run):
     assert len(made.visible()) > 0
 
 
-def test_without_cross_sections_vehicles_are_followed_all_the_same(site, tmp_path):
-    table = begin_of(SAMPLE / "R1.parquet")
-    table = table[table["time"] < table["time"].iloc[0] + 5.0]
-    for value in (np.nan, np.inf):
-        table.assign(rcs=np.float32(value)).to_parquet(tmp_path / "R1.parquet", index=False)
-        assert len(found(site, f"no-rcs-{value}", [tmp_path / "R1.parquet"]).vehicles()) > 3
-
-
-@pytest.mark.parametrize("crs", ["EPSG:25833", "EPSG:32632"])
-def test_a_pose_in_another_system_than_the_tiles_is_refused(site, crs):
-    pose = replace(gr.read_pose(SAMPLE / "R1.json"), crs=CRS.from_user_input(crs))
+def test_a_pose_in_another_system_than_the_tiles_is_refused(site):
+    pose = replace(gr.read_pose(SAMPLE / "R1.json"), crs=CRS(32632))
     given = [site[1] / "R1.parquet"], [pose], site[0], SAMPLE / "junction.osm"
-    with pytest.raises(gr.CrsError, match=f"the pose of R1 is in {crs}, but the tiles in"):
+    with pytest.raises(gr.CrsError, match="the pose of R1 is in EPSG:32632, but the tiles in"):
         gr.measure(*given, site[1] / "other-crs")
 
 

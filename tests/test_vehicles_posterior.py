@@ -17,7 +17,7 @@ from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import best_stretches
 from gis_radar.tracking.posterior.ends import with_undetected_ends
-from gis_radar.tracking.posterior.existence import probability, with_existence
+from gis_radar.tracking.posterior.existence import with_existence
 from gis_radar.tracking.posterior.likelihood import gain_of, on_body, overlap
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
 
@@ -216,20 +216,6 @@ def test_an_undetected_vehicle_drives_into_no_other(graph):
     assert longer.places[0][-1, 0] < 128.0
 
 
-def test_time_undetected_counts_from_the_last_detection(graph):
-    """A track that runs on for half a second ends where one does that does not run on."""
-    rng = np.random.default_rng(17)
-    ahead, seen = (returns(rng, 4, 12, start, 10.0, each=0.6) for start in (100.0, 50.0))
-    found = detected(ahead, seen, clutter(rng, 20, 0.2))
-    known, other = track(found, 4, 12.5, 50.0, 10.0), track(found, 4, 12, 100.0, 10.0)
-    known.rows = known.rows[found.time[known.rows] <= seen[:, 0].max()]
-    ends = [
-        with_undetected_ends(Posterior(found, [each, other]), [each, other], graph)[0].last_step
-        for each in (known, track(found, 4, 12, 50.0, 10.0))
-    ]
-    assert ends[0] == pytest.approx(ends[1], abs=2)
-
-
 def test_nobody_is_there_before_the_first_frame_or_after_the_last(graph):
     rng = np.random.default_rng(15)
     found = detected(returns(rng, 0, 12, 50.0, 10.0, each=0.1))
@@ -354,11 +340,6 @@ def test_who_exists_is_told_from_a_second_one_on_the_same_detections():
     )
     assert second.p_exists < 0.75
     assert far.p_exists == pytest.approx(alone[1].p_exists, abs=0.02)
-
-
-@given(gain=st.floats(-1e6, 1e6), more=st.floats(0.0, 1e3), detections=st.integers(0, 10_000))
-def test_who_gains_more_exists_more_likely(gain, more, detections):
-    assert 0.5 < probability(gain, detections) <= probability(gain + more, detections) < 0.98
 
 
 def test_no_two_are_side_by_side_nearer_than_they_are_wide(graph):

@@ -15,7 +15,6 @@ from gis_radar.tracking.motion import fit_motion, without_way_back
 from gis_radar.tracking.paths import Path, path_through
 from gis_radar.tracking.start.bodies import join_directions
 from gis_radar.tracking.start.stationary import CELL_M, pack
-from gis_radar.tracking.start.strips import Strips
 from gis_radar.tracking.tracker import vehicles_in
 
 
@@ -61,11 +60,6 @@ def driving(speed, begin_s, end_s, start_m, rng, left_m=0.0, length_m=4.5):
     x = start_m + speed * (time - 1e9 - begin_s) - length_m / 2 + rng.normal(0, 0.1, len(time))
     points = np.column_stack([x, left_m + rng.normal(0, 0.2, len(time))])
     return time, points, speed + rng.normal(0, 0.03, len(time))
-
-
-def test_lanelets_that_share_no_nodes_follow_each_other(straight):
-    assert [each.tolist() for each in straight.successors] == [[1], [], []]
-    assert [each.tolist() for each in straight.reversed().successors] == [[], [0], []]
 
 
 @settings(deadline=None)
@@ -204,16 +198,6 @@ def test_detections_in_chunks_are_of_the_same_vehicles(fork, size):
     ]
     assert np.concatenate([each for each, _ in parts])[50:].tolist() == whole[50:].tolist()
     assert parts[-1][1][-1] == pytest.approx(state[-1])
-
-
-def test_of_branches_only_the_best_is_a_body(fork):
-    s = np.arange(60.0, 104.0, 0.4)
-    points = np.column_stack([s, np.zeros(len(s))]) - fork.origin
-    eye = np.array([-50.0, 0.0]) - fork.origin
-    detections = detections_at(1e9 + (s - 60.0) / 8.0, points, np.full(len(s), 8.0), eye)
-    forward = ForwardFilter(fork)
-    forward.push(detections)
-    assert len(forward.bodies) == 1
 
 
 @settings(deadline=None, max_examples=30)
@@ -378,15 +362,6 @@ def test_a_queue_is_packed_into_its_vehicles(gap_m, count):
     assert len(found) == count
     assert np.sort(found[:, 0]) == pytest.approx(rears, abs=0.6)
     assert np.sort(found[:, 1]) == pytest.approx(np.add(rears, 4.5), abs=0.6)
-
-
-def test_strips_go_on_over_lanelets(straight):
-    strips = Strips.of(straight)
-    assert strips.number[0] == strips.number[1] != strips.number[2]
-    at = strips.lay(np.array([[150.0, 0.0]]) - straight.origin)
-    place, heading = strips.place(int(at.strip[0]), float(at.s_m[0]))
-    assert place + straight.origin == pytest.approx([150.0, 0.0], abs=0.2)
-    assert heading == pytest.approx(0.0, abs=0.01)
 
 
 @settings(deadline=None)

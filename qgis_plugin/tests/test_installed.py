@@ -15,17 +15,12 @@ def run(profiles, name, **inputs):
     return call(profiles, "--json", "run", f"gisradar:{name}", inputs=inputs)
 
 
-def test_all_algorithms_are_there(profiles):
-    done = call(profiles, "list")
-    assert done.stdout.count("gisradar:") == 23
-    assert "Traceback" not in done.stdout + done.stderr
-
-
-def test_they_are_there_in_german(profiles):
+def test_all_algorithms_are_there_in_german(profiles):
     done = call(profiles, "list", LANGUAGE="de", LANG="de_DE.UTF-8", LC_ALL="de_DE.UTF-8")
     assert done.stdout.count("gisradar:") == 23
     assert "Standortdatei ausführen" in done.stdout
     assert "Run a site file" not in done.stdout
+    assert "Traceback" not in done.stdout + done.stderr
 
 
 def test_the_version_is_the_projects(profiles):
@@ -37,12 +32,10 @@ def test_the_version_is_the_projects(profiles):
 
 
 def test_a_night_on_the_sample(profiles, site, brief, tmp_path):
-    """Scan to report by qgis_process, but for localization, in a folder of an odd name."""
+    """Tiles to report by qgis_process, in a folder of an odd name."""
     out = tmp_path / "über Nacht"
-    osm, road, tiles = SAMPLE / "junction.osm", out / "road.laz", out / "tiles.gpkg"
-    run(profiles, "maskroad", SCANS=[SAMPLE / "scan.laz"], MAP=osm, OUTPUT=road)
-    assert road.stat().st_size > 10_000
-    run(profiles, "splitlanelets", MAP=osm, ROAD=road, OUTPUT=tiles)
+    osm, tiles = SAMPLE / "junction.osm", out / "tiles.gpkg"
+    run(profiles, "splitlanelets", MAP=osm, ROAD=site / "road.laz", OUTPUT=tiles)
     assert is_whole(tiles)
     pose = json.loads((SAMPLE / "R1.json").read_text())
     surveyed = out / "surveyed.json"  # as one by hand, without a view
@@ -64,22 +57,12 @@ def test_a_night_on_the_sample(profiles, site, brief, tmp_path):
 
 def test_a_failure_leaves_no_file_and_says_why(profiles, tmp_path):
     """The exit code is not to be trusted, the file and the sentence are."""
-    done = run(profiles, "splitlanelets", MAP=SAMPLE / "scan.laz", OUTPUT=tmp_path / "t.gpkg")
-    assert not (tmp_path / "t.gpkg").exists()
-    assert "Incorrect parameter value for MAP" in done.stderr + done.stdout
     broken = tmp_path / "broken.osm"
     broken.write_text("<osm>")
     done = run(profiles, "splitlanelets", MAP=broken, OUTPUT=tmp_path / "t.gpkg")
     assert "broken.osm" in done.stderr + done.stdout
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "t.gpkg").exists()
-
-
-def test_without_a_worker(profiles, tmp_path):
-    done = call(profiles, "run", "gisradar:samplesite", inputs={"OUTPUT": tmp_path / "s"},
-                GIS_RADAR_PYTHON="")  # fmt: skip
-    assert "Set up the worker" in done.stderr + done.stdout
-    assert not (tmp_path / "s").exists()
 
 
 def test_nothing_of_the_plugin_needs_a_wheel(profiles):

@@ -1,13 +1,10 @@
 """Questions to a city are those to its sites, put together."""
 
 import shutil
-import sqlite3
 import subprocess
 import sys
-from contextlib import closing
 from pathlib import Path
 
-import geopandas as gpd
 import pandas as pd
 import pytest
 from datasets import write_dataset
@@ -49,16 +46,6 @@ def test_a_profile_is_that_of_each_site(city):
         city.profile(holidays="2026-11-02")
     with pytest.raises(UsageError, match="names no days of the week"):
         city.profile(days="Mon")
-
-
-def test_sites_without_a_street_are_left_out(tmp_path, city):
-    shutil.copytree(city.root / "site=east", tmp_path / "site=east")
-    drawn_months(tmp_path / "site=north", NOVEMBER, street="Allee")
-    both = gr.open_city(tmp_path)
-    assert both.profile("Allee", month="2026-11")["site"].unique().tolist() == ["north"]
-    assert both.profile(month="2026-11")["site"].unique().tolist() == ["east", "north"]
-    with pytest.raises(InputError, match="nothing was measured in that time"):
-        both.profile("Allee", month="2026-10")
 
 
 def test_sites_without_vehicles_are_left_out_of_profiles(tmp_path, city):
@@ -111,20 +98,6 @@ def test_the_map_of_a_month_holds_the_tiles_of_all_sites(city):
     expected = (sums["occupied_steps"] / sums["visible_steps"]).reindex(mine.index)
     assert mine["occupancy"].to_numpy() == pytest.approx(expected.to_numpy(), rel=1e-6)
     assert city.map("2026-10")["site"].unique().tolist() == ["east"]
-
-
-def test_the_map_of_a_month_is_one_layer_with_the_style_of_all_maps(city, tmp_path, run):
-    code, *_ = run("heatmap", city.root, "--month", "2026-11", "-o", tmp_path / "map")
-    assert code == 0
-    (made,) = (tmp_path / "map").iterdir()
-    layer = gpd.read_file(made, layer="heatmap").sort_values(["site", "tile_id"])
-    expected = city.map("2026-11")
-    assert layer["occupancy"].to_numpy() == pytest.approx(expected["occupancy"], nan_ok=True)
-    with closing(sqlite3.connect(made)) as database:
-        ((style,),) = database.execute("SELECT styleQML FROM layer_styles").fetchall()
-    assert 'attr="occupancy"' in style
-    for words in ([], ["--month", "2026-11", "--interval", "15min"]):
-        assert run("heatmap", city.root, *words, "-o", tmp_path / "other")[0] == 2
 
 
 def test_sites_in_two_zones_need_a_system_for_the_map(tmp_path, city):

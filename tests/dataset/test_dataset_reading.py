@@ -11,7 +11,6 @@ from maps import EAST, NORTH, Listener
 
 from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError
 from gis_radar.dataset import (
-    TILE_COUNTS,
     HourWriter,
     Origin,
     open_dataset,
@@ -19,7 +18,7 @@ from gis_radar.dataset import (
     record_path,
     require_same_site,
 )
-from gis_radar.dataset.files.tables import HITS, HOUR_TABLES, OBSERVED, TABLES, TRACKS
+from gis_radar.dataset.files.tables import HITS, HOUR_TABLES, OBSERVED, TABLES
 
 AFTER = BEGIN + STEPS_PER_HOUR
 TRACK = {
@@ -99,12 +98,6 @@ def test_tiles_are_those_of_the_dataset(dataset):
     (other.folder / "tiles.gpkg").replace(dataset.folder / "tiles.gpkg")
     with pytest.raises(InputError, match=r"tiles\.gpkg: has tiles .*, the dataset is of"):
         open_dataset(dataset.folder).tiles()
-
-
-def test_columns_are_read_alone(dataset):
-    span = (BEGIN + 10, BEGIN + 30)
-    (rows,) = dataset.batches(HITS, span, ["tile_id"])
-    assert rows.to_pydict() == {"tile_id": [2]}
 
 
 def test_an_hour_without_a_record_is_not_read(dataset):
@@ -203,10 +196,3 @@ def test_an_end_before_the_begin_is_refused(dataset):
         dataset.hits(begin="2023-11-14T22:00Z", end="2023-11-14T22:00Z")
     with pytest.raises(UsageError, match="expected a time"):
         dataset.hits(begin="yesterday")
-
-
-def test_batches_are_as_the_files_hold_them(dataset):
-    (first, _) = dataset.batches(HITS)
-    assert first.schema.equals(HITS.schema)
-    assert next(dataset.batches(TILE_COUNTS)).column_names == [*TILE_COUNTS.names, "first_step"]
-    assert TRACKS.name in dataset.hours().columns

@@ -45,12 +45,6 @@ def test_lanes_that_were_drawn_anew_are_the_same(east, north, turn):
     assert found["offset_m"].iloc[0] == pytest.approx(abs(north), abs=0.15)
 
 
-def test_the_neighbour_is_another_lane():
-    assert rows(OLD, lanes(a1=[(0, 3.2), (100, 3.2)])) == [
-        (1, None, 0.0, 0.0, False), (2, 1, 1.0, 1.0, True)
-    ]  # fmt: skip
-
-
 def test_a_split_lane_has_two_parts():
     new = lanes(a1=[(0, 0), (30, 0)], a5=[(30, 0), (100, 0)], a2=[(0, 3.2), (100, 3.2)])
     assert rows(OLD, new) == [

@@ -112,15 +112,6 @@ def test_whole_months_come_from_the_roll_up(plain, rolled, by):
     pd.testing.assert_frame_equal(one, rolled.profile(by=by, begin=whole[0], end=whole[1]))
 
 
-def test_hours_that_were_not_measured_are_there_and_null(rolled):
-    found = rolled.profile("Ring", month="2026-12", days="Mo-Su")
-    assert len(found) == 2 * 24
-    known = found[found["days"] > 0]
-    assert known["hour"].unique().tolist() == [12]
-    assert known["visible_share"].max() <= 1 / 31
-    assert found[found["hour"] != 12]["volume_veh_h"].isna().all()
-
-
 def test_a_street_has_names_and_all_are_taken_without_one(rolled):
     assert rolled.profile("RING")["direction"].unique().tolist() == [
         "Ring eastbound", "Ring westbound",

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from datasets import write_dataset
 from months import draw_days, drawn_months, hour_at, roll_up
 
 from gis_radar.base import InputError, UsageError
@@ -163,11 +162,3 @@ def test_a_damaged_file_is_found_and_summed_anew(dataset):
     roll_up(dataset)
     assert path.read_bytes() == good
     dataset.check()
-
-
-def test_a_dataset_without_vehicles_has_roll_ups_of_tiles_alone(tmp_path):
-    dataset = write_dataset(tmp_path / "data", hours=HOURS, vehicles=False)
-    roll_up(dataset)
-    assert dataset.lane_months().empty
-    assert dataset.tile_months().empty
-    assert not (dataset.folder / LANE_MONTHS.name).exists()

@@ -123,15 +123,6 @@ def test_tables_of_a_damaged_or_missing_day_are_made_again(dataset):
     dataset.check()
 
 
-def test_a_date_without_hours_has_no_tables(dataset):
-    update(dataset)
-    for hour in (HOUR, HOUR + 1):
-        record_path(dataset.folder, hour).unlink()
-    update(dataset)
-    assert not any(path.exists() for path in days(dataset))
-    assert dataset.lane_measures().empty
-
-
 def test_a_day_of_before_a_column_keeps_its_rows_though_its_hours_are_gone(dataset):
     update(dataset)
     rows, path = dataset.lane_measures(), days(dataset)[0]
@@ -202,12 +193,6 @@ def test_who_stands_over_an_hours_edge_stops_once(tmp_path):
     assert later["queue_max_m"] == pytest.approx(5.5, abs=0.01)
     # from the first step of the hour on, as it has stood for over a second by then
     assert later["queue_mean_m"] == pytest.approx(5.5, abs=0.2)
-
-
-def test_sql_reads_them(measured):
-    found = measured.query("SELECT lane, sum(counted) AS n FROM lane_measures GROUP BY lane")
-    assert found.to_dict("list") == {"lane": [7], "n": [8]}
-    assert measured.query("SELECT count(*) AS n FROM turns")["n"].tolist() == [0]
 
 
 def test_traffic_is_tidy(measured):
@@ -380,14 +365,6 @@ def test_hours_without_vehicles_have_no_traffic(tmp_path):
     for read in (dataset.traffic, dataset.turns, dataset.queues, dataset.signal_cycles):
         with pytest.raises(InputError, match="holds no vehicles"):
             read()
-
-
-def test_queues_are_those_of_stop_lines(measured):
-    table = measured.queues()
-    assert table["queue_max_m"].eq(0.0).all()
-    assert table["sight_m"].eq(50.0).all()  # all of the lane before the line
-    assert len(table) == len(measured.traffic())
-    assert read_hours(measured.folder).keys() == {HOUR, HOUR + 1}
 
 
 def test_an_hour_of_which_little_is_visible_has_no_volume(tmp_path):

@@ -38,6 +38,12 @@ def pairs(files, *keys):
     return [(sensor, files[sensor, day]) for sensor, day in keys or files]
 
 
+@pytest.fixture(scope="module")
+def two_days(files, tmp_path_factory):
+    """A dataset of all of them, which is only to be looked at or copied."""
+    return site_of(tmp_path_factory.mktemp("two days") / "site", *pairs(files))
+
+
 @pytest.mark.parametrize(
     ("what", "left"),
     [
@@ -46,10 +52,9 @@ def pairs(files, *keys):
         ({"sensor": "R2", "day": EVE}, [("R1", EVE), ("R1", DAY), ("R2", DAY)]),
     ],
 )
-def test_what_is_withdrawn_was_never_there(files, tmp_path, what, left):
+def test_what_is_withdrawn_was_never_there(files, two_days, tmp_path, what, left):
     site_of(tmp_path / "never", *pairs(files, *left))
-    dataset = site_of(tmp_path / "site", *pairs(files))
-    gone = dataset.withdraw(**what)
+    gone = gr.open_dataset(shutil.copytree(two_days.folder, tmp_path / "site")).withdraw(**what)
     assert sorted(gone) == sorted(str(files[key]) for key in files if key not in left)
     assert contents(tmp_path / "site") == contents(tmp_path / "never")
 
@@ -86,23 +91,21 @@ def test_a_logger_that_is_late_at_midnight_does_not_move_a_recording(files, tmp_
         ({"day": "2025-06-13"}, "has no such recording of 2025-06-13"),
     ],
 )
-def test_what_there_is_not_is_said(files, tmp_path, what, said):
-    dataset = site_of(tmp_path / "site", *pairs(files, ("R1", DAY)))
+def test_what_there_is_not_is_said(two_days, what, said):
     with pytest.raises(gr.InputError, match=said):
-        dataset.withdraw(**what)
+        two_days.withdraw(**what)
 
 
 @pytest.mark.parametrize(
     "what", [{}, {"recordings": ["a.parquet"], "sensor": "R1"}, {"day": "yesterday"}]
 )
-def test_a_withdrawal_that_says_too_little_or_too_much_is_refused(files, tmp_path, what):
-    dataset = site_of(tmp_path / "site", *pairs(files, ("R1", DAY)))
+def test_a_withdrawal_that_says_too_little_or_too_much_is_refused(two_days, what):
     with pytest.raises(gr.UsageError):
-        dataset.withdraw(**what)
+        two_days.withdraw(**what)
 
 
-def test_the_command_withdraws_and_says_what(run, files, tmp_path):
-    site_of(tmp_path / "site", *pairs(files))
+def test_the_command_withdraws_and_says_what(run, files, two_days, tmp_path):
+    shutil.copytree(two_days.folder, tmp_path / "site")
     code, out, _ = run(
         "dataset", tmp_path / "site", "--withdraw-sensor", "R1", "--withdraw-day", DAY
     )

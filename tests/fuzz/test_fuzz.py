@@ -3,30 +3,22 @@
 ``make fuzz`` searches for hours, led by coverage; what it finds becomes a line in FOUND.
 """
 
-import importlib.util
 import io
-import json
 import logging
-import os
 import random
 import re
 import shutil
 import sqlite3
-import subprocess
-import sys
 from contextlib import closing
-from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from faults.inputs import part_of
 
-import fuzz.__main__ as front
 from fuzz import edits
 from fuzz.targets import FIRST_CLOUD, TARGETS, Bench
 
-TESTS = Path(__file__).parents[1]
 RUNS = 8  # a target
 
 
@@ -192,59 +184,3 @@ def test_what_was_found(inputs, name, path, change):
     finding = Bench(target, inputs).read()
     (inputs / path).write_bytes(sound)
     assert finding is None, finding.text
-
-
-PLANTED = """
-import sys
-from pathlib import Path
-import atheris
-from fuzz.one import fuzz
-from fuzz.targets import Target
-
-@atheris.instrument_func
-def read(folder):
-    data = (folder / "a").read_bytes()
-    if data[:1] > b"s":
-        raise ZeroDivisionError
-
-fuzz(Target(name="planted", paths=("a",), read=read), Path(sys.argv[1]) / "a", Path(sys.argv[1]), 1)
-"""
-
-
-@pytest.mark.skipif(os.environ.get("GIS_RADAR_FAULTS") != "all", reason="takes long: make faults")
-@pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed")
-def test_the_fuzzer_finds_what_is_planted(tmp_path):
-    (tmp_path / "a").mkdir()
-    (tmp_path / "a" / "a").write_bytes(b"sound")
-    environment = os.environ | {"PYTHONPATH": f"{TESTS.parent}:{TESTS}"}
-    words = [sys.executable, "-c", PLANTED, tmp_path]
-    subprocess.run(words, env=environment, check=True, capture_output=True, timeout=600)
-    (found,) = [path for path in (tmp_path / "found" / "planted").iterdir() if not path.suffix]
-    assert found.read_bytes()[:1] > b"s"
-    assert "ZeroDivisionError" in found.with_suffix(".txt").read_text()
-
-
-@pytest.mark.parametrize("finds", [True, False])
-def test_targets_take_turns_and_a_finding_is_a_failure(tmp_path, monkeypatch, capsys, finds):
-    ran = []
-
-    def one(name, seconds):
-        ran.append((name, seconds))
-        sums = front.FOLDER / "sums.json"
-        done = {name: {"seconds": seconds, "runs": 1} for name, _ in ran}
-        sums.write_text(json.dumps(done))
-        place = front.FOLDER / "found" / name
-        place.mkdir(parents=True)
-        if finds and name == "pcd":
-            (place / "crash-1").write_bytes(b"x")
-
-    (tmp_path / "inputs").mkdir()
-    monkeypatch.setattr(front, "FOLDER", tmp_path)
-    monkeypatch.setattr(front, "run_one", one)
-    monkeypatch.setenv("FUZZ_SECONDS", "0")
-    monkeypatch.setenv("FUZZ_ONLY", "pose,pcd")
-    with pytest.raises(SystemExit) as leave:
-        front.main()
-    assert leave.value.code == int(finds)
-    assert [name for name, _ in ran] == ["pose", "pcd"]
-    assert ("crash-1" in capsys.readouterr().out) == finds

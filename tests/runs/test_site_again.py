@@ -117,16 +117,15 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("moment", ["report begins", "report is made"])
-def test_finished_means_that_the_report_is_made(small, copied, moment, blank_paper):
+def test_finished_means_that_the_record_says_so(small, copied, blank_paper):
     path, out = copied
 
     class Stopping(Listener):
-        """Interrupts at the report, or when it is made but the record is not yet written."""
+        """Interrupts when the report is made but the record is not yet written."""
 
         def progress(self, stage, done, total):
             super().progress(stage, done, total)
-            if (stage, done) == ("report", 0 if moment == "report begins" else 100):
+            if (stage, done) == ("report", 100):
                 raise KeyboardInterrupt
 
     state = RunState(out / product.STATE / "state.json", out)
@@ -138,7 +137,7 @@ def test_finished_means_that_the_report_is_made(small, copied, moment, blank_pap
     assert before["finished"] is False
     assert "report" not in [stage["name"] for stage in before["stages"]]
     done = gr.run_site(path, out)
-    assert states(done)["report"] == ("done" if moment == "report begins" else "kept")
+    assert states(done)["report"] == "kept"
     after = json.loads((out / "run.json").read_text())
     assert after["finished"] is True
     assert after["stages"][-1]["name"] == "report"
@@ -200,33 +199,32 @@ def children_of(pid):
     return found
 
 
-def test_a_sensor_without_an_answer_and_one_with_bad_data(small, copied):
+def test_a_sensor_without_an_answer_and_those_with_bad_data_stop_no_other(small, copied):
     path, out = copied
     folder = path.parent
     recording(folder / "R3.parquet", START + np.arange(150) * 0.05, np.ones((150, 3)))
     (folder / "R4.parquet").write_bytes((folder / "R1.parquet").read_bytes()[:5000])
+    pose = json.loads((folder / "R2.json").read_text()) | {"sensor": "R5", "covariance": [[1.0]]}
+    (folder / "R5.json").write_text(json.dumps(pose))
     text = path.read_text()
     third = '\n[[sensor]]\nname = "R3"\nrecordings = "R3.parquet"\nguess = [677990, 5403610]\n'
-    path.write_text(text + third)
+    fifth = '\n[[sensor]]\nname = "R5"\nrecordings = "R3.parquet"\npose = "R5.json"\n'
+    path.write_text(text + third + third.replace("R3", "R4") + fifth)
     words = ["run", str(path), "-o", str(out), "--jobs", "1", "--json"]
     with only_pictures(), no_report():
         answer = CliRunner().invoke(group, words)
-    assert isinstance(answer.exception, gr.NoAnswerError)
-    assert "no result for R3; the heat maps show R1, R2 only" in answer.exception.message
-    assert "moving vehicles" in answer.exception.message
+    assert type(answer.exception) is gr.InputError
+    first, *parts = map(str, answer.exception.parts)
+    assert "no result for R3, R4, R5; the heat maps show R1, R2 only" in first
+    for told in ("moving vehicles", "R4.parquet", "covariance"):
+        assert sum(told in part for part in parts) == 1
     result = json.loads(answer.stdout.splitlines()[-1])
     assert result["summary"]["heat_maps_show"] == ["R1", "R2"]
-    assert json.loads((out / "run.json").read_text())["sensors_in_heat_maps"] == ["R1", "R2"]
+    record = json.loads((out / "run.json").read_text())
+    assert record["sensors_in_heat_maps"] == ["R1", "R2"]
     assert not (out / "sensors" / "R3").exists()
     assert list(gpd.read_file(out / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1", "R2"]
-    path.write_text(text + third + third.replace("R3", "R4"))
-    with only_pictures(), no_report():
-        done = gr.run_site(path, out, jobs=1)
-    assert type(done.failure) is gr.InputError
-    assert "R4.parquet" in done.failure.message
-    assert set(done.missing) == {"R3", "R4"}
     assert (out / "heatmap" / "heatmap.gpkg").is_file()
-    assert states(done)["localize R3"] == "refused"
     path.write_text(text)
     with only_pictures():
         assert gr.run_site(path, out, jobs=1).failure is None

@@ -175,36 +175,6 @@ def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(
     assert not (out / "heatmap" / "heatmap.tif").exists()
 
 
-def test_recordings_without_range_rates_leave_heat_maps_of_hits(
-    copied, blank_paper, without_report
-):
-    path, out = copied
-    for each in path.parent.glob("R2_*.parquet"):
-        pd.read_parquet(each).assign(range_rate=np.float32(np.nan)).to_parquet(each)
-    done = gr.run_site(path, out)
-    assert done.failure is None
-    assert not (out / "dataset" / "tracks").exists()
-    assert gr.read_heatmap(out / "heatmap").measure == "hit_share"
-    assert "has no range rates" in (out / "run.json").read_text(encoding="utf-8")
-    again = gr.run_site(path, out)  # known, so not tried again
-    assert set(states(again).values()) == {"kept"}
-
-
-def test_a_given_pose_with_a_bad_covariance_stops_its_sensor_alone(
-    copied, blank_paper, without_report
-):
-    path, out = copied
-    pose = path.parent / "R2.json"
-    told = json.loads(pose.read_text()) | {"covariance": [[1.0]]}
-    pose.write_text(json.dumps(told))
-    path.write_text(path.read_text() + HITS_ALONE)
-    done = gr.run_site(path, out, jobs=1)
-    assert set(done.missing) == {"R2"}
-    assert "covariance" in done.failure.message
-    assert list(gpd.read_file(out / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1"]
-    assert (out / "site.qgz").is_file()
-
-
 def test_a_track_and_a_road_that_are_there(
     small, tmp_path, in_this_process, all_fit, blank_paper, without_report
 ):
@@ -252,13 +222,6 @@ def test_bad_places_for_results(small, tmp_path):
         pytest.raises(gr.OutputError, match="two: another run is writing it"),
     ):
         gr.run_site(path, tmp_path / "two")
-
-
-@pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_cannot_be_written(small, tmp_path):
-    (tmp_path / "out").mkdir(mode=0o500)
-    with pytest.raises(gr.OutputError, match="cannot be written: Permission denied"):
-        gr.run_site(small[0], tmp_path / "out")
 
 
 class Recorder:
