@@ -15,13 +15,10 @@ from streets import CROSSING, Street
 
 from gis_radar.calibration.registration.adaptation import adapted, heights
 from gis_radar.calibration.registration.certainty import (
-    CLEAR_RISE,
     advantage,
     agreed_rise,
     along_valley,
     certainty,
-    narrowed_by_exclusion,
-    sigma_along,
     widened_along,
     with_information_along,
 )
@@ -380,30 +377,6 @@ def test_a_rival_whose_vehicles_all_drive_aside_is_worse(scene):
     assert advantage(replace(fit, habits=0.0), replace(aside, habits=0.0), samples) > 5.0
 
 
-@pytest.mark.parametrize("rise", [60.0, 5.0])
-def test_sigma_ends_where_all_places_beyond_are_excluded(scene, rise):
-    """A curvature of nearly nothing, and a cost that rises 60 nats within a metre: or once, 5."""
-    scene, state, _ = scene
-    fit = solve(scene, state, prior_at(state))
-    hold = np.array([1.0, 0, 0, 0, 0, 0, 0])
-    curved = 1.0 / np.linalg.inv(fit.information)[0, 0]
-    flat = with_information_along(fit, hold, curved, 1e-3 * curved)
-    assert 1.0 / np.linalg.inv(flat.information)[0, 0] == pytest.approx(1e-3 * curved)
-    assert sigma_along(flat, hold) == pytest.approx(certainty(flat).sigma[0])
-    assert certainty(flat).sigma[0] > 1.0
-    costs = {0.5: 20.0, 1.0: 80.0, 2.0: 400.0, 4.0: 400.0}
-    sides = [
-        [(d, replace(flat, cost=flat.cost + more)) for d, more in changed.items()]
-        for changed in (costs, costs | {4.0: rise})
-    ]
-    walled = narrowed_by_exclusion(flat, hold, sides)
-    if rise > CLEAR_RISE:
-        assert certainty(walled).sigma[0] <= 1.0
-        assert certainty(walled).sigma[1] <= certainty(flat).sigma[1]
-    else:
-        assert walled is flat
-
-
 def test_less_is_known_by_vehicles_but_what_they_share_moves_the_answer_as_far(scene):
     scene, state, _ = scene
     fit = solve(scene, state, prior_at(state))
@@ -468,7 +441,7 @@ def test_sigma_along_a_valley_grows_no_further_than_the_prior(scene, asked_m):
     fit = solve(scene, state, prior_at(state))
     hold = np.array([1.0, 0, 0, 0, 0, 0, 0])
     wide = widened_along(fit, hold, asked_m)
-    assert min(asked_m, 6.5) <= sigma_along(wide, hold) < min(1.1 * asked_m, 12.0)
+    assert min(asked_m, 6.5) <= certainty(wide).sigma[0] < min(1.1 * asked_m, 12.0)
     assert np.linalg.eigvalsh(wide.data_information).min() > -1e-4
     assert widened_along(wide, hold, 1.0) is wide
 

@@ -234,8 +234,7 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
         if not again.converged:
             break
         fit = again
-    fit = widened_along(fit, hold, max(_deviation(fit, side) for side in sides))
-    return narrowed_by_exclusion(fit, hold, sides)
+    return widened_along(fit, hold, max(_deviation(fit, side) for side in sides))
 
 
 def agreed_rise(fit: Fit | Rest, other: Rest, groups: Groups) -> float:
@@ -293,59 +292,6 @@ def with_information_along(fit: Fit, hold: Floats, before: float, after: float) 
         biases=fit.biases @ root @ root,
         considered=lambda: fit.considered() @ root @ root,
     )
-
-
-def narrowed_by_exclusion(fit: Fit, hold: Floats, sides: list[list[tuple[float, Rest]]]) -> Fit:
-    """Narrow sigma along a valley to where the cost excludes the pose, on both sides.
-
-    Curvature holds near the optimum only. Where sigma reaches beyond a distance from which on the
-    cost excludes every place, the least rise there counts as curvature; the sigma that follows
-    is taken where it is no longer than that distance.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit at the optimum.
-    hold : (n,) array
-        Weight of each component of the state in the combination along the valley.
-    sides : list of two lists of (float, Rest)
-        By side of the optimum: distances in metres, ascending and the same on both sides, and the
-        fit there.
-
-    Returns
-    -------
-    Fit
-        The fit itself where nothing excludes.
-    """
-    curved = 1.0 / float(hold @ np.linalg.solve(fit.information, hold))
-    for k, (step_m, _) in enumerate(sides[0]):
-        if sigma_along(fit, hold) <= step_m:
-            break
-        rise = min(other.cost for side in sides for _, other in side[k:]) - fit.cost
-        if rise < CLEAR_RISE:
-            continue
-        walled = with_information_along(fit, hold, curved, max(2.0 * rise / step_m**2, curved))
-        if sigma_along(walled, hold) <= step_m:
-            return walled
-    return fit
-
-
-def sigma_along(fit: Fit, hold: Floats) -> float:
-    """Return one standard deviation along a linear combination of the pose's components.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    hold : (n,) array
-        Weight of each component of the state in the combination.
-
-    Returns
-    -------
-    float
-        Metres.
-    """
-    return math.sqrt(_along(fit, hold, certainty(fit).covariance))
 
 
 def _along(fit: Fit, hold: Floats, covariance: Floats) -> float:
