@@ -23,7 +23,6 @@ from gis_radar.calibration.check.excerpt import read_excerpts
 from gis_radar.calibration.check.explanations import by_lanes
 from gis_radar.calibration.check.plausibility import judge
 from gis_radar.calibration.check.rivals import GIVEN, MIRRORED, Rival, score
-from gis_radar.calibration.findings import UNKNOWN_CAUSE
 from gis_radar.calibration.monitoring.kalman_filter import Measurement
 from gis_radar.calibration.registration.state import State
 from gis_radar.calibration.registration.traces import NONE
@@ -209,28 +208,6 @@ def test_what_is_measured_to_be_off_counts_in_what_would_show(checked, rows, nor
     _, found, _ = checked({"R1": (table, moved(POSES["R1"], north_m))})
     assert found["R1"][0] == verdict
     assert ("off by up to 1." in found["R1"][1]) is (verdict == LITTLE)
-
-
-@pytest.mark.parametrize(
-    ("preferred", "north_m", "verdict", "cause"),
-    [
-        (fitted_pose.PREFERRED, 2.5, WRONG, nearly_right.POSE_OFF),
-        (np.inf, 2.5, WRONG, UNKNOWN_CAUSE),
-        (np.inf, 1.0, LITTLE, ""),
-    ],
-)
-def test_another_pose_that_vehicles_do_not_prefer_is_no_cause(
-    rows, excerpts, lanes, monkeypatch, preferred, north_m, verdict, cause
-):
-    """Far off it is refused all the same; nearer, both poses are one answer.
-
-    So it is where a fit rests at the given pose, too.
-    """
-    monkeypatch.setattr(fitted_pose, "PREFERRED", preferred)
-    monkeypatch.setattr(fitted_pose, "rests_at", lambda *_: True)
-    found, _ = judge("R1", excerpts(rows["R1"], moved(POSES["R1"], north_m)), lanes, {})
-    assert (found.verdict, found.cause) == (verdict, cause)
-    assert (north_m > 1.5) is (" m away: " in found.evidence)
 
 
 def test_a_turn_that_a_shift_would_hide_shows_where_the_place_is_surveyed():

@@ -15,27 +15,20 @@ from gis_radar.calibration.check.rivals import REFLECTION_M, LaneMap
 from gis_radar.calibration.monitoring.kalman_filter import Measurement
 from gis_radar.calibration.monitoring.windows import NEAR, WINDOW, data_alone
 from gis_radar.calibration.registration.certainty import (
-    CLEAR_RISE,
     MAP_SIGMA_M,
     PLACE,
     PLANE,
-    advantage,
     along_valley,
 )
 from gis_radar.calibration.registration.hypotheses import LOOK_SCALE_M, few_samples, prior_at
 from gis_radar.calibration.registration.lanes import Scene
 from gis_radar.calibration.registration.model import MODEL
 from gis_radar.calibration.registration.solver import Fit, Prior, cost_at, solve
-from gis_radar.calibration.registration.state import LEVER_M, POSE, SIZE, State
+from gis_radar.calibration.registration.state import POSE, SIZE, State
 from gis_radar.calibration.registration.traces import thin
 from gis_radar.poses import Pose
 
 LEAST_FITNESS = 0.75  # least share of the samples that lie on lanes at a pose that is fitted
-# A pose is off if the vehicles prefer the fitted one by so many standard deviations (99.4 %,
-# one-sided), as the answer of a localization is preferred to every other.
-PREFERRED = 2.5
-RISEN = 0.5  # share of the predicted rise of the cost from which on a fit is no rival
-HELD = 1e-4  # 1 sigma of the place (metres) and yaw (radians) of a pose that is held as given
 # Place and heading are surveyed each by itself, and one mistake is of one of them: 1 sigma of the
 # other, as 0.3 m, here or 60 m ahead, is a usual survey (east and north, metres; degrees).
 SURVEYED_M, SURVEYED_DEG = 0.2, 0.3
@@ -61,10 +54,8 @@ class FittedPose:
         Around that pose, in local coordinates.
     scene : Scene
         The lanes and the traffic.
-    fits : list of Fit
-        Fits from several starts.
     fit : Fit
-        The likeliest, with the profile along its least-known direction.
+        The likeliest of several starts, with the profile along its least-known direction.
     heights : bool
         Whether height and tilt were compared.
     """
@@ -72,7 +63,6 @@ class FittedPose:
     pose: Pose
     prior: Prior
     scene: Scene
-    fits: list[Fit]
     fit: Fit
     heights: bool
 
@@ -85,20 +75,6 @@ class FittedPose:
     def seen(self) -> Measurement:
         """The pose by the traffic, in local coordinates."""
         return _measured(self.fit, self.prior)
-
-    @cached_property
-    def disputed(self) -> bool:
-        """Whether a fit rests at the given pose, too, and vehicles do not clearly prefer one."""
-        rival = rests_at(self.fits, self.fit, self.centre)
-        return rival and not _prefers(self.scene, self.fit, self.prior)
-
-    @property
-    def either(self) -> Measurement:
-        """The pose by the traffic where the given one is as likely: their distance is an error."""
-        gap = np.zeros(SIZE)
-        gap[PLANE] = _away(self.seen, self.centre)[PLANE]
-        both = self.seen.covariance + np.outer(gap, gap)[POSE, POSE] / 2.0
-        return replace(self.seen, covariance=both)
 
 
 def fit_pose(excerpt: Excerpt, lanes: LaneMap) -> FittedPose | None:
@@ -132,60 +108,22 @@ def fit_pose(excerpt: Excerpt, lanes: LaneMap) -> FittedPose | None:
     information = prior.information.copy()
     information[POSE, POSE] = np.diag((NEAR if measured else LEVEL) ** -2.0)
     prior = Prior(mean=centre, information=information)
-    fits = _fits(scene, prior)
-    fit = along_valley(scene, min(fits, key=lambda each: each.cost), prior, MODEL)
+    fit = along_valley(scene, _likeliest(scene, prior), prior, MODEL)
     if not fit.converged or fit.fitness < LEAST_FITNESS:
         return None
-    return FittedPose(
-        pose=pose, prior=prior, scene=scene, fits=fits, fit=fit, heights=measured
-    )  # fmt: skip
+    return FittedPose(pose=pose, prior=prior, scene=scene, fit=fit, heights=measured)
 
 
-def _fits(scene: Scene, prior: Prior) -> list[Fit]:
-    """Return fits from several starts, as many stop beside the right place."""
+def _likeliest(scene: Scene, prior: Prior) -> Fit:
+    """Return the likeliest fit of several starts, as many stop beside the right place."""
     steps = np.zeros((len(SIDES_M) * (1 + len(TURNED_DEG)), SIZE))
     steps[:, PLANE] = [(*to, turn) for turn in np.radians((0.0, *TURNED_DEG)) for to in SIDES_M]
     starts = [prior.mean.moved(step) for step in steps]
     level, turned = starts[: len(SIDES_M)], starts[len(SIDES_M) :]
     few = few_samples(scene)
     likeliest = min(turned, key=lambda start: cost_at(few, start, scale_m=LOOK_SCALE_M))
-    return [solve(scene, each, prior, schedule=WINDOW) for each in (*level, likeliest)]
-
-
-def rests_at(fits: list[Fit], best: Fit, given: State) -> bool:
-    """Return whether a fit that is nearly as likely as the best comes to rest at the given pose.
-
-    It is nearer to that pose than to the best fit, and its cost is neither so high that its place
-    is excluded, nor has it risen as the curvature predicts. Then two poses are rivals. Else the
-    traffic shows one, and its distance in standard errors tells all: gains in likelihood near an
-    optimum amount to half of that.
-
-    Parameters
-    ----------
-    fits : list of Fit
-        Fits from several starts.
-    best : Fit
-        The likeliest.
-    given : State
-        The given pose.
-    """
-    lever_m = np.array([1.0, 1.0, LEVER_M])
-    for fit in fits:
-        away, step = (fit.state.difference(each) for each in (given, best.state))
-        nearer = np.linalg.norm(lever_m * away[PLANE]) < np.linalg.norm(lever_m * step[PLANE])
-        rise = 0.5 * float(step @ best.information @ step)
-        if nearer and fit.cost - best.cost < min(RISEN * rise, CLEAR_RISE):
-            return True
-    return False
-
-
-def _prefers(scene: Scene, fit: Fit, prior: Prior) -> bool:
-    """Return whether the vehicles clearly prefer a fit to the place and yaw of its prior."""
-    information = prior.information.copy()
-    information[PLANE, PLANE] = HELD**-2.0  # heights and tilt are fitted
-    held = replace(prior, information=information)
-    given = solve(scene, prior.mean, held, schedule=WINDOW)
-    return advantage(fit, given, scene.samples) >= PREFERRED
+    fits = [solve(scene, each, prior, schedule=WINDOW) for each in (*level, likeliest)]
+    return min(fits, key=lambda each: each.cost)
 
 
 def mistakes_apart(seen: Measurement, centre: State) -> list[tuple[Measurement, float]]:

@@ -13,7 +13,6 @@ from gis_radar.calibration.check.fitted_pose import FittedPose, fit_pose
 from gis_radar.calibration.check.offsets import (
     OFF_DEG,
     OFF_M,
-    OFF_SIGMAS,
     TOO_FAR,
     Discrepancy,
     discrepancy,
@@ -21,13 +20,10 @@ from gis_radar.calibration.check.offsets import (
     hidden,
 )
 from gis_radar.calibration.check.rivals import (
-    SAME_DEG,
-    SAME_PLACE_M,
     LaneMap,
     Rival,
     found_poses,
     score,
-    ways_to_be_wrong,
 )
 from gis_radar.calibration.findings import (
     FITS,
@@ -73,11 +69,11 @@ def pose_off(excerpt: Excerpt, lanes: LaneMap, found: Finding, scale: RangeScale
             "{}; without heights of map and radar, height and tilt are not compared", found.evidence
         )
         found = replace(found, evidence=evidence)
-    off, seen = discrepancy(fitted)
+    off = discrepancy(fitted)
     if off is None:
-        return _shown(hidden(fitted.pose, seen, fitted.centre), found)
-    told = _told(excerpt, lanes, off, found.evidence)
-    if not off.sure or not off.of_place or scale is None:
+        return _shown(hidden(fitted.pose, fitted.seen, fitted.centre), found)
+    told = _told(off, found.evidence)
+    if not off.of_place or scale is None:
         return told
     other = _scale_instead(excerpt, lanes, fitted, scale)
     if other is None:
@@ -124,7 +120,7 @@ def _shown(open_by: list[Text], found: Finding) -> Finding:
     return replace(found, verdict=UNKNOWN, evidence=evidence, advice=crossing)
 
 
-def _told(excerpt: Excerpt, lanes: LaneMap, off: Discrepancy, evidence: str) -> Finding:
+def _told(off: Discrepancy, evidence: str) -> Finding:
     """Return the finding that the pose is off."""
     by, right = (
         Text(", or ").join(Text(", ").join(getattr(each, part) for each in way) for way in off.ways)
@@ -134,13 +130,6 @@ def _told(excerpt: Excerpt, lanes: LaneMap, off: Discrepancy, evidence: str) -> 
     advice = Text("set {} in its pose, or find it with gis-radar localize", right)
     if not off.too_far:
         return Finding(sensor="", verdict=FITS, evidence=put, cause=MAY_BE_OFF, advice=advice)
-    if not off.sure:
-        return wrong(put, UNKNOWN_CAUSE, ONE_PLACE)
-    if off.turn is not None:
-        turn, sigma = off.turn
-        named = _with_name(excerpt, lanes, excerpt.usual.yaw + turn, OFF_SIGMAS * sigma)
-        if named is not None:
-            return wrong(put, named.cause, named.advice)
     return wrong(put, POSE_OFF, advice)
 
 
@@ -154,23 +143,8 @@ def _elsewhere(excerpt: Excerpt, lanes: LaneMap, evidence: str) -> Finding | Non
             if_so = Text("{}, {:.0%} after this correction", evidence, each.share)
             if rival.twofold(pose):
                 return wrong(if_so, UNKNOWN_CAUSE, ONE_PLACE)
-            yaw = rival.turned(pose).yaw
-            named = _with_name(excerpt, lanes, yaw, SAME_DEG[0]) if off_m < SAME_PLACE_M else rival
-            return wrong(if_so, (named or rival).cause, (named or rival).advice)
+            return wrong(if_so, rival.cause, rival.advice)
     return None
-
-
-def _with_name(excerpt: Excerpt, lanes: LaneMap, yaw: float, within: float) -> Rival | None:
-    """Return the named mistake, if any, that turns the usual pose to a yaw (degrees)."""
-    pose = excerpt.usual
-    turned = [each for each in ways_to_be_wrong(excerpt, {}) if each.off(pose)[1] != 0.0]
-    near = [
-        each
-        for each in turned
-        if abs((each.turned(pose).yaw - yaw + 180.0) % 360.0 - 180.0) < within
-        and fits_if(excerpt, lanes, each)
-    ]
-    return near[0] if near else None
 
 
 def lengths_off(excerpt: Excerpt, lanes: LaneMap, scale: RangeScale | None) -> Finding | None:

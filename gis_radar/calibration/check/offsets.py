@@ -116,15 +116,9 @@ class Discrepancy:
     ----------
     ways : list of lists of Off
         What is off by each likely mistake, the likeliest first.
-    turn : (float, float) or None
-        The turn that corrects the yaw, with its error, degrees, where that alone is off.
-    sure : bool
-        Whether the right pose is known; else another one is as likely as the given one.
     """
 
     ways: Sequence[Sequence[Off]]
-    turn: tuple[float, float] | None
-    sure: bool = True
 
     @property
     def too_far(self) -> bool:
@@ -137,39 +131,25 @@ class Discrepancy:
         return any(each.least == OFF_M for way in self.ways for each in way)
 
 
-def discrepancy(fitted: FittedPose) -> tuple[Discrepancy | None, Measurement]:
-    """Return by what a given pose is off, if it is, and the pose by the traffic.
+def discrepancy(fitted: FittedPose) -> Discrepancy | None:
+    """Return by what a given pose is off, if it is.
+
+    The right pose contradicts the traffic if it does by one way to be wrong; each likely way is
+    told by which it is so far off.
 
     Parameters
     ----------
     fitted : FittedPose
         Of the sensor.
     """
-    off = _discrepancy(fitted.pose, fitted.seen, fitted.centre)
-    if off is None or not fitted.disputed:
-        return off, fitted.seen
-    if off.too_far:  # it is off, but whether the fitted pose is the right one is open
-        return replace(off, sure=False), fitted.seen
-    return _discrepancy(fitted.pose, fitted.either, fitted.centre), fitted.either
-
-
-def _discrepancy(pose: Pose, seen: Measurement, centre: State) -> Discrepancy | None:
-    """Return what is off, where a measured pose is too far from a given one.
-
-    The right pose contradicts the traffic if it does by one way to be wrong; each likely way is
-    told by which it is so far off.
-    """
-    mistakes = single_mistakes(seen, centre)
-    ways = [offs_of(pose, each, centre) for each in mistakes]
+    mistakes = single_mistakes(fitted.seen, fitted.centre)
+    ways = [offs_of(fitted.pose, each, fitted.centre) for each in mistakes]
     first = next((k for k, offs in enumerate(ways) if any(each.far for each in offs)), None)
     if first is None:
         return None
     far = [each for each in ways[first] if each.far]
     told = [far] + [_instead(ways[first], offs) for k, offs in enumerate(ways) if k != first]
-    place, yaw = ways[first][:2]
-    turned = yaw.far and place.amount < max(TOO_FAR * OFF_M, OFF_SIGMAS * place.sigma)
-    turn = turns_of(pose, mistakes[first])[0] if turned else None
-    return Discrepancy(ways=[each for each in told if each], turn=turn)
+    return Discrepancy(ways=[each for each in told if each])
 
 
 def _instead(told: list[Off], other: list[Off]) -> list[Off]:
@@ -258,7 +238,7 @@ def fits_if(excerpt: Excerpt, lanes: LaneMap, mistake: Rival) -> bool:
     if mistake.signless:
         return True  # which sign each range rate had is not known
     fitted = fit_pose(corrected(excerpt, mistake), lanes)
-    return fitted is not None and (mistake.searched or discrepancy(fitted)[0] is None)
+    return fitted is not None and (mistake.searched or discrepancy(fitted) is None)
 
 
 def corrected(excerpt: Excerpt, mistake: Rival) -> Excerpt:
