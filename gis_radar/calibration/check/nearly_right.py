@@ -8,13 +8,13 @@ import numpy as np
 
 from gis_radar.base import Text
 from gis_radar.calibration.check.excerpt import Excerpt
-from gis_radar.calibration.check.explanations import CLEAR, FOUND_SHARE, likeliest, scored
+from gis_radar.calibration.check.explanations import FOUND_SHARE, likeliest, scored
 from gis_radar.calibration.check.fitted_pose import FittedPose, fit_pose
 from gis_radar.calibration.check.offsets import (
     OFF_DEG,
     OFF_M,
     TOO_FAR,
-    Discrepancy,
+    Off,
     discrepancy,
     fits_if,
     hidden,
@@ -39,7 +39,6 @@ from gis_radar.calibration.registration.hypotheses import LOOK_SCALE_M, few_samp
 from gis_radar.calibration.registration.solver import cost_at
 from gis_radar.calibration.unit_mistakes import LEAST_WRONG, RangeScale, lengthened
 
-HINTED = 1.5  # standard errors from which a scale of range may explain a pose that is off
 OPEN = np.linspace(-2.0, 2.0, 9)  # standard errors from a measured scale of range that are tried
 
 POSE_OFF, MAY_BE_OFF = Text("its pose is off"), Text("its pose may be off")
@@ -70,10 +69,10 @@ def pose_off(excerpt: Excerpt, lanes: LaneMap, found: Finding, scale: RangeScale
         )
         found = replace(found, evidence=evidence)
     off = discrepancy(fitted)
-    if off is None:
+    if not off:
         return _shown(hidden(fitted.pose, fitted.seen, fitted.centre), found)
     told = _told(off, found.evidence)
-    if not off.of_place or scale is None:
+    if scale is None or not any(each.least == OFF_M for each in off):
         return told
     other = _scale_instead(excerpt, lanes, fitted, scale)
     if other is None:
@@ -120,15 +119,12 @@ def _shown(open_by: list[Text], found: Finding) -> Finding:
     return replace(found, verdict=UNKNOWN, evidence=evidence, advice=crossing)
 
 
-def _told(off: Discrepancy, evidence: str) -> Finding:
+def _told(off: list[Off], evidence: str) -> Finding:
     """Return the finding that the pose is off."""
-    by, right = (
-        Text(", or ").join(Text(", ").join(getattr(each, part) for each in way) for way in off.ways)
-        for part in ("text", "right")
-    )
+    by, right = (Text(", ").join(getattr(each, part) for each in off) for part in ("text", "right"))
     put = Text("{}; they do so best with the sensor {}", evidence, by)
     advice = Text("set {} in its pose, or find it with gis-radar localize", right)
-    if not off.too_far:
+    if not any(each.too_far for each in off):
         return Finding(sensor="", verdict=FITS, evidence=put, cause=MAY_BE_OFF, advice=advice)
     return wrong(put, POSE_OFF, advice)
 
@@ -145,23 +141,3 @@ def _elsewhere(excerpt: Excerpt, lanes: LaneMap, evidence: str) -> Finding | Non
                 return wrong(if_so, UNKNOWN_CAUSE, ONE_PLACE)
             return wrong(if_so, rival.cause, rival.advice)
     return None
-
-
-def lengths_off(excerpt: Excerpt, lanes: LaneMap, scale: RangeScale | None) -> Finding | None:
-    """Return the finding that ranges are too long, where range rates hint at it and lanes agree.
-
-    Parameters
-    ----------
-    excerpt : Excerpt
-        What moved.
-    lanes : LaneMap
-        The map.
-    scale : RangeScale or None
-        How far ranges change as range rates state.
-    """
-    if scale is None or abs(scale.factor - 1.0) <= max(LEAST_WRONG, HINTED * scale.sigma):
-        return None
-    longer = Rival(scale=scale.factor)
-    if score(excerpt, lanes, longer).ahead_of(score(excerpt, lanes)) <= CLEAR:
-        return None
-    return lengthened(scale) if fits_if(excerpt, lanes, longer) else None

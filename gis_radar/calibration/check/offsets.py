@@ -5,7 +5,6 @@ A cause of a fault is named only if nothing is off once what it says is correcte
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,34 +107,8 @@ def _turned(name: str, turn: float, sigma: float) -> Text:
     return Text("turned {:.2f} \u00b1 {:.2f} deg {}, seen from above", *amount, sense(turn))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Discrepancy:
-    """By what a pose is off.
-
-    Parameters
-    ----------
-    ways : list of lists of Off
-        What is off by each likely mistake, the likeliest first.
-    """
-
-    ways: Sequence[Sequence[Off]]
-
-    @property
-    def too_far(self) -> bool:
-        """Whether the pose is refused."""
-        return any(each.too_far for each in self.ways[0])
-
-    @property
-    def of_place(self) -> bool:
-        """Whether the place may be off."""
-        return any(each.least == OFF_M for way in self.ways for each in way)
-
-
-def discrepancy(fitted: FittedPose) -> Discrepancy | None:
-    """Return by what a given pose is off, if it is.
-
-    The right pose contradicts the traffic if it does by one way to be wrong; each likely way is
-    told by which it is so far off.
+def discrepancy(fitted: FittedPose) -> list[Off]:
+    """Return by what a given pose is off, by the likeliest mistake; nothing where it is right.
 
     Parameters
     ----------
@@ -143,24 +116,9 @@ def discrepancy(fitted: FittedPose) -> Discrepancy | None:
         Of the sensor.
     """
     mistakes = single_mistakes(fitted.seen, fitted.centre)
-    ways = [offs_of(fitted.pose, each, fitted.centre) for each in mistakes]
-    first = next((k for k, offs in enumerate(ways) if any(each.far for each in offs)), None)
-    if first is None:
-        return None
-    far = [each for each in ways[first] if each.far]
-    told = [far] + [_instead(ways[first], offs) for k, offs in enumerate(ways) if k != first]
-    return Discrepancy(ways=[each for each in told if each])
-
-
-def _instead(told: list[Off], other: list[Off]) -> list[Off]:
-    """Return by what of place and yaw a pose may be off instead; nothing beside a tilt."""
-    if any(each.far for each in told[2:]):
-        return []
-    return [
-        each
-        for one, each in zip(told[:2], other[:2], strict=True)
-        if not one.far and each.amount > each.least
-    ]
+    ways = (offs_of(fitted.pose, each, fitted.centre) for each in mistakes)
+    far = ([each for each in offs if each.far] for offs in ways)
+    return next(filter(None, far), [])
 
 
 def hidden(pose: Pose, seen: Measurement, centre: State) -> list[Text]:
@@ -238,7 +196,7 @@ def fits_if(excerpt: Excerpt, lanes: LaneMap, mistake: Rival) -> bool:
     if mistake.signless:
         return True  # which sign each range rate had is not known
     fitted = fit_pose(corrected(excerpt, mistake), lanes)
-    return fitted is not None and (mistake.searched or discrepancy(fitted) is None)
+    return fitted is not None and (mistake.searched or not discrepancy(fitted))
 
 
 def corrected(excerpt: Excerpt, mistake: Rival) -> Excerpt:

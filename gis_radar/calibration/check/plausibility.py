@@ -22,7 +22,7 @@ from gis_radar.calibration.check.excerpt import (
     read_excerpts,
 )
 from gis_radar.calibration.check.explanations import by_lanes, least_share
-from gis_radar.calibration.check.nearly_right import lengths_off, pose_off
+from gis_radar.calibration.check.nearly_right import pose_off
 from gis_radar.calibration.check.odd_clocks import odd_clocks
 from gis_radar.calibration.check.rivals import (
     AGAINST,
@@ -195,7 +195,7 @@ def _judged(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fin
     units = () if is_known else (FEET, YARDS)
     found = found or by_lanes(excerpt, lanes, others, units)
     if found.verdict == FITS:
-        found = lengths_off(excerpt, lanes, scale) or pose_off(excerpt, lanes, found, scale)
+        found = pose_off(excerpt, lanes, found, scale)
     other = None
     if found.cause == AGAINST.cause and not is_known:  # both turn the direction of travel
         other = SIGN
