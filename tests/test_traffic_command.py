@@ -7,6 +7,7 @@ import sqlite3
 import zipfile
 from contextlib import closing
 from itertools import combinations
+from textwrap import wrap
 from xml.etree import ElementTree as ET
 
 import geopandas as gpd
@@ -15,14 +16,16 @@ import pandas as pd
 import pytest
 from datasets import HOUR
 from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
-from maps import EAST, NORTH
+from maps import EAST, NORTH, Listener
 from shapely import LineString, box
 from shapely.affinity import rotate
 from sites import pose
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
-from gis_radar.products import Traffic
+from gis_radar.dataset.hours.remarks import remark_on_lines
+from gis_radar.products import Traffic, publisher_of
+from gis_radar.products import traffic as traffic_module
 from gis_radar.products.traffic_picture import draw_turning_diagram, mean_turns
 from simulation.sumo import run as run_sumo
 
@@ -175,10 +178,20 @@ def test_the_workbook_shows_heads_and_whole_times(written):
 
 
 def test_the_workbook_speaks_german(written):
-    folder, _ = written("--language", "de")
+    """Its titles are read whole: no word is wider than its column, no line below the row's end."""
+    folder, _ = written("--language", "de", "--headways")
+    with zipfile.ZipFile(folder / "traffic.xlsx") as file:
+        sheet = ET.fromstring(file.read("xl/worksheets/sheet1.xml"))  # noqa: S314 - ours
+    widths = [float(each.get("width")) for each in sheet.iter(f"{SHEET}col") for _ in
+              range(int(each.get("min")), int(each.get("max")) + 1)]  # fmt: skip
+    height = float(sheet.find(f"{SHEET}sheetData/{SHEET}row").get("ht"))
     names, lanes = sheet_of(folder / "traffic.xlsx", 1)
     assert names == ["Fahrstreifen", "Abbiegen"]
     assert "Verkehrsstärke [Kfz/h]" in lanes[0].values()
+    for title, width in zip(lanes[0].values(), widths, strict=True):
+        lines = wrap(title, int(width / 1.2), break_long_words=False)
+        assert max(map(len, lines)) <= width / 1.15
+        assert len(lines) <= height / 15
 
 
 def test_layers_have_times_in_utc_and_a_style(written, dataset):
@@ -243,12 +256,18 @@ def test_a_line_that_is_seen_straight_across_has_a_larger_error(tmp_path):
     """There a range rate does not tell who sets off; by 12 m along the lane it does."""
     tracks = [through(n, BEGIN + 1200 * n, STRAIGHT) for n in range(4)]
     east, north = EAST + 60.0, NORTH - 30.0
-    across, along = (
+    datasets = [
         fork_dataset(
             tmp_path / str(ahead), tracks, seen_from=pose(easting=east - ahead, northing=north)
-        ).traffic()
+        )
         for ahead in (0.0, 12.0)
-    )
+    ]
+    listener = Listener()
+    for each in datasets:
+        remark_on_lines(each, listener)
+    (said,) = listener.lines
+    assert said.startswith(f"lane {APPROACH}: every sensor looks straight across")
+    across, along = (each.traffic() for each in datasets)
     volume = across["volume"].iloc[0]
     assert volume == along["volume"].iloc[0] >= 4
     more = across["volume_se"].iloc[0] ** 2 - along["volume_se"].iloc[0] ** 2
@@ -327,7 +346,30 @@ def test_datex_leaves_out_what_is_null(dataset, tmp_path):
     assert "occupancy" in text
 
 
-@pytest.mark.parametrize("publisher", ["City of Example", "DEU:City", "DE:", "D1:City"])
+def test_a_publisher_has_any_letters():
+    assert publisher_of(' De : Köln "A" <b>: c') == ("de", 'Köln "A" <b>: c')
+
+
+def test_an_earlier_result_with_more_files_is_replaced(written):
+    written("--datex", "DE:City of Example", "--cycles")
+    folder, _ = written()
+    assert {path.name for path in folder.iterdir()} == FILES
+
+
+def test_rows_that_no_sheet_holds_are_left_to_the_tables(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(traffic_module, "SHEET_ROWS", 2)
+    listener = Listener()
+    made = gr.make_traffic(dataset)
+    names = {path.name for path in made.write(tmp_path / "out", reporter=listener)}
+    assert names == FILES - {"traffic.xlsx"}
+    (said,) = listener.lines
+    assert said.startswith(f"traffic.xlsx is left out: {len(made.lanes)} rows, and a sheet holds 2")
+
+
+@pytest.mark.parametrize(
+    "publisher",
+    ["City of Example", "DEU:City", "DE:", "D1:City", "ÄÖ:City", "DE:a\x01b", f"DE:{'ä' * 1025}"],
+)
 def test_a_publisher_is_a_country_and_a_name(run, dataset, tmp_path, publisher):
     code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", "--datex", publisher)
     assert code == 2

@@ -35,7 +35,7 @@ FILE_DATE = date(2000, 1, 1)
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 # Libraries that write our files. Their errors are recognised by module: importing takes a second.
-_WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL"}
+_WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL", "xlsxwriter"}
 _FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
 LEAST_FREE = 1 << 16  # bytes: a disk with less is full, whatever a library's error states
 

@@ -89,7 +89,9 @@ def traffic(
     *, folder: Path, output: Path, site: Path | None, datex: str | None, language: str,
     csv_locale: str, reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
-    """Count traffic by lane and turn: volumes, speeds, queues (CSV, xlsx, GeoPackage, SUMO)."""
+    """Count traffic by lane and turn: volumes, speeds, queues; tables, layers, SUMO, DATEX II."""
+    if datex is not None:
+        products.publisher_of(datex)  # refuses a wrong one before the work
     measured = _opened(folder, site, reporter)
     made = gr.make_traffic(measured, language=language, **options)
     with base.csv_for(csv_locale):

@@ -19,6 +19,7 @@ from .report.report import Report, write_report
 from .report.results import as_stated, lost_sensors, read_run
 from .report.sources import made_by
 from .traffic import Traffic, make_traffic, service_levels
+from .traffic_exchange import publisher_of
 
 __all__ = [
     "BREAKS",
@@ -56,6 +57,7 @@ __all__ = [
     "project",
     "publish",
     "publish_city",
+    "publisher_of",
     "read_heatmap",
     "read_run",
     "render_page",

@@ -39,7 +39,7 @@ from gis_radar.products.traffic_exchange import (
 )
 from gis_radar.products.traffic_picture import write_turning_diagram
 from gis_radar.products.traffic_style import VOLUMES, traffic_style
-from gis_radar.products.workbook import write_workbook
+from gis_radar.products.workbook import SHEET_ROWS, write_workbook
 
 LANES, TURNS, SECTIONS, CYCLES = "lanes", "turns", "sections", "cycles"
 TITLES = {
@@ -75,6 +75,8 @@ TITLES = {
 _KEPT = {"shows": VOLUMES}  # GDAL then makes the tables of metadata, which titles need
 _IDS = ("lane", "from_lane", "to_lane")  # up to 9e18: as numbers, xlsx and JSON would round them
 _TIMES = ("begin", "end")
+# What files of an earlier result begin with, also of one with other options.
+_OWNED = ("traffic.", "turns.", f"{SECTIONS}.", "hand_counts.", f"{CYCLES}.", "sumo.", "datex.")
 _DIGITS = 4  # of numbers in tables for people: far below their errors
 
 
@@ -177,11 +179,20 @@ class Traffic:
             publisher = publisher_of(datex)
             writers["datex.sites.xml"] = partial(write_datex_sites, self.lanes, publisher)
             writers["datex.measured.xml"] = partial(write_datex_measurements, self.lanes, publisher)
+        rows = max(map(len, (self.lanes, self.turns, *self._more.values())))
+        if rows > SHEET_ROWS:
+            del writers["traffic.xlsx"]
+            reporter.warn(
+                "{} is left out: {} rows, and a sheet holds {}; the tables (CSV) have all",
+                "traffic.xlsx",
+                rows,
+                SHEET_ROWS,
+            )
         if self.turns["volume"].notna().any():
             writers["turns.png"] = partial(write_turning_diagram, self.lanes, self.turns)
         return write_results(
-            folder, writers, name="traffic", stage="writing traffic", language=language,
-            reporter=reporter,
+            folder, writers, name="traffic", owned=_OWNED, stage="writing traffic",
+            language=language, reporter=reporter,
         )  # fmt: skip
 
     @property

@@ -32,6 +32,7 @@ _QUANTITIES = {
     _FLOW: "trafficFlow", _SPEED: "trafficSpeed", _CONCENTRATION: "trafficConcentration"
 }  # fmt: skip
 _VERSION = "1"  # of the table of sites and of each site
+_LETTERS = 1024  # most that a text of DATEX II has
 _DEGREES = 7  # decimals of latitudes and longitudes: a centimetre
 
 
@@ -89,10 +90,11 @@ def publisher_of(text: str) -> tuple[str, str]:
     Raises
     ------
     UsageError
-        If it is not a country of two letters, a colon and a name.
+        If it is not a country of two letters, a colon and a name of a line.
     """
     country, _, name = (part.strip() for part in text.partition(":"))
-    if len(country) != 2 or not country.isalpha() or not name:
+    is_country = len(country) == 2 and country.isascii() and country.isalpha()
+    if not (is_country and 0 < len(name) <= _LETTERS and name.isprintable()):
         raise UsageError(
             "the publisher is {}, expected a country and a name such as 'DE:City of Example'",
             repr(text),

@@ -1,4 +1,8 @@
-"""Compare the traffic of two periods by lane: differences of measures, with their significance."""
+"""Compare the traffic of two periods by lane: differences of measures, with their significance.
+
+Only intervals of a lane that the same sensors saw alike are compared: a second radar sees past what
+hides vehicles from the first one, so it finds more of them, which must not look like more traffic.
+"""
 
 from __future__ import annotations
 
