@@ -325,7 +325,8 @@ def test_datex_sends_the_table_of_sites_and_what_is_measured(written, dataset):
     assert first.find("{*}measurementSiteReference").get("id") == str(row["lane"])
     flow = first.find(".//{*}vehicleFlow")
     assert flow.get("numberOfInputValuesUsed") == "8"
-    assert float(flow.get("standardDeviation")) == pytest.approx(4 * row["volume_se"], abs=0.01)
+    accuracy = 100 - 100 * row["volume_se"] / row["volume"]
+    assert float(flow.get("accuracy")) == pytest.approx(accuracy, abs=0.06)
     assert flow.find("{*}vehicleFlowRate").text == str(round(row["volume_veh_h"]))
     occupancy = first.find(".//{*}occupancy/{*}percentage").text
     assert float(occupancy) == pytest.approx(100 * row["occupancy"], abs=0.01)
@@ -334,6 +335,23 @@ def test_datex_sends_the_table_of_sites_and_what_is_measured(written, dataset):
     assert [float(each) for each in line[:2]] == pytest.approx(
         [*lanes.to_crs(4326).geometry.iloc[0].coords[0]][1::-1], abs=1e-6
     )
+
+
+def test_datex_has_another_version_for_another_table_of_sites(dataset, tmp_path):
+    def versions(traffic):
+        folder = tmp_path / f"{len(list(tmp_path.iterdir()))}"
+        traffic.write(folder, datex="fr:Ville")
+        texts = [(folder / f"datex.{name}.xml").read_text() for name in ("sites", "measured")]
+        found = {each for text in texts for each in re.findall(r' version="(\w+)"', text)}
+        assert len(found) == 1
+        return found
+
+    quarters, minutes = gr.make_traffic(dataset), gr.make_traffic(dataset, interval="5min")
+    one = quarters.lanes["lane"] == quarters.lanes["lane"].iloc[0]
+    fewer = Traffic(lanes=quarters.lanes[~one], turns=quarters.turns)
+    emptied = quarters.lanes.assign(volume_veh_h=np.nan)
+    assert versions(quarters) == versions(Traffic(lanes=emptied, turns=quarters.turns))
+    assert len(set.union(*map(versions, (quarters, minutes, fewer)))) == 3
 
 
 def test_datex_leaves_out_what_is_null(dataset, tmp_path):

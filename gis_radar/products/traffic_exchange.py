@@ -6,6 +6,7 @@ lane is a measurement site, whose quantities have numbers.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,6 @@ _FLOW, _SPEED, _CONCENTRATION = 1, 2, 3
 _QUANTITIES = {
     _FLOW: "trafficFlow", _SPEED: "trafficSpeed", _CONCENTRATION: "trafficConcentration"
 }  # fmt: skip
-_VERSION = "1"  # of the table of sites and of each site
 _LETTERS = 1024  # most that a text of DATEX II has
 _DEGREES = 7  # decimals of latitudes and longitudes: a centimetre
 
@@ -116,11 +116,11 @@ def write_datex_sites(lanes: gpd.GeoDataFrame, publisher: tuple[str, str], path:
     """
     root = _publication("MeasurementSiteTablePublication", lanes, publisher)
     _add_header(root)
-    table = SubElement(root, "roa:measurementSiteTable", id=publisher[1], version=_VERSION)
-    period_s = (lanes["end"] - lanes["begin"]).max().total_seconds()
+    version, period_s = _version(lanes), _period_s(lanes)
+    table = SubElement(root, "roa:measurementSiteTable", id=publisher[1], version=version)
     sites = lanes.drop_duplicates("lane").to_crs("EPSG:4326")
     for site in sites.itertuples():
-        place = SubElement(table, "roa:measurementSite", id=str(site.lane), version=_VERSION)
+        place = SubElement(table, "roa:measurementSite", id=str(site.lane), version=version)
         name = SubElement(SubElement(place, "roa:measurementSiteName"), "com:values")
         _add(name, "com:value", site.name, lang=current_language())
         _add(place, "roa:measurementSiteNumberOfLanes", 1)
@@ -149,13 +149,13 @@ def write_datex_measurements(
     path : Path
         The file: a MeasuredDataPublication.
     """
-    root = _publication("MeasuredDataPublication", lanes, publisher)
-    table = {"targetClass": "roa:MeasurementSiteTable", "id": publisher[1], "version": _VERSION}
+    root, version = _publication("MeasuredDataPublication", lanes, publisher), _version(lanes)
+    table = {"targetClass": "roa:MeasurementSiteTable", "id": publisher[1], "version": version}
     SubElement(root, "roa:measurementSiteTableReference", table)
     _add_header(root)
     for row in lanes.drop(columns="geometry").to_dict("records"):
         site = SubElement(root, "roa:siteMeasurements")
-        lane = {"targetClass": "roa:MeasurementSite", "id": str(row["lane"]), "version": _VERSION}
+        lane = {"targetClass": "roa:MeasurementSite", "id": str(row["lane"]), "version": version}
         SubElement(site, "roa:measurementSiteReference", lane)
         for index, kind, values in _quantities(row):
             outer = SubElement(site, "roa:physicalQuantity", index=str(index))
@@ -171,12 +171,23 @@ def write_datex_measurements(
     _write_xml(root, path)
 
 
+def _period_s(lanes: gpd.GeoDataFrame) -> float:
+    return float((lanes["end"] - lanes["begin"]).max().total_seconds())
+
+
+def _version(lanes: gpd.GeoDataFrame) -> str:
+    """Return the version of the table and of its sites: other sites or periods give another."""
+    sites = lanes.drop_duplicates("lane")
+    stated = zip(sites["lane"], sites["name"], sites.geometry.to_wkt(), strict=True)
+    content = [current_language(), _period_s(lanes), *stated]
+    return hashlib.blake2b(repr(content).encode(), digest_size=8).hexdigest()
+
+
 def _quantities(row: dict[Any, Any]) -> Iterator[tuple[int, str, list[Element]]]:
     """Yield number, type and values of what is known, in the order of the schema."""
     if pd.notna(row["volume_veh_h"]):
-        hours = (row["end"] - row["begin"]).total_seconds() / 3600.0
         flow = [_value("vehicleFlow", "com:vehicleFlowRate", round(row["volume_veh_h"]),
-                       error=row["volume_se"] / hours, count=row["counted"])]  # fmt: skip
+                       accuracy=_accuracy(row, "volume"), count=row["counted"])]  # fmt: skip
         if row["counted"]:
             heavy = 100.0 * row["heavy"] / row["counted"]
             flow.insert(0, _value("percentageLongVehicles", "com:percentage", f"{heavy:.1f}"))
@@ -191,23 +202,31 @@ def _quantities(row: dict[Any, Any]) -> Iterator[tuple[int, str, list[Element]]]
             speed[-1].append(_value("speedPercentile", "com:speed", known))
         yield _SPEED, "TrafficSpeed", speed
     if pd.notna(row["occupancy"]):
-        share, error = 100.0 * row["occupancy"], 100.0 * row["occupancy_se"]
-        dense = [_value("occupancy", "com:percentage", f"{share:.2f}", error=error)]
+        share = f"{100.0 * row['occupancy']:.2f}"
+        accuracy = _accuracy(row, "occupancy")
+        dense = [_value("occupancy", "com:percentage", share, accuracy=accuracy)]
         if pd.notna(row["density_veh_km"]):
             density = round(row["density_veh_km"])
             dense.insert(0, _value("density", "roa:densityOfVehicles", density))
         yield _CONCENTRATION, "TrafficConcentration", dense
 
 
+def _accuracy(row: dict[Any, Any], name: str) -> str | None:
+    """Return by how many percent a value is free from standard error; None where not known."""
+    value, error = row[name], row[f"{name}_se"]
+    known = pd.notna(error) and value > 0.0
+    return f"{max(0.0, 100.0 * (1.0 - error / value)):.1f}" if known else None
+
+
 def _value(
-    name: str, unit: str, value: object, *, error: float | None = None, count: int | None = None
+    name: str, unit: str, value: object, *, accuracy: str | None = None, count: int | None = None
 ) -> Element:
-    """Return a value with its standard error and the number of vehicles it is of, where known."""
+    """Return a value with its accuracy and the number of vehicles it is of, where known."""
     element = Element(f"roa:{name}")
     if count is not None:
         element.set("numberOfInputValuesUsed", str(count))
-    if error is not None and pd.notna(error):
-        element.set("standardDeviation", f"{error:.2f}")
+    if accuracy is not None:
+        element.set("accuracy", accuracy)
     _add(element, unit, value)
     return element
 
