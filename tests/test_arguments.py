@@ -43,6 +43,11 @@ def test_other_processes_find_a_public_function_under_its_public_name():
     assert pickle.loads(pickle.dumps(gr.measure)) is gr.measure  # noqa: S301 - our own
 
 
+def test_too_few_arguments_are_told_by_python():
+    with pytest.raises(TypeError, match=r"measure\(\) missing"):
+        gr.measure()
+
+
 @pytest.mark.parametrize(
     ("annotation", "good", "bad"),
     [

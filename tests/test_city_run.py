@@ -470,6 +470,11 @@ def test_a_scheduler_without_the_packages_is_refused():
         list(workers.results({"a": (os.getpid,)}))
 
 
+def test_jobs_and_executor_exclude_each_other():
+    with pytest.raises(UsageError), workers_of("tcp://127.0.0.1:1", 2, Said()):
+        pass
+
+
 # A cluster: scheduler and workers as processes on this machine.
 
 

@@ -68,6 +68,10 @@ def test_times_that_no_step_holds_are_refused(time):
     assert "UNIX seconds" in caught.value.hint
 
 
+def test_steps_before_1970_are_negative():
+    np.testing.assert_array_equal(step_of(np.array([-3e9, -0.01, 0.0])), [-60_000_000_000, -1, 0])
+
+
 @pytest.mark.parametrize(
     ("utc", "ahead"),
     [

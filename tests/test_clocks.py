@@ -131,6 +131,20 @@ def test_a_clock_that_runs_slow_by_a_percent_has_that_rate(drive, tmp_path, drif
     assert abs(clock.corrected(np.array([middle + 0.2]))[0] - middle) < 0.05
 
 
+def test_a_rate_of_no_clock_is_refused(drive, tmp_path):
+    odd = drifting(tmp_path / "odd.parquet", -0.015)
+    with pytest.raises(NoAnswerError, match=r"R1 and R2: their clocks run apart by 1\.[3-7]%"):
+        measure_clocks([drive("a")[0], odd], looks(), street())
+
+
+def test_traffic_that_they_do_not_share_gives_no_offset(drive, tmp_path):
+    one, _ = drive("a")
+    rng = np.random.default_rng(8)
+    other = recorded(tmp_path / "b.parquet", seen_by(looks()[1], vehicles(rng), rng))
+    with pytest.raises(NoAnswerError, match="R1 and R2: "):
+        measure_clocks([one, other], looks(), street())
+
+
 def test_sensors_that_see_different_roads_give_no_offset(drive):
     turned = [looks()[0], pose(sensor="R2", easting=EAST + 5000.0, yaw=180.0)]
     with pytest.raises(NoAnswerError, match="no common traffic"):

@@ -202,6 +202,14 @@ def test_other_traffic_is_named(tmp_path):
     assert "UDP port 5353 (3), UDP port 53 (1), no IPv4 (1)" in caught.value.hint
 
 
+def test_object_lists_are_called_what_they_are(tmp_path):
+    objects = struct.pack(">HHI", 0, 329, 9393).ljust(9401, b"\0")
+    packets = [(START, ethernet(ip)) for ip in ip_packets(objects)]
+    with pytest.raises(InputError) as caught:
+        convert(write_pcap(tmp_path / "r.pcap", packets))
+    assert "object list (1)" in caught.value.hint
+
+
 def test_a_short_snap_length_is_named(tmp_path):
     notes = Listener()
     path = write_pcap(tmp_path / "r.pcap", [])

@@ -152,6 +152,12 @@ def test_recordings_that_have_some_heights_are_refused(tmp_path, heights, said, 
         list(opened.read())
 
 
+def test_x_alone_is_no_position(tmp_path):
+    path = recording(tmp_path / "r.parquet", [START], [[1.0, np.nan, np.nan]])
+    with pytest.raises(InputError, match="position is not finite in row 1"):
+        list(open_recording(path).read())
+
+
 # --- poses
 
 

@@ -91,6 +91,12 @@ def test_silence_is_said(tmp_path, port):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_other_datagrams_are_no_frames(tmp_path, port, sending):
+    sending("127.0.0.1", port, b"hello")
+    with pytest.raises(InputError, match="no usable frame"):
+        gr.convert(f"udp://127.0.0.1:{port}", tmp_path / "r.parquet", duration_s=0.3)
+
+
 @pytest.mark.parametrize(
     "source",
     ["udp://radar:42102", "udp://1.2.3.4:99999", "udp://224.0.2.2?port=1", "udp://224.0.2.2/x"],
@@ -157,6 +163,13 @@ def test_every_flag_reaches_its_argument(monkeypatch, tmp_path, capture):
         "clock": "recorder",
         "duration_s": 120.0,
     }
+
+
+@pytest.mark.parametrize(
+    "words", [("--columns", "x"), ("--columns", ","), ("--duration", "soon"), ("--clock", "mine")]
+)
+def test_flags_that_make_no_sense(tmp_path, capture, words):
+    assert invoke("convert", capture, "-o", tmp_path / "r.parquet", *words).exit_code == 2
 
 
 def test_a_disk_that_is_full(tmp_path):

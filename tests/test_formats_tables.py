@@ -12,7 +12,7 @@ from radars import START, convert, frame_times
 from sites import recording
 
 import gis_radar as gr
-from gis_radar.base import InputError
+from gis_radar.base import InputError, UsageError
 
 
 def write(path, text):
@@ -154,3 +154,10 @@ def test_text_where_numbers_belong(tmp_path):
     (tmp_path / "r.parquet").write_bytes(b"PAR1" + b"x" * 50)
     with pytest.raises(InputError, match="cannot be read"):
         convert(tmp_path / "r.parquet")
+
+
+def test_a_unit_that_is_none(tmp_path):
+    path = recording(tmp_path / "r.parquet", [START], np.ones((1, 3)))
+    with pytest.raises(UsageError, match="time unit 'days'"):
+        convert(path, time_unit="days")
+    assert frame_times(path).tolist() == [START]

@@ -11,6 +11,7 @@ from sites import EAST, NORTH, recording
 
 import gis_radar as gr
 from gis_radar.base import InputError
+from gis_radar.cli import main
 from gis_radar.recordings import open_recording, read_raw
 from gis_radar.recordings.units import refuse_degrees, refuse_positions_in_other_units
 
@@ -90,3 +91,13 @@ def test_angles_in_degrees_are_refused_with_the_way_out(tmp_path, angle):
 @given(st.lists(st.floats(-np.pi, np.pi), max_size=50), st.integers(0, 2))
 def test_no_azimuth_in_radians_is_refused(angles, wrong):
     refuse_degrees(np.array([*angles, *[1e6] * min(wrong, len(angles) // 3)]), "az", "azimuth")
+
+
+def test_the_commands_exit_with_3(tmp_path, monkeypatch, capsys):
+    path = written(tmp_path / "r.parquet", scene() * 1000.0)
+    words = ["convert", str(path), "-o", str(tmp_path / "out.parquet")]
+    monkeypatch.setattr("sys.argv", ["gis-radar", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 3
+    assert "it looks like millimetres" in capsys.readouterr().err

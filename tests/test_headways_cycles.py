@@ -310,6 +310,11 @@ def test_hours_without_exact_tables_are_refused(dataset, tmp_path):
             asked()
 
 
+def test_headways_of_the_whole_time_are_refused(dataset):
+    with pytest.raises(gr.UsageError, match="headways are of intervals"):
+        dataset.traffic(headways=True, whole=True)
+
+
 GREEN = (
     "lane;green_begin;green_end\n10;2023-11-14 23:00:10;2023-11-14 23:00:30\n"
     "10;2023-11-14T22:00:40Z;\n10;2023-11-14 23:01:20;\n"
@@ -334,6 +339,11 @@ def test_cycles_of_hours_without_vehicles_have_the_types_of_others(dataset):
     none = dataset.signal_cycles(begin="2023-11-15T12:00Z", end="2023-11-15T13:00Z")
     assert none.empty
     assert none.dtypes.to_dict() == every.dtypes.to_dict()
+
+
+def test_green_times_that_are_not_there_are_named(dataset, tmp_path):
+    with pytest.raises(gr.InputError, match=r"green\.csv: cannot be read: No such file"):
+        dataset.signal_cycles(signals=tmp_path / "green.csv")
 
 
 def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path):

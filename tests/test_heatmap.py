@@ -171,6 +171,14 @@ def test_225_of_2000_steps_are_11_25_seconds():
     assert row["hit_share"] == 0.1125
 
 
+def test_overlapping_views_never_count_twice():
+    both = {("R1", "a"): {T0, T0 + 1}, ("R2", "a"): {T0 + 1, T0 + 2}}
+    site = make_site(lane_tiles(1), both, {key: {0} for key in both}, {(T0 + 1, 0)})
+    shares = make_heatmap(site.dataset).shares()
+    assert shares.observed_s[0] == 0.15
+    assert shares.hit_s[0] == 0.05
+
+
 def test_the_map_of_one_moment():
     site = two_sensors()
     heatmap = make_heatmap(site.dataset, at="2023-11-14T22:13:21.02Z")
@@ -178,6 +186,16 @@ def test_the_map_of_one_moment():
     assert (int(heatmap.whole.begin[0]), int(heatmap.whole.end[0])) == (T0 + 20, T0 + 21)
     assert set(heatmap.wide()["hit_s"].dropna()) == {0.0, 0.05}
     assert len(heatmap.long()) == len(site.tiles)
+
+
+def test_inputs_are_not_changed_and_other_columns_are_left():
+    site = two_sensors()
+    tiles = site.tiles.rename_geometry("geom").assign(hit_s=1.0, note="x")
+    before = tiles.copy()
+    wide = make_heatmap(site.dataset).wide()
+    assert tiles.equals(before)
+    assert "note" not in wide
+    assert wide.geometry.name == "geometry"
 
 
 def test_repr_says_the_time_of_the_site_and_ranks_nothing_by_hits():

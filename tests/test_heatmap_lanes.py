@@ -15,6 +15,7 @@ from test_heatmap_occupancy import both_of
 
 import gis_radar as gr
 from gis_radar.base import moment_in, zone_of
+from gis_radar.products.heatmap.intervals import intervals_at, local_intervals
 
 BERLIN = zone_of("Europe/Berlin")
 
@@ -147,6 +148,13 @@ def test_a_day_ends_at_24_as_pictures_say(text):
     for none in ("2025-10-26 24:01", "2025-10-26 24:00:01", "9999-12-31 24:00", "0001-01-01"):
         with pytest.raises(gr.UsageError, match="expected a time"):
             moment_in(none, BERLIN, what="end")
+
+
+def test_the_day_of_a_clock_change_has_25_hours():
+    first = round(moment_in("2025-10-26", BERLIN, what="").timestamp() * 20)
+    hours = local_intervals(first, first + 20 * 86_400, 72_000, BERLIN)
+    day = intervals_at(hours, BERLIN, None, "2025-10-26", "2025-10-27")
+    assert day == slice(0, 25)
 
 
 def test_pictures_say_which_clocks(heat):

@@ -56,6 +56,17 @@ def test_pixels_follow_the_tiles(heatmap, folder):
             assert np.isnan(wanted).any()
 
 
+def test_pixels_are_those_of_gdal(heatmap, folder):
+    share = heatmap.shares().hit_share
+    order = np.argsort(share)  # later ones overwrite; NaN is last and left out
+    shapes = [(heatmap.tiles.geometry[i], share[i]) for i in order if not np.isnan(share[i])]
+    with rasterio.open(folder / "hits.tif") as raster:
+        burnt = rasterio.features.rasterize(
+            shapes, raster.shape, fill=np.nan, transform=raster.transform, dtype="float32"
+        )
+        np.testing.assert_array_equal(raster.read(1), burnt)
+
+
 def test_pixels_are_aligned_and_bands_described(heatmap, folder):
     with rasterio.open(folder / "hits.tif") as raster:
         assert raster.dtypes[0] == "float32"

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gis_radar as gr
+from gis_radar.base import InputError
 from gis_radar.hdmap import TileGrid, TileTree, quads
 from gis_radar.measures import FrameCounter, PoseNumbers
 from gis_radar.measures.counting_loop import DETECTIONS, TILES_HIT
@@ -39,6 +40,19 @@ def test_each_frame_has_the_tiles_that_it_hits(tiles):
         assert [each.time_us for each in found] == np.rint(times[:50] * 1e6).tolist()
         assert [each.tiles.tolist() for each in found] == expected
     assert sum(map(len, expected)) > 1000
+
+
+def test_a_frame_without_positions_hits_nothing(tiles):
+    pose = gr.read_pose(SAMPLE / "R1.json")
+    frames = FrameCounter(SightTiles.of(tiles))
+    detections = next(gr.open_recording(SAMPLE / "R1.parquet").read())
+    first = detections.take(detections.time == detections.time[0])
+    for gone in (np.nan, np.inf):
+        first.points[:] = gone
+        assert [each.tiles.tolist() for each in frames.count(first, pose)] == [[]]
+    first.time[-1] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        frames.count(first, pose)
 
 
 @pytest.fixture(scope="module")

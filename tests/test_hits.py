@@ -9,7 +9,7 @@ from maps import Listener
 from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, tiles_of
 
 import gis_radar as gr
-from gis_radar.base import CrsError, UsageError
+from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError
 from gis_radar.hdmap import fingerprint
 from gis_radar.measures import Filters, standing_for
 from gis_radar.poses import PoseTrack, View
@@ -241,6 +241,12 @@ def test_doppler_and_cross_section(tmp_path, filters, kept):
     assert bool(found) is kept
 
 
+def test_clearance_needs_heights(tmp_path):
+    with pytest.raises(InputError, match="no road heights"):
+        hits_at(tmp_path / "a", 370.5, Filters(clearance=(0, 4)), tiles=crossing(np.nan))
+    assert not (tmp_path / "a" / "site").exists()
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -272,6 +278,25 @@ def test_a_fingerprint_knows_vertices_ids_and_crs():
     marks = {fingerprint(site) for site in (tiles, moved, renamed, other_crs)}
     assert len(marks) == 4
     assert fingerprint(tiles.assign(height_m=1.0)) == fingerprint(tiles)
+
+
+def test_a_sensor_that_sees_nothing_is_warned_of(tmp_path):
+    path = recording(tmp_path / "r.parquet", [START], [[12.25, 0.0, -5.0]])
+    other = recording(tmp_path / "o.parquet", [START], [[13.25, 0.0, -5.0]])
+    far = pose(sensor="R2", easting=EAST + 5000)
+    notes = Listener()
+    both = hits_of([path, other], [pose(), far], crossing(), tmp_path / "both", reporter=notes)
+    assert any("R2" in line and "no tile" in line for _, line in notes.messages)
+    assert set(both.frames()["sensor"]) == {"R1", "R2"}
+    assert set(both.sights()["pose"].str[:2]) == {"R1"}
+    with pytest.raises(NoAnswerError, match="no tile lies in the view of R2"):
+        hits_of([path], [far], crossing(), tmp_path / "blind")
+    for height, words in ((330.0, "40 m under it"), (375.0, "5 m over it")):
+        placed = pose(sensor="R2", easting=EAST + 5000, height=height)
+        with pytest.raises(NoAnswerError) as caught:
+            hits_of([path], [placed], crossing().assign(height_m=370.0), tmp_path / "blind")
+        assert words in caught.value.hint
+    assert not (tmp_path / "blind").exists()
 
 
 def test_a_view_far_beyond_the_detections_is_warned_of(tmp_path):

@@ -19,6 +19,7 @@ from streets import CROSSING, Street, errors
 
 import gis_radar as gr
 from gis_radar.calibration import (
+    CLASH_HINT,
     AmbiguousError,
     JointCalibration,
     Localization,
@@ -158,6 +159,20 @@ def test_poses_that_contradict_each_other_are_refused(recordings, true):
     (why,) = set(solved.refused.values())
     assert why.startswith("R1 and R2: their poses contradict each other: ")
     assert float(why.split()[-3]) == pytest.approx(3.0, abs=1.1)
+
+
+def test_two_sensors_that_contradict_each_other_end_with_one_line(recordings, true, monkeypatch):
+    poses = {"R1": stated(true["R1"]), "R2": stated(true["R2"], along_m=4.0)}
+
+    def single(recording, *_, **__):
+        return Localization(pose=poses[recording.stem], fitness=0.9, observable=True)
+
+    monkeypatch.setattr("gis_radar.calibration.several.joint.localize_one", single)
+    with pytest.raises(gr.NoAnswerError, match=r"^R1 and R2: .*contradict[^;]*$") as refusal:
+        locate_all(
+            list(recordings.values()), LONG.roads(), LONG.road_points(), guesses=[(0, 0), (0, 0)]
+        )
+    assert (refusal.value.exit_code, refusal.value.hint) == (4, CLASH_HINT)
 
 
 def test_the_span_of_a_recording_is_that_of_its_rows(recordings, tmp_path):
@@ -541,3 +556,17 @@ def test_what_does_not_go_together_is_wrong_usage(files, true, tmp_path, more, m
     assert isinstance(done.exception, gr.UsageError)
     assert message in done.exception.message
     assert not (tmp_path / "poses").exists()
+
+
+def test_several_recordings_need_the_option(files, tmp_path):
+    words = ["localize", *files, "--guess", "690000,5336000", "-o", str(tmp_path / "pose.json")]
+    done = CliRunner().invoke(group, words, standalone_mode=False)
+    assert isinstance(done.exception, gr.UsageError)
+    assert (done.exception.message, done.exception.hint[:10]) == ("2 times RECORDING", "--together")
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused_before_any_work(files, true, tmp_path):
+    (tmp_path / "poses").write_text("mine")
+    done = invoke(files, tmp_path / "poses", *guess_words(true))
+    assert isinstance(done.exception, gr.OutputError)
+    assert "is a file" in done.exception.message

@@ -177,6 +177,22 @@ def test_in_minus_out_is_the_change_inside(cars):
         assert inside == between
 
 
+def test_occupied_time_is_length_times_time():
+    """The sum of occupied time x tile length is that of vehicle length x time."""
+    grid = StepGrid(begin=BEGIN, steps=QUARTER, count=1)
+    metres = np.arange(8.0, 50.0, 2.0)  # 10 m/s, wholly on the approach
+    _, counts = seen_all(grid)
+    front = 8.0 + 0.5 * np.arange(4 * (len(metres) - 1) + 1)
+    middles = 0.25 + 0.5 * np.arange(120)
+    on = (middles <= front[:, None]) & (middles > front[:, None] - 4.5)
+    occupied = np.zeros(len(TILES))
+    occupied[:120] = on.sum(axis=0)
+    counts = TileSteps(**{**vars(counts), "occupied": occupied})
+    lanes, _ = measured([(STRAIGHT, BEGIN, metres)], grid, counts=counts)
+    row = lanes.loc[(APPROACH, 0)]
+    assert row["occupancy"] / (row["density"] / 1000.0) == pytest.approx(4.5)
+
+
 def test_what_is_not_visible_is_null_and_never_0():
     cars = [(STRAIGHT, BEGIN, np.arange(50.0, 90.0, 2.0))]
     lanes, turns = measured(cars, GRID, share=0.0)
@@ -237,6 +253,16 @@ def queue(fronts, still=30):
     """Cars that drive up to their places by the stop line and stand there."""
     came = -np.arange(4.0)[::-1]
     return [(STRAIGHT, BEGIN, front + np.concatenate([came, np.zeros(still)])) for front in fronts]
+
+
+def test_a_queue_reaches_back_to_the_first_large_gap():
+    lanes, _ = measured(queue([59.0, 51.0, 38.0, 20.0]), GRID)  # gaps of 1, 3.5, 8.5 and 13.5 m
+    row = lanes.loc[(APPROACH, 0)]
+    assert row["queue_max_m"] == pytest.approx(60.0 - 38.0 + 4.5)
+    assert row["stops"] == 4.0
+    assert lanes.loc[(APPROACH, 1), "queue_max_m"] == 0.0
+    assert np.isnan(lanes.loc[(STRAIGHT, 0), "queue_max_m"])  # has no stop line
+    assert 0.0 < row["queue_mean_m"] < row["queue_max_m"]
 
 
 @pytest.mark.parametrize(("hidden", "back_m"), [((21.0, 33.0), 44.5), ((30.0, 33.0), 26.5)])
@@ -300,6 +326,12 @@ def test_queues_beyond_a_merge_are_each_lane_s_own(on_one, on_two, hidden, back_
     found = measure_lanes(network, GRID, states, vehicles_of(places), part, counts)
     at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((3, 0))
     assert found.lanes["queue_max_m"][at] == pytest.approx(back_m)
+
+
+def test_who_stands_far_from_the_line_is_no_queue():
+    lanes, _ = measured(queue([45.0]), GRID)
+    assert lanes.loc[(APPROACH, 0), "queue_max_m"] == 0.0
+    assert lanes.loc[(APPROACH, 0), "stops"] == 1.0
 
 
 def brute_back(cars, step):

@@ -255,6 +255,17 @@ def test_refusals_of_the_service_are_json(address, path):
     caught.value.close()
 
 
+def test_whom_the_service_does_not_know_it_refuses_in_json(live):
+    with served(live, token="s3cret") as address:  # noqa: S106 - of this test only
+        for method, code in (("GET", 401), ("POST", 405)):
+            asked = urllib.request.Request(f"{address}/ogc", method=method)  # noqa: S310
+            with pytest.raises(urllib.error.HTTPError) as caught:
+                urllib.request.urlopen(asked)  # noqa: S310
+            assert json.load(caught.value)["code"] == str(code)
+            assert caught.value.headers.get("www-authenticate") == {401: "Bearer"}.get(code)
+            caught.value.close()
+
+
 def test_only_who_has_the_token_reads(live):
     with served(live, token="s3cret") as address:  # noqa: S106 - of this test only
         for path in ("/", "/events", "/state.json", "/ogc", "/metrics", "/web/page.js"):

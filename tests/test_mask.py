@@ -20,7 +20,7 @@ from scans import (
 )
 
 import gis_radar as gr
-from gis_radar.base import NoAnswerError, OutputError
+from gis_radar.base import InputError, NoAnswerError, OutputError
 from gis_radar.scans.settings import MaskSettings
 
 ROAD = (0.0, 0.0, 120.0, 8.0)
@@ -191,6 +191,23 @@ def test_houses_on_the_roads_are_told(tmp_path):
         listener = Listener()
         gr.mask_road(tmp_path / "scan.laz", box_roads(ROAD), engine="laspy", reporter=listener)
         assert told == any("are they of another place" in it for _, it in listener.messages)
+
+
+def test_tiles_off_the_site_are_skipped(tmp_path):
+    near = write_points(tmp_path / "near.laz", ground(AROUND, level))
+    far = write_points(tmp_path / "far.laz", ground((500.0, 0.0, 520.0, 20.0), level))
+    mask = gr.mask_road([far, near], box_roads(ROAD), engine="laspy")
+    assert mask.figures()["scans"] == 1
+    with pytest.raises(InputError, match=r"far\.laz.*do not overlap"):
+        gr.mask_road([far], box_roads(ROAD), engine="laspy")
+
+
+def test_a_scan_around_the_site_with_a_hole(tmp_path):
+    points = ground(AROUND, level)
+    off_road = points[(points[:, 1] < -1.0) | (points[:, 1] > 9.0)]
+    write_points(tmp_path / "scan.laz", off_road)
+    with pytest.raises(InputError, match="do not overlap"):
+        gr.mask_road([tmp_path / "scan.laz"], box_roads(ROAD), engine="laspy")
 
 
 def test_only_things_on_the_road(tmp_path):

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+import pytest
 from pyproj import CRS
 from scans import EAST, NORTH, UTM, box_roads, ground, hidden, write_points
 from scipy.spatial import cKDTree
 
 import gis_radar as gr
-from gis_radar.base import transformer
+from gis_radar.base import InputError, transformer
 from gis_radar.scans.mask import relative_name
 
 ROAD = (0.0, 0.0, 60.0, 8.0)
@@ -124,6 +125,23 @@ def test_a_scan_in_another_system(tmp_path, pdal):
     own, other = both([path], roads)
     assert abs(np.median(own.points[:, 2]) - slope(30.0, 4.0)) < 0.5
     agree(own, other)
+
+
+def test_a_cut_scan_is_refused_by_both(tmp_path, pdal):
+    path = write_points(tmp_path / "scan.laz", scene()[0])
+    cut = tmp_path / "cut.laz"
+    cut.write_bytes(path.read_bytes()[:-20_000])
+    for engine in ("laspy", "pdal"):
+        with pytest.raises(InputError, match=r"cut\.laz"):
+            gr.mask_road([cut], box_roads(ROAD), engine=engine)
+
+
+def test_pdal_finds_no_point_on_the_road(tmp_path, pdal):
+    points, _ = scene()
+    off_road = points[(points[:, 1] < -1.0) | (points[:, 1] > 9.0)]
+    path = write_points(tmp_path / "scan.laz", off_road, category=2)
+    with pytest.raises(InputError, match="do not overlap"):
+        gr.mask_road([path], box_roads(ROAD), engine="pdal")
 
 
 def test_the_stages_of_the_document(tmp_path):

@@ -105,6 +105,13 @@ def test_a_recording_is_withdrawn_and_found_again(site):
     assert ds.recordings()["path"].tolist() == [(site / "moved" / "else.parquet").as_posix()]
 
 
+def test_a_folder_to_look_in_has_to_be_there(site):
+    assert run("measure", *BOTH, *MAP, "-o", "site", "--hits-only").exit_code == 0
+    answer = run("dataset", "site", "--relink", "nowhere")
+    assert isinstance(answer.exception, gr.InputError)
+    assert "nowhere: is no folder" in answer.exception.message
+
+
 def test_what_a_dataset_keeps_or_makes_again_is_said(site):
     assert run("measure", *BOTH, *MAP, "-o", "site", "--hits-only").exit_code == 0
     pose = gr.read_pose("R1.json")
@@ -113,3 +120,12 @@ def test_what_a_dataset_keeps_or_makes_again_is_said(site):
     said = run("measure", *BOTH, *MAP, "-o", "site", *words).output
     assert "R1.parquet: is placed or timed otherwise than before" in " ".join(said.split())
     assert "stays in the time zone UTC" in " ".join(said.split())
+
+
+def test_outputs_do_not_replace_inputs(site):
+    for words in (
+        ("clocks", *BOTH, "-o", "R1.parquet"),
+        ("measure", *BOTH, *MAP, "-o", "tiles.gpkg"),
+        ("measure", *BOTH, *MAP, "-o", "R1.parquet"),
+    ):
+        assert isinstance(run(*words).exception, gr.OutputError), words

@@ -325,6 +325,11 @@ def documents_of_the_plugin():
     return set(re.findall(r'shared_document\("([^"]+)"\)', text))
 
 
+def test_a_wheel_of_another_version_is_refused(tmp_path):
+    with pytest.raises(SystemExit, match="not of version"):
+        tool().build(tmp_path, tmp_path / "gis_radar-99.0-py3-none-any.whl")
+
+
 def test_the_checks_of_the_plugin_site():
     """The site that distributes plugins runs bandit; it shall find nothing."""
     if importlib.util.find_spec("bandit") is None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from sites import EAST, NORTH, UTM, pose
 
-from gis_radar.base import InputError
+from gis_radar.base import CrsError, InputError
 from gis_radar.poses import (
     PoseTrack,
     View,
@@ -133,6 +133,13 @@ def test_malformed_evidence_is_refused(record, reason):
         evidence_of(record)
 
 
+@pytest.mark.parametrize("crs", [None, "EPSG:4326"])
+def test_a_pose_needs_a_metric_crs(crs):
+    with pytest.raises(InputError, match="crs") as caught:
+        pose_from_dict(RECORD | {"crs": crs}, what="pose.json")
+    assert crs is None or isinstance(caught.value, CrsError)
+
+
 def test_a_quaternion_that_agrees_passes_in_either_sign():
     quaternion = pose_from_dict(RECORD, what="x").quaternion
     for sign in (1, -1):
@@ -162,6 +169,11 @@ def test_not_a_pose_file(tmp_path, text):
     path.write_text(text)
     with pytest.raises(InputError, match=r"pose\.json"):
         read_pose(path)
+
+
+def test_missing_pose_file(tmp_path):
+    with pytest.raises(InputError, match=r"gone\.json: cannot be read"):
+        read_track(tmp_path / "gone.json")
 
 
 def track_file(path, rows):

@@ -21,7 +21,7 @@ from maps import (
     write_road,
 )
 
-from gis_radar.base import CrsError
+from gis_radar.base import CrsError, UsageError
 from gis_radar.hdmap import make_tiles, read_map
 
 
@@ -136,6 +136,11 @@ def test_a_map_without_degrees_needs_an_origin_and_a_crs(tmp_path, same):
     assert "--crs" in refused(path, origin=(EAST, NORTH)).hint
     road = read_map(path, origin=(EAST - 1000.0, NORTH - 2000.0), crs=UTM)
     np.testing.assert_allclose(metres(road.lanelets["left"][0]), [[0, 3], [60, 33]], atol=1e-6)
+
+
+def test_an_origin_without_local_metres_is_wrong_usage(tmp_path):
+    refused(write_road(tmp_path / "a.osm"), UsageError, origin=(EAST, NORTH))
+    refused(write_road(tmp_path / "b.osm", local=True), UsageError, origin=(EAST, math.nan))
 
 
 def test_heights_are_kept_and_gaps_closed_along_the_bound(tmp_path):

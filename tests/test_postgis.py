@@ -294,6 +294,18 @@ def test_a_site_that_fails_stops_no_other(database, asked, city, run):
     assert asked("SELECT count(*) FROM gis_radar.tile_counts WHERE site = 'ost'") == before
 
 
+def test_a_city_whose_schema_is_another_sends_nothing(database, asked, city, two_days):
+    gr.publish(two_days, database)
+    with pytest.raises(gr.OutputError, match="schema gis_radar holds something else"):
+        gr.publish_city(city, database)
+    assert asked("SELECT count(*) FROM pg_namespace WHERE nspname ~ '^gis_radar_'") == [(0,)]
+    for name in ("site=o st", "site=o-st"):
+        (city / name).mkdir()
+        shutil.copy(city / "site=ost" / "dataset.json", city / name)
+    with pytest.raises(gr.InputError, match=r"site o[- ]st would be in schema a_o_st"):
+        gr.publish_city(city, database, schema="a")
+
+
 def test_tables_of_an_older_version_are_named_and_left(database, asked, two_days):
     gr.publish(two_days, database)
     asked_for = "SELECT obj_description('gis_radar'::regnamespace, 'pg_namespace')"

@@ -10,7 +10,7 @@ from maps import Listener
 from sites import EAST, NORTH, START, UTM, pose, recording
 
 import gis_radar as gr
-from gis_radar.base import InputError, Reporter, UsageError
+from gis_radar.base import InputError, OutputError, Reporter, UsageError
 from gis_radar.poses import PoseTrack
 from gis_radar.products import project, write_projection
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
@@ -133,6 +133,13 @@ def test_what_stops_the_work_is_not_hidden(made, tmp_path, suffix, stop):
     with pytest.raises(type(stop)):
         write_projection(made, pose(), tmp_path / f"hits.{suffix}", reporter=Stopping(stop))
     assert [p.name for p in tmp_path.iterdir()] == ["r.parquet"]
+
+
+def test_a_recording_is_not_overwritten(made):
+    before = made.read_bytes()
+    with pytest.raises(OutputError, match="would replace the input"):
+        write_projection(made, pose(), made.parent / "." / made.name)
+    assert made.read_bytes() == before
 
 
 CLASHES = ("fid", "Rcs", "Time", "geometry", "geom", "GEOM", "UTC", "sensor", "fid_recorded")

@@ -293,6 +293,11 @@ def test_a_guess_in_another_system(code):
     assert back == pytest.approx((690356.0, 5336183.0, 521.0), abs=1e-3)
 
 
+def test_a_guess_in_degrees_is_refused():
+    with pytest.raises(gr.CrsError):
+        moved_position((11.5, 48.1), "EPSG:4326", metric_crs(25832, what=""))
+
+
 def test_a_project_in_german(results, tmp_path):
     """Names of layers, classes, dates and the sheet; what QGIS finds layers by stays."""
     path = tmp_path / "site.qgz"

@@ -151,6 +151,17 @@ def test_hours_are_those_of_the_calendar(times):
             assert (local.minute, local.second) == (0, 0)
 
 
+def test_the_hour_that_comes_twice(tmp_path):
+    """On 25 October 2026 clocks in Berlin go back from 03:00 to 02:00."""
+    begin = datetime(2026, 10, 25, 0, 0, tzinfo=ZoneInfo("UTC")).timestamp()
+    dataset = measured(tmp_path, "a", *drive(begin + np.arange(0, 7200, 1.0)))
+    table = measure_quality(dataset, timezone="Europe/Berlin").table
+    assert table["hour"].tolist() == [2, 2]
+    assert table["frames"].tolist() == [3600, 3600]
+    assert table["begin"].is_unique
+    assert set(table["weekday"]) == {"Sunday"}
+
+
 @settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 99), cut=st.integers(1, 599))
 def test_quality_of_a_recording_in_two_is_that_of_the_whole(tmp_path_factory, seed, cut):

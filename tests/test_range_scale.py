@@ -67,6 +67,19 @@ def test_ranges_in_another_unit_are_found(right, times):
     assert scale.off
 
 
+def test_times_that_run_twice_as_fast_are_found(right):
+    begin = right.time[0]
+    scale = measure_range_scale(replace(right, time=begin + (right.time - begin) / 2.0))
+    assert scale.factor == pytest.approx(2.0, rel=0.02)
+
+
+def test_signs_that_are_lost_are_told_from_signs_that_are_turned(right):
+    scale = measure_range_scale(replace(right, range_rate=np.abs(right.range_rate)))
+    assert scale.absolute
+    assert scale.off
+    assert scale.factor == pytest.approx(1.0, rel=0.02)
+
+
 @pytest.mark.parametrize("towards", [0, 1])
 def test_traffic_of_one_direction_has_not_lost_its_sign(towards):
     moving = traffic(only=towards)
@@ -124,6 +137,12 @@ def test_a_unit_is_told_with_its_exact_factor(factor, looks, advice):
     with pytest.raises(NoAnswerError, match=looks) as caught:
         scale.require_one("R1")
     assert caught.value.hint == advice
+
+
+def test_units_that_are_as_likely_are_all_told():
+    scale = RangeScale(factor=0.507, sigma=0.006, vehicles=30)
+    assert "doubled" in scale.likely
+    assert "knots" in scale.likely
 
 
 def test_too_little_traffic_has_no_scale(right):

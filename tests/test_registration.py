@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from streets import CROSSING, Street
 
+from gis_radar.base import NoAnswerError
 from gis_radar.calibration.registration.adaptation import adapted, heights
 from gis_radar.calibration.registration.certainty import (
     advantage,
@@ -204,6 +205,15 @@ def test_an_error_of_elevation_that_lasts_is_told_from_noise(scene, bent_deg):
         assert tilt[0] > 1.1 * tilt[1]
 
 
+def test_a_start_beside_the_truth_comes_back(scene):
+    scene, state, _ = scene
+    start = state.moved(np.array([0.8, -0.6, 0.5, 0.01, -0.01, 0.02, 0.0]))
+    fit = solve(scene, start, prior_at(start))
+    assert fit.converged
+    assert np.abs(fit.state.difference(state)[:3]).max() < 0.4
+    assert np.linalg.eigvalsh(fit.information)[0] > 0.0
+
+
 def test_every_match_has_a_doppler_that_its_lane_allows(scene):
     scene, state, _ = scene
     lanes, samples = scene.lanes, scene.samples
@@ -302,6 +312,14 @@ def test_lanes_have_direction_and_the_scanned_height(scene):
     assert np.allclose(lanes.slope, rise, atol=0.01)
     assert isinstance(lanes, Lanes)
     assert lanes.directed
+
+
+def test_no_lane_within_reach_is_refused():
+    street = Street()
+    with pytest.raises(NoAnswerError, match="no lane"):
+        sample_lanes(
+            street.roads().lanelets, street.road_points(), place=np.zeros(2), reach_m=200.0
+        )
 
 
 @settings(max_examples=30, deadline=None)
@@ -556,3 +574,24 @@ def test_a_look_around_finds_the_better_optimum_beside_one(scene):
     assert stuck.fit.cost > best.cost + 50.0
     assert found.fit.cost < best.cost + 5.0
     assert np.abs(found.fit.state.difference(best.state)[:2]).max() < 0.2
+
+
+def test_tracks_of_one_vehicle_are_one_cluster(scene):
+    """Each vehicle twice, as two tracks, whose errors are the same."""
+    scene, state, _ = scene
+    samples = scene.samples
+    twice = replace(
+        samples,
+        points=np.tile(samples.points, (2, 1)),
+        range_rate=np.tile(samples.range_rate, 2),
+        track=np.concatenate([samples.track, samples.track + samples.tracks]),
+        tracks=2 * samples.tracks,
+        spell=np.tile(samples.spell, 2),
+        vehicle=None,
+    )
+    joined = replace(twice, vehicle=np.tile(np.arange(samples.tracks), 2))
+    apart, together = (
+        solve(scene.of(each), state, prior_at(state)).scores for each in (twice, joined)
+    )
+    assert np.allclose(together[: samples.tracks], apart.reshape(2, samples.tracks, -1).sum(axis=0))
+    assert not together[samples.tracks :].any()

@@ -11,16 +11,53 @@ import pytest
 import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from sites import EAST, NORTH, lane_quads, tiles_of
 from test_heatmap import lane_tiles
 from test_heatmap_occupancy import both_of
 from test_report_pages import content_of, letters_of, pages_of
 
 from gis_radar.base import Clock
+from gis_radar.hdmap import lanes_of
 from gis_radar.products import make_heatmap
 from gis_radar.products.heatmap.occupancy import surest
 from gis_radar.products.report import chart
 from gis_radar.products.report.lanes import lane_table, sums_of, write_lanes
 from gis_radar.products.report.plan import place_numbers
+
+
+def straight(*starts_m, heading=0.0, aside_m=0.0):
+    return [lane_quads(EAST + x, NORTH + aside_m, heading, count=20) for x in starts_m]
+
+
+def chains_of(lanes):
+    return sorted(lane.lanelets for lane in lanes)
+
+
+@pytest.mark.parametrize(
+    ("lanes", "chains"),
+    [
+        (straight(0, 10, 20), [(100, 101, 102)]),
+        (straight(20, 0, 10), [(101, 102, 100)]),
+        (straight(0, 10.2), [(100,), (101,)]),  # a gap
+        (straight(0) + straight(20, heading=180.0), [(100,), (101,)]),  # head on
+        (straight(0, 10, 10), [(100,), (101,), (102,)]),  # ways part
+        (straight(0, 0, 10), [(100,), (101,), (102,)]),  # ways join
+    ],
+)
+def test_chains(lanes, chains):
+    assert chains_of(lanes_of(tiles_of(lanes))) == sorted(chains)
+
+
+def test_a_ring_is_one_lane():
+    corners = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]
+    ring = []
+    for i, start in enumerate(corners):
+        end = corners[(i + 1) % 4]
+        ways = [np.array(start), np.array(end)]
+        outward = [np.array(each) * 1.2 - 1.0 for each in (start, end)]
+        quad = np.array([[outward[0], outward[1], ways[1], ways[0]]]) + (EAST, NORTH)
+        ring.append(quad)
+    assert chains_of(lanes_of(tiles_of(ring))) == [(100, 101, 102, 103)]
 
 
 @pytest.mark.parametrize(

@@ -328,6 +328,12 @@ def test_batches_and_their_order_do_not_matter(tmp_path, monkeypatch):
         assert np.allclose(getattr(parts, name), getattr(whole, name), atol=1e-6, equal_nan=True)
 
 
+def test_few_cells_are_nothing_to_compare(monkeypatch):
+    monkeypatch.setattr("gis_radar.calibration.scan.scan_check.LEAST_CELLS", 10**6)
+    few = gr.check_against_scan(R2, POSE, [SCAN])
+    assert few.reason.startswith("little stands in view")
+
+
 def command(folder, *more):
     return [
         "localize", str(R2), "--map", str(SAMPLE / "junction.osm"), "--road", str(SCAN),
@@ -374,6 +380,22 @@ def test_a_view_that_is_known_is_not_measured(tmp_path, monkeypatch):
     )
     assert found.pose.view == known
     assert found.recording == "R2.parquet"
+
+
+def test_what_stands_decides_between_poses_that_the_traffic_fits_alike(monkeypatch):
+    aside = replace(POSE, easting=POSE.easting + 6.0, northing=POSE.northing + 3.0)
+    both = tuple(Localization(pose=p, fitness=0.95, observable=True) for p in (aside, POSE))
+
+    def ambiguous(*_, **__):
+        raise AmbiguousError("R2: ambiguous", hint="give a scan", answers=both)
+
+    monkeypatch.setattr(localizing, "localize_one", ambiguous)
+    files = (R2, SAMPLE / "junction.osm", SCAN)
+    with pytest.raises(AmbiguousError):
+        gr.localize(*files, guess=POSE.position[:2])
+    found = gr.localize(*files, guess=POSE.position[:2], scans=[SCAN])
+    assert found.pose.easting == POSE.easting
+    assert found.pose.evidence["scan_check"]["verdict"] == "confirms"
 
 
 def test_what_stands_decides_though_it_fits_elsewhere_too(monkeypatch):
@@ -519,6 +541,22 @@ def test_a_scan_that_reaches_one_of_two_sensors_is_refused_before_the_search(tmp
     with pytest.raises(gr.InputError, match="no point within 300 m of R1"):
         together(scans=[scan])
     require_scans_near([scan, SCAN], POSE.crs, POSE.position[:2])  # one that does is enough
+
+
+def test_a_scan_of_another_place_is_told_before_the_search(tmp_path, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError
+
+    monkeypatch.setattr(localizing, "localize_one", never)
+    monkeypatch.setattr(scan_files.Scan, "batches", never)  # nor is a scan read
+    far = rewritten(tmp_path / "far.laz", lambda xyz, c: (xyz[::50] + [900.0, 0.0, 0.0], c[::50]))
+    words = command(tmp_path, "--scan", str(far), "--json")
+    words[words.index("--road") + 1] = str(SAMPLE / "scan.laz")
+    monkeypatch.setattr(localizing, "read_road", lambda *_: np.empty((0, 3)))
+    done = CliRunner().invoke(group, words)
+    assert isinstance(done.exception, gr.InputError)
+    assert "far.laz: no point within 300 m of the sensor" in str(done.exception)
+    require_scans_near([far, SCAN], POSE.crs, [690379.0, 5336233.0])  # one that does is enough
 
 
 def test_the_figure_never_replaces_the_scan(tmp_path):

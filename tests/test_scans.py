@@ -13,7 +13,7 @@ from pyproj import CRS
 from scans import EAST, NORTH, UTM, box_roads, ground, level, write_points
 
 import gis_radar as gr
-from gis_radar.base import CrsError, GisRadarError, InputError, transformer
+from gis_radar.base import CrsError, GisRadarError, InputError, UsageError, transformer
 from gis_radar.scans import open_scan, read_roads
 
 ROAD = (0.0, 0.0, 60.0, 8.0)
@@ -221,6 +221,13 @@ def test_a_cut_scan(tmp_path, scan, share):
     refused(lambda: mask(path), "cut.laz")
 
 
+def test_other_files_are_no_scans(tmp_path):
+    (tmp_path / "text.laz").write_text("LAS?")
+    refused(lambda: open_scan(tmp_path / "text.laz"), "text.laz", "LASF")
+    refused(lambda: open_scan(tmp_path / "gone.laz"), "no such file")
+    refused(lambda: open_scan(tmp_path), "no such file")
+
+
 @pytest.mark.skipif(not (SHARED / "als").exists(), reason="shared data absent: als")
 def test_the_shared_scans_with_faults(tmp_path):
     corrupt = SHARED / "als" / "Semis_2022_0906_6665_LA93_IGN69_nok.laz"
@@ -233,6 +240,10 @@ def test_the_shared_scans_with_faults(tmp_path):
     )
     found = mask(bare, read_roads(path), scan_crs="EPSG:2154")
     assert found.points_on_road == found.points_in
+
+
+def test_an_unknown_engine(scan):
+    refused(lambda: gr.mask_road([scan], box_roads(ROAD), engine="las"), "'las'", error=UsageError)
 
 
 def test_without_pdal(scan, no_pdal):

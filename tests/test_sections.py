@@ -199,6 +199,12 @@ def test_the_layer_of_lines_is_taken_and_of_several_none(dataset, tmp_path):
         dataset.count_sections(path)
 
 
+def test_a_section_without_a_line_is_refused(dataset):
+    layer = gpd.GeoDataFrame(geometry=[*ACROSS.geometry, None], crs=UTM)
+    with pytest.raises(gr.InputError, match="a section has no line"):
+        dataset.count_sections(layer)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -114,6 +114,16 @@ def test_the_place_along_a_straight_road_is_not_claimed(street, ahead_m, heading
     assert abs(off @ ALONG) < 3.0 * np.sqrt(ALONG @ covariance @ ALONG)
 
 
+def test_icp_does_not_claim_the_place_along_a_straight_road(street):
+    pytest.importorskip("open3d", reason="needs the extra localize", exc_type=ImportError)
+    roads, road, pose, recording = street
+    guess = (*(pose.position[:2] + 3.0 * ALONG), pose.height)
+    found = gr.localize(recording, roads, road, guess=guess, heading=pose.yaw + 4.0, method="icp")
+    assert not found.observable
+    assert found.pose.evidence["observable"] is False
+    assert found.eigenvalues[0] < found.eigenvalues[-1] / 100.0
+
+
 def test_the_road_fixes_traces_across_it_but_not_along_it(street):
     _, road, pose, recording = street
     source = voxels(read_moving(recording).points, 0.5)

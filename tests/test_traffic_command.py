@@ -14,7 +14,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
-from datasets import HOUR
+from datasets import HOUR, write_dataset
 from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
 from maps import EAST, NORTH, Listener
 from shapely import LineString, box
@@ -96,6 +96,11 @@ def test_verbs_take_a_dataset_or_its_folder(dataset):
     assert repr(gr.make_heatmap(folder)) == repr(gr.make_heatmap(dataset))
     assert repr(gr.measure_quality(folder)) == repr(gr.measure_quality(dataset))
     assert gr.open_dataset(dataset) is dataset
+
+
+def test_an_interval_that_is_a_number_is_named(dataset):
+    with pytest.raises(gr.UsageError, match="interval 15 is no duration"):
+        dataset.traffic(15)
 
 
 def test_tables_are_those_of_the_dataset(written, dataset):
@@ -405,6 +410,12 @@ def test_the_diagram_shows_means_of_what_is_known(dataset):
     assert means["error_veh_h"].between(1.0, means["volume_veh_h"] + 20.0).all()
 
 
+def test_without_volumes_there_is_no_diagram(run, dataset, tmp_path):
+    code, *_ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h")
+    assert code == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES - {"turns.png"}
+
+
 def test_a_recording_too_short_for_its_intervals_is_told(run, dataset, tmp_path):
     code, out, _ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h")
     assert code == 0
@@ -424,6 +435,21 @@ def test_what_cannot_be_is_refused_in_one_line(run, dataset, tmp_path, options, 
     assert got == code
     assert text in " ".join(err.split())
     assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_with_files_of_others_stays(run, dataset, tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    code, _, err = run("traffic", dataset.folder, "-o", tmp_path)
+    assert code == 3
+    assert "mine.txt" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_a_dataset_of_hits_alone_is_refused(run, tmp_path):
+    folder = write_dataset(tmp_path / "data", hours=[HOUR], vehicles=False).folder
+    code, _, err = run("traffic", folder, "-o", tmp_path / "out")
+    assert code == 3
+    assert "holds no vehicles" in err
 
 
 def test_a_site_file_names_lanes(run, dataset, tmp_path):

@@ -74,6 +74,13 @@ def test_moving_pandas_measures_the_ways(dataset):
         assert each.crs == dataset.crs
 
 
+def test_a_time_without_vehicles(dataset):
+    pytest.importorskip("movingpandas", reason="movingpandas is not installed")
+    assert dataset.track_points(begin="2101-01-01").empty
+    with pytest.raises(gr.InputError, match="there is no vehicle in that time"):
+        dataset.to_trajectories(begin="2101-01-01")
+
+
 def test_what_is_refused(dataset, monkeypatch):
     with pytest.raises(gr.UsageError, match="is not after begin"):
         dataset.track_points(begin="2101-01-02", end="2101-01-01")

@@ -166,6 +166,13 @@ def test_a_person_followed_with_a_vehicle_is_cut_off():
     assert whole is fast[0]
 
 
+def test_a_few_faint_returns_are_of_the_vehicle():
+    detections, (motion,) = followed([0.0], [10.0])
+    detections.rcs[:4] = -15.0
+    (whole,) = without_faint_ends(detections, [motion], np.zeros((len(detections), 6)))
+    assert whole is motion
+
+
 @pytest.mark.parametrize(
     ("silent_s", "moved_m", "parts"), [(3.0, 8.0, 1), (12.0, 8.0, 2), (12.0, 0.0, 1)]
 )

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from maps import Listener
 from pyproj import CRS
 
 import gis_radar as gr
@@ -132,6 +133,16 @@ def test_frames_missing_around_the_edge_of_a_block_part_no_vehicle(site, tmp_pat
     assert (whole == through).sum() > 3
     assert (cut == through).sum() == (whole == through).sum()
     assert len(states[1]) == pytest.approx(len(states[0]), rel=0.05)
+
+
+def test_where_nothing_moves_occupancy_is_zero_with_a_warning(site, tmp_path):
+    table = begin_of(SAMPLE / "R1.parquet", 10.0)
+    still = table[table["range_rate"].abs() < 0.05]
+    still.to_parquet(tmp_path / "R1.parquet", index=False)
+    heard = Listener()
+    none = found(site, "still", [tmp_path / "R1.parquet"], reporter=heard)
+    assert len(none.vehicles()) == 0
+    assert any("occupancy is zero" in text for rank, text in heard.messages if rank == "warning")
 
 
 def test_a_quiet_recording_has_occupancy_zero(site, tmp_path, run):

@@ -201,6 +201,19 @@ def test_the_strip_of_a_truck_bends_and_goes_on_from_piece_to_piece(monkeypatch)
     assert wrong == 0
 
 
+def test_a_passing_car_occupies_each_tile_for_length_by_speed():
+    """At 5 m/s, 0.25 m a step, a car of 4.5 m is 18 steps on a cross-line."""
+    tiles = straight_tiles(60)
+    fronts = np.arange(-1.0, 40.0, 0.25) + 1e-3
+    tracks = drive(0, FIRST, fronts)
+    _, runs, _ = run_engine(tiles, tracks, rows_of(tracks))
+    steps = (runs["last_step"] - runs["first_step"] + 1).to_numpy()
+    assert runs["tile_id"].tolist() == list(range(60))
+    assert set(steps) == {18}
+    first = FIRST + np.searchsorted(fronts, tiles["s_m"] + 0.25)
+    np.testing.assert_array_equal(runs["first_step"], first)
+
+
 def tower_views(tiles, places):
     ids = tiles["tile_id"].to_numpy(np.int64)
     return [

@@ -62,6 +62,11 @@ def driving(speed, begin_s, end_s, start_m, rng, left_m=0.0, length_m=4.5):
     return time, points, speed + rng.normal(0, 0.03, len(time))
 
 
+def test_lanelets_that_share_no_nodes_follow_each_other(straight):
+    assert [each.tolist() for each in straight.successors] == [[1], [], []]
+    assert [each.tolist() for each in straight.reversed().successors] == [[], [0], []]
+
+
 @settings(deadline=None)
 @given(x=st.floats(-5, 205), y=st.floats(-6, 8))
 def test_lanes_at_a_point_as_shapely_finds_them(straight, x, y):

@@ -181,3 +181,13 @@ def test_a_sensor_that_came_back_in_the_next_month_was_silent(tmp_path, source):
     write_site(tmp_path, "a", source, HOURS, sensors=spans)
     known, _ = states(tmp_path)
     assert known["a", "R1"] == "silent"
+
+
+def test_months_that_are_there_are_named(tmp_path, source):
+    write_site(tmp_path, "a", source, HOURS)
+    with pytest.raises(gr.InputError, match="has no data of 2023-12") as told:
+        gr.fleet_health(tmp_path, "2023-12")
+    assert "there are 2023-11" in told.value.hint
+    for wrong in ("2023-13", "November", "2023-1", "23-11"):
+        with pytest.raises(gr.UsageError, match="is no month"):
+            gr.fleet_health(tmp_path, wrong)

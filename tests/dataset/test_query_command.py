@@ -29,6 +29,14 @@ def last_line(answer):
     return json.loads(answer[1].splitlines()[-1])
 
 
+def test_rows_are_shown_as_they_are(run, folder):
+    code, out, _ = run("query", folder, "SELECT tile_id, time, NULL AS x FROM hits ORDER BY step")
+    assert code == 0
+    assert "2023-11-14T22:00:00.05Z" in out
+    code, out, _ = run("query", folder, "SELECT unnest(lanelets) AS lanelet_id FROM vehicles")
+    assert "9007199254740993" in out
+
+
 def test_rows_are_objects_for_programs(run, folder):
     sql = "SELECT tile_id, time, lanelets FROM hits, vehicles ORDER BY step"
     found = last_line(run("query", folder, sql, "--limit", "1", "--json"))
@@ -77,6 +85,12 @@ def test_days_times_and_structs_are_text(run, folder, tmp_path):
         written = sql if name == "q.csv" else sql.replace(", INTERVAL 1 DAY AS span", "")
         assert run("query", folder, written, "-o", tmp_path / name)[0] == 0
     assert pd.read_csv(tmp_path / "q.csv")["day"].tolist() == ["2023-11-14"]
+
+
+def test_a_number_over_64_bits_is_named(run, folder):
+    code, _, err = run("query", folder, "SELECT 9223372036854775807::HUGEINT * 2 AS x")
+    assert code == 2
+    assert "over 64 bits" in err
 
 
 @pytest.mark.parametrize(

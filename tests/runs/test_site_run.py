@@ -224,6 +224,13 @@ def test_bad_places_for_results(small, tmp_path):
         gr.run_site(path, tmp_path / "two")
 
 
+@pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_cannot_be_written(small, tmp_path):
+    (tmp_path / "out").mkdir(mode=0o500)
+    with pytest.raises(gr.OutputError, match="cannot be written: Permission denied"):
+        gr.run_site(small[0], tmp_path / "out")
+
+
 class Recorder:
     """Stands for `gis_radar.convert`: converts by copying, and splits sensors where asked to."""
 
