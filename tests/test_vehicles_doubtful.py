@@ -69,6 +69,19 @@ def test_a_cyclist_is_weak_and_small_and_slow(rcs, fast, spread, steady, person)
     assert found.tolist() == [person, False]
 
 
+def test_where_vehicles_differ_by_more_a_weak_one_is_no_person():
+    weak, slow = -12.0, 6.0
+    for others, person in (
+        ([-2.0, -1.0, 0.0, 1.0, 2.0], True),
+        ([-8.0, -4.0, 0.0, 4.0, 8.0], False),
+    ):
+        rcs = np.array([weak, *others])
+        found = are_persons(
+            rcs, np.array([slow, *[14.0] * 5]), np.full(6, 1.5), np.zeros(6, np.bool_), 0.0
+        )
+        assert found.tolist() == [person, *[False] * 5]
+
+
 def test_who_mostly_stands_is_no_cyclist():
     detections, motions = followed([-6.0, 0.0], [5.0, 12.0])
     stopped = replace(motions[0], speed=np.where(np.arange(20) < 12, 0.0, 5.0))

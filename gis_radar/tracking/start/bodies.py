@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 
@@ -18,11 +19,15 @@ from gis_radar.tracking.detections import MOVING_MPS, MapDetections
 from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.start.tall import one_tall_odds, tall_odds
 
+_Way: TypeAlias = tuple[Floats, Floats]  # times, and places (n, 2)
+
+LEAST_SHARED = 4  # detections that both directions of time follow as one vehicle, not by chance
 LEAST_SPREAD_M = 0.1  # two detections of one scatterer
 UNKNOWN_SIZE = -1.0  # log odds of a person of unknown size: on lanes persons are fewer
 # A part is split, MOST_SPLIT times at most, while a smaller share of it keeps its place in the
 # moving frame; parts of fewer rows are dropped.
 LEAST_PURE, MOST_SPLIT, LEAST_ROWS = 0.95, 3, 5
+MOST_BOTH_S = 0.7  # longest time that a vehicle is followed twice, where one track ends
 SEEN_S = 0.35  # time before and after a detection in which the state of its vehicle is known
 LEFT_M, BEARING_RAD = 1.7, 0.006  # half the width of a truck, error of a bearing: sideways
 # Tolerance of a range rate: noise, a share of the speed, and a share of it at which the ends of a
@@ -42,7 +47,9 @@ CYCLIST_MPS = 7.5  # largest speed of cyclists
 # of detections, metres: most people return 4 to 10 dB less; a cyclist of 1.8 x 0.6 m spreads by
 # 0.55 m, a car by 1.4 m, bearing and smoothing add 0.5 m.
 PERSON, VEHICLE = (-7.0, 3.0, -0.3, 0.45), (0.0, 4.0, 0.4, 0.5)
+LEAST_DRIVEN, LEAST_DB = 5, 3.0  # fast vehicles that tell the sigma, which is this at least, dB
 FAINT_DB = 9.0  # detections weaker by this are faint: persons, also next to a passing vehicle
+FAINT_SIGMAS = 3.0  # vehicles weaker by this are hardly any: persons, whatever their motion
 # Share of faint detections of a vehicle, and one less that of a person: a tenth of a car's, a fifth
 # of a lorry's or a motorcycle's; nine tenths of a walker's, two thirds of a cyclist's.
 FAINT_SHARE = 0.2
@@ -57,75 +64,117 @@ def rows_by_number(number: Integers) -> list[Integers]:
     return np.split(rows, np.flatnonzero(np.diff(number[rows])) + 1) if len(rows) else []
 
 
-def join_directions(number: Integers, against: Integers, time: Floats) -> Integers:
+def join_directions(
+    numbers: tuple[Integers, Integers], states: tuple[Floats, Floats], time: Floats
+) -> Integers:
     """Return one number for each detection from those of both directions of time.
 
-    A detection that only the backward direction claims gets the number of its neighbour there. Two
-    vehicles that one vehicle of the other direction follows one after the other are one.
+    Where a filter leaves a vehicle for another one, the other direction of time follows both, for a
+    while at once. So what both directions follow as one vehicle is a part, and parts that share a
+    number of one direction are of one vehicle unless the other direction follows two at once. All
+    else gets the number of its nearest part.
 
     Parameters
     ----------
-    number, against : (n,) int64 arrays
+    numbers : (n,) int64 arrays
         The filter's numbers of detections, forward and backward in time.
+    states : (n, 6) arrays
+        Its states at the detections, likewise.
     time : (n,) array
         Times of the detections, seconds.
     """
-    rows = rows_by_number(number)
-    if not rows:
-        return against.copy()
-    spans = {int(number[r[0]]): (float(time[r].min()), float(time[r].max())) for r in rows}
-    sizes = {int(number[r[0]]): len(r) for r in rows}
-    groups = _Groups(spans)
-    joined, fresh = number.copy(), int(number.max()) + 1
-    for part in rows_by_number(against):
-        known = np.flatnonzero(number[part] != NONE)
-        if len(known) == 0:
-            joined[part] = fresh
-            fresh += 1
-            continue
-        free = np.flatnonzero(number[part] == NONE)
-        joined[part[free]] = number[part[known[nearest(time[part[known]], time[part[free]])]]]
-        values, counts = np.unique(number[part[known]], return_counts=True)
-        strong = [
-            value for value, count in zip(values.tolist(), counts.tolist(), strict=True)
-            if count >= max(4, 0.3 * sizes[value])
-        ]  # fmt: skip
-        strong.sort(key=lambda value: spans[value])
-        for one, other in pairwise(strong):
-            groups.join(one, other)
-    mapped = np.arange(fresh)
-    for value in spans:
-        mapped[value] = groups.of(value)
-    return np.where(joined == NONE, NONE, mapped[joined])
+    both = np.column_stack(numbers)
+    rows = np.flatnonzero((both != NONE).all(axis=1))
+    parts, part, count = np.unique(both[rows], axis=0, return_inverse=True, return_counts=True)
+    part = part.ravel()
+    first = time[rows[np.unique(part, return_index=True)[1]]]
+    ways = [_ways(each, time, state) for each, state in zip(numbers, states, strict=True)]
+    groups = _Groups(parts, ways)
+    shared = np.flatnonzero(count >= LEAST_SHARED)
+    links = [
+        (-int(count[[one, other]].min()), one, other)
+        for side in (0, 1)
+        for alike in rows_by_number(_only(parts[:, side], shared))
+        for one, other in pairwise(alike[np.argsort(first[alike], kind="stable")].tolist())
+    ]
+    for _, one, other in sorted(links):
+        groups.join(one, other)
+    joined = np.full(len(time), NONE)
+    known = count[part] >= LEAST_SHARED
+    joined[rows[known]] = np.array([groups.of(each) for each in range(len(parts))])[part[known]]
+    return _completed(joined, numbers, time, len(parts))
+
+
+def _only(number: Integers, rows: Integers) -> Integers:
+    """Return the numbers of some rows, `NONE` for others."""
+    found = np.full(len(number), NONE)
+    found[rows] = number[rows]
+    return found
+
+
+def _completed(
+    joined: Integers, numbers: tuple[Integers, Integers], time: Floats, fresh: int
+) -> Integers:
+    """Give detections without a number that of the nearest one of their vehicle, or a fresh one."""
+    for number in numbers:
+        for rows in rows_by_number(number):
+            known, left = (rows[(joined[rows] != NONE) == each] for each in (True, False))
+            if len(known) and len(left):
+                joined[left] = joined[known[nearest(time[known], time[left])]]
+    for number in numbers:
+        for rows in rows_by_number(number):
+            left = rows[joined[rows] == NONE]
+            joined[left] = fresh
+            fresh += len(left) > 0
+    return joined
+
+
+def _ways(number: Integers, time: Floats, states: Floats) -> dict[int, _Way]:
+    """Return the times and places at which each number is followed."""
+    return {int(number[r[0]]): (time[r], states[r, :2]) for r in rows_by_number(number)}
+
+
+def _follow_two(one: _Way, other: _Way) -> bool:
+    """Return whether two ways are of two vehicles: at the same time in different places."""
+    begin, end = max(one[0][0], other[0][0]), min(one[0][-1], other[0][-1])
+    if end - begin < MOST_BOTH_S:
+        return False
+    when = np.linspace(begin, end, 2 + int((end - begin) / SEEN_S))
+    apart = [
+        np.interp(when, one[0], one[1][:, k]) - np.interp(when, other[0], other[1][:, k])
+        for k in (0, 1)
+    ]
+    return float(np.median(np.hypot(*apart))) > CAR_M
 
 
 class _Groups:
-    """Groups of tracks of one vehicle, by the spans of time in which they are followed."""
+    """Groups of parts of one vehicle, by the ways on which each direction follows them."""
 
-    MOST_BOTH_S = 0.7  # longest time that a vehicle is followed twice, where one track ends
+    def __init__(self, parts: Integers, ways: Sequence[dict[int, _Way]]) -> None:
+        self._head = list(range(len(parts)))
+        self._numbers = [[{each} for each in side.tolist()] for side in parts.T]
+        self._ways = ways
 
-    def __init__(self, spans: dict[int, tuple[float, float]]) -> None:
-        self._head = {value: value for value in spans}
-        self._spans = {value: [span] for value, span in spans.items()}
-
-    def of(self, value: int) -> int:
-        """Return the number that represents a vehicle's group."""
-        while self._head[value] != value:
-            self._head[value] = self._head[self._head[value]]
-            value = self._head[value]
-        return value
+    def of(self, part: int) -> int:
+        """Return the part that represents a part's group."""
+        while self._head[part] != part:
+            self._head[part] = self._head[self._head[part]]
+            part = self._head[part]
+        return part
 
     def join(self, one: int, other: int) -> None:
-        """Join two groups, unless both were followed at the same time."""
+        """Join two groups, unless a direction follows them as two vehicles."""
         one, other = self.of(one), self.of(other)
-        if one == other:
+        if one == other or any(
+            _follow_two(ways[a], ways[b])
+            for ways, numbers in zip(self._ways, self._numbers, strict=True)
+            for a in numbers[one]
+            for b in numbers[other] - {a}
+        ):
             return
-        both = max(
-            min(a[1], b[1]) - max(a[0], b[0]) for a in self._spans[one] for b in self._spans[other]
-        )
-        if both < self.MOST_BOTH_S:
-            self._spans[one] += self._spans.pop(other)
-            self._head[other] = one
+        self._head[other] = one
+        for numbers in self._numbers:
+            numbers[one] |= numbers[other]
 
 
 def absorb(
@@ -298,14 +347,14 @@ def are_persons(
         Median cross section of still detections, dBm2.
     """
     faint = rcs < still - FAINT_DB
-    usual = _driven_rcs(rcs, fast, faint)
+    usual, sigma = _driven_rcs(rcs, fast, faint)
     if np.isnan(usual):
         return np.asarray(faint)
     size = np.log(np.maximum(spread_m, LEAST_SPREAD_M))
-    odds = _log_density(rcs - usual, PERSON[:2]) - _log_density(rcs - usual, VEHICLE[:2])
+    odds = _log_density(rcs - usual, PERSON[:2]) - _log_density(rcs - usual, (0.0, sigma))
     by_size = _log_density(size, PERSON[2:]) - _log_density(size, VEHICLE[2:])
     odds += np.where(np.isnan(by_size), UNKNOWN_SIZE, by_size)
-    may_be = steady & (fast < CYCLIST_MPS) | (rcs < usual - FAINT_DB)
+    may_be = steady & (fast < CYCLIST_MPS) | (rcs < usual - FAINT_SIGMAS * sigma)
     return np.asarray(may_be & (odds > 0.0))
 
 
@@ -320,9 +369,14 @@ def still_rcs(detections: MapDetections) -> float:
     return usual_rcs(detections.rcs[np.abs(detections.range_rate) < MOVING_MPS])
 
 
-def _driven_rcs(rcs: Floats, fast: Floats, faint: Booleans) -> float:
-    """Return the cross section of fast vehicles, NaN if there are none."""
-    return usual_rcs(rcs[(fast > DRIVEN_MPS) & ~faint])
+def _driven_rcs(rcs: Floats, fast: Floats, faint: Booleans) -> tuple[float, float]:
+    """Return the median cross section of fast vehicles, NaN if there are none, and its sigma."""
+    driven = rcs[(fast > DRIVEN_MPS) & ~faint & np.isfinite(rcs)]
+    usual = usual_rcs(driven)
+    if len(driven) < LEAST_DRIVEN:
+        return usual, VEHICLE[1]
+    # the median of absolute deviations, in sigmas of a normal distribution
+    return usual, max(float(np.median(np.abs(driven - usual))) / 0.6745, LEAST_DB)
 
 
 def without_faint_ends(
@@ -345,7 +399,7 @@ def without_faint_ends(
     found = []
     rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
     fast = np.array([_fast(each) for each in motions])
-    usual = _driven_rcs(rcs, fast, np.zeros(len(rcs), np.bool_))
+    usual, _ = _driven_rcs(rcs, fast, np.zeros(len(rcs), np.bool_))
     odds = np.log(FAINT_SHARE / (1.0 - FAINT_SHARE))
     for each in motions:
         faint = detections.rcs[each.rows] < usual - FAINT_DB
