@@ -13,6 +13,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import hypothesis
 import pandas as pd
 import pytest
 from filelock import FileLock
@@ -143,6 +144,9 @@ def sumo_installed():
 
 
 def pytest_configure(config):
+    # a first call compiles, and other processes have the cores, too
+    hypothesis.settings.register_profile("no deadline", hypothesis.settings(), deadline=None)
+    hypothesis.settings.load_profile("no deadline")
     if find_pdal() is None and FETCHED.is_file():
         os.environ[VARIABLE] = str(FETCHED)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

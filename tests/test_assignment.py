@@ -42,7 +42,7 @@ def test_random_points_fall_where_shapely_says(engine):
     np.testing.assert_array_equal(tile, expected_tile)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 2**32 - 1),
     heading=st.sampled_from([0.0, 45.0, 90.0, 180.0, 270.0, 33.3]),
@@ -59,7 +59,7 @@ def test_a_point_on_a_shared_edge_has_one_tile(seed, heading):
         np.testing.assert_array_equal(point, np.arange(len(points)))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_engines_agree_to_the_last_bit(seed):
     rng = np.random.default_rng(seed)

@@ -69,7 +69,6 @@ def uncovered(left, right, n):
     return union.symmetric_difference(shape).area / shape.area
 
 
-@settings(deadline=None)
 @given(lanes(), st.booleans(), st.booleans())
 def test_the_driving_direction_does_not_depend_on_how_bounds_are_drawn(lane, flip_left, flip_right):
     left, right = lane
@@ -78,7 +77,6 @@ def test_the_driving_direction_does_not_depend_on_how_bounds_are_drawn(lane, fli
         np.testing.assert_array_equal(found, expected)
 
 
-@settings(deadline=None)
 @given(lanes())
 def test_mirrored_lanes_are_driven_the_same_way(lane):
     mirror = np.array([-1.0, 1.0])
@@ -109,7 +107,6 @@ def test_tiny_and_short_wide_lanelets_have_a_direction():
             np.testing.assert_array_equal(found[1], right)
 
 
-@settings(deadline=None)
 @given(lanes())
 def test_lanes_that_need_nothing_are_left_alone(lane):
     assume(outline(*lane).is_valid)
@@ -121,7 +118,6 @@ def test_lanes_that_need_nothing_are_left_alone(lane):
     np.testing.assert_array_equal(mended.right, lane[1])
 
 
-@settings(deadline=None)
 @given(lanes())
 def test_slices_are_simple_share_their_edges_and_cover_the_outline(lane):
     try:
@@ -143,7 +139,6 @@ def test_slices_are_simple_share_their_edges_and_cover_the_outline(lane):
         assert uncovered(left, right, n) < 0.005
 
 
-@settings(deadline=None)
 @given(lanes())
 def test_mending_does_not_depend_on_where_the_map_lies(lane):
     here, there = outcome(*lane), outcome(lane[0] + SHIFT, lane[1] + SHIFT)
@@ -160,7 +155,6 @@ def outcome(left, right):
     return mended.repairs, mended.left, mended.right
 
 
-@settings(deadline=None)
 @given(scribbles())
 def test_whatever_comes_is_either_sound_afterwards_or_refused_with_a_reason(lines):
     left, right = driven(*lines)
@@ -322,7 +316,7 @@ def first_meeting(bound):
     return None
 
 
-@settings(deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@settings(suppress_health_check=[HealthCheck.filter_too_much])
 @given(scribbles())
 def test_the_first_loop_is_cut_where_its_segments_meet(lines):
     bound = lines[0]
@@ -342,7 +336,7 @@ def test_the_first_loop_is_cut_where_its_segments_meet(lines):
     assert abs(len(cut) - (i + 1) - len(bound[j + 1 :])) <= 1
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(lanes(), st.floats(0.2, 1000.0))
 def test_slices_of_any_length_are_sound(lane, slice_m):
     try:

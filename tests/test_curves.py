@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gis_radar.hdmap.curves import lane_headings
@@ -26,7 +26,6 @@ def straight(length_m):
     return tuple(shapely.LineString(ends + [0.0, side]) for side in (HALF_M, -HALF_M))
 
 
-@settings(deadline=None)
 @given(st.floats(8.0, 60.0), st.integers(3, 40))
 def test_directions_within_a_bend_are_those_of_the_arc(radius_m, count):
     turn = np.pi / 2.0

@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 import gis_radar as gr
+import simulation.recording
 from gis_radar.cli import group
 from simulation.drawn_days import DayDrawer
 
@@ -50,13 +51,14 @@ def code_of(path):
 
 @pytest.fixture
 def localized_of_half_a_minute(monkeypatch, first_seconds):
-    """Localize by the sample's first 31 s, and one of a town's sensors: all take longer."""
-    localize, sample, others = gr.localize, gr.sample_folder(), itertools.count()
+    """Localize by the sample's first seconds, and one of a town's sensors: all take longer."""
+    localize, sample = gr.localize, gr.sample_folder()
+    of_sample, of_town = itertools.chain([31.0], itertools.repeat(16.0)), itertools.count()
 
     def localized(recording, *given, **options):
-        if recording.parent == sample:
-            recording = first_seconds(recording, 31.0)
-        elif next(others) >= 1:
+        if recording.parent == sample:  # the first time for an answer, then to be refused
+            recording = first_seconds(recording, next(of_sample))
+        elif next(of_town) >= 1:
             raise gr.NoAnswerError("spared")
         return localize(recording, *given, **options)
 
@@ -64,19 +66,36 @@ def localized_of_half_a_minute(monkeypatch, first_seconds):
 
 
 @pytest.fixture
-def one_day_in_27(monkeypatch):
-    """Draw one day in 27 of a year, so all days of the week: each is the same work."""
+def one_whole_recording(monkeypatch):
+    """Simulate one whole recording: those of the sensors that are spared take a second."""
+    simulate, number = simulation.recording.simulate_recording, itertools.count()
+
+    def simulated(radar, traffic, times, **options):
+        return simulate(radar, traffic, times[: None if next(number) == 0 else 20], **options)
+
+    monkeypatch.setattr(simulation.recording, "simulate_recording", simulated)
+
+
+@pytest.fixture
+def one_day_in_52(monkeypatch):
+    """Draw one day in 52 of a year, so each day of the week once: each is the same work."""
     draw = DayDrawer.draw_day
 
     def drawn(drawer, span):
-        return draw(drawer, span) if span[0].toordinal() % 27 == 0 else []
+        return draw(drawer, span) if span[0].toordinal() % 52 == 0 else []
 
     monkeypatch.setattr(DayDrawer, "draw_day", drawn)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(
-    elsewhere, path, request, measured_a_minute, localized_of_half_a_minute, one_day_in_27
+    elsewhere,
+    path,
+    request,
+    measured_a_minute,
+    localized_of_half_a_minute,
+    one_whole_recording,
+    one_day_in_52,
 ):
     """A notebook runs as it stands, draws something in each of its figures, and is quick."""
     names, code = {}, code_of(path)

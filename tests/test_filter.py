@@ -153,7 +153,7 @@ def test_without_data_the_pose_stays_and_its_error_grows():
     assert np.array_equal(predicted(later, 0.0).covariance, later.covariance)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 10**6), st.floats(0.05, 1.0), st.integers(1, 12))
 def test_estimates_stay_sound(seed, share, cycles):
     rng = np.random.default_rng(seed)
@@ -175,7 +175,7 @@ def test_estimates_stay_sound(seed, share, cycles):
         )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(-179, 179), st.floats(-70, 70), st.floats(-179, 179), st.integers(0, 99))
 def test_angles_and_turns_have_one_covariance(yaw, pitch, roll, seed):
     pose = Pose(

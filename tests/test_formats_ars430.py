@@ -126,7 +126,7 @@ def test_another_make_is_counted_as_damaged(tmp_path):
         convert(tmp_path / "r.bag")
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(sizes=st.lists(st.integers(0, 3), min_size=1, max_size=12), group=st.integers(1, 4))
 def test_no_detection_is_lost_however_packets_fall(tmp_path_factory, sizes, group):
     packets = [

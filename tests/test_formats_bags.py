@@ -121,7 +121,7 @@ def test_the_drivers_packed_cloud_out_of_every_bag(tmp_path, kind):
         np.testing.assert_array_equal(table[name], expected[field].astype(np.float32))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_clouds_of_any_layout_read_back(data):
     order = data.draw(st.sampled_from("<>"))

@@ -65,7 +65,7 @@ def test_datagrams_out_of_every_link_layer(tmp_path, name, size):
     np.testing.assert_allclose(frame_times(result.outputs[0]), times(3), atol=1e-6)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(order=st.permutations(range(5)), again=st.lists(st.integers(0, 4), max_size=4))
 def test_fragments_in_any_order_and_doubled_give_the_datagram(order, again):
     payload = detection_list(START)
@@ -110,7 +110,7 @@ def test_a_lost_fragment_costs_its_frame_and_is_said(tmp_path):
     assert "1 fragmented datagrams are not complete" in notes.text
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     stamps=st.lists(st.integers(0, 4_000_000_000 * 10**6), min_size=1, max_size=8),
     data=st.data(),

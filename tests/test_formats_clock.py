@@ -84,7 +84,7 @@ def test_a_step_of_a_slow_clock_is_left_from_there_on():
     np.testing.assert_allclose(found, true + LATER, atol=0.01)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 1000), ppm=st.floats(-500, 500), late_s=st.floats(-2.0, 2.0),
     count=st.integers(1, 500),

@@ -122,7 +122,7 @@ def test_no_clock_at_all_is_refused(tmp_path):
         convert(path)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6), reach=st.integers(1, 200))
 def test_frames_out_of_order_are_put_in_order(tmp_path_factory, seed, reach):
     path = tmp_path_factory.mktemp("order") / "r.pcap"

@@ -104,7 +104,7 @@ def test_a_folder_becomes_a_recording(tmp_path, data):
         np.testing.assert_array_equal(table[column], expected[field].astype(np.float32), column)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_any_cloud_reads_back(tmp_path_factory, data):
     kinds = st.sampled_from(["f4", "f8", "i1", "i2", "i4", "u1", "u2", "u4"])
@@ -122,7 +122,7 @@ def test_any_cloud_reads_back(tmp_path_factory, data):
             np.testing.assert_array_equal(read[name], rows[name])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(content=st.binary(max_size=300) | st.binary(max_size=6).map(lambda part: part * 90))
 def test_lzf_reads_back(content):
     assert decompress(compress(content), len(content)) == content

@@ -70,7 +70,7 @@ def test_what_the_user_says_wins_over_names(tmp_path):
     assert table["azimuth"].tolist() == [1.0]
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 1000), frames=st.integers(1, 40), rows=st.sampled_from([3, 50, 5000]))
 def test_a_recording_stays_what_it_is(tmp_path_factory, seed, frames, rows):
     folder = tmp_path_factory.mktemp("table")

@@ -53,7 +53,7 @@ def test_a_map_place_over_1000_km_is_refused_as_before(tmp_path):
         list(open_recording(path).read())
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     reach_m=st.floats(2.0, 1500.0), seed=st.integers(0, 100), ghosts=st.integers(0, 100),
     count=st.integers(1, 500),

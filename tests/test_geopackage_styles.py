@@ -11,7 +11,7 @@ from contextlib import closing
 import geopandas as gpd
 import pytest
 import shapely
-from test_heatmap import two_sensors
+from counted_sites import two_sensors
 from test_qgis_project import a_pose
 
 import gis_radar as gr

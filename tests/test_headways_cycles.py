@@ -110,7 +110,7 @@ def passed_s(fronts):
     return (np.array(at) - 1 + (LINE_M - before) / (after - before)) * DT_S
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.lists(st.floats(2.0, 40.0), min_size=1, max_size=15))
 def test_headways_sum_to_the_time_from_first_to_last(apart):
     fronts = drive(10.0 + np.cumsum(apart), never)

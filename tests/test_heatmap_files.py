@@ -16,9 +16,9 @@ import pyogrio
 import pytest
 import rasterio
 import rasterio.features
+from counted_sites import EAST, NORTH, T0, lane_tiles, make_site, two_sensors
 from matplotlib import image
 from matplotlib.figure import Figure
-from test_heatmap import EAST, NORTH, T0, lane_tiles, make_site, two_sensors
 
 from gis_radar.base import InputError, OutputError, Reporter
 from gis_radar.products import make_heatmap, read_heatmap

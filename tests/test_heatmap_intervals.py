@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from counted_sites import T0, assert_like_oracle, lane_tiles, make_site, two_sensors
 from maps import Listener
-from test_heatmap import T0, assert_like_oracle, lane_tiles, make_site, two_sensors
 
 from gis_radar.base import STEPS_PER_SECOND
 from gis_radar.products import make_heatmap

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
+from counted_sites import lane_tiles
 from matplotlib.figure import Figure
-from test_heatmap import lane_tiles
 from test_heatmap_occupancy import both_of
 
 import gis_radar as gr

@@ -15,13 +15,13 @@ import pandas as pd
 import pyogrio
 import pytest
 import rasterio
+from counted_sites import FOLDERS, T0, lane_tiles
 from datasets import stepwise_dataset
 from driven import straight_tiles
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from PIL import Image
-from test_heatmap import FOLDERS, T0, lane_tiles
 
 import gis_radar as gr
 from gis_radar.dataset import STEPS_PER_QUARTER
@@ -59,7 +59,7 @@ def both_of(tiles, *, steps=400, seed=3):
     return dataset_of(tiles, span, occupied, visible), occupied, visible, span
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(
     seed=st.integers(0, 1000), interval=st.sampled_from([None, "50ms", "1s", "7s", "15min"]),
 )  # fmt: skip

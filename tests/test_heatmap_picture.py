@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from counted_sites import lane_tiles, make_site
 from matplotlib.patches import Polygon, Rectangle
-from test_heatmap import lane_tiles, make_site
 from test_heatmap_occupancy import both_of
 
 from gis_radar.base import step_of

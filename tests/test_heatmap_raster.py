@@ -10,8 +10,8 @@ import pytest
 import rasterio
 import rasterio.features
 import shapely
+from counted_sites import T0, lane_tiles, make_site, two_sensors
 from maps import Listener
-from test_heatmap import T0, lane_tiles, make_site, two_sensors
 
 from gis_radar.base import UsageError
 from gis_radar.dataset import TILE_COUNTS

@@ -9,7 +9,7 @@ from contextlib import closing
 import numpy as np
 import pandas as pd
 import pytest
-from test_heatmap import T0, two_sensors
+from counted_sites import T0, two_sensors
 
 import gis_radar as gr
 

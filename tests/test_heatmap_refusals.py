@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from test_heatmap import T0, lane_tiles, make_site, two_sensors
+from counted_sites import T0, lane_tiles, make_site, two_sensors
 
 from gis_radar.base import InputError, UsageError
 from gis_radar.products import make_heatmap

@@ -67,7 +67,7 @@ def tree(tiles):
     level=st.booleans(),
     least=st.sampled_from([None, 0.3]),
 )
-@settings(deadline=None, max_examples=25)  # compiled at the first call
+@settings(max_examples=25)  # compiled at the first call
 def test_any_rows_hit_what_the_tree_and_numpy_say(tiles, tree, seed, rows, kind, level, least):
     rng = np.random.default_rng(seed)
     points = rng.normal(0.0, [60.0, 60.0, 2.0], (rows, 3)).astype(kind)

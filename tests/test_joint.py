@@ -463,7 +463,7 @@ def covariances(rng, n):
         yield root @ root.T + 1e-6 * np.eye(3)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=matrices, n=st.integers(2, 4), pairs=st.integers(1, 12))
 def test_an_adjustment_never_knows_less_than_the_single_answers(seed, n, pairs):
     rng = np.random.default_rng(seed)

@@ -77,7 +77,7 @@ def test_an_hour_is_made_once_with_what_follows_it_and_equals_the_batch(tmp_path
     made = SpooledSite(tmp_path, vehicles=True)
     clock = Clock(end_of_hour_s(HOUR) + 20.0)
     monkeypatch.setattr(hour_work, "time", clock)
-    done = measure_hours(made.site, recorded_at(made, FULL_US - 6_000_000, seconds=9.0), [HOUR])
+    done = measure_hours(made.site, recorded_at(made, FULL_US - 4_000_000, seconds=6.5), [HOUR])
     assert [text for text in done.said if "not measured" in text] == []
     assert list(read_hours(made.site.dataset)) == [HOUR]
     first = made.parts("15")
@@ -153,13 +153,13 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     quarter = FULL_US // QUARTER_US - 2  # from a quarter past to half past
     begin_us = quarter * QUARTER_US
     monkeypatch.setattr(hour_work, "time", Clock(end_of_hour_s(HOUR) + 20.0))
-    spooled = recorded_at(made, begin_us + 300_000_000, seconds=20.0)
+    spooled = recorded_at(made, begin_us + 300_000_000, seconds=14.0)
     done = make_quarter(made.site, spooled, quarter)
     assert not made.site.dataset.exists()
     (found,) = done.quarters
     assert found.until_step == (begin_us + QUARTER_US) // 50_000 - 1
     assert found.lanes["counted"].sum() > 8
-    assert found.lanes["volume"].isna().all()  # 20 s tell no volume of a quarter
+    assert found.lanes["volume"].isna().all()  # 14 s tell no volume of a quarter
     assert 0 < found.occupied.sum() < found.visible.sum()
     assert found.lanes["speed_kmh"].dropna().between(0.0, 100.0).all()
     assert (found.lanes["queue_max_m"] > 5.0).any()

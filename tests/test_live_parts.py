@@ -55,14 +55,12 @@ KEY = b"pose"
 NUMBERS = st.integers(1, 2**60)
 
 
-@settings(deadline=None)
 @given(NUMBERS, st.binary(min_size=4, max_size=4), st.booleans(), st.booleans(), st.binary())
 def test_envelopes_come_out_as_they_went_in(number, stream, first, live, content):
     envelope = Envelope(stream=stream, number=number, first=first, live=live)
     assert unpack_message(pack_message(envelope, content)) == (envelope, content)
 
 
-@settings(deadline=None)
 @given(
     st.lists(
         st.tuples(*[st.integers(-FARTHEST, FARTHEST)] * 3, st.integers(-45_000, 45_000),
@@ -124,7 +122,7 @@ def test_a_frame_without_detections_is_a_row_and_one_of_two_kinds_is_refused():
         unpack_detections(pack_detections([mixed], pose=KEY))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=80), st.integers(0, 3))
 def test_what_is_no_message_is_refused_and_nothing_else_is_raised(noise, start):
     good = pack_message(Envelope(stream=b"abcd", number=5), b"")

@@ -13,7 +13,7 @@ GAPS = st.lists(st.sampled_from([300, 300, 600, 1500, 3300, 9000, 24_000, 99_000
                 min_size=1, max_size=60)  # fmt: skip
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(gaps=GAPS, seed=st.integers(0, 1_000))
 def test_sums_are_those_of_the_steps(gaps, seed):
     chance = np.random.default_rng(seed)

@@ -23,12 +23,13 @@ CLOSE = np.array([0.4, 0.4, 0.2, 0.5, 0.5, 0.3])
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    street = Street()
-    pose = street.pose()
-    path = tmp_path_factory.mktemp("scene") / "R1.parquet"
-    street.record(path, pose)
-    return street, pose, path
+def scene(once):
+    def recorded(folder):
+        street = Street()
+        pose = street.pose()
+        return street, pose, street.record(folder / "R1.parquet", pose)
+
+    return once("scene", recorded)
 
 
 def find(street, path, guess, **options):
@@ -40,10 +41,10 @@ def near(pose, east=5.0, north=-4.0):
 
 
 @pytest.fixture(scope="module")
-def answer(scene):
+def answer(scene, once):
     """The answer for the scene from a rough guess."""
     street, pose, path = scene
-    return find(street, path, near(pose))
+    return once("answer", lambda _: find(street, path, near(pose)))
 
 
 def test_a_pose_is_found_from_a_rough_guess(scene, answer):

@@ -13,7 +13,7 @@ import pytest
 import shapely
 from datasets import HOUR
 from forks import LEFT, fork_dataset, through
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from maps import Listener
 
@@ -34,7 +34,6 @@ def a_pose(sensor="R1", **more):
     return gr.Pose(sensor=sensor, **(fields | more), **evidence)
 
 
-@settings(deadline=None)
 @given(
     st.floats(-180, 180), st.floats(-30, 30), st.sampled_from([0.0, 180.0]),
     st.floats(10, 170), st.floats(0.05, 0.95), st.floats(-0.95, 0.95),

@@ -162,7 +162,7 @@ def test_the_hour_that_comes_twice(tmp_path):
     assert set(table["weekday"]) == {"Sunday"}
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 @given(seed=st.integers(0, 99), cut=st.integers(1, 599))
 def test_quality_of_a_recording_in_two_is_that_of_the_whole(tmp_path_factory, seed, cut):
     folder = tmp_path_factory.mktemp("q")

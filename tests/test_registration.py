@@ -322,7 +322,7 @@ def test_no_lane_within_reach_is_refused():
         )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(-8, 8), st.floats(-8, 8), st.floats(3, 10), st.booleans(), st.integers(0, 1000))
 def test_levelling_finds_which_way_is_up(pitch, roll, over_m, upside_down, seed):
     rng = np.random.default_rng(seed)
@@ -340,7 +340,7 @@ def test_levelling_finds_which_way_is_up(pitch, roll, over_m, upside_down, seed)
     assert found.depth_m == pytest.approx(over_m, abs=0.7)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.floats(-180, 180), st.floats(-60, 60), st.floats(-180, 180), st.integers(0, 99))
 def test_turns_become_angles(yaw, pitch, roll, seed):
     step = np.zeros(SIZE)
@@ -357,7 +357,7 @@ def test_turns_become_angles(yaw, pitch, roll, seed):
     assert np.allclose(state.moved(step).difference(state), step, atol=1e-9)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda axis: np.linalg.norm(axis) > 1e-3),
     st.one_of(st.floats(0.0, np.pi - 1e-4), st.floats(0.0, 1e-7), st.just(np.pi - 1e-9)),
@@ -553,7 +553,7 @@ def test_the_height_of_reflections_is_told_by_their_lower_edge(scene, higher_m):
     assert told.mean_m == pytest.approx(right.mean_m, abs=0.03)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 10_000))
 def test_information_keeps_over_its_floor(seed):
     rng = np.random.default_rng(seed)

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
+from counted_sites import lane_tiles
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from sites import EAST, NORTH, lane_quads, tiles_of
-from test_heatmap import lane_tiles
 from test_heatmap_occupancy import both_of
 from test_report_pages import content_of, letters_of, pages_of
 
@@ -110,7 +110,7 @@ def test_the_error_of_a_lane_is_the_mean_of_its_tiles(tmp_path):
 
 @given(st.integers(1, 30), st.integers(0, 2**31))
 @example(22, 1)  # square to the lanes there is no room
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_no_number_of_the_plan_is_missing_and_none_covers_another(lanes, seed):
     """Side by side at 3.5 m, as on a wide road, with numbers of six figures."""
     rng = np.random.default_rng(seed)

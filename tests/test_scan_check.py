@@ -435,7 +435,7 @@ def guess_of(sensor):
 
 def test_poses_found_together_are_checked_each(tmp_path, first_seconds):
     """Of the sample, from guesses metres off, with the scan."""
-    recordings = [first_seconds(SAMPLE / f"{name}.parquet", 40.0) for name in ("R1", "R2")]
+    recordings = [first_seconds(SAMPLE / f"{name}.parquet", 31.0) for name in ("R1", "R2")]
     call = [
         "localize", *map(str, recordings), "--together", "--json",
         "--map", str(SAMPLE / "junction.osm"), "--road", str(SCAN), "--scan", str(SCAN),

@@ -23,7 +23,7 @@ def plain_dbscan(points, eps, least):
     return core, np.where(core, labels, -1), near
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 10_000))
 def test_the_sources_of_icp_are_the_largest_cluster_of_dbscan(seed):
     pytest.importorskip("open3d", reason="needs the extra localize", exc_type=ImportError)

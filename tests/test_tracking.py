@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from maps import Listener
 from scipy.stats import ttest_1samp
@@ -268,7 +268,6 @@ def test_a_vehicle_that_is_watched_for_long_counts_once():
     assert traffic.between(0.0, 4.0).vehicles == 1
 
 
-@settings(deadline=None)
 @given(
     st.lists(st.floats(0.5, 20.0), min_size=8, max_size=40),
     st.floats(30.0, 1e4),

@@ -94,7 +94,7 @@ def test_the_first_block_straddles_the_begin_of_the_hour():
     ]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.sets(st.integers(-60, 60), min_size=1))
 def test_two_hours_make_the_block_at_their_edge_alike(steps):
     at_edge = [
@@ -108,7 +108,7 @@ def test_two_hours_make_the_block_at_their_edge_alike(steps):
     assert at_edge[0] == at_edge[1]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.sets(st.integers(0, 300), min_size=1))
 def test_each_frame_of_the_hour_lies_in_one_block(steps):
     found = spans(steps)

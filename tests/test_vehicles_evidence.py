@@ -226,14 +226,19 @@ def setting_off(fixed):
     return detections, drives
 
 
+def states_of(detections, drives):
+    """Return states along x, the motion of the one that drives, and what stands and is not its."""
+    states = np.zeros((len(detections), 6))
+    states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
+    free = np.abs(detections.range_rate) < 0.15
+    free[drives] = False
+    return states, fit_motion(detections, drives, states), free
+
+
 @pytest.mark.parametrize("fixed", [False, True])
 def test_who_sets_off_stood_before_unless_its_place_returns_without_it(fixed):
     detections, drives = setting_off(fixed)
-    states = np.zeros((len(detections), 6))
-    states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
-    motion = fit_motion(detections, drives, states)
-    free = np.abs(detections.range_rate) < 0.15
-    free[drives] = False
+    states, motion, free = states_of(detections, drives)
     passes = Passes.of([], detections, Strips.of(road_of(1)))
     seen = Detectability.learned(detections, [])
     whole = with_rest(0, motion, detections, free, states, passes, seen)
@@ -244,12 +249,7 @@ def test_who_sets_off_stood_before_unless_its_place_returns_without_it(fixed):
 def test_a_place_is_judged_by_the_seconds_that_were_recorded():
     detections, _ = setting_off(fixed=True)
     detections = detections.take(detections.time < 44.0)
-    drives = np.flatnonzero(detections.range_rate > 0.0)
-    states = np.zeros((len(detections), 6))
-    states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
-    motion = fit_motion(detections, drives, states)
-    free = np.abs(detections.range_rate) < 0.15
-    free[drives] = False
+    _, motion, free = states_of(detections, np.flatnonzero(detections.range_rate > 0.0))
     seen = Detectability.learned(detections, [])
     rate = rate_without(0, motion, 0, detections, free, seen)
     assert rate == pytest.approx(5.0, rel=0.2)
@@ -257,11 +257,7 @@ def test_a_place_is_judged_by_the_seconds_that_were_recorded():
 
 def test_a_follower_that_takes_the_place_is_not_of_the_road():
     detections, drives = setting_off(fixed=True)
-    states = np.zeros((len(detections), 6))
-    states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
-    motion = fit_motion(detections, drives, states)
-    free = np.abs(detections.range_rate) < 0.15
-    free[drives] = False
+    states, motion, free = states_of(detections, drives)
     passes = Passes.of([], detections, Strips.of(road_of(1)))
     follower = Occluders.stationary(1, (41.0, 60.0), 50.0, 0.0, 0.0, 4.5)
     seen = Detectability.learned(detections, [])

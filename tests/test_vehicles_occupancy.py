@@ -82,7 +82,7 @@ def run_engine(tiles, tracks, rows, *, views=(), held=NO_FRAMES, span=None):
 angles = st.floats(-180, 180).map(lambda x: round(x, 2))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     lanes=st.lists(
         st.tuples(angles, st.sampled_from([0.0, 1.9, 6.0]), st.sampled_from([0.6, 3.0, 5.5])),
@@ -126,7 +126,7 @@ def test_rectangles_cover_what_shapely_says(lanes, cars):
         assert got[tile] == (sure & seen)[:, tile].any()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     turns=st.lists(st.floats(-12, 12), min_size=20, max_size=40),
     line=st.tuples(st.floats(-25, 25), st.floats(-12, 12), angles, st.floats(0.5, 8)),
@@ -253,7 +253,7 @@ def hidden_by(state, rows, tiles, view):
     return hidden
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     eyes=st.lists(
         st.tuples(st.floats(-40, 40), st.floats(-30, 30), st.floats(1.0, 9.0)),

@@ -67,7 +67,6 @@ def test_lanelets_that_share_no_nodes_follow_each_other(straight):
     assert [each.tolist() for each in straight.reversed().successors] == [[], [0], []]
 
 
-@settings(deadline=None)
 @given(x=st.floats(-5, 205), y=st.floats(-6, 8))
 def test_lanes_at_a_point_as_shapely_finds_them(straight, x, y):
     found = straight.field.lanes(np.array([[x, y]]) - straight.origin)
@@ -205,7 +204,7 @@ def test_detections_in_chunks_are_of_the_same_vehicles(fork, size):
     assert parts[-1][1][-1] == pytest.approx(state[-1])
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(k=st.integers(5, 95), heading=st.floats(0.8, 5.4))
 def test_a_state_off_the_way_that_a_vehicle_can_turn_makes_no_loop(k, heading):
     x = np.arange(0.0, 100.0)
@@ -403,7 +402,6 @@ def test_what_others_drive_over_does_not_stand(straight):
     assert standing_s < 30.0
 
 
-@settings(deadline=None)
 @given(gap_m=st.floats(1.5, 6.0), count=st.integers(1, 4))
 def test_a_queue_is_packed_into_its_vehicles(gap_m, count):
     weights = np.zeros((3, 400))
@@ -417,7 +415,6 @@ def test_a_queue_is_packed_into_its_vehicles(gap_m, count):
     assert np.sort(found[:, 1]) == pytest.approx(np.add(rears, 4.5), abs=0.6)
 
 
-@settings(deadline=None)
 @given(s=st.floats(-3, 30), left=st.floats(-2, 2))
 def test_a_path_gives_back_what_is_laid_on_it(s, left):
     path = Path(np.column_stack([np.arange(0.0, 26.0), np.zeros(26)]))

@@ -74,7 +74,7 @@ def test_an_empty_part_has_all_columns(tmp_path, table):
 
 
 @given(st.lists(st.integers(0, 400), max_size=5))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_bytes_do_not_depend_on_batches(tmp_path_factory, cuts):
     folder = tmp_path_factory.mktemp("parts")
     tile, step = np.divmod(np.arange(400), 20)

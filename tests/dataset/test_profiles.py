@@ -89,7 +89,7 @@ QUARTERS = st.integers(0, 46 * 96).map(
 )
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     by=st.sampled_from([*CELLS]), days=st.sampled_from([*DAYS]), one=QUARTERS, other=QUARTERS,
     without=st.lists(st.dates(date(2026, 10, 24), date(2026, 11, 9)), max_size=3),

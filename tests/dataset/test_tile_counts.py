@@ -94,7 +94,7 @@ def expected(tables):
 
 
 @given(hours())
-@settings(max_examples=10, deadline=None)  # of tiles that know nothing of each other
+@settings(max_examples=10)  # of tiles that know nothing of each other
 def test_counts_are_those_of_sets_of_steps(tmp_path_factory, tables):
     dataset = written(tmp_path_factory.mktemp("counts") / "data", tables)
     counts = dataset.tile_counts()
