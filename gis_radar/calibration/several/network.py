@@ -277,9 +277,8 @@ class _Network:
             most = max(found.beyond.pairs.items(), key=lambda pair: pair[1])[0]
             self.clashes[self._pair(most, name)] = clash_text(self._pair(most, name), found.beyond)
             return False
-        doubt = found.doubt(in_time=member.clock is RIGHT)
-        if found.inside is None or doubt is not None:
-            self.unclear |= {} if doubt is None else {name: doubt}
+        if found.inside is None or found.doubt is not None:
+            self.unclear |= {} if found.doubt is None else {name: found.doubt}
             return False
         member.free |= member.station.clock_s is None  # its place rests on its clock
         member.choice, member.start, member.loose = found.inside.choice, found.inside.step, True
