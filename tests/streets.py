@@ -108,7 +108,9 @@ class Street:
             view=View(elevation_deg=60.0, max_range_m=150.0),
         )  # fmt: skip
 
-    def detections(self, pose, *, vehicles=40, frames=600, seed=0, noise=None):
+    def detections(
+        self, pose, *, vehicles=40, frames=600, seed=0, noise=None, speeds=(7.0, 14.0)
+    ):  # fmt: skip
         """Time, points and range rates of vehicles that pass, as the sensor sees them.
 
         The seed decides the traffic; with a seed of its own for the noise, too, a sensor sees
@@ -121,7 +123,7 @@ class Street:
             lane = np.array(self.lanes[number % len(self.lanes)])
             along = (lane[1] - lane[0]) / np.linalg.norm(lane[1] - lane[0])
             left = np.array([-along[1], along[0]])
-            speed, begin = rng.uniform(7.0, 14.0), rng.uniform(0.0, frames * 0.05 - 5.0)
+            speed, begin = rng.uniform(*speeds), rng.uniform(0.0, frames * 0.05 - 5.0)
             count, beside = 420, rng if own is None else np.random.default_rng([seed, number])
             drawn = rng if own is None else own
             moment = np.sort(

@@ -222,6 +222,44 @@ def test_measured_clocks_are_corrected(recordings, true, tmp_path):
     assert solved.remarks == ()
 
 
+def late_and_loose(street, folder, true, ahead_s, **traffic):
+    """The poses of R1, which stands fast, and R2, which is open along the street and late."""
+    paths = {}
+    for number, (name, pose) in enumerate(true.items()):
+        time, xyz, rate = street.detections(pose, noise=number, **TRAFFIC | traffic)
+        time = time + (ahead_s if name == "R2" else 0.0)
+        paths[name] = recording(folder / f"{name}.parquet", time, xyz, range_rate=rate)
+    mine = {"R1": stated(true["R1"]), "R2": stated(true["R2"], along_m=3.0, spread_m=9.0)}
+    solved = adjust_poses(
+        paths, {name: (pose,) for name, pose in mine.items()}, street.roads(),
+        street.road_points(), end=common_time(list(paths.values())),
+    )  # fmt: skip
+    return solved, mine["R2"]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("ahead_s", [-1.5, 0.6, 1.0])
+def test_a_clock_that_is_off_is_no_other_place(true, tmp_path, ahead_s, seed):
+    """Vehicles of one direction alone fit another place: seen late, or from elsewhere."""
+    solved, _ = late_and_loose(LONG, tmp_path, true, ahead_s, vehicles=40, seed=seed)
+    pose = solved.poses["R2"]
+    along_m = errors(pose, true["R2"])[:2] @ ALONG
+    assert abs(along_m) < 3.0 * math.sqrt(ALONG @ planar_covariance(pose)[:2, :2] @ ALONG)
+    if pose.evidence["sigma"]["easting"] < 1.0:
+        (told,) = solved.remarks
+        assert float(told.split()[5]) == pytest.approx(abs(ahead_s), abs=0.05)
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 1.0])
+def test_traffic_of_one_direction_and_speed_places_no_sensor_whose_clock_may_be_off(
+    true, tmp_path, ahead_s
+):
+    street = replace(LONG, lanes=(LONG.lanes[0], *LONG.lanes[2:]))
+    solved, mine = late_and_loose(street, tmp_path, true, ahead_s, vehicles=60, speeds=(9.9, 10.1))
+    assert solved.poses["R2"] == mine
+    assert "traffic in both directions" in solved.unmatched["R2"]
+
+
 @pytest.mark.parametrize("ahead_s", [0.2, -3.2, 0.0])
 def test_a_clock_that_is_off_is_told_and_moves_no_pose(recordings, true, tmp_path, ahead_s):
     time, xyz, rate = LONG.detections(true["R2"], noise=1, **TRAFFIC)

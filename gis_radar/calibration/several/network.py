@@ -27,6 +27,7 @@ from gis_radar.calibration.several.adjustment import (
 )
 from gis_radar.calibration.several.correspondences import (
     LEAST_PAIRS,
+    MOMENT_S,
     PLANAR,
     Moments,
     Names,
@@ -37,10 +38,11 @@ from gis_radar.calibration.several.correspondences import (
     read_moments,
 )
 from gis_radar.calibration.several.placing import (
-    CLEAR_Z,
     CONTRADICTION_CHI2,
     GATE_CHI2,
     GRID_YAW,
+    LAG_CLEAR,
+    REACH_S,
     STEP_M,
     Choice,
     Placing,
@@ -60,8 +62,6 @@ from gis_radar.poses import Pose
 # smaller ones are left to the adjustment of the poses.
 MOST_LAG_S = 10.0
 LEAST_LAG_S = 0.25
-# Standard deviations by which vehicles must prefer a lag to another place of the sensor.
-LAG_CLEAR = 2.0
 CLOCK_SIGMAS = 4.0  # standard deviations beyond which a clock's offset is remarked upon
 # Fewer pairs do not move a pose that is certain by itself: a cluster-robust covariance needs 20 to
 # 50 clusters (Cameron, Miller 2015), and few vehicles may all be on one lane.
@@ -153,7 +153,7 @@ class _Network:
         self.clashes: dict[Names, str] = {}
         self.agreeing: set[Names] = set()
         self.refused: dict[str, str] = {}
-        self.unclear: set[str] = set()  # sensors whose vehicles fit at several places
+        self.unclear: dict[str, str] = {}  # sensors whose vehicles fit at several places, and why
 
     def seen(self, member: _Member, choice: int, away: Floats) -> Moments:
         """Return a sensor's vehicles, placed by a step from one of its own poses."""
@@ -213,21 +213,36 @@ class _Network:
 
         Where its vehicles clearly agree better at another time, its clock is off by that time.
         """
-        choices = self.choices(member)
-        found = find_place(choices, self.placed)
-        if not self.placed:
-            return choices, found
+        member.clock, member.free = RIGHT, False
+        choices, found = self._among_placed(member)
         clock = next(filter(None, map(self._clock_of, choices)), None)
-        if clock is None:
-            return choices, found
-        member.clock = clock
-        then = self.choices(member)
-        there = find_place(then, self.placed)
-        if there.inside is None or preference(there.inside.scores, found.best) < LAG_CLEAR:
-            member.clock = RIGHT
-            return choices, found
-        member.free = True
-        return then, there
+        if clock is not None:
+            member.clock = clock
+            then, there = self._among_placed(member)
+            if there.inside is None or preference(there.inside.scores, found.in_time) < LAG_CLEAR:
+                member.clock = RIGHT
+            else:
+                member.free, choices, found = True, then, there
+        if found.inside is not None and found.inside.late:
+            ahead_s = member.clock.offset_s + found.inside.late * MOMENT_S
+            member.free, member.clock = True, replace(member.clock, offset_s=ahead_s)
+            choices, found = self._among_placed(member)
+        return choices, found
+
+    def _among_placed(self, member: _Member) -> tuple[list[Choice], Placing]:
+        """Return all poses that a sensor may have, and how they agree with the placed sensors.
+
+        Where its place is open and its clock was not measured, places are compared at all offsets
+        of the clock.
+        """
+        choices = self.choices(member)
+        reach_s = REACH_S if self._open(member) and member.station.clock_s is None else 0.0
+        return choices, find_place(choices, self.placed, reach_s=reach_s)
+
+    def _open(self, member: _Member) -> bool:
+        """Return whether a sensor's own answer leaves its place open."""
+        poses = member.station.poses
+        return len(poses) > 1 or longest_m(planar_covariance(poses[0])) >= FIXED_M
 
     def _clock_of(self, choice: Choice) -> SensorClock | None:
         """Return a sensor's clock where it clearly differs from those of the placed sensors."""
@@ -262,9 +277,10 @@ class _Network:
             most = max(found.beyond.pairs.items(), key=lambda pair: pair[1])[0]
             self.clashes[self._pair(most, name)] = clash_text(self._pair(most, name), found.beyond)
             return False
-        if found.inside is None or found.z_score < CLEAR_Z:
-            self.unclear |= {name} if found.inside is not None else set()
+        if found.inside is None or found.doubt is not None:
+            self.unclear |= {} if found.doubt is None else {name: found.doubt}
             return False
+        member.free |= member.station.clock_s is None  # its place rests on its clock
         member.choice, member.start, member.loose = found.inside.choice, found.inside.step, True
         covariance = choices[member.choice].covariance
         loose = self._loose(covariance)
@@ -382,22 +398,21 @@ class _Network:
         known = member.station.clock_s
         return CLOCK_S if known is None else max(known, CLOCK_S)
 
-    def _clock_gap(self, pair: Names, matched: Correspondences) -> tuple[float, bool]:
-        """Return how many seconds the second clock is ahead, and whether that is out of bounds."""
+    def _clock_gap(self, pair: Names, matched: Correspondences) -> tuple[float, float]:
+        """Return how many seconds the second clock is ahead by free clocks, and 1 sigma."""
         away = np.array([self.all[name].away for name in pair])
         known = [planar_covariance(self.all[name].pose) for name in pair]
         free = adjust({(0, 1): matched}, away, known, clocks_s=[FREE_CLOCK_S] * 2)
-        ahead_s, sigma_s = free.clock_gap
-        most = math.hypot(*[self._clock_s(self.all[name]) for name in pair], sigma_s)
-        return ahead_s, abs(ahead_s) > CLOCK_SIGMAS * most
+        return free.clock_gap
 
     def free_clock(self, correspondences: Mapping[Names, Correspondences]) -> bool:
         """Free the clock that most correspondences show to be off; return whether there was one."""
         off = {
             pair: ahead_s
             for pair, matched in correspondences.items()
-            for ahead_s, clearly in [self._clock_gap(pair, matched)]
-            if clearly
+            for ahead_s, sigma_s in [self._clock_gap(pair, matched)]
+            for clocks in [[self._clock_s(self.all[name]) for name in pair]]
+            if abs(ahead_s) > CLOCK_SIGMAS * math.hypot(*clocks, sigma_s)
         }
         if not off:
             return False
@@ -418,8 +433,10 @@ class _Network:
             one, other = (self.all[name] for name in pair)
             if not (one.free or other.free):
                 continue
-            ahead_s = other.clock.offset_s - one.clock.offset_s
-            ahead_s += self._clock_gap(pair, matched)[0]
+            gap_s, sigma_s = self._clock_gap(pair, matched)
+            ahead_s = other.clock.offset_s - one.clock.offset_s + gap_s
+            if abs(ahead_s) < CLOCK_SIGMAS * math.hypot(CLOCK_S, CLOCK_S, sigma_s):
+                continue
             fast = (other.clock.drift_ppm - one.clock.drift_ppm) * 1e-6
             how = Text("fast") if fast > 0.0 else Text("slow")
             runs = Text(", and runs {:.1%} {}", abs(fast), how) if fast else ""
@@ -450,7 +467,7 @@ class _Network:
             text = "{} vehicles shared with {} confirm its pose, too few to move it"
             return Text(text, shared, other)
         if name in self.unclear and name not in self.placed:
-            return Text("its vehicles fit those of others in several places")
+            return self.unclear[name]
         return Text("no other sensor sees enough of the same vehicles")
 
     def solved(
