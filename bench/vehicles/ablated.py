@@ -29,7 +29,7 @@ Part = tuple[Callable[[], AbstractContextManager[Any]], ...]
 
 
 def _off(*named: tuple[Any, str, Any]) -> Part:
-    return tuple(lambda e=each: patch.object(*e) for each in named)  # type: ignore[misc]
+    return tuple(lambda e=each: patch.object(*e) for each in named)
 
 
 def _same(posterior: Any, *_: Any) -> Any:
