@@ -30,6 +30,7 @@ from places import (  # noqa: E402
     UTM,
     Manners,
     Place,
+    made,
     make_place,
     write_moving,
 )
@@ -300,29 +301,20 @@ def scene(name: str) -> SceneFiles:
         return SceneFiles(name=name, folder=shared, kept=kept)
     if (recipe := recipe_of(name)) is None:
         raise KeyError(name)
-    stamp, wanted = kept / "made.txt", f"{_simulator()} {recipe}"
-    if not (stamp.exists() and stamp.read_text() == wanted):
-        kept.mkdir(parents=True, exist_ok=True)
-        for old in (
-            stamp,
-            *kept.glob("truth-*.npz"),
-            *kept.glob("passages-*"),
-            *kept.glob("tiles.gpkg"),
-        ):
-            old.unlink(missing_ok=True)
+
+    def make() -> None:
+        for old in ("truth-*.npz", "passages-*", "tiles.gpkg"):
+            for path in kept.glob(old):
+                path.unlink()
         _make(recipe, kept)
-        stamp.write_text(wanted)
+
+    made(kept, make, settings=str(recipe))
     return SceneFiles(name=name, folder=kept, kept=kept)
 
 
 def is_there(name: str) -> bool:
     """Tell whether a scene is there or can be made."""
     return recipe_of(name) is not None or (ROOT.parent / "shared" / "data" / name).exists()
-
-
-def _simulator() -> str:
-    parts = sorted((ROOT / "simulation").glob("*.py"))
-    return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()[:16]
 
 
 def _digest(*names: str) -> str:
