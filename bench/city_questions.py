@@ -2,7 +2,7 @@
 
     python bench/city_questions.py [--days 365] [--lane-tiles 12000] [--tiles 50000]
 
-Days are drawn (`drawn_months`), exact tables are gone as after `keep`. Each measuring is a process
+Days are drawn (`drawn_days`), exact tables are gone as after `keep`. Each measuring is a process
 of its own on one core; times are of the processor, without imports.
 
 - `year`: a street by hour of the day, Monday to Friday, over a year of one site: from the roll-up,
@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
-from drawn_months import roll_up, write_months
+from drawn_days import roll_up, write_days
 from figures import TARGET, TIMES, Figure, report, run_alone
 
 COLD_S, ROLLED_S, MAP_S = 1.0, 0.03, 15.0  # targets of issue 37
@@ -94,7 +94,7 @@ print(json.dumps({"make_s": make_s, "package_s": package_s, "raster_s": raster_s
 
 def year(folder: Path, tiles: int, days: int) -> Iterator[Figure]:
     """Yield the figures of a street over a year."""
-    dataset = write_months(folder, tiles=tiles, days=days, counts=False)
+    dataset = write_days(folder, tiles=tiles, days=days, counts=False, dropped=True)
     size = f"{days} days, {tiles // 200} lanes"
     plain = run_alone("-c", OURS, folder).lines[-1]
     roll_up(dataset)
@@ -121,7 +121,7 @@ def year(folder: Path, tiles: int, days: int) -> Iterator[Figure]:
 
 def month(folder: Path, tiles: int) -> Iterator[Figure]:
     """Yield the figures of the map of a month."""
-    dataset = write_months(folder / "data", tiles=tiles, days=31, counts=True)
+    dataset = write_days(folder / "data", tiles=tiles, days=31, in_sight=1.0, dropped=True)
     roll_up(dataset)
     ran = run_alone("-c", MAP, folder / "data", folder, MONTH)
     size = f"{tiles:,} tiles"

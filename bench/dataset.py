@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
-from dataset_days import write_days
+from drawn_days import write_days
 from figures import SAME, SHARES, TARGET, TIMES, Figure, report, run_alone, spent_s
 from simulated import sites, true_pose
 

@@ -10,7 +10,7 @@ import pyogrio
 
 sys.path.append(str(Path(__file__).parents[1] / "bench"))
 
-from dataset_days import tiles_of_lanes, write_days
+from drawn_days import tiles_of_lanes, write_days
 
 import gis_radar as gr
 from gis_radar.base import QUIET

@@ -24,7 +24,6 @@ KINDS = (".py", ".svg", ".json")
 # Of the package, used by the plugin too.
 SHARED = (
     "products/heatmap/ground.qml",
-    "products/qgis/sheet.qpt",
     "base/languages/po.py",
     "base/languages/de/LC_MESSAGES/gis_radar.po",
 )

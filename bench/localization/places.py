@@ -152,11 +152,12 @@ def read_ground(folder: Path) -> Ground:
     return Ground(roads=gr.read_map(folder / "map.osm"), road=np.load(folder / "road.npy"))
 
 
-def made(folder: Path, make: Callable[[], None], *modules: str) -> Path:
-    """Return a folder, made anew where the simulator or some modules here have changed."""
+def made(folder: Path, make: Callable[[], None], *modules: str, settings: str = "") -> Path:
+    """Return a folder, made anew where the simulator, modules here or settings have changed."""
     code = [Path(__file__).parent / f"{name}.py" for name in modules]
     code += sorted((ROOT / "simulation").glob("*.py"))
-    recipe = hashlib.sha256(b"".join(path.read_bytes() for path in code)).hexdigest()
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in code)).hexdigest()
+    recipe = f"{digest} {settings}".strip()
     stamp = folder / "made.txt"
     if not (stamp.exists() and stamp.read_text() == recipe):
         folder.mkdir(parents=True, exist_ok=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
 
@@ -24,31 +24,12 @@ from gis_radar.tracking.start import detectability as due
 moves: Any = posterior_module
 estimate: Any = estimate_module
 tracker: Any = tracker_module
-Change = Callable[[], AbstractContextManager[Any]]
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of the search.
-
-    Parameters
-    ----------
-    changes : tuple of callables
-        Each gives a context in which something is off.
-    after_start : bool
-        Whether only what comes after the first guess of the vehicles changes.
-    """
-
-    changes: tuple[Change, ...]
-    after_start: bool = True
+# Each gives a context in which something is off.
+Part = tuple[Callable[[], AbstractContextManager[Any]], ...]
 
 
 def _off(*named: tuple[Any, str, Any]) -> Part:
-    return Part(tuple(lambda e=each: patch.object(*e) for each in named))  # type: ignore[misc]
-
-
-def _early(*named: tuple[Any, str, Any]) -> Part:
-    return replace(_off(*named), after_start=False)
+    return tuple(lambda e=each: patch.object(*e) for each in named)
 
 
 def _same(posterior: Any, *_: Any) -> Any:
@@ -107,16 +88,12 @@ class _Persons:
         return bodies.is_person(detections, motions)
 
 
-def _last_persons() -> AbstractContextManager[Any]:
-    return patch.object(tracker, "is_person", lambda _, motions: [False] * len(motions))
-
-
-def _first_persons() -> AbstractContextManager[Any]:
-    return patch.object(tracker, "is_person", _Persons(1))
+def _persons(off: int) -> Part:
+    return (lambda: patch.object(tracker, "is_person", _Persons(off)),)
 
 
 PARTS: dict[str, Part] = {
-    "as-is": Part(()),
+    "as-is": (),
     "no-posterior": _off((tracker, "improve", lambda found, *_: list(found))),
     "one-round": _off((tracker, "improve", _once)),
     # moves
@@ -151,23 +128,23 @@ PARTS: dict[str, Part] = {
     "middle-stays": _off((sizes, "STAYS", (0.0,))),
     "coarse-join": _off((neighbours, "LENGTH_CHANGES_M", (2.0,))),
     "one-way-on": _off((ends, "MOST_WAYS", 1)),
-    "no-persons-last": Part((_last_persons,)),
+    "no-persons-last": _persons(0),
     # before the posterior
-    "no-backwards": _early((tracker, "_followed", _forward_alone)),
-    "no-persons-first": Part((_first_persons,), after_start=False),
-    "no-faint-ends": _early((tracker, "without_faint_ends", lambda _, m, *__: m)),
-    "no-absorb": _early((bodies, "log_odds", lambda *_: -np.inf)),
-    "no-purify": _early((bodies, "purified", _as_it_is)),
-    "no-tall": _early((bodies, "tall_odds", lambda *_: 0.0)),
-    "no-size": _early((motion, "size_of", lambda *_: (Size(), 0.0))),
-    "no-split-at-drives": _early((track_management, "split_at_drives", lambda m, *_: [m])),
-    "no-rest": _early((track_management, "with_rest", lambda _, m, *__: m)),
-    "no-stationary": _early((track_management, "find_stationary", lambda *_: [])),
-    "no-not-built": _early((track_management, "not_built", lambda _, free, *__: free)),
-    "no-links": _early(
+    "no-backwards": _off((tracker, "_followed", _forward_alone)),
+    "no-persons-first": _persons(1),
+    "no-faint-ends": _off((tracker, "without_faint_ends", lambda _, m, *__: m)),
+    "no-absorb": _off((bodies, "log_odds", lambda *_: -np.inf)),
+    "no-purify": _off((bodies, "purified", _as_it_is)),
+    "no-tall": _off((bodies, "tall_odds", lambda *_: 0.0)),
+    "no-size": _off((motion, "size_of", lambda *_: (Size(), 0.0))),
+    "no-split-at-drives": _off((track_management, "split_at_drives", lambda m, *_: [m])),
+    "no-rest": _off((track_management, "with_rest", lambda _, m, *__: m)),
+    "no-stationary": _off((track_management, "find_stationary", lambda *_: [])),
+    "no-not-built": _off((track_management, "not_built", lambda _, free, *__: free)),
+    "no-links": _off(
         (track_management, "chains", lambda parts, *_: [[k] for k in range(len(parts))])
     ),
-    "no-due": _early((due.Detectability, "due", lambda *_: 0.0)),
-    "no-passes": _early((passes.Passes, "after", lambda *_: np.inf)),
-    "no-drove": _early((track_management, "_drove", lambda *_: True)),
+    "no-due": _off((due.Detectability, "due", lambda *_: 0.0)),
+    "no-passes": _off((passes.Passes, "after", lambda *_: np.inf)),
+    "no-drove": _off((track_management, "_drove", lambda *_: True)),
 }

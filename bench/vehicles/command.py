@@ -3,6 +3,7 @@
     python bench/vehicles                                        all methods, development scenes
     python bench/vehicles --scene town --methods hits,true       some methods on some scenes
     python bench/vehicles --scene town --set start.links.END_COST=0    with changed constants
+    python bench/vehicles --scene tee-982 --off as-is,no-cut           without parts of the search
     python bench/vehicles --scene town --score-only dataset/     a dataset, or a table
     python bench/vehicles --into docs/accuracy.md                its tables, from what is kept
 
@@ -24,7 +25,15 @@ from typing import Any
 
 import pandas as pd
 import tables
-from methods import METHODS, NotThereError, figures_of_dataset, figures_of_table, with_constants
+from ablated import PARTS
+from methods import (
+    METHODS,
+    NotThereError,
+    figures_of_dataset,
+    figures_of_table,
+    with_constants,
+    without,
+)
 from scenes import OUT, RECIPES, SHARED, is_there, scene
 
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
@@ -32,7 +41,6 @@ import figures
 import pages
 
 HELD_OUT = "-held"
-NOT_COMPARED = ("hours",)  # of hours.py
 KEPT = OUT / "bench.json"
 
 
@@ -49,6 +57,8 @@ def main() -> None:
         elif changes:
             values = {place: ast.literal_eval(value) for place, value in changes.items()}
             rows = {", ".join(options.set): with_constants(scene(name), values)}
+        elif options.off:
+            rows = {off: without(scene(name), off) for off in options.off.split(",")}
         else:
             rows = compare(name, options.methods.split(","))
         named = {f"{name}, {method}": row for method, row in rows.items()}
@@ -57,19 +67,24 @@ def main() -> None:
 
 def _options() -> argparse.Namespace:
     names = [*RECIPES, *SHARED]
-    usual = [n for n in names if not n.endswith(HELD_OUT) and n not in NOT_COMPARED]
+    usual = [name for name in names if not name.endswith(HELD_OUT)]
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--scene", default=",".join(usual), help=f"of {', '.join(names)}")
+    parser.add_argument(
+        "--scene", default=",".join(usual), help=f"of {', '.join(names)}, or KIND-SEED"
+    )
     parser.add_argument("--methods", default=",".join(METHODS), help=f"of {', '.join(METHODS)}")
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="constants")
+    parser.add_argument("--off", default="", help=f"of {', '.join(PARTS)}")
     parser.add_argument("--score-only", type=Path, metavar="DIR", help="dataset, or table")
     parser.add_argument("--into", type=Path, metavar="MD", help="put the tables into this page")
     options = parser.parse_args()
-    for given, known in ((options.scene, names), (options.methods, METHODS)):
-        if unknown := [name for name in given.split(",") if name not in known]:
-            parser.error(f"{unknown[0]} is none of {', '.join(known)}")
+    scenes = {*SHARED, *filter(is_there, options.scene.split(","))}
+    parts = options.off.replace("+", ",")
+    for given, known in ((options.scene, scenes), (options.methods, METHODS), (parts, PARTS)):
+        if unknown := [name for name in given.split(",") if given and name not in known]:
+            parser.error(f"{unknown[0]} is not known")
     for name in options.scene.split(","):
         if not is_there(name):
             print(f"left out: {name}: not there")

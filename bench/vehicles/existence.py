@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from found import estimated_states
-from scenes import MORE, SceneFiles, scene
+from own import measured
+from scenes import SceneFiles, scene
 from scipy.optimize import linear_sum_assignment
 from tracks import by_step, compared, similarity
-
-import gis_radar as gr
 
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 
@@ -27,10 +26,7 @@ BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 def stated_and_true(site: SceneFiles) -> pd.DataFrame:
     """Return of each vehicle `scene stated true`; those that are never due are left out."""
     with tempfile.TemporaryDirectory() as folder:
-        dataset = gr.measure(
-            site.recordings, site.poses, site.tiles(), site.map, Path(folder) / "dataset",
-            scans=[site.scan],
-        )  # fmt: skip
+        dataset = measured(site, Path(folder) / "dataset", found=False)
         states, vehicles = estimated_states(dataset), dataset.vehicles()
     scored = compared(site.tiles(), site.truth(), site.traffic(), states)
     real = np.zeros(len(scored.given), np.bool_)
@@ -47,7 +43,7 @@ def stated_and_true(site: SceneFiles) -> pd.DataFrame:
 def main() -> None:
     """Print a table of all scenes together, and the means of each."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scene", default=",".join(MORE))
+    parser.add_argument("--scene", required=True)
     names = parser.parse_args().scene.split(",")
     table = pd.concat([stated_and_true(scene(name)) for name in names], ignore_index=True)
     part = table.groupby(pd.cut(table["stated"], BINS), observed=True)

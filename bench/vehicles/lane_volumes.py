@@ -1,25 +1,19 @@
 """Volumes, speeds, turns and queues of lanes beside the true ones, minute by minute.
 
-    python bench/vehicles/lane_volumes.py SCENE [--dataset DATASET]
-
-SCENE is one of the bench's scenes, or `sample`. Without a dataset the scene is measured with its
-true poses. True crossings are found apart from the package: along the likeliest chain of lanelets
+True crossings are found apart from the package: along the likeliest chain of lanelets
 of each true vehicle (`passages.py`), one vehicle and one tile at a time. Only lanes count whose
 counting line lies within 100 m of a radar, and minutes in which it is visible for a fifth.
 """
 
 from __future__ import annotations
 
-import argparse
-import tempfile
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import shapely
 from passages import Lanes, followed, lanes_of
-from scenes import SceneFiles, scene
+from scenes import SceneFiles
 from scipy.spatial import cKDTree
 
 import gis_radar as gr
@@ -33,26 +27,6 @@ WHOLE_SHARE = 0.95  # the same, of minutes that are compared whole
 QUEUE_M = 7.5  # of the target for the back of a queue: a vehicle and its gap
 SIGNAL_S, CYCLE_S = 60.0, 2.0  # cycle of simulated signals, and how far off one that is told may be
 SLOW, SLOW_STEPS, JOINED_M, OVER_M = 5.0 / 3.6, 20, 10.0, 2.0  # the definitions of a queue
-
-
-def main() -> None:
-    """Measure where that is needed, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scene")
-    parser.add_argument("--dataset", type=Path)
-    options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as kept:
-        if options.scene == "sample":
-            site = SceneFiles(name="sample", folder=gr.sample_folder(), kept=Path(kept))
-        else:
-            site = scene(options.scene)
-        folder = options.dataset or Path(kept) / "dataset"
-        if options.dataset is None:
-            gr.measure(
-                site.recordings, site.poses, site.tiles(), site.map, folder, scans=[site.scan],
-                check=False,
-            )  # fmt: skip
-        print(options.scene, *(f"{k} {v}" for k, v in score(site, gr.open_dataset(folder)).items()))
 
 
 def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
@@ -254,7 +228,3 @@ def lane_way(
     index = np.array([place for _, place in chain], np.float64)
     at, metres = network.place(refs, index * 0.5 + 0.25)
     return list(zip(rows.tolist(), at.tolist(), metres.tolist(), strict=True))
-
-
-if __name__ == "__main__":
-    main()

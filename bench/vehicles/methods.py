@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +15,7 @@ from unittest.mock import patch
 
 import own
 import pandas as pd
+from ablated import PARTS
 from found import Found, found_by_peer, found_in
 from passages import score_passages
 from peers import hits, oracle
@@ -57,7 +58,7 @@ def figures_of(site: SceneFiles, found: Found) -> Figures:
 
 
 def with_constants(site: SceneFiles, values: Mapping[str, Any]) -> Figures:
-    """Return the figures with true poses and other constants of the search for vehicles.
+    """Return the figures with other constants of the search for vehicles.
 
     Parameters
     ----------
@@ -67,19 +68,27 @@ def with_constants(site: SceneFiles, values: Mapping[str, Any]) -> Figures:
         By module and name, such as ``start.links.END_COST``, also in each module that imports it.
         Compiled code takes them when it is first called: one process a set of values.
     """
-    with tempfile.TemporaryDirectory() as folder, ExitStack() as changed:
-        for place, value in values.items():
-            module, name = place.rsplit(".", 1)
-            owner = import_module(f"gis_radar.tracking.{module}")
-            changed.enter_context(patch.object(owner, name, value))
+    changes = []
+    for place, value in values.items():
+        module, name = place.rsplit(".", 1)
+        changes.append(patch.object(import_module(f"gis_radar.tracking.{module}"), name, value))
+    return _changed(site, changes)
+
+
+def without(site: SceneFiles, off: str) -> Figures:
+    """Return the figures without parts of the search, named as in `PARTS` with + between them."""
+    return _changed(site, [change() for name in off.split("+") for change in PARTS[name]])
+
+
+def _changed(site: SceneFiles, changes: Iterable[AbstractContextManager[Any]]) -> Figures:
+    """Return the figures with true poses while something is changed."""
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        for change in changes:
+            stack.enter_context(change)
         begin = time.process_time()
-        dataset = gr.measure(
-            site.recordings, site.poses, site.tiles(), site.map, Path(folder) / "dataset",
-            scans=[site.scan],
-        )  # fmt: skip
-        cpu_s = time.process_time() - begin
-        minutes = own.sensor_minutes(site)
-        return figures_of(site, found_in(dataset)) | {"costs": {"cpu_s": cpu_s / minutes}}
+        dataset = own.measured(site, Path(folder) / "dataset", found=False)
+        cpu_s = (time.process_time() - begin) / own.sensor_minutes(site)
+        return figures_of(site, found_in(dataset)) | {"costs": {"cpu_s": cpu_s}}
 
 
 def _stone_soup(site: SceneFiles) -> Figures:

@@ -30,6 +30,7 @@ from places import (  # noqa: E402
     UTM,
     Manners,
     Place,
+    made,
     make_place,
     write_moving,
 )
@@ -107,7 +108,6 @@ RECIPES: Mapping[str, Recipe] = {
     ),
     "wide": Recipe(plan="junction, wide map", seed=50, per_hour=900, radars=2),
     "wide-light": Recipe(plan="roundabout, wide map", seed=51, per_hour=350, radars=1, minutes=3.0),
-    "hours": Recipe(plan="junction", seed=60, per_hour=1200, radars=2, minutes=10.0),
     "town-held": Recipe(plan="town", seed=111, per_hour=2200, radars=("R3", "R5", "R6")),
     "motorway-held": Recipe(
         plan="motorway", seed=112, per_hour=5200, radars=1, stand_m=(110.0, 170.0), aim_deg=5.0
@@ -125,124 +125,58 @@ RECIPES: Mapping[str, Recipe] = {
     ),
     "wide-held": Recipe(plan="junction, wide map", seed=150, per_hour=700, radars=2),
 }
-MORE: Mapping[str, Recipe] = {
-    "town-781": Recipe(plan="town", seed=781, per_hour=2400, radars=("R1", "R3", "R5")),
-    "roundabout-782": Recipe(plan="roundabout", seed=782, per_hour=1100, radars=2),
-    "tee-783": Recipe(plan="tee", seed=783, per_hour=1600, radars=1, minutes=3.0),
-    "harsh-784": Recipe(
-        plan="junction", seed=784, per_hour=1500, radars=2, conditions="harsh"
-    ),
-    "gridlock-785": Recipe(
-        plan="junction", seed=785, per_hour=4200, radars=2, warm_up_s=600.0
-    ),
-    "arterial-786": Recipe(plan="arterial", seed=786, per_hour=2400, radars=2),
-    "town-787": Recipe(plan="town", seed=787, per_hour=2600, radars=("R2", "R4", "R6")),
-    "gridlock-788": Recipe(
-        plan="town", seed=788, per_hour=9000, radars=("R1", "R3"), warm_up_s=900.0, free=False
-    ),
-    "junction-789": Recipe(plan="junction", seed=789, per_hour=1500, radars=2),
-    "roundabout-790": Recipe(plan="roundabout", seed=790, per_hour=1100, radars=1, minutes=3.0),
-    "town-901": Recipe(
-        plan="town", seed=901, per_hour=2500, radars=("R1", "R3", "R5"), minutes=3.0
-    ),
-    "tee-902": Recipe(plan="tee", seed=902, per_hour=1600, radars=1, minutes=3.0),
-    "arterial-903": Recipe(plan="arterial", seed=903, per_hour=2400, radars=2, minutes=3.0),
-    "gridlock-904": Recipe(
-        plan="junction", seed=904, per_hour=4200, radars=2, minutes=3.0, warm_up_s=600.0
-    ),
-    "town-911": Recipe(
-        plan="town", seed=911, per_hour=2500, radars=("R2", "R4", "R6"), minutes=3.0
-    ),
-    "tee-912": Recipe(plan="tee", seed=912, per_hour=1600, radars=1, minutes=3.0),
-    "arterial-913": Recipe(plan="arterial", seed=913, per_hour=2400, radars=2, minutes=3.0),
-    "gridlock-914": Recipe(
-        plan="junction", seed=914, per_hour=4200, radars=2, minutes=3.0, warm_up_s=600.0
-    ),
-    "town-921": Recipe(
-        plan="town", seed=921, per_hour=2500, radars=("R1", "R3", "R5"), minutes=3.0
-    ),
-    "tee-922": Recipe(plan="tee", seed=922, per_hour=1600, radars=1, minutes=3.0),
-    "arterial-923": Recipe(plan="arterial", seed=923, per_hour=2400, radars=2, minutes=3.0),
-    "gridlock-924": Recipe(
-        plan="junction", seed=924, per_hour=4200, radars=2, minutes=3.0, warm_up_s=600.0
-    ),
-    "roundabout-925": Recipe(plan="roundabout", seed=925, per_hour=1100, radars=2, minutes=3.0),
-    "junction-926": Recipe(plan="junction", seed=926, per_hour=1500, radars=2, minutes=3.0),
-    "town-931": Recipe(
-        plan="town", seed=931, per_hour=2500, radars=("R2", "R4", "R6"), minutes=10.0
-    ),
-    "tee-932": Recipe(plan="tee", seed=932, per_hour=1600, radars=1, minutes=10.0),
-    "arterial-933": Recipe(plan="arterial", seed=933, per_hour=2400, radars=2, minutes=10.0),
-    "gridlock-934": Recipe(
-        plan="junction", seed=934, per_hour=4200, radars=2, minutes=10.0, warm_up_s=600.0
-    ),
-    "town-941": Recipe(
-        plan="town", seed=941, per_hour=2500, radars=("R1", "R3", "R5"), minutes=2.5,
-        warm_up_s=420.0,
-    ),
-    "tee-942": Recipe(plan="tee", seed=942, per_hour=1600, radars=1, minutes=3.0),
-    "arterial-943": Recipe(plan="arterial", seed=943, per_hour=2400, radars=2),
-    "gridlock-944": Recipe(
-        plan="junction", seed=944, per_hour=4200, radars=2, minutes=2.5, warm_up_s=600.0
-    ),
-    "roundabout-945": Recipe(plan="roundabout", seed=945, per_hour=1100, radars=2),
-    "town-951": Recipe(
-        plan="town", seed=951, per_hour=2500, radars=("R2", "R4", "R6"), minutes=2.5,
-        warm_up_s=420.0,
-    ),
-    "town-961": Recipe(
-        plan="town", seed=961, per_hour=2500, radars=("R1", "R3", "R5"), minutes=2.5,
-        warm_up_s=420.0,
-    ),
-    "gridlock-956": Recipe(
-        plan="junction", seed=956, per_hour=4200, radars=2, minutes=2.5, warm_up_s=600.0
-    ),
-    "town-981": Recipe(
-        plan="town", seed=981, per_hour=2500, radars=("R2", "R4", "R6"), warm_up_s=420.0
-    ),
-    "tee-982": Recipe(plan="tee", seed=982, per_hour=1600, radars=1, minutes=3.0),
-    "gridlock-983": Recipe(plan="junction", seed=983, per_hour=4200, radars=2, warm_up_s=600.0),
-    "arterial-984": Recipe(plan="arterial", seed=984, per_hour=2400, radars=2, warm_up_s=300.0),
-    "town-991": Recipe(
-        plan="town", seed=991, per_hour=2500, radars=("R2", "R4"), minutes=10.0, warm_up_s=420.0
-    ),
-    "junction-993": Recipe(
-        plan="junction", seed=993, per_hour=2600, radars=2, minutes=20.0, warm_up_s=300.0
-    ),
-    "roundabout-985": Recipe(plan="roundabout", seed=985, per_hour=1100, radars=1),
-    "town-971": Recipe(
-        plan="town", seed=971, per_hour=2500, radars=("R2", "R4", "R6"), minutes=2.5,
-        warm_up_s=420.0,
-    ),
-    "tee-972": Recipe(plan="tee", seed=972, per_hour=1600, radars=1, minutes=3.0),
-    "gridlock-973": Recipe(
-        plan="junction", seed=973, per_hour=4200, radars=2, minutes=2.5, warm_up_s=600.0
-    ),
-    "arterial-974": Recipe(plan="arterial", seed=974, per_hour=2400, radars=2),
-    "gridlock-3002": Recipe(
-        plan="junction", seed=3002, per_hour=4200, radars=2, minutes=4.0, warm_up_s=600.0
-    ),
-    "tee-3011": Recipe(
-        plan="tee", seed=3011, per_hour=1600, radars=1, minutes=4.0, warm_up_s=300.0
-    ),
-    "gridlock-3012": Recipe(
-        plan="junction", seed=3012, per_hour=4200, radars=2, minutes=3.0, warm_up_s=600.0
-    ),
-    "gridlock-3013": Recipe(
-        plan="town", seed=3013, per_hour=9000, radars=("R1", "R3"), warm_up_s=900.0, free=False
-    ),
-    "town-3014": Recipe(
-        plan="town", seed=3014, per_hour=2600, radars=("R2", "R4", "R5"), minutes=3.0,
-        warm_up_s=420.0,
-    ),
-    **{
-        f"bend-{seed}": Recipe(
-            plan="bend", seed=seed, per_hour=900 if seed % 2 else 1500, radars=2, minutes=2.0
-        )
-        for seed in (*range(8301, 8307), *range(8401, 8405))
+USUAL: Mapping[str, Mapping[str, Any]] = {
+    "town": {"plan": "town", "per_hour": 2500, "radars": ("R2", "R4", "R6")},
+    "tee": {"plan": "tee", "per_hour": 1600, "radars": 1, "minutes": 3.0},
+    "arterial": {"plan": "arterial", "per_hour": 2400, "radars": 2},
+    "gridlock": {"plan": "junction", "per_hour": 4200, "radars": 2, "warm_up_s": 600.0},
+    "roundabout": {"plan": "roundabout", "per_hour": 1100, "radars": 2},
+    "junction": {"plan": "junction", "per_hour": 1500, "radars": 2},
+    "bend": {"plan": "bend", "per_hour": 1500, "radars": 2},
+}
+"""Further scenes, by the kind in a name such as `tee-932`; the number is their seed."""
+_ODD = ("R1", "R3", "R5")
+OTHERWISE: Mapping[str, Mapping[str, Any]] = {
+    "town-921": {"radars": _ODD, "minutes": 3.0},
+    "arterial-923": {"minutes": 3.0},
+    "gridlock-924": {"minutes": 3.0},
+    "roundabout-925": {"minutes": 3.0},
+    "town-931": {"minutes": 10.0},
+    "tee-932": {"minutes": 10.0},
+    "arterial-933": {"minutes": 10.0},
+    "gridlock-934": {"minutes": 10.0},
+    "town-941": {"radars": _ODD, "minutes": 2.5, "warm_up_s": 420.0},
+    "town-951": {"minutes": 2.5, "warm_up_s": 420.0},
+    "town-961": {"radars": _ODD, "minutes": 2.5, "warm_up_s": 420.0},
+    "town-971": {"minutes": 2.5, "warm_up_s": 420.0},
+    "gridlock-944": {"minutes": 2.5},
+    "gridlock-956": {"minutes": 2.5},
+    "gridlock-973": {"minutes": 2.5},
+    "town-981": {"warm_up_s": 420.0},
+    "arterial-984": {"warm_up_s": 300.0},
+    "roundabout-985": {"radars": 1},
+    "town-991": {"radars": ("R2", "R4"), "minutes": 10.0, "warm_up_s": 420.0},
+    "junction-993": {"per_hour": 2600, "minutes": 20.0, "warm_up_s": 300.0},
+    "gridlock-3002": {"minutes": 4.0},
+    "tee-3011": {"minutes": 4.0, "warm_up_s": 300.0},
+    "gridlock-3012": {"minutes": 3.0},
+    "gridlock-3013": {
+        "plan": "town", "per_hour": 9000, "radars": ("R1", "R3"), "warm_up_s": 900.0, "free": False
     },
+    "town-3014": {
+        "per_hour": 2600, "radars": ("R2", "R4", "R5"), "minutes": 3.0, "warm_up_s": 420.0
+    },
+    **{f"bend-{seed}": {"per_hour": 900} for seed in (8301, 8303, 8305, 8401, 8403)},
 }  # fmt: skip
-"""Scenes that `make bench-vehicles` leaves out: for what a change or a part earns."""
+"""What differs from the usual in those that pages name."""
+
+
+def recipe_of(name: str) -> Recipe | None:
+    """Return how a scene is made; None where no scene has the name."""
+    kind, _, seed = name.partition("-")
+    if name in RECIPES or kind not in USUAL or not seed.isdecimal():
+        return RECIPES.get(name)
+    return Recipe(seed=int(seed), **{**USUAL[kind], **OTHERWISE.get(name, {})})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -365,30 +299,22 @@ def scene(name: str) -> SceneFiles:
     if name in SHARED and shared.exists():
         kept.mkdir(parents=True, exist_ok=True)
         return SceneFiles(name=name, folder=shared, kept=kept)
-    recipe = RECIPES[name] if name in RECIPES else MORE[name]
-    stamp, wanted = kept / "made.txt", f"{_simulator()} {recipe}"
-    if not (stamp.exists() and stamp.read_text() == wanted):
-        kept.mkdir(parents=True, exist_ok=True)
-        for old in (
-            stamp,
-            *kept.glob("truth-*.npz"),
-            *kept.glob("passages-*"),
-            *kept.glob("tiles.gpkg"),
-        ):
-            old.unlink(missing_ok=True)
+    if (recipe := recipe_of(name)) is None:
+        raise KeyError(name)
+
+    def make() -> None:
+        for old in ("truth-*.npz", "passages-*", "tiles.gpkg"):
+            for path in kept.glob(old):
+                path.unlink()
         _make(recipe, kept)
-        stamp.write_text(wanted)
+
+    made(kept, make, settings=str(recipe))
     return SceneFiles(name=name, folder=kept, kept=kept)
 
 
 def is_there(name: str) -> bool:
     """Tell whether a scene is there or can be made."""
-    return name in RECIPES or name in MORE or (ROOT.parent / "shared" / "data" / name).exists()
-
-
-def _simulator() -> str:
-    parts = sorted((ROOT / "simulation").glob("*.py"))
-    return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()[:16]
+    return recipe_of(name) is not None or (ROOT.parent / "shared" / "data" / name).exists()
 
 
 def _digest(*names: str) -> str:

@@ -10,12 +10,12 @@ HERE = Path(__file__).resolve().parent
 
 
 def shared_document(name: str) -> QDomDocument:
-    """Read a style or a template of gis_radar: of the installed plugin, or the checkout around it.
+    """Read a style of gis_radar: of the installed plugin, or the checkout around it.
 
     Parameters
     ----------
     name : str
-        From the folder of the package, as tools/plugin_zip.py lists it: `qgis/sheet.qpt`.
+        From the folder of the package, as tools/plugin_zip.py lists it.
     """
     installed = HERE / "resources" / name
     path = installed if installed.is_file() else HERE.parents[1] / "gis_radar" / name

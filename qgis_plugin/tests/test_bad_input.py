@@ -254,7 +254,7 @@ def test_a_damaged_map(run, site, tmp_path):
 
 def test_a_heat_map_that_is_none(run, tmp_path):
     refused(run, "exportreport", {"HEATMAP": str(tmp_path), "OUTPUT": str(tmp_path / "r")},
-            "is no heat map")  # fmt: skip
+            "heatmap.gpkg: no such file")  # fmt: skip
     assert not (tmp_path / "r").exists()
     assert leftovers(tmp_path) == []
 

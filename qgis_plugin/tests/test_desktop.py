@@ -198,7 +198,7 @@ def test_another_project_is_opened_as_qgis_opens_it(profiles, site, tmp_path):
     shutil.copytree(site, tmp_path / "run")  # from which the run goes on
     assert said_in_desktop(OPENING, profiles, site, tmp_path) == [
         "Cancel asked site.qgz not saved",
-        "Discard asked report.qgz ",
+        "Discard asked report.qgz Sample junction (simulated)",
         "buttons ['Open the report', 'Open the project', 'Make sheets...', 'Show the folder']",
         f"{LAYERS_OF_A_RUN} 0.5",
         "True",  # the project plays the vehicles, not the map

@@ -68,17 +68,12 @@ def earlier_report(report, tmp_path):
     return shutil.copytree(report, tmp_path / "report")
 
 
-def test_lanes_are_there_though_qgis_does_not_know_how_many(provider, site, monkeypatch):
-    """Once it was asked for many layers of a file it says of some that it does not know."""
-    from gis_radar_plugin.report import export
+def test_lanes_are_those_of_the_heat_maps_own_tiles(provider, site, tmp_path):
+    from gis_radar_plugin.report.export import lanes_beside
 
-    class Uncounted(QgsVectorLayer):
-        def featureCount(self):
-            return -1
-
-    monkeypatch.setattr(export, "QgsVectorLayer", Uncounted)
-    layers = export.lane_layers(site / "heatmap" / "heatmap.gpkg")
-    assert [each.name() for each in layers] == ["Lanes", "Stop lines"]
+    package = site / "heatmap" / "heatmap.gpkg"
+    assert lanes_beside(package) == site / "tiles.gpkg"
+    assert lanes_beside(tmp_path / "map" / "heatmap.gpkg") is None
 
 
 def test_sheets_are_named_as_their_heat_map(provider, site, monkeypatch):
@@ -310,7 +305,7 @@ def test_a_cancelled_report_leaves_nothing(run, site, tmp_path):
     ("given", "said"),
     [
         ({"TIME_ZONE": "Middle/Earth"}, "'Middle/Earth' is no time zone"),
-        ({"HEATMAP": str(SAMPLE)}, "is no heat map"),
+        ({"HEATMAP": str(SAMPLE)}, "heatmap.gpkg: no such file"),
         ({"OUTPUT": "/proc/gis_radar/report"}, "/proc/gis_radar"),
         ({"SENSORS": "/nowhere/sensors.gpkg"}, "/nowhere/sensors.gpkg is no file of sensors"),
     ],

@@ -1,6 +1,6 @@
 """Write the QGIS project of a folder of results.
 
-The plugin makes its reports from the same `sheet.qpt`.
+The plugin's reports go on from such a project.
 """
 
 from __future__ import annotations

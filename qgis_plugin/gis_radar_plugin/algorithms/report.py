@@ -16,8 +16,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QDateTime, QTimeZone
 
-from ..base import RESULTS, Algorithm, make_folders, one_sentence
-from ..loading import INTERVALS
+from ..base import RESULTS, WorkerAlgorithm, make_folders, one_sentence
 from ..parameters import (
     Choice,
     Field,
@@ -32,18 +31,18 @@ from ..parameters import (
     Text,
 )
 from ..report.export import (
+    INTERVALS,
+    WHOLE,
     copied,
-    explained,
     export,
-    ground_layer,
-    heat_layer,
-    lane_layers,
+    lanes_beside,
+    layer_of,
+    layers_of_page,
     refuse_no_sensors,
-    sensor_layers,
     write_pages,
 )
 from ..report.folder import PAGES, PDF, PROJECT, move, private_folder, refuse_foreign
-from ..report.layout import Texts, make_layout
+from ..report.layout import drive_layout
 from ..report.pages import (
     Page,
     Place,
@@ -62,7 +61,7 @@ MOST_PAGES = 2000
 JUNCTIONS = 0  # what the pages go over
 
 
-class ExportReport(Algorithm):
+class ExportReport(WorkerAlgorithm):
     """An algorithm that prints sheets over places and intervals, as PDF and PNG."""
 
     NAME = "exportreport"
@@ -145,10 +144,9 @@ class ExportReport(Algorithm):
             refuse_foreign(dest)
             # Beside the target first: a report appears whole or not at all.
             with private_folder(dest) as folder:
-                project, pages = _project(given, folder, zone)
-                title, source = title_and_source(given)
-                texts = Texts(title, source, made=_today(zone))
-                layout = make_layout(project, pages, explained(project), texts)
+                project, pages = self._project(given, folder, zone)
+                title, _ = title_and_source(given)
+                layout = drive_layout(project, pages, title=title, made=_today(zone))
                 feedback.pushInfo(tr("{count} pages").format(count=pages.featureCount()))
                 files = export(layout, folder, given.number("DPI"), feedback)
                 project.write(str(folder / PROJECT))
@@ -159,6 +157,33 @@ class ExportReport(Algorithm):
         text = tr("The sheets are in {folder}; the report is {pdf}.")
         feedback.pushInfo(text.format(folder=dest, pdf=dest / PDF))
         return dest
+
+    def _project(
+        self, given: Given, folder: Path, zone: QTimeZone
+    ) -> tuple[QgsProject, QgsVectorLayer]:
+        """Return the project that gis_radar writes of the heat map, and the pages in it."""
+        package, path = _package(given), str(folder / PROJECT)
+        title, source = title_and_source(given)
+        words = ["qgis", str(package.parent), "-o", path, "--title", title, "--source", source]
+        words += ["--language", "de" if speaks_german() else "en"]
+        for option, file in (("--sensors", _sensors(given)), ("--lanes", lanes_beside(package))):
+            words += [option, str(file)] if file is not None else []
+        self.work(words, [], given.feedback)
+        project = QgsProject()
+        project.setTransformContext(given.context.transformContext())
+        project.read(path)
+        known = given.parameters, "BACKGROUND", given.context
+        below = copied(given.algorithm.parameterAsLayerList(*known) or [])
+        for layer in below:
+            project.addMapLayer(layer, False)
+            project.layerTreeRoot().addLayer(layer)  # at the bottom
+        whole, each = layer_of(project, WHOLE), layer_of(project, INTERVALS)
+        shown = {one: layers_of_page(project, below, whole=one) for one in (True, False)}
+        pages = _pages(given, whole, each)
+        layer = write_pages(folder / PAGES, pages, shown, whole.crs(), zone)
+        project.addMapLayer(layer)
+        project.layerTreeRoot().findLayer(layer.id()).setItemVisibilityChecked(False)
+        return project, layer
 
 
 def title_and_source(given: Given) -> tuple[str, str]:
@@ -173,30 +198,6 @@ def title_and_source(given: Given) -> tuple[str, str]:
 
 def _package(given: Given) -> Path:
     return Path(given.text("HEATMAP")) / "heatmap.gpkg"
-
-
-def _project(given: Given, folder: Path, zone: QTimeZone) -> tuple[QgsProject, QgsVectorLayer]:
-    """Return a project with all layers, and the layer of pages."""
-    package = _package(given)
-    whole, each = heat_layer(package, "heatmap"), heat_layer(package, INTERVALS)
-    above = sensor_layers(_sensors(given)) + lane_layers(package)
-    known = given.parameters, "BACKGROUND", given.context
-    below = copied(given.algorithm.parameterAsLayerList(*known) or [])
-    project = QgsProject()
-    project.setCrs(whole.crs())
-    project.setTransformContext(given.context.transformContext())
-    ground = ground_layer(package)
-    for layer in (*above, each, whole, ground, *below):
-        project.addMapLayer(layer)
-    shown = {
-        one: "|".join(layer.name() for layer in (*above, whole if one else each, ground, *below))
-        for one in (True, False)
-    }
-    pages = _pages(given, whole, each)
-    layer = write_pages(folder / PAGES, pages, shown, whole.crs(), zone)
-    project.addMapLayer(layer)
-    project.layerTreeRoot().findLayer(layer.id()).setItemVisibilityChecked(False)
-    return project, layer
 
 
 def _pages(given: Given, whole: QgsVectorLayer, each: QgsVectorLayer) -> list[Page]:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from osgeo import ogr
 from qgis.core import (
     Qgis,
     QgsFeature,
-    QgsFeatureRequest,
     QgsFillSymbol,
     QgsLayoutExporter,
     QgsMapLayer,
@@ -25,65 +25,22 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QTimeZone
 from qgis.PyQt.QtGui import QColor
-from qgis.PyQt.QtXml import QDomDocument
 
 from ..inputs import write_package
-from ..loading import as_ground, heatmap_titles, switch_time_on, translate_legend
 from ..words import tr
 from .folder import PDF
 from .pages import Page, local_time
 
 _DRAWN = (QgsVectorLayer, QgsRasterLayer)
-# Top to bottom.
-SENSOR_TABLES = {"Sensors": "sensors", "Uncertainty (95 %)": "uncertainty", "Views": "views"}
-LANE_TABLES = {"Lanes": "lanes", "Stop lines": "stop_lines"}
+# Ids of the layers of a page in gis_radar's project, top to bottom; WHOLE or INTERVALS in between.
+ABOVE = ("sensors", "uncertainty", "views", "lanes", "stop_lines")
+WHOLE, INTERVALS, GROUND = "heatmap", "by_interval", "ground"
 TILES = "tiles.gpkg"  # of a site's run, beside the folder of the heat map
 
 
-def heat_layer(package: Path, name: str) -> QgsVectorLayer:
-    """Return a layer of a heat map with its style.
-
-    Raises
-    ------
-    QgsProcessingException
-        If it is not there.
-    """
-    title = heatmap_titles(package.parent).get(name, name)
-    layer = _drawn_layer(package, name, title)
-    if not layer.isValid():
-        raise QgsProcessingException(
-            tr("{folder} is no heat map: it has no layer '{layer}'.").format(
-                folder=package.parent, layer=name
-            )
-        )
-    translate_legend(layer)
-    switch_time_on(layer)
-    return layer
-
-
-def _drawn_layer(package: Path, table: str, title: str) -> QgsVectorLayer:
-    """Return a layer with symbols and labels of its file's style, without its forms and actions.
-
-    Those may hold code, and the file may come from elsewhere.
-    """
-    styled, kinds = QDomDocument(), QgsMapLayer.StyleCategory
-    QgsVectorLayer(f"{package}|layername={table}", title, "ogr").exportNamedStyle(styled)
-    layer = _bare_layer(package, table, title)
-    layer.importNamedStyle(styled, kinds.Symbology | kinds.Labeling)
-    return layer
-
-
-def _bare_layer(package: Path, table: str, title: str) -> QgsVectorLayer:
-    options = QgsVectorLayer.LayerOptions()
-    options.loadDefaultStyle = False
-    return QgsVectorLayer(f"{package}|layername={table}", title, "ogr", options)
-
-
-def ground_layer(package: Path) -> QgsVectorLayer:
-    """Return all tiles in grey."""
-    layer = _bare_layer(package, "heatmap", tr("Road, not observed"))
-    as_ground(layer)
-    return layer
+def layer_of(project: QgsProject, table: str) -> Any:
+    """Return a layer of gis_radar's project, None where it has none of a table."""
+    return project.mapLayer(f"gis_radar_{table}")
 
 
 def refuse_no_sensors(package: Path) -> None:
@@ -94,51 +51,25 @@ def refuse_no_sensors(package: Path) -> None:
         )
 
 
-def sensor_layers(package: Path | None) -> list[QgsMapLayer]:
-    """Return the layers of a file of sensors, none without one."""
-    return _tables(package, SENSOR_TABLES) if package is not None else []
-
-
-def lane_layers(package: Path) -> list[QgsMapLayer]:
-    """Return lanes by number and stop lines, where the tiles of the heat map lie beside it."""
+def lanes_beside(package: Path) -> Path | None:
+    """Return the file with lanes and stop lines, where the tiles of the heat map lie beside it."""
     beside = package.parent.parent / TILES
-    counts = [
-        _count(QgsVectorLayer(f"{path}|layername={name}", "", "ogr"))
-        for path, name in ((beside, "tiles"), (package, "heatmap"))
-    ]
-    return _tables(beside, LANE_TABLES) if beside.is_file() and counts[0] == counts[1] else []
+    counts = [_count(path, table) for path, table in ((beside, "tiles"), (package, "heatmap"))]
+    return beside if counts[0] == counts[1] != -1 else None
 
 
-def _tables(package: Path, names: dict[str, str]) -> list[QgsMapLayer]:
-    """Return those of the layers that are there and not empty, by their titles."""
-    layers = [_drawn_layer(package, table, tr(name)) for name, table in names.items()]
-    return [layer for layer in layers if _count(layer) > 0]
+def _count(package: Path, table: str) -> int:
+    """Return how many rows a table has, -1 without one; QGIS itself may not know."""
+    data = ogr.Open(str(package)) if package.is_file() else None
+    layer = data.GetLayerByName(table) if data is not None else None
+    return int(layer.GetFeatureCount()) if layer is not None else -1
 
 
-def _count(layer: QgsVectorLayer) -> int:
-    """Return how many features a layer has; QGIS itself may not know, and says less than 0."""
-    known = int(layer.featureCount()) if layer.isValid() else 0
-    if known >= 0:
-        return known
-    bare = QgsFeatureRequest().setFlags(QgsFeatureRequest.Flag.NoGeometry).setNoAttributes()
-    return sum(1 for _ in layer.getFeatures(bare))
-
-
-def explained(project: QgsProject) -> dict[str, QgsMapLayer]:
-    """Return the layers that the legend explains, by the ids of the template, top to bottom."""
-    names = {
-        "gis_radar_heatmap": [tr("Occupancy, whole time"), tr("Hit share, whole time")],
-        "gis_radar_ground": [tr("Road, not observed")],
-        **{
-            f"gis_radar_{table}": [tr(name)]
-            for name, table in {**LANE_TABLES, **SENSOR_TABLES}.items()
-        },
-    }
-    found = {
-        key: [layer for name in each for layer in project.mapLayersByName(name)]
-        for key, each in names.items()
-    }
-    return {key: layers[0] for key, layers in found.items() if layers}
+def layers_of_page(project: QgsProject, below: Sequence[QgsMapLayer], *, whole: bool) -> str:
+    """Return what a page shows, top to bottom: names of layers with bars between them."""
+    tables = (*ABOVE, WHOLE if whole else INTERVALS, GROUND)
+    ours = [layer_of(project, table) for table in tables]
+    return "|".join(layer.name() for layer in (*ours, *below) if layer is not None)
 
 
 def copied(layers: Sequence[QgsMapLayer]) -> list[QgsMapLayer]:

@@ -6,7 +6,6 @@ import html
 from pathlib import Path
 from typing import Any
 
-from qgis.core import QgsApplication
 from qgis.gui import QgsFileWidget
 from qgis.PyQt.QtCore import QDateTime, Qt, QTimeZone
 from qgis.PyQt.QtWidgets import (
@@ -64,7 +63,6 @@ class CheckPage(Page):
             box.setSizePolicy(policy)
         self.is_good = False
         self._task: WorkerTask | None = None
-        self._number = 0  # of the check: what an earlier one answers counts for nothing
 
     def initializePage(self) -> None:  # noqa: N802
         """Propose where the files go, and check at once."""
@@ -91,9 +89,8 @@ class CheckPage(Page):
     def let_go(self) -> None:
         """Stop a check that runs: what it answers counts for nothing."""
         if self._task is not None:
-            self._task.cancel()
+            self._task.let_go()
         self._task = None
-        self._number += 1
         self.is_good = False
         self.check_button.setEnabled(True)
         self.bar.setVisible(False)
@@ -108,12 +105,10 @@ class CheckPage(Page):
         self.check_button.setEnabled(False)
         self.bar.setVisible(True)
         self.bar.setValue(0)
-        words, number = ["check", self.site_box.filePath()], self._number
-        self._task = WorkerTask(
-            tr("Check of the site"), words, lambda *answer: self._checked(number, *answer)
-        )
-        self._task.progressChanged.connect(lambda percent: self._progressed(number, percent))
-        QgsApplication.taskManager().addTask(self._task)
+        self._task = WorkerTask.start(
+            tr("Check of the site"), ["check", self.site_box.filePath()], self._checked,
+            lambda percent: self.bar.setValue(int(percent)),
+        )  # fmt: skip
 
     def save(self) -> bool:
         """Write the site file; one that says something else is kept beside it."""
@@ -144,13 +139,7 @@ class CheckPage(Page):
         self._show_text()
         return True
 
-    def _progressed(self, number: int, percent: float) -> None:
-        if number == self._number:
-            self.bar.setValue(int(percent))
-
-    def _checked(self, number: int, answer: Answer | str, warnings: list[str]) -> None:
-        if number != self._number:
-            return  # something was changed since, or the window is closed
+    def _checked(self, answer: Answer | str, warnings: list[str]) -> None:
         task, self._task = self._task, None
         self.check_button.setEnabled(True)
         self.bar.setVisible(False)

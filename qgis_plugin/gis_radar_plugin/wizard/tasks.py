@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from qgis.core import QgsTask
+from qgis.core import QgsApplication, QgsTask
 
 from ..base import WorkerFeedback, chosen_python
 from ..runner import Answer, CancelledError, WorkerError, run_worker
@@ -39,10 +39,30 @@ class WorkerTask(QgsTask):  # type: ignore[misc]
     ) -> None:
         super().__init__(title, QgsTask.Flag.CanCancel)
         self._words = list(words)
-        self._then = then
+        self._then: Callable[[Answer | str, list[str]], None] | None = then
         self._answer: Answer | str = ""
         self._warnings: list[str] = []
         self.summary: dict[str, Any] = {}
+
+    @classmethod
+    def start(
+        cls,
+        title: str,
+        words: Sequence[str],
+        then: Callable[[Answer | str, list[str]], None],
+        moved: Callable[[float], None] | None = None,
+    ) -> WorkerTask:
+        """Begin; `moved` gets how far it is, percent."""
+        task = cls(title, words, then)
+        if moved is not None:
+            task.progressChanged.connect(lambda percent: task._then and moved(percent))
+        QgsApplication.taskManager().addTask(task)
+        return task
+
+    def let_go(self) -> None:
+        """Cancel: what it answers counts for nothing."""
+        self._then = None
+        self.cancel()
 
     def run(self) -> bool:
         """Work; QGIS calls it in a thread of its own."""
@@ -56,7 +76,8 @@ class WorkerTask(QgsTask):  # type: ignore[misc]
 
     def finished(self, _done: bool) -> None:  # noqa: FBT001 - as QGIS calls it
         """Hand on the result; QGIS calls it in the window's thread."""
-        self._then(self._answer, self._warnings)
+        if self._then is not None:
+            self._then(self._answer, self._warnings)
 
     def setProgressText(self, text: str) -> None:  # noqa: N802 - as a feedback of Processing
         """Leave the stage out: the list of tasks shows the title."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from qgis.core import (
-    QgsApplication,
     QgsCoordinateReferenceSystem,
     QgsMessageLog,
     QgsPointXY,
@@ -236,24 +235,23 @@ class Lanes:
             self._wizard.map_page.show_status(why, good=False)
             return
         self.let_go()
-        number, place = self._number, Path(self._folder.path()) / f"lanes_{self._number}.gpkg"
+        self._number += 1
+        place = Path(self._folder.path()) / f"lanes_{self._number}.gpkg"
         words = ["tiles", draft.map_file, "-o", str(place), "--length", _TILE_M]
         words += ["--crs", draft.crs] if draft.crs else []
         words += ["--origin", draft.origin.replace(" ", "")] if draft.origin else []
         self.crs = None
         self._wizard.map_page.show_status(tr("Reading the map..."), good=True)
-        self._task = WorkerTask(
+        self._task = WorkerTask.start(
             tr("Map of the site"), words,
-            lambda answer, _: self._read(number, place, draft.map_file, answer),
+            lambda answer, _: self._read(place, draft.map_file, answer),
         )  # fmt: skip
-        QgsApplication.taskManager().addTask(self._task)
 
     def let_go(self) -> None:
         """Stop reading: what was read counts for nothing."""
         if self._task is not None:
-            self._task.cancel()
+            self._task.let_go()
         self._task = None
-        self._number += 1
 
     def forget(self) -> None:
         """Forget the map: another site is opened."""
@@ -262,9 +260,7 @@ class Lanes:
         self.crs = self._crs_before = self._box = None
         self._map = ""
 
-    def _read(self, number: int, place: Path, source: str, answer: Answer | str) -> None:
-        if number != self._number:
-            return  # another map was chosen since, or the window is closed
+    def _read(self, place: Path, source: str, answer: Answer | str) -> None:
         self._task = None
         page = self._wizard.map_page
         if isinstance(answer, str):
