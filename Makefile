@@ -121,8 +121,9 @@ bench-tiles: set-up-dev ## Measure a million tiles, made and written
 bench-dataset: set-up-dev ## Measure a dataset: time, memory, bytes
 	$(BIN)/python bench/dataset.py
 
-bench-city: set-up-dev ## Measure questions over a year, and the map of a month
+bench-city: set-up-dev ## Measure questions over a year, the map of a month, and the workers of a run
 	$(BIN)/python bench/city_questions.py
+	$(ONE_THREAD) $(BIN)/python bench/city_run.py
 
 bench-mask: set-up-dev ## Measure the road mask: time, and memory from few tiles to many
 	PATH=.pdal/bin:$$PATH $(BIN)/python bench/mask.py
