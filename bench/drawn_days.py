@@ -84,7 +84,7 @@ def write_days(
     origin = Origin(fingerprint=manifest.fingerprint, method=DRAWN_METHOD, inputs=DRAWN)
     for hour in range(FIRST_HOUR, FIRST_HOUR + HOURS * days):
         if dropped:
-            write_record(folder, HourRecord(hour=hour, origin=origin, parts=GONE, dropped=[*GONE]))
+            write_record(folder, HourRecord(hour=hour, origin=origin, parts=GONE, dropped=(*GONE,)))
         else:
             _write_hour(folder, hour, origin)
     for day in range(FIRST_HOUR, FIRST_HOUR + HOURS * days, HOURS):

@@ -21,7 +21,9 @@ from gis_radar.tracking.start.tall import one_tall_odds, tall_odds
 
 _Way: TypeAlias = tuple[Floats, Floats]  # times, and places (n, 2)
 
-LEAST_SHARED = 4  # detections that both directions of time follow as one vehicle, not by chance
+# Detections that both directions of time follow as one vehicle, and their share of those of one of
+# them: fewer are so by chance.
+LEAST_SHARED, LEAST_SHARE = 4, 0.3
 LEAST_SPREAD_M = 0.1  # two detections of one scatterer
 UNKNOWN_SIZE = -1.0  # log odds of a person of unknown size: on lanes persons are fewer
 # A part is split, MOST_SPLIT times at most, while a smaller share of it keeps its place in the
@@ -90,26 +92,22 @@ def join_directions(
     first = time[rows[np.unique(part, return_index=True)[1]]]
     ways = [_ways(each, time, state) for each, state in zip(numbers, states, strict=True)]
     groups = _Groups(parts, ways)
-    shared = np.flatnonzero(count >= LEAST_SHARED)
+    sizes = [[len(way[k][0]) for way, k in zip(ways, pair, strict=True)] for pair in parts.tolist()]
+    least = LEAST_SHARE * np.array(sizes).reshape(-1, 2).min(axis=1)
+    shared = (count >= LEAST_SHARED) & (count >= least)
     links = [
         (-int(count[[one, other]].min()), one, other)
         for side in (0, 1)
-        for alike in rows_by_number(_only(parts[:, side], shared))
+        for alike in rows_by_number(np.where(shared, parts[:, side], NONE))
         for one, other in pairwise(alike[np.argsort(first[alike], kind="stable")].tolist())
     ]
     for _, one, other in sorted(links):
         groups.join(one, other)
     joined = np.full(len(time), NONE)
-    known = count[part] >= LEAST_SHARED
-    joined[rows[known]] = np.array([groups.of(each) for each in range(len(parts))])[part[known]]
+    known = shared[part]
+    heads = np.array([groups.of(each) for each in range(len(parts))], np.int64)
+    joined[rows[known]] = heads[part[known]]
     return _completed(joined, numbers, time, len(parts))
-
-
-def _only(number: Integers, rows: Integers) -> Integers:
-    """Return the numbers of some rows, `NONE` for others."""
-    found = np.full(len(number), NONE)
-    found[rows] = number[rows]
-    return found
 
 
 def _completed(
