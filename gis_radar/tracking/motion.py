@@ -21,7 +21,7 @@ from gis_radar.tracking.size import END_SHARE, Size, size_of
 HALF_STEPS = STEPS_PER_SECOND // 2
 # Variances of a hardly known place, m2, and speed, m2/s2.
 UNKNOWN_S, UNKNOWN_V = 25.0, 9.0
-LOST = 6  # detections in a row that do not fit after which the filter starts again
+LOST = 6  # places in a row that do not fit after which the filter starts again
 STILL_COS = 0.05  # least cosine: nearer to square, a range rate holds nothing of the speed
 SPACING_M = 1.0  # distance along the road of the points through which a path is fitted
 ALONG_M = 0.3  # sigma of a detection along the road
@@ -288,15 +288,14 @@ def _smooth(  # pragma: no cover - compiled
             a += 2.0 * dt * b + dt * dt * c + q_ss
             b += dt * c + q_sv
             c += q_vv
-        if misses >= max(LOST, fitted):  # the first ones were of something else
+        if misses >= max(LOST, fitted):  # the first places were of something else
             a, c, misses, fitted = a + UNKNOWN_S, c + UNKNOWN_V, 0, 0
         ahead[i, 0], ahead[i, 1] = s, v
         wide[i, 0], wide[i, 1], wide[i, 2] = a, b, c
         while k < len(step) and step[k] == i:
             misses += 1
             gap, total = rate[k] - v, c + rate_var[k]
-            moves = gap * gap < 16.0 * total
-            if moves:
+            if gap * gap < 16.0 * total:
                 s += b / total * gap
                 v += c / total * gap
                 a -= b * b / total
@@ -304,8 +303,7 @@ def _smooth(  # pragma: no cover - compiled
                 c -= c * c / total
             gap, total = middle[k] - s, a + middle_var[k]
             if gap * gap < 25.0 * total:
-                if moves:
-                    misses, fitted = 0, fitted + 1
+                misses, fitted = 0, fitted + 1
                 s += a / total * gap
                 v += b / total * gap
                 c -= b * b / total

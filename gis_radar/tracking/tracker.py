@@ -62,5 +62,5 @@ def _found(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
 def _followed(detections: MapDetections, graph: LaneGraph) -> tuple[Integers, Floats]:
     """Return the vehicle of each detection, and its state, from both directions of time."""
     numbers, both = follow_both_ways(detections, graph)
-    joined = join_directions(numbers, both, detections.time)
+    joined = join_directions(*numbers, detections.time)
     return joined, merge_states(numbers[0], both, joined)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TypeAlias
 
 import numpy as np
 
@@ -19,17 +18,11 @@ from gis_radar.tracking.detections import MOVING_MPS, MapDetections
 from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.start.tall import one_tall_odds, tall_odds
 
-_Way: TypeAlias = tuple[Floats, Floats]  # times, and places (n, 2)
-
-# Detections that both directions of time follow as one vehicle, and their share of those of one of
-# them: fewer are so by chance.
-LEAST_SHARED, LEAST_SHARE = 4, 0.3
 LEAST_SPREAD_M = 0.1  # two detections of one scatterer
 UNKNOWN_SIZE = -1.0  # log odds of a person of unknown size: on lanes persons are fewer
 # A part is split, MOST_SPLIT times at most, while a smaller share of it keeps its place in the
 # moving frame; parts of fewer rows are dropped.
 LEAST_PURE, MOST_SPLIT, LEAST_ROWS = 0.95, 3, 5
-MOST_BOTH_S = 0.7  # longest time that a vehicle is followed twice, where one track ends
 SEEN_S = 0.35  # time before and after a detection in which the state of its vehicle is known
 LEFT_M, BEARING_RAD = 1.7, 0.006  # half the width of a truck, error of a bearing: sideways
 # Tolerance of a range rate: noise, a share of the speed, and a share of it at which the ends of a
@@ -66,113 +59,75 @@ def rows_by_number(number: Integers) -> list[Integers]:
     return np.split(rows, np.flatnonzero(np.diff(number[rows])) + 1) if len(rows) else []
 
 
-def join_directions(
-    numbers: tuple[Integers, Integers], states: tuple[Floats, Floats], time: Floats
-) -> Integers:
+def join_directions(number: Integers, against: Integers, time: Floats) -> Integers:
     """Return one number for each detection from those of both directions of time.
 
-    Where a filter leaves a vehicle for another one, the other direction of time follows both, for a
-    while at once. So what both directions follow as one vehicle is a part, and parts that share a
-    number of one direction are of one vehicle unless the other direction follows two at once. All
-    else gets the number of its nearest part.
+    A detection that only the backward direction claims gets the number of its neighbour there. Two
+    vehicles that one vehicle of the other direction follows one after the other are one.
 
     Parameters
     ----------
-    numbers : (n,) int64 arrays
+    number, against : (n,) int64 arrays
         The filter's numbers of detections, forward and backward in time.
-    states : (n, 6) arrays
-        Its states at the detections, likewise.
     time : (n,) array
         Times of the detections, seconds.
     """
-    both = np.column_stack(numbers)
-    rows = np.flatnonzero((both != NONE).all(axis=1))
-    parts, part, count = np.unique(both[rows], axis=0, return_inverse=True, return_counts=True)
-    part = part.ravel()
-    first = time[rows[np.unique(part, return_index=True)[1]]]
-    ways = [_ways(each, time, state) for each, state in zip(numbers, states, strict=True)]
-    groups = _Groups(parts, ways)
-    sizes = [[len(way[k][0]) for way, k in zip(ways, pair, strict=True)] for pair in parts.tolist()]
-    least = LEAST_SHARE * np.array(sizes).reshape(-1, 2).min(axis=1)
-    shared = (count >= LEAST_SHARED) & (count >= least)
-    links = [
-        (-int(count[[one, other]].min()), one, other)
-        for side in (0, 1)
-        for alike in rows_by_number(np.where(shared, parts[:, side], NONE))
-        for one, other in pairwise(alike[np.argsort(first[alike], kind="stable")].tolist())
-    ]
-    for _, one, other in sorted(links):
-        groups.join(one, other)
-    joined = np.full(len(time), NONE)
-    known = shared[part]
-    heads = np.array([groups.of(each) for each in range(len(parts))], np.int64)
-    joined[rows[known]] = heads[part[known]]
-    return _completed(joined, numbers, time, len(parts))
-
-
-def _completed(
-    joined: Integers, numbers: tuple[Integers, Integers], time: Floats, fresh: int
-) -> Integers:
-    """Give detections without a number that of the nearest one of their vehicle, or a fresh one."""
-    for number in numbers:
-        for rows in rows_by_number(number):
-            known, left = (rows[(joined[rows] != NONE) == each] for each in (True, False))
-            if len(known) and len(left):
-                joined[left] = joined[known[nearest(time[known], time[left])]]
-    for number in numbers:
-        for rows in rows_by_number(number):
-            left = rows[joined[rows] == NONE]
-            joined[left] = fresh
-            fresh += len(left) > 0
-    return joined
-
-
-def _ways(number: Integers, time: Floats, states: Floats) -> dict[int, _Way]:
-    """Return the times and places at which each number is followed."""
-    return {int(number[r[0]]): (time[r], states[r, :2]) for r in rows_by_number(number)}
-
-
-def _follow_two(one: _Way, other: _Way) -> bool:
-    """Return whether two ways are of two vehicles: at the same time in different places."""
-    begin, end = max(one[0][0], other[0][0]), min(one[0][-1], other[0][-1])
-    if end - begin < MOST_BOTH_S:
-        return False
-    when = np.linspace(begin, end, 2 + int((end - begin) / SEEN_S))
-    apart = [
-        np.interp(when, one[0], one[1][:, k]) - np.interp(when, other[0], other[1][:, k])
-        for k in (0, 1)
-    ]
-    return float(np.median(np.hypot(*apart))) > CAR_M
+    rows = rows_by_number(number)
+    if not rows:
+        return against.copy()
+    spans = {int(number[r[0]]): (float(time[r].min()), float(time[r].max())) for r in rows}
+    sizes = {int(number[r[0]]): len(r) for r in rows}
+    groups = _Groups(spans)
+    joined, fresh = number.copy(), int(number.max()) + 1
+    for part in rows_by_number(against):
+        known = np.flatnonzero(number[part] != NONE)
+        if len(known) == 0:
+            joined[part] = fresh
+            fresh += 1
+            continue
+        free = np.flatnonzero(number[part] == NONE)
+        joined[part[free]] = number[part[known[nearest(time[part[known]], time[part[free]])]]]
+        values, counts = np.unique(number[part[known]], return_counts=True)
+        strong = [
+            value for value, count in zip(values.tolist(), counts.tolist(), strict=True)
+            if count >= max(4, 0.3 * sizes[value])
+        ]  # fmt: skip
+        strong.sort(key=lambda value: spans[value])
+        for one, other in pairwise(strong):
+            groups.join(one, other)
+    mapped = np.arange(fresh)
+    for value in spans:
+        mapped[value] = groups.of(value)
+    return np.where(joined == NONE, NONE, mapped[joined])
 
 
 class _Groups:
-    """Groups of parts of one vehicle, by the ways on which each direction follows them."""
+    """Groups of tracks of one vehicle, by the spans of time in which they are followed."""
 
-    def __init__(self, parts: Integers, ways: Sequence[dict[int, _Way]]) -> None:
-        self._head = list(range(len(parts)))
-        self._numbers = [[{each} for each in side.tolist()] for side in parts.T]
-        self._ways = ways
+    MOST_BOTH_S = 0.7  # longest time that a vehicle is followed twice, where one track ends
 
-    def of(self, part: int) -> int:
-        """Return the part that represents a part's group."""
-        while self._head[part] != part:
-            self._head[part] = self._head[self._head[part]]
-            part = self._head[part]
-        return part
+    def __init__(self, spans: dict[int, tuple[float, float]]) -> None:
+        self._head = {value: value for value in spans}
+        self._spans = {value: [span] for value, span in spans.items()}
+
+    def of(self, value: int) -> int:
+        """Return the number that represents a vehicle's group."""
+        while self._head[value] != value:
+            self._head[value] = self._head[self._head[value]]
+            value = self._head[value]
+        return value
 
     def join(self, one: int, other: int) -> None:
-        """Join two groups, unless a direction follows them as two vehicles."""
+        """Join two groups, unless both were followed at the same time."""
         one, other = self.of(one), self.of(other)
-        if one == other or any(
-            _follow_two(ways[a], ways[b])
-            for ways, numbers in zip(self._ways, self._numbers, strict=True)
-            for a in numbers[one]
-            for b in numbers[other] - {a}
-        ):
+        if one == other:
             return
-        self._head[other] = one
-        for numbers in self._numbers:
-            numbers[one] |= numbers[other]
+        both = max(
+            min(a[1], b[1]) - max(a[0], b[0]) for a in self._spans[one] for b in self._spans[other]
+        )
+        if both < self.MOST_BOTH_S:
+            self._spans[one] += self._spans.pop(other)
+            self._head[other] = one
 
 
 def absorb(
