@@ -166,7 +166,7 @@ def cycles(
         Green times, by position of the lane; elsewhere cycles are told from the traffic.
     """
     crossed, greens = crossings(states, states.moves(network), network, grid), known or {}
-    stands = standing_states(states).stands
+    stands = standing_states(states)[0]
     length_m = vehicles.length_m[vehicles.of(states.vehicle)]
     found: list[Cycle] = []
     for lane in np.flatnonzero(network.has_stop_line).tolist():
