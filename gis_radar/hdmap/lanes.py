@@ -83,7 +83,7 @@ def _following(
     """Return, for each lanelet, the positions of the lanelets that follow it.
 
     Ends that touch count, and what the map states; those that only lie near each other, as
-    :func:`joining` tells, count where an end or a start has nothing else.
+    :func:`joining` finds them, count where an end or a start has nothing else.
     """
     low = at.starts.min(axis=0) if len(ids) else 0.0
     trees = (scipy.spatial.cKDTree(each - low) for each in (at.ends, at.starts))

@@ -300,9 +300,10 @@ def _turns(
     by_lane = {n: lanes[n].reshape(-1, grid.count)[ways[:, 0]].ravel() for n in _OF_APPROACH}
     exits = network.tile_id[np.searchsorted(network.tile_lane, ways[:, 1])]
     lines = network.tile_id[network.tile_at(ways[:, 2], network.line_m[ways[:, 2]])]
-    told, passed = _share_at(exits, grid, tiles), _share_at(lines, grid, tiles)
-    told = np.where(np.repeat(ways[:, 2] >= 0, grid.count), np.maximum(told, passed), told)
-    share = np.minimum(by_lane["visible_share"], told)
+    visible, passed = _share_at(exits, grid, tiles), _share_at(lines, grid, tiles)
+    connects = np.repeat(ways[:, 2] >= 0, grid.count)
+    visible = np.where(connects, np.maximum(visible, passed), visible)
+    share = np.minimum(by_lane["visible_share"], visible)
     start = np.repeat(ways[:, 0], grid.count) * grid.count + np.tile(
         np.arange(grid.count), len(ways)
     )
