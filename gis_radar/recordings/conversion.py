@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import struct
 from collections import Counter, OrderedDict
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from typing import Any, Self
 
 from gis_radar.base import (
     QUIET,
+    GisRadarError,
     InputError,
     OutputError,
     Reporter,
@@ -29,12 +29,6 @@ from gis_radar.recordings.frame_clock import CLOCKS, Clock, FrameClock
 from gis_radar.recordings.frame_order import WINDOW, FrameOrder, merged
 from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
 from gis_radar.recordings.recording_file import RecordingFile
-
-# Errors that readers and their libraries raise for damaged bytes.
-DAMAGE = (
-    struct.error, ArithmeticError, AssertionError, AttributeError, EOFError, LookupError,
-    MemoryError, RuntimeError, TypeError, ValueError,
-)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -373,10 +367,12 @@ def _read(form: Format, source: str, context: ReaderContext) -> Generator[Frame]
     """Read an input; errors of the system and of libraries become an InputError that names it."""
     try:
         yield from form.frames(source, context)
+    except GisRadarError:
+        raise
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError("{}: cannot be read: {}", source, reason) from error
-    except DAMAGE as error:
+    except Exception as error:
         raise InputError("{}: damaged: {}", source, first_line(error)) from error
 
 
