@@ -52,9 +52,9 @@ def scribbles(draw):
 
 
 def driven(left, right):
-    turned = drawn_direction(left, right)
-    left = left[::-1] if turned.turn_left else left
-    return left, right[::-1] if turned.turn_right else right
+    turn_left, turn_right = drawn_direction(left, right)
+    left = left[::-1] if turn_left else left
+    return left, right[::-1] if turn_right else right
 
 
 def quads(left_points, right_points):

@@ -370,7 +370,7 @@ def test_who_stood_when_first_found_has_not_stopped_and_slow_for_less_than_1_s_i
     assert lanes.loc[(APPROACH, 0), "stops"] == 0.0
     assert lanes.loc[(APPROACH, 0), "queue_max_m"] == pytest.approx(14.5)
     brief = states_of([(STRAIGHT, BEGIN, np.array([0, 2, 4, 4, 4, 4, 6, 8], float))])
-    assert not standing_states(brief).stands.any()
+    assert not standing_states(brief)[0].any()
 
 
 def test_a_front_that_wavers_over_the_line_counts_once():

@@ -24,7 +24,6 @@ from gis_radar.scans import (
     report_uncovered,
     write_sights,
 )
-from gis_radar.scans.sight.kept import KeptSight
 
 ROAD_M = 372.0
 AREA = (-20.0, -80.0, 160.0, 80.0)
@@ -252,7 +251,7 @@ def test_sight_is_found_once_a_pose_and_the_same_when_kept(tmp_path):
     path = write_points(tmp_path / "scan.laz", flat((HOUSE, ROOF_M)))
     for turn in range(4):
         heard = Listener()
-        kept = KeptSight(SightScan([path], tiles, reporter=heard), tmp_path / "sights")
+        kept = SightScan([path], tiles, cache=tmp_path / "sights", reporter=heard)
         kept.read([SENSOR])
         found = kept.find(SENSOR)
         assert bool(heard.stages) == (turn != 1)  # whether the scan was read
@@ -280,7 +279,8 @@ def test_kept_sight_is_that_of_pose_view_heights_and_scan(tmp_path):
         (path, across(ROAD_M + 1.0), SENSOR), (other, tiles, SENSOR),
     ]  # fmt: skip
     for scan, road, sensor in asked:
-        source = SightScan([scan], road)
-        found = KeptSight(source, tmp_path / "sights").find(sensor)
-        np.testing.assert_array_equal(found.state, source.find(sensor).state)
+        source = SightScan([scan], road, cache=tmp_path / "sights")
+        found = source.find(sensor)
+        expected = SightScan([scan], road).find(sensor)
+        np.testing.assert_array_equal(found.state, expected.state)
     assert len(list((tmp_path / "sights").iterdir())) == len(asked)

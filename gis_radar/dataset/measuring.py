@@ -56,7 +56,7 @@ from gis_radar.hdmap import LaneGraph, LaneletMap, fingerprint, lane_graph, requ
 from gis_radar.measures import Filters, PlacedRecording, RecordingCounts, SightBook, validity_of
 from gis_radar.poses import Pose, PoseTrack, as_tracks
 from gis_radar.recordings import Recording, as_recordings
-from gis_radar.scans import SightSource, SightTiles, describe_sight, open_sight
+from gis_radar.scans import VIEW_ONLY, SightScan, SightTiles, open_sight
 from gis_radar.tracking import map_of_tiles
 
 
@@ -289,7 +289,7 @@ def _dated(finding: Finding, entries: Sequence[RecordingEntry]) -> Finding:
 
 
 def manifest_of(
-    tiles: gpd.GeoDataFrame, digest: str, scan: SightSource | None, settings: MeasureSettings,
+    tiles: gpd.GeoDataFrame, digest: str, scan: SightScan | None, settings: MeasureSettings,
     timezone: str,
 ) -> Manifest:  # fmt: skip
     """Return the manifest of a new dataset, given the map's digest and the source of its sights."""
@@ -297,7 +297,7 @@ def manifest_of(
     return Manifest(
         map=digest, fingerprint=fingerprint(tiles), crs=name_of(tiles.crs),
         origin=(west, south), timezone=timezone,
-        settings={"sight": describe_sight(scan), **settings.as_dict()},
+        settings={"sight": scan.describe() if scan else VIEW_ONLY, **settings.as_dict()},
     )  # fmt: skip
 
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,13 +31,6 @@ _LOSS = 0.001
 _LOSS_EACH = 0.1  # share of that loss from which on a rung moves to a corner
 # A sound lanelet can be cut into sound slices of this length, see :mod:`mending`.
 _SOUND_M = 0.5
-
-
-class Drawn(NamedTuple):
-    """For each bound, whether it must be reversed to run in the driving direction."""
-
-    turn_left: bool
-    turn_right: bool
 
 
 def without_repeats(bound: Floats) -> Floats:
@@ -65,7 +57,7 @@ def slices(left: Floats, right: Floats, slice_m: float = _SOUND_M) -> int:
     return max(1, round((bound_length(left) + bound_length(right)) / 2.0 / slice_m))
 
 
-def drawn_direction(left: Floats, right: Floats) -> Drawn:
+def drawn_direction(left: Floats, right: Floats) -> tuple[bool, bool]:
     """Find the driving direction: the one that has the left bound on the left.
 
     First the bounds are made parallel: of the two ways to pair them, the one with the shorter rungs
@@ -79,7 +71,7 @@ def drawn_direction(left: Floats, right: Floats) -> Drawn:
 
     Returns
     -------
-    Drawn
+    turn_left, turn_right : bool
         Which of them to reverse.
     """
     fractions = np.linspace(0.0, 1.0, 2 * max(len(left), len(right)) + 7)
@@ -92,7 +84,7 @@ def drawn_direction(left: Floats, right: Floats) -> Drawn:
     reversed_m = np.hypot(*(p - q[::-1]).T).mean()
     opposed = bool(reversed_m < as_drawn_m)
     backward = bool(signed_area(p, q[::-1] if opposed else q) < 0.0)
-    return Drawn(turn_left=backward, turn_right=backward != opposed)
+    return backward, backward != opposed
 
 
 def signed_area(left: Floats, right: Floats) -> float:

@@ -46,12 +46,7 @@ class _Ends(NamedTuple):
     ends: Floats
 
 
-def chain_lanelets(
-    lanelet_id: Integers,
-    starts: Floats,
-    ends: Floats,
-    stated: Sequence[Collection[int]] | None = None,
-) -> list[tuple[int, ...]]:
+def chain_lanelets(lanelet_id: Integers, starts: Floats, ends: Floats) -> list[tuple[int, ...]]:
     """Chain lanelets to lanes: each is the only successor of its only predecessor.
 
     Parameters
@@ -60,8 +55,6 @@ def chain_lanelets(
         Ids, ascending.
     starts, ends : (n, 4) arrays
         Easting and northing of the left and of the right bound at start and end, metres.
-    stated : sequence of collections of int, optional
-        Ids of the successors that the map states, beside those that begin where a lanelet ends.
 
     Returns
     -------
@@ -69,36 +62,48 @@ def chain_lanelets(
         The lanelets of each lane in driving order, lanes by their smallest id. A ring begins at its
         smallest.
     """
-    ids = lanelet_id.tolist()
-    after = _following(ids, _Ends(starts, ends), stated)
-    before = Counter(k for found in after for k in found)
-    only = {i: k[0] for i, k in enumerate(after) if len(k) == 1 and before[k[0]] == 1}
-    chains = (tuple(ids[i] for i in chain) for chain in _chains(only, len(ids)))
+    nothing_stated = [()] * len(lanelet_id)
+    return _chained(_following(lanelet_id.tolist(), _Ends(starts, ends), nothing_stated))
+
+
+def _chained(after: Mapping[int, Sequence[int]]) -> list[tuple[int, ...]]:
+    """Return chains, by the ids of the lanelets that follow each; a ring begins at its smallest."""
+    before = Counter(k for found in after.values() for k in found)
+    only = {ref: k[0] for ref, k in after.items() if len(k) == 1 and before[k[0]] == 1}
+    led_to, seen, chains = set(only.values()), set[int](), list[tuple[int, ...]]()
+    for first in [*(ref for ref in after if ref not in led_to), *after]:
+        chain, at = [], first
+        while at not in seen:
+            seen.add(at)
+            chain.append(at)
+            at = only.get(at, at)
+        if chain:
+            chains.append(tuple(chain))
     return sorted(chains, key=min)
 
 
 def _following(
-    ids: list[int], at: _Ends, stated: Sequence[Collection[int]] | None
-) -> list[list[int]]:
-    """Return, for each lanelet, the positions of the lanelets that follow it.
+    ids: list[int], at: _Ends, stated: Sequence[Collection[int]]
+) -> dict[int, list[int]]:
+    """Return, by id, the lanelets that follow each.
 
-    Ends that touch count, and what the map states; those that only lie near each other, as
-    :func:`joining` tells, count where an end or a start has nothing else.
+    Ends that touch count, and what the map states; those that only lie near each other, as from
+    :func:`joining`, count where an end or a start has nothing else.
     """
     low = at.starts.min(axis=0) if len(ids) else 0.0
     trees = (scipy.spatial.cKDTree(each - low) for each in (at.ends, at.starts))
     touching = next(trees).query_ball_tree(next(trees), TOUCH_M)
     position = {ref: index for index, ref in enumerate(ids)}
-    named = stated if stated is not None else [()] * len(ids)
     found = [
         {k for k in near if k != i} | {position[ref] for ref in refs if ref in position}
-        for i, (near, refs) in enumerate(zip(touching, named, strict=True))
+        for i, (near, refs) in enumerate(zip(touching, stated, strict=True))
     ]
     led_to = {k for each in found for k in each}
-    return [
-        sorted(each | {k for k in near if not each or k not in led_to})
-        for each, near in zip(found, joining(at.starts, at.ends, TOUCH_M), strict=True)
-    ]
+    near = joining(at.starts, at.ends, TOUCH_M)
+    return {
+        ref: [ids[k] for k in sorted(each | {k for k in close if not each or k not in led_to})]
+        for ref, each, close in zip(ids, found, near, strict=True)
+    }
 
 
 def joining(starts: Floats, ends: Floats, within_m: float) -> list[list[int]]:
@@ -125,19 +130,6 @@ def joining(starts: Floats, ends: Floats, within_m: float) -> list[list[int]]:
     ]
 
 
-def _chains(only: Mapping[int, int], total: int) -> Iterator[list[int]]:
-    """Yield the chains of links `only` (next position by position); a ring begins at its first."""
-    led_to, seen = set(only.values()), set[int]()
-    for first in [*(i for i in range(total) if i not in led_to), *range(total)]:
-        chain, at = [], first
-        while at not in seen:
-            seen.add(at)
-            chain.append(at)
-            at = only.get(at, at)
-        if chain:
-            yield chain
-
-
 def lane_chains(lanelets: gpd.GeoDataFrame) -> list[tuple[int, ...]]:
     """Return the lanelets of each lane of a map, as :func:`chain_lanelets` orders them.
 
@@ -146,10 +138,7 @@ def lane_chains(lanelets: gpd.GeoDataFrame) -> list[tuple[int, ...]]:
     lanelets : GeoDataFrame
         As in :class:`gis_radar.hdmap.LaneletMap`.
     """
-    table = _by_id(lanelets)
-    return chain_lanelets(
-        table["lanelet_id"].to_numpy(np.int64), *_ends_of(table), list(table["successors"])
-    )
+    return _chained(_lanelets_after(_by_id(lanelets)))
 
 
 def lane_style(layer: str) -> str:
@@ -186,9 +175,8 @@ def make_lanes(
 ) -> gpd.GeoDataFrame:
     """Return the lanes of a map; see :meth:`gis_radar.LaneletMap.lanes`."""
     table = _by_id(lanelets)
-    chains = lane_chains(table)
-    number = {ref: min(chain) for chain in chains for ref in chain}
     after = _lanelets_after(table)
+    chains = _chained(after)
     if len(table) > 1 and not any(after.values()):
         reporter.warn(
             "no lanelet of the map follows another: each is a lane of its own, without turns",
@@ -199,7 +187,7 @@ def make_lanes(
     stop_m = dict(zip(stops["lane"], stops["lane_m"], strict=True))
     result = gpd.GeoDataFrame(
         {
-            "lane": np.array([number[chain[0]] for chain in chains], np.int64),
+            "lane": np.array([min(chain) for chain in chains], np.int64),
             "lanelets": chains,
             "subtype": [table.at[chain[0], "subtype"] for chain in chains],
             STREET: [_tagged_street(table, chain) for chain in chains],
@@ -216,9 +204,7 @@ def make_lanes(
 
 
 def _lanelets_after(table: gpd.GeoDataFrame) -> dict[int, list[int]]:
-    ids = table["lanelet_id"].tolist()
-    found = _following(ids, _ends_of(table), list(table["successors"]))
-    return {ref: [ids[k] for k in after] for ref, after in zip(ids, found, strict=True)}
+    return _following(table["lanelet_id"].tolist(), _ends_of(table), list(table["successors"]))
 
 
 def _centre_line(parts: list[shapely.LineString]) -> shapely.LineString:

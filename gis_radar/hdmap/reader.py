@@ -200,9 +200,9 @@ def _lanelet(
         chains.append(chain_of(osm, relation.refs("way", side), xyz, side))
         drawn.append(chains[-1].points)
     left, right = chains
-    direction = drawn_direction(left.points, right.points)
-    left = left.reversed() if direction.turn_left else left
-    right = right.reversed() if direction.turn_right else right
+    turn_left, turn_right = drawn_direction(left.points, right.points)
+    left = left.reversed() if turn_left else left
+    right = right.reversed() if turn_right else right
     bounds = mend(*heights_filled(left.points, right.points))
     lanelet = _Lanelet(
         id=ref,

@@ -52,7 +52,7 @@ from gis_radar.live.wire.payload import (
 )
 from gis_radar.measures import FrameCounter, PoseNumbers, road_near
 from gis_radar.poses import Pose, pose_from_dict
-from gis_radar.scans import IN_SIGHT, SightSource, SightTiles, find_sight
+from gis_radar.scans import IN_SIGHT, SightScan, SightTiles, find_sight
 
 ACK_S = 1.0  # between two acknowledgements without a new number
 TWINS_WITHIN_S = 60.0  # time in which two streams of one sensor that alternate are twins
@@ -163,7 +163,7 @@ class Intake:
         The windows of the map of now, to which frames are added.
     oldest_s : float
         Largest age of a frame, seconds.
-    scan : SightScan or KeptSight, optional
+    scan : SightScan, optional
         Scan of what hides tiles.
     reporter : Reporter
         Receives a line when a problem begins.
@@ -182,7 +182,7 @@ class Intake:
 
     def __init__(
         self, names: Iterable[str], *, spool: Spool, road: SightTiles, counter: FrameCounter,
-        windows: Windows, oldest_s: float, scan: SightSource | None = None,
+        windows: Windows, oldest_s: float, scan: SightScan | None = None,
         vehicles: LiveVehicles | None = None, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.unknown: set[str] = set()

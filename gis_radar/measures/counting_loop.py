@@ -15,6 +15,7 @@ import numpy as np
 from gis_radar.base import Floats, Integers, compiled
 from gis_radar.hdmap import Numbers, TileCells, is_inside
 from gis_radar.measures.placing import Places, PoseNumbers, fill_places, height_of, in_view
+from gis_radar.scans import MOVEMENT_LEVEL_M, MOVEMENT_MPS, REFLECTION_M
 
 # Columns of the table of frames.
 TIME_US, SHIFT_US, DETECTIONS, MOVING, WILD, TILES_HIT, POSE = range(7)
@@ -22,6 +23,9 @@ FRAME_COLUMNS = 7
 # Indices into `Accumulator.counts`: frames begun so far; frames and hits in the buffers.
 FRAMES, FILLED_FRAMES, FILLED_HITS = range(3)
 COUNTS = 3
+# For the frame log only: least absolute range rate of a moving detection, over the Doppler noise of
+# a radar (0.1 to 0.3 m/s) and of leaves; and speed over which no vehicle drives (250 km/h).
+MOVING_MPS, WILD_MPS = 0.5, 70.0
 
 
 class RowColumns(NamedTuple):
@@ -56,11 +60,6 @@ class Limits(NamedTuple):
     lowest_m, highest_m, widening, level_m : float
         The clearance profile, metres over the road; metres that it widens for each metre of range;
         height difference under which tiles are on one level, metres.
-    moving_mps, wild_mps : float
-        Least speed of a moving detection in the frame log; speed over which no vehicle drives.
-    sight_mps, sight_over_m, sight_level_m : float
-        Least speed of movement for sight, m/s; its usual height over a tile's road, and the
-        greatest difference from that on the tile's level, metres.
     """
 
     min_speed: float
@@ -69,11 +68,6 @@ class Limits(NamedTuple):
     highest_m: float
     widening: float
     level_m: float
-    moving_mps: float
-    wild_mps: float
-    sight_mps: float
-    sight_over_m: float
-    sight_level_m: float
 
 
 class TileIndex(NamedTuple):
@@ -161,7 +155,7 @@ def count_rows(  # pragma: no cover - compiled
         begin, row, now = row, row + 1, time[row]
         while row < end and time[row] == now:
             row += 1
-        _count_speeds(rows.range_rate, begin, row, limits, sums.frame)
+        _count_speeds(rows.range_rate, begin, row, sums.frame)
         _count_frame(rows, begin, row, pose, limits, index, sums, buffer)
     return end
 
@@ -179,14 +173,13 @@ def end_frame(sums: Accumulator, buffer: CountBuffer) -> None:  # pragma: no cov
 
 @compiled
 def _count_speeds(  # pragma: no cover - compiled
-    rates: Floats, begin: int, end: int, limits: Limits, frame: Integers
+    rates: Floats, begin: int, end: int, frame: Integers
 ) -> None:
     """Count, in the open frame, moving rows and rows too fast for any vehicle."""
     moving = wild = 0
-    moving_mps, wild_mps = limits.moving_mps, limits.wild_mps
     for row in range(begin, end):
-        moving += int(abs(rates[row]) >= moving_mps)
-        wild += int(abs(rates[row]) > wild_mps)
+        moving += int(abs(rates[row]) >= MOVING_MPS)
+        wild += int(abs(rates[row]) > WILD_MPS)
     frame[MOVING] += moving
     frame[WILD] += wild
 
@@ -256,7 +249,7 @@ def _hit_by(  # pragma: no cover - compiled
         x, y, z = np.float64(xs[row]), np.float64(ys[row]), np.float64(zs[row])
         hits &= in_view(x, y, z, range_m[k], pose)
         hits &= not has_least or _passes(rates, strengths, row, limits)
-        moves = counts_moves and abs(rates[row]) >= limits.sight_mps
+        moves = counts_moves and abs(rates[row]) >= MOVEMENT_MPS
         if not moves and not has_clearance:
             for at in range(begin, end if hits else begin):
                 tile = tiles[at]
@@ -268,7 +261,7 @@ def _hit_by(  # pragma: no cover - compiled
         around = _inside(tiles, edges, begin, end, east[k], north[k], inside)
         height = height_of(x, y, z, pose)
         if moves:
-            _count_movement(inside, around, height, limits, road_m, moved, number, movement)
+            _count_movement(inside, around, height, road_m, moved, number, movement)
         if hits and has_clearance:
             around = _fitting(inside, around, height, range_m[k], limits, road_m)
         for at in range(around if hits else 0):
@@ -339,14 +332,14 @@ def _fitting(  # pragma: no cover - compiled
 
 @compiled
 def _count_movement(  # pragma: no cover - compiled
-    inside: Integers, around: int, height: float, limits: Limits, road_m: Floats,
+    inside: Integers, around: int, height: float, road_m: Floats,
     moved: Integers, number: int, movement: Integers,
 ) -> None:  # fmt: skip
     """Count movement on the tiles around a detection, once a frame, also at unknown heights."""
     for k in range(around):
         tile = inside[k]
-        over_m = height - road_m[tile] - limits.sight_over_m
-        if abs(over_m) > limits.sight_level_m or moved[tile] == number:
+        over_m = height - road_m[tile] - REFLECTION_M
+        if abs(over_m) > MOVEMENT_LEVEL_M or moved[tile] == number:
             continue
         moved[tile] = number
         movement[tile] += 1

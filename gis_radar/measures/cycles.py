@@ -1,4 +1,4 @@
-"""Cycles of signals, told from the traffic: vehicles that waited leave a stop line periodically.
+"""Cycles of signals, inferred from the traffic: vehicles that waited leave a stop line in cycles.
 
 A *begin of green* is seen where a vehicle that stood at the line crosses it and none has crossed
 for some seconds. Where most begins, and more than chance explains, lie on a line over the numbers
@@ -37,7 +37,7 @@ from gis_radar.measures.queues import (
 
 LEAST_RED_S = 8.0  # without a crossing before green: queues discharge every 2 to 4 s
 CYCLE_S = (30.0, 240.0)  # lengths of cycles: those of RiLSA (30 to 120 s), and longer ones abroad
-LEAST_GREENS = 4  # begins of green from which a cycle is told
+LEAST_GREENS = 4  # begins of green from which a cycle is inferred
 EVEN_S = 3.0  # between a begin and its cycle's, at most: who starts first takes 1 to 2 s, +- 1 s
 MOST_CHANCE = 0.05  # that begins which are not periodic lie so on the line of any cycle
 LEAST_ON = 0.6  # share of the cycles with a begin whose first lies on the line: demand drifts off
@@ -49,7 +49,7 @@ HIDDEN = Text("stop line not visible throughout")
 
 
 class Cycle(NamedTuple):
-    """Cycle at a stop line, from a begin of green to the next; or why none can be told.
+    """Cycle at a stop line, from a begin of green to the next; or why none can be inferred.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def period_of(begins_s: Floats) -> Period | str:
     power = np.abs(np.exp(2j * np.pi * np.outer(rate, begins_s)).sum(axis=1))
     found = [_line(begins_s, float(1.0 / each)) for each in rate[np.argsort(-power)[:TRIED]]]
     chance, on, period = min(found, key=lambda each: each[0])
-    # so many lines differ by over `EVEN_S`, in where they begin and how far they go
+    # number of lines that differ by more than `EVEN_S` in begin or length
     apart = (period.length_s / (2.0 * EVEN_S)) ** 2
     lines = apart * span * (1.0 / CYCLE_S[0] - 1.0 / CYCLE_S[1])
     in_range = CYCLE_S[0] <= period.length_s <= CYCLE_S[1]
@@ -163,21 +163,21 @@ def cycles(
     network, grid, states, vehicles, visible
         As for :func:`gis_radar.measures.measure_lanes`.
     known : mapping, optional
-        Green times, by position of the lane; elsewhere cycles are told from the traffic.
+        Green times, by position of the lane; elsewhere cycles are inferred from the traffic.
     """
     crossed, greens = crossings(states, states.moves(network), network, grid), known or {}
-    stands = standing_states(states).stands
+    stands = standing_states(states)[0]
     length_m = vehicles.length_m[vehicles.of(states.vehicle)]
     found: list[Cycle] = []
     for lane in np.flatnonzero(network.has_stop_line).tolist():
         mine = crossed.taken(crossed.lane == lane)
         mine = mine.taken(np.asarray(np.argsort(mine.step, kind="stable"), np.int64))
         if (stated := greens.get(lane)) is not None:
-            told = _stated(lane, stated, grid)
+            mine_cycles = _stated(lane, stated, grid)
         else:
-            told = _told(lane, _begins(lane, mine, states, stands, network, grid), grid)
-        if told[0].reason:
-            found += told
+            mine_cycles = _inferred(lane, _begins(lane, mine, states, stands, network, grid), grid)
+        if mine_cycles[0].reason:
+            found += mine_cycles
             continue
         seconds = (grid.end - grid.begin) // STEPS_PER_SECOND
         by_second = StepGrid(begin=grid.begin, steps=STEPS_PER_SECOND, count=seconds)
@@ -185,7 +185,7 @@ def cycles(
         waiting = _Waiting.at(lane, states, stands, length_m, network)
         line = network.tile_id[network.tile_at(np.array([lane]), network.line_m[[lane]])]
         ends = {} if stated is None else dict(zip(*(n.tolist() for n in stated), strict=True))
-        for each in told:
+        for each in mine_cycles:
             if visible.throughout(line, np.array([each.first]), np.array([each.after - 1]))[0]:
                 end = ends.get(each.first, -1)
                 found.append(_filled(each, mine, course, waiting, end, network, visible))
@@ -194,7 +194,7 @@ def cycles(
     return found
 
 
-def _told(lane: int, begins: Integers, grid: StepGrid) -> list[Cycle]:
+def _inferred(lane: int, begins: Integers, grid: StepGrid) -> list[Cycle]:
     """Return the cycles of begins of green that are seen, without figures."""
     period = period_of(np.asarray((begins - grid.begin) * STEP_S, np.float64))
     if isinstance(period, str):

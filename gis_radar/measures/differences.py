@@ -16,7 +16,7 @@ time lost and vehicles for a delay. So intervals count by their traffic (Cochran
 Consecutive intervals are correlated, as the cycles of a signal and queues last. The error of a mean
 follows from how slow waves of the intervals vary: the means of the squares of the first cosine
 coefficients, each with one degree of freedom (Mueller 2007; Lazarus, Lewis, Stock, Watson 2018).
-Few vehicles tell no more about their variance than as many intervals (Kish 1965).
+The variance of few vehicles is known no better than that of as many intervals (Kish 1965).
 
 Of many lanes some seem to differ by chance. Probabilities are corrected by Holm's procedure (Holm
 1979): the chance to name any unchanged lane stays under the level.
@@ -37,7 +37,7 @@ DAYS, TIMES, INTERVALS = Text("days"), Text("times of day"), Text("intervals")
 LEVEL = 0.05  # chance to name any lane where nothing changed
 LEAST_UNITS = 3  # days, pairs or intervals for the estimate of a variance; that of two is useless
 LEAST_WAVE = 10  # intervals in the shortest wave: by minute, over two of the longest cycles
-MOST_WAVES = 12  # as an hour has by minute; longer periods are told by their longer waves
+MOST_WAVES = 12  # as an hour has by minute; of longer periods the longest waves are taken
 PROFILE_MIN = 120  # beyond so many minutes the traffic follows the time of day
 
 

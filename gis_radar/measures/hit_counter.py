@@ -32,13 +32,10 @@ from gis_radar.measures.filters import Filters
 from gis_radar.measures.placing import Places, PoseNumbers
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections, RangeCounts
-from gis_radar.scans import MOVEMENT_LEVEL_M, MOVEMENT_MPS, REFLECTION_M, SightTiles
+from gis_radar.scans import SightTiles
 
 ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 18  # sizes of the buffers: 224 KiB, 1 MiB
 NO_TILES: Integers = np.empty(0, np.int64)
-# For the frame log only: least absolute range rate of a moving detection, over the Doppler noise of
-# a radar (0.1 to 0.3 m/s) and of leaves; and speed over which no vehicle drives (250 km/h).
-MOVING_MPS, WILD_MPS = 0.5, 70.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,11 +235,6 @@ def limits_of(filters: Filters) -> Limits:
         highest_m=float(highest_m),
         widening=filters.widening,
         level_m=float(filters.levels_apart_m),
-        moving_mps=MOVING_MPS,
-        wild_mps=WILD_MPS,
-        sight_mps=MOVEMENT_MPS,
-        sight_over_m=REFLECTION_M,
-        sight_level_m=MOVEMENT_LEVEL_M,
     )
 
 

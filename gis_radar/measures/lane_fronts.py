@@ -230,26 +230,18 @@ def crossings(states: FrontStates, moves: Moves, network: LaneNetwork, grid: Ste
     return found.taken(new & (last >= grid.begin) & (step < grid.end))
 
 
-class Driven(NamedTuple):
-    """Times and distances of fronts on lanes, by cells of lane and interval.
-
-    Parameters
-    ----------
-    seconds, metres : (lanes * intervals,) arrays
-        Sums over all vehicles, while their fronts are on visible tiles.
-    """
-
-    seconds: Floats
-    metres: Floats
-
-
 def driven(
     states: FrontStates, moves: Moves, network: LaneNetwork, visible: VisibleRuns, grid: StepGrid
-) -> Driven:
+) -> tuple[Floats, Floats]:
     """Sum the times and distances of all vehicles, for Edie's definitions.
 
     The way between two states belongs to the lane of the first; where the vehicle drives on to a
     following lane, it is split where that begins. A vehicle's last state lasts one step.
+
+    Returns
+    -------
+    seconds, metres : (lanes * intervals,) arrays
+        Sums over all vehicles, while their fronts are on visible tiles, by lane and interval.
     """
     last = np.ones(len(states.step), np.bool_)
     last[states.pairs] = False
@@ -274,4 +266,4 @@ def driven(
     seen = visible.at(network.tile_id[tile], step)
     cell, size = (lane * grid.count + grid.of(step))[seen], len(network.lane) * grid.count
     seconds = np.bincount(cell, lasts[seen] * STEP_S, size).astype(np.float64)
-    return Driven(seconds, np.bincount(cell, far[seen], size).astype(np.float64))
+    return seconds, np.bincount(cell, far[seen], size).astype(np.float64)

@@ -129,19 +129,19 @@ def measure_lanes(
     areas = _areas(network, grid, tiles)
     share = _share_at(line, grid, tiles)
     counts = _Counts.of(crossed, vehicles, network, grid)
-    edie = driven(states, moves, network, visible, grid)
-    stand = standing_states(states)
+    seconds, metres = driven(states, moves, network, visible, grid)
+    stands, stops = standing_states(states)
     length_m = vehicles.length_m[vehicles.of(states.vehicle)]
-    backs = queue_backs(states, stand.stands, length_m, network, visible, grid)
+    most_m, sum_m = queue_backs(states, stands, length_m, network, visible, grid)
     columns: dict[str, Any] = _volumes(counts, share)
-    columns |= _speeds(counts, edie.seconds, edie.metres, share)
+    columns |= _speeds(counts, seconds, metres, share)
     columns |= _occupancies(areas)
-    columns |= _flows(network, grid, areas, edie.seconds, edie.metres)
+    columns |= _flows(network, grid, areas, seconds, metres)
     looks = share * grid.steps / LOOK_STEPS
     stop = np.repeat(network.has_stop_line, grid.count) & (share > 0.0)
-    columns["queue_max_m"] = np.where(stop, backs.most_m, np.nan)
-    columns["queue_mean_m"] = np.where(stop, _quotient(backs.sum_m, looks), np.nan)
-    stopped = stand.stops & (states.step >= grid.begin) & (states.step < grid.end)
+    columns["queue_max_m"] = np.where(stop, most_m, np.nan)
+    columns["queue_mean_m"] = np.where(stop, _quotient(sum_m, looks), np.nan)
+    stopped = stops & (states.step >= grid.begin) & (states.step < grid.end)
     columns["stops"] = _masked(
         _stops(states, stopped, network, visible, grid), areas.visible_steps == 0.0
     )
@@ -300,9 +300,10 @@ def _turns(
     by_lane = {n: lanes[n].reshape(-1, grid.count)[ways[:, 0]].ravel() for n in _OF_APPROACH}
     exits = network.tile_id[np.searchsorted(network.tile_lane, ways[:, 1])]
     lines = network.tile_id[network.tile_at(ways[:, 2], network.line_m[ways[:, 2]])]
-    told, passed = _share_at(exits, grid, tiles), _share_at(lines, grid, tiles)
-    told = np.where(np.repeat(ways[:, 2] >= 0, grid.count), np.maximum(told, passed), told)
-    share = np.minimum(by_lane["visible_share"], told)
+    visible, passed = _share_at(exits, grid, tiles), _share_at(lines, grid, tiles)
+    connects = np.repeat(ways[:, 2] >= 0, grid.count)
+    visible = np.where(connects, np.maximum(visible, passed), visible)
+    share = np.minimum(by_lane["visible_share"], visible)
     start = np.repeat(ways[:, 0], grid.count) * grid.count + np.tile(
         np.arange(grid.count), len(ways)
     )

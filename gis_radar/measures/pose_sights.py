@@ -29,7 +29,7 @@ from gis_radar.scans import (
     OUT_OF_VIEW,
     WINDOWS_KEPT,
     Sight,
-    SightSource,
+    SightScan,
     SightTiles,
     find_sight,
     report_uncovered,
@@ -127,14 +127,14 @@ class SightBook:
     ----------
     road : SightTiles
         All tiles.
-    scan : SightScan or KeptSight, optional
+    scan : SightScan, optional
         Source of sight; without it, all tiles in a view are in sight.
     sights : dict
         Sights found so far, by the name of the pose.
     """
 
     road: SightTiles
-    scan: SightSource | None = None
+    scan: SightScan | None = None
     sights: dict[str, Sight] = field(default_factory=dict)
 
     def place(

@@ -19,24 +19,17 @@ OVER_LINE_M = 2.0  # how far the front of a waiting vehicle may be over the line
 LOOK_STEPS = 4
 
 
-class StandingStates(NamedTuple):
-    """States in which vehicles stand or stop.
+def standing_states(states: FrontStates) -> tuple[Booleans, Booleans]:
+    """Return the states in which vehicles stand, and those in which they stop.
 
-    Parameters
-    ----------
+    Returns
+    -------
     stands : (n,) bool array
         Whether the vehicle stands in the state: it has been slow for 1 s.
     stops : (n,) bool array
         Whether it begins to stand in the state; a vehicle that is slow from its first state on does
         not stop.
     """
-
-    stands: Booleans
-    stops: Booleans
-
-
-def standing_states(states: FrontStates) -> StandingStates:
-    """Return the states in which vehicles stand, and those in which they stop."""
     slow = states.speed < SLOW_MPS
     new = np.ones(len(slow), np.bool_)
     new[1:] = np.diff(states.vehicle) != 0
@@ -46,28 +39,13 @@ def standing_states(states: FrontStates) -> StandingStates:
     stands = slow & (states.step - states.step[run] >= SLOW_STEPS)
     stops = stands & ~new[run]
     stops[1:] &= ~stands[:-1] | new[1:]
-    return StandingStates(stands, stops)
-
-
-class QueueBacks(NamedTuple):
-    """Lengths of queues from the stop line to the back, by cells of lane and interval.
-
-    Parameters
-    ----------
-    most_m : (cells,) array
-        Greatest length, m; 0 without a queue.
-    sum_m : (cells,) array
-        Sum of the lengths, m, over all steps divisible by `LOOK_STEPS` with a visible stop line.
-    """
-
-    most_m: Floats
-    sum_m: Floats
+    return stands, stops
 
 
 def queue_backs(
     states: FrontStates, stands: Booleans, length_m: Floats, network: LaneNetwork,
     visible: VisibleRuns, grid: StepGrid,
-) -> QueueBacks:  # fmt: skip
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Find the queues at stop lines: standing vehicles, from the line back, up to a visible gap.
 
     Parameters
@@ -80,6 +58,13 @@ def queue_backs(
         Length of the vehicle of each state, m.
     network, visible, grid
         As for :func:`gis_radar.measures.lane_fronts.driven`.
+
+    Returns
+    -------
+    most_m : (cells,) array
+        Greatest length by lane and interval, from the stop line to the back, m; 0 without a queue.
+    sum_m : (cells,) array
+        Sum of the lengths, m, over all steps divisible by `LOOK_STEPS` with a visible stop line.
     """
     standing, look = StandingFronts.of(states, stands, length_m, grid), looks(grid)
     most, total = np.zeros((2, len(network.lane), grid.count))
@@ -87,7 +72,7 @@ def queue_backs(
         back = queue_back(stop, standing, network, visible, grid)
         np.maximum.at(most[stop], grid.of(look), back)
         total[stop] = np.bincount(grid.of(look), back, grid.count)
-    return QueueBacks(most.ravel(), total.ravel())
+    return most.ravel(), total.ravel()
 
 
 def looks(grid: StepGrid) -> Integers:
@@ -246,7 +231,7 @@ def queue_course(
     to_line, to_stop = _strip(stop, network), to_stop_line(stop, states, network)
     inside = (states.step >= grid.begin) & (states.step < grid.end)
     row = np.flatnonzero(inside & np.isfinite(to_stop))
-    standing = StandingFronts.of(states, standing_states(states).stands, length_m, grid)
+    standing = StandingFronts.of(states, standing_states(states)[0], length_m, grid)
     back = np.zeros(grid.count)
     at_look = queue_back(stop, standing, network, visible, grid)
     np.maximum.at(back, grid.of(looks(grid)), at_look)

@@ -36,7 +36,7 @@ TRACK_FIELDS = ("time", "sensor", "crs", *POSITION, *ANGLES, *QUATERNION_FIELDS,
                 "event", "vehicles", "fitness")  # fmt: skip
 NUMBERS = {"vehicles": int, "fitness": float}  # evidence that is a number; all other is text
 DECIMALS = 6  # of metres and degrees
-# A pose of a track that is known no better than this, for so long, is told.
+# Least standard deviations and duration of a vague part of a track, of which a warning is given.
 VAGUE_M, VAGUE_DEG, VAGUE_S = 1.0, 1.0, 60.0
 
 

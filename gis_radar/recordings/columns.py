@@ -13,7 +13,7 @@ from gis_radar.recordings.frames import Column, DamagedError, Frame, ReaderConte
 from gis_radar.recordings.recording import COLUMNS
 from gis_radar.recordings.units import refuse_degrees
 
-# Names in radar drivers and data sets, compared without case and underscores; the first one counts.
+# Names in radar drivers and data sets, compared without case and underscores, by priority.
 NAMES: dict[str, tuple[str, ...]] = {
     "time": ("time", "timestamp", "t", "stamp"),
     "x": ("x", "x_m", "pos_x"),

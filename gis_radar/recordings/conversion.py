@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import re
-import struct
 from collections import Counter, OrderedDict
 from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from gis_radar.base import (
     QUIET,
+    GisRadarError,
     InputError,
     OutputError,
     Reporter,
@@ -29,12 +30,6 @@ from gis_radar.recordings.frame_clock import CLOCKS, Clock, FrameClock
 from gis_radar.recordings.frame_order import WINDOW, FrameOrder, merged
 from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
 from gis_radar.recordings.recording_file import RecordingFile
-
-# Errors that readers and their libraries raise for damaged bytes.
-DAMAGE = (
-    struct.error, ArithmeticError, AssertionError, AttributeError, EOFError, LookupError,
-    MemoryError, RuntimeError, TypeError, ValueError,
-)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,87 +160,46 @@ class _SensorFrames:
                 self.file.add(*ready)
 
 
-class Tracks:
-    """Recordings that a conversion writes, one for each sensor, in order of their first frames.
-
-    Parameters
-    ----------
-    folder : Path
-        Holds the unfinished recordings.
-    place : Path
-        Final path of the recording; those of several sensors are named after it.
-    clock : str
-        Clock that counts: `auto`, `sensor` or `recorder`.
-    context : ReaderContext
-        Options and counts of the readers.
-    """
-
-    def __init__(self, folder: Path, place: Path, clock: Clock, context: ReaderContext) -> None:
-        self._folder, self._place = folder, place
-        self._clock, self._context = clock, context
-        self._tracks: dict[str, _SensorFrames] = {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for track in self._tracks.values():
-            track.file.abandon()
-
-    @property
-    def parts(self) -> list[Path]:
-        """The unfinished files, one for each sensor."""
-        return [track.file.path for track in self._tracks.values()]
-
-    def put(self, frame: Frame) -> None:
-        """Take the next frame, of any sensor."""
-        track = self._tracks.get(frame.sensor)
-        if track is None:
-            part = self._folder / f"{len(self._tracks)}.parquet"
-            file = RecordingFile(part, self._place, self._context.counts, sensor=frame.sensor)
-            track = _SensorFrames(frame.sensor, file, self._clock, self._context)
-            self._tracks[frame.sensor] = track
-        track.put(frame)
-
-    def finish(self) -> Conversion:
-        """Finish all recordings."""
-        if not self._tracks:
-            raise InputError(
-                "no usable frame in the inputs",
-                hint=Text("left out: {}", counted(self._context.counts) or "nothing"),
-            )
-        for sensor, track in self._tracks.items():
-            track.finish()
-            if track.file.left_out:
-                columns = ", ".join(sorted(track.file.left_out))
-                late = Text("{}: columns that came late are left out: {}", sensor, columns)
-                self._context.reporter.warn(late)
-            if track.file.elevation is False:
-                self._context.remark(Text("{}: {}", sensor, NO_ELEVATION))
-        counts = Counter(self._context.counts)
-        for track in self._tracks.values():
-            counts["duplicates"] += track.doubles
-            counts["reordered_frames"] += track.order.late
-        places = _places(self._place, list(self._tracks))
-        recordings = tuple(
-            SensorRecording(
-                path=path,
-                sensor=sensor,
-                frames=track.file.frames,
-                empty_frames=track.file.empty_frames,
-                detections=track.file.detections,
-                begin=track.file.begin,
-                end=track.file.end,
-                clock=", then ".join(track.clock.used),
-                elevation=track.file.elevation is not False,
-            )
-            for path, (sensor, track) in zip(places, self._tracks.items(), strict=True)
+def _finished(
+    tracks: Mapping[str, _SensorFrames], place: Path, context: ReaderContext
+) -> Conversion:
+    """Finish all recordings, by sensor in order of their first frames."""
+    if not tracks:
+        raise InputError(
+            "no usable frame in the inputs",
+            hint=Text("left out: {}", counted(context.counts) or "nothing"),
         )
-        return Conversion(
-            recordings=recordings,
-            left_out=dict(sorted((+counts).items())),
-            remarks=tuple(self._context.remarks),
+    for sensor, track in tracks.items():
+        track.finish()
+        if track.file.left_out:
+            columns = ", ".join(sorted(track.file.left_out))
+            late = Text("{}: columns that came late are left out: {}", sensor, columns)
+            context.reporter.warn(late)
+        if track.file.elevation is False:
+            context.remark(Text("{}: {}", sensor, NO_ELEVATION))
+    counts = Counter(context.counts)
+    for track in tracks.values():
+        counts["duplicates"] += track.doubles
+        counts["reordered_frames"] += track.order.late
+    recordings = tuple(
+        SensorRecording(
+            path=path,
+            sensor=sensor,
+            frames=track.file.frames,
+            empty_frames=track.file.empty_frames,
+            detections=track.file.detections,
+            begin=track.file.begin,
+            end=track.file.end,
+            clock=", then ".join(track.clock.used),
+            elevation=track.file.elevation is not False,
         )
+        for path, (sensor, track) in zip(_places(place, [*tracks]), tracks.items(), strict=True)
+    )
+    return Conversion(
+        recordings=recordings,
+        left_out=dict(sorted((+counts).items())),
+        remarks=tuple(context.remarks),
+    )
 
 
 def _places(place: Path, sensors: list[str]) -> list[Path]:
@@ -332,21 +286,24 @@ def convert(
         reporter=reporter,
     )
     opened = [partial(_read, form, name) for form, name in zip(formats, names, strict=True)]
-    with (
-        atomic_writes(place) as (private, places),
-        Tracks(private, place, clock, context) as tracks,
-    ):
-        shown = names[0] + (Text(" and {} more", len(names) - 1) if len(names) > 1 else "")
+    shown = names[0] + (Text(" and {} more", len(names) - 1) if len(names) > 1 else "")
+    tracks: dict[str, _SensorFrames] = {}
+    with atomic_writes(place) as (private, places), ExitStack() as unfinished:
         for frame in merged(opened, context):
+            if (track := tracks.get(frame.sensor)) is None:
+                part = private / f"{len(tracks)}.parquet"
+                file = RecordingFile(part, place, context.counts, sensor=frame.sensor)
+                track = tracks[frame.sensor] = _SensorFrames(frame.sensor, file, clock, context)
+                unfinished.callback(file.abandon)
             try:
-                tracks.put(frame)
+                track.put(frame)
             except InputError as error:  # not by `placed`, which would take a tenth of the time
                 raise InputError("{}: {}", shown, error.message, hint=error.hint) from error
         with placed(shown):
-            result = tracks.finish()
-        for recording in result.recordings:
+            result = _finished(tracks, place, context)
+        for track, recording in zip(tracks.values(), result.recordings, strict=True):
             refuse_inputs(recording.path, *names)
-        places.update(zip(tracks.parts, result.outputs, strict=True))
+            places[track.file.path] = recording.path
     _report(result, reporter)
     return result
 
@@ -373,10 +330,12 @@ def _read(form: Format, source: str, context: ReaderContext) -> Generator[Frame]
     """Read an input; errors of the system and of libraries become an InputError that names it."""
     try:
         yield from form.frames(source, context)
+    except GisRadarError:
+        raise
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError("{}: cannot be read: {}", source, reason) from error
-    except DAMAGE as error:
+    except Exception as error:
         raise InputError("{}: damaged: {}", source, first_line(error)) from error
 
 

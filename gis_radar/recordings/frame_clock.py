@@ -29,7 +29,7 @@ FRAMES_AHEAD = 40
 # arrivals jitter by 9 ms.
 RATE_FRAMES = 200
 # Quartz clocks differ by 0.01 %, a recorder that NTP corrects by 0.05 %; an ARS430 was 0.8 % slow.
-# Over MOST_RATE one of the two is no clock, as where a bag was replayed faster.
+# Over MOST_RATE one of the two does not show the time, as where a bag was replayed faster.
 LEAST_RATE, MOST_RATE = 0.003, 0.02
 REFIT_FRAMES = 20  # a second of frames between two fits of a rate
 # A PTP clock on TAI, without the leap seconds since 1972.

@@ -207,27 +207,11 @@ STAGE = "reading scans"
 MOST_AT_ONCE = 5_000_000
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReadStatistics:
-    """Figures about the reading of scans.
-
-    Parameters
-    ----------
-    pipeline : Pipeline
-        How the points are selected, as stages of PDAL.
-    on_road : int
-        Number of points on the roads; in classified scans only those of classes that pass.
-    flown : (date, date), optional
-        Days of the first and the last point on the roads, where GPS times give days.
-    """
-
-    pipeline: Pipeline
-    on_road: int
-    flown: Days | None
-
-
-Engine: TypeAlias = Callable[[PointStore, Sequence[Scan], Reporter], ReadStatistics]
-"""A function that puts the points of scans on the roads into a store."""
+# How the points on the roads were selected, as stages of PDAL; how many there are, in classified
+# scans only those of classes that pass; days of the first and the last, where GPS times give days.
+Read: TypeAlias = tuple[Pipeline, int, Days | None]
+# A function that puts the points of scans on the roads into a store.
+Engine: TypeAlias = Callable[[PointStore, Sequence[Scan], Reporter], Read]
 
 
 def engine_of(name: str, *, reporter: Reporter = QUIET) -> tuple[str, Engine]:
@@ -250,7 +234,7 @@ def engine_of(name: str, *, reporter: Reporter = QUIET) -> tuple[str, Engine]:
     return f"laspy {laspy.__version__}", _fill_by_laspy
 
 
-def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter) -> ReadStatistics:
+def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter) -> Read:
     total, done, on_road = sum(scan.points for scan in scans), 0, 0
     classified: list[bool] = []
     times: list[float] = []
@@ -268,12 +252,12 @@ def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter)
         counts = store.counts[number]
         on_road += int(counts[passing].sum() if classified[-1] else counts.sum())
     pipeline = Pipeline(scans=tuple(scans), classified=tuple(classified), roads=roads)
-    return ReadStatistics(pipeline=pipeline, on_road=on_road, flown=days_flown(times))
+    return pipeline, on_road, days_flown(times)
 
 
 def _fill_by_pdal(
     runner: PdalRunner, store: PointStore, scans: Sequence[Scan], reporter: Reporter
-) -> ReadStatistics:
+) -> Read:
     shares = [ground_share(scan, reporter=reporter) for scan in scans]
     classified = tuple(share >= LEAST_GROUND for share in shares)
     roads = store.blocks.roads
@@ -295,7 +279,7 @@ def _fill_by_pdal(
                     times += _keep(store, 0, batch)
             points.unlink()
             reporter.progress("running the pipeline", done + 1, len(parts))
-    return ReadStatistics(pipeline=pipeline, on_road=store.total, flown=days_flown(times))
+    return pipeline, store.total, days_flown(times)
 
 
 def _parts(pipeline: Pipeline) -> list[Box | None]:

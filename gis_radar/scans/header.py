@@ -17,15 +17,9 @@ import lazrs
 import lazy_loader
 import numpy as np
 
-from gis_radar.base import InputError, Text
+from gis_radar.base import GisRadarError, InputError, Text, first_line
 
 laspy = lazy_loader.load("laspy")  # 0.2 s, and most commands read no scan
-
-FAULTS = (
-    lazrs.LazrsError, MemoryError, OSError, OverflowError, RuntimeError, ValueError, KeyError,
-    IndexError, TypeError, struct.error,
-)  # fmt: skip
-"""Errors that reading a damaged scan raises, beside laspy's own."""
 
 _VLR_BYTES, _EVLR_BYTES = 54, 60
 _LASZIP = b"laszip encoded"
@@ -137,8 +131,10 @@ def scan_errors(path: str | Path) -> Iterator[None]:
     """Turn errors of libraries that read a scan into one that names it."""
     try:
         yield
-    except (laspy.LaspyException, *FAULTS) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:160]
+    except GisRadarError:
+        raise
+    except Exception as error:
+        reason = first_line(error)[:160]
         if isinstance(error, laspy.errors.PointFormatNotSupported):
             reason = Text("point format {} is not known", reason)
         raise InputError(

@@ -248,7 +248,7 @@ def mask_road(
     blocks = cut_into_blocks(roads)
     with scratch_folder() as folder:
         store = PointStore(blocks, folder)
-        statistics = fill(store, touching, reporter)
+        pipeline, on_road, flown = fill(store, touching, reporter)
         if store.total == 0:
             raise _no_overlap(touching, roads)
         cells = make_cells(store, settings=settings, reporter=reporter)
@@ -259,9 +259,9 @@ def mask_road(
     mask = RoadMask(
         points=cells.points, roads=roads, engine=name,
         outside=_outside(cells, touching, roads),
-        vertical=tuple(sorted({scan.vertical for scan in touching} - {""})), flown=statistics.flown,
-        pipeline=statistics.pipeline,
-        points_in=sum(scan.points for scan in touching), points_on_road=statistics.on_road,
+        vertical=tuple(sorted({scan.vertical for scan in touching} - {""})), flown=flown,
+        pipeline=pipeline,
+        points_in=sum(scan.points for scan in touching), points_on_road=on_road,
         cells=cells, settings=settings,
     )  # fmt: skip
     _refuse_bare(mask, touching)

@@ -13,7 +13,6 @@ import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
-from pyproj.exceptions import CRSError as ProjError
 
 from gis_radar.base import (
     FILE_DATE,
@@ -24,6 +23,7 @@ from gis_radar.base import (
     InputError,
     Reporter,
     Text,
+    first_line,
     metric_crs,
     moved_box,
     name_of,
@@ -31,7 +31,7 @@ from gis_radar.base import (
     same_plane,
     transformer,
 )
-from gis_radar.scans.header import FAULTS, read_header, refuse_outside, scan_errors
+from gis_radar.scans.header import read_header, refuse_outside, scan_errors
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
 laspy = lazy_loader.load("laspy")  # 0.2 s, and most commands read no scan
@@ -282,8 +282,8 @@ def _stated(path: Path, header: Any, *, hint: str = "") -> CRS | None:
     """Return the coordinate system that the file states, or None."""
     try:
         crs: CRS | None = header.parse_crs()
-    except (*FAULTS, ProjError) as error:
-        reason = str(error).splitlines()[0][:120]
+    except Exception as error:
+        reason = first_line(error)[:120]
         raise CrsError(
             "{}: its coordinate system cannot be read: {}", path, reason, hint=hint
         ) from error

@@ -57,7 +57,7 @@ from gis_radar.live.hours.recordings import (
 from gis_radar.measures import Filters, validity_of
 from gis_radar.poses import PoseTrack
 from gis_radar.recordings import open_recording
-from gis_radar.scans import SightSource, SightTiles
+from gis_radar.scans import SightScan, SightTiles
 from gis_radar.tracking import map_of_tiles
 
 DATASET, PROVISIONAL, SIGHT = "dataset", "provisional", "sight"
@@ -366,7 +366,7 @@ def _quarters_in(site: MeasuredSite, folder: Path, quarters: Sequence[int]) -> l
 
 
 def refuse_other_settings(
-    site: MeasuredSite, tiles: gpd.GeoDataFrame, scan: SightSource | None
+    site: MeasuredSite, tiles: gpd.GeoDataFrame, scan: SightScan | None
 ) -> None:
     """Refuse a dataset to which no hour of the site could be added.
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import sqlite3
-import struct
 import warnings
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -103,12 +101,6 @@ def typestore(connection: Any) -> Any:
 STORAGE = (".bag", ".db3", ".mcap")
 MENDED_BY = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 FILE .recover"}
 MESSAGES_A_REPORT = 256  # between two reports of progress
-# Errors that the library does not catch when it meets damaged bytes.
-DAMAGE = (
-    ValueError, LookupError, AssertionError, RuntimeError, EOFError, MemoryError, OverflowError,
-    TypeError, SyntaxError, struct.error,
-)  # fmt: skip
-
 Decode = Callable[[bytes], Any]
 
 
@@ -156,9 +148,8 @@ def _opened(source: str) -> Iterator[Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", YAMLWarning)  # about style
             reader.open()
-        if odd := [each.topic for each in reader.connections if not _is_count(each.msgcount)]:
-            raise ValueError(Text("the number of messages of {} is no number", odd[0]))
-    except _unreadable() as error:
+        _require_counts(reader.connections)
+    except Exception as error:
         raise _damaged(source, error) from error
     try:
         yield reader
@@ -166,8 +157,10 @@ def _opened(source: str) -> Iterator[Any]:
         reader.close()
 
 
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and value >= 0
+def _require_counts(connections: list[Any]) -> None:
+    for each in connections:
+        if not isinstance(each.msgcount, int) or each.msgcount < 0:
+            raise ValueError(Text("the number of messages of {} is no number", each.topic))
 
 
 def _messages(
@@ -181,7 +174,7 @@ def _messages(
             context.reporter.progress(stage, min(number, total), total)
         try:
             message = next(messages, None)
-        except _unreadable() as error:
+        except Exception as error:
             if number == 0:
                 raise _damaged(source, error) from error
             context.counts["damaged_files"] += 1
@@ -192,22 +185,6 @@ def _messages(
         if message is None:
             return
         yield message
-
-
-def _unreadable() -> tuple[type[Exception], ...]:
-    """Return the errors that the library raises for a bag that it cannot read."""
-    from rosbags import rosbag1, rosbag2  # noqa: PLC0415
-
-    kinds = [rosbag1.ReaderError, rosbag2.ReaderError, sqlite3.Error, *DAMAGE]
-    with suppress(ImportError):  # older releases do without
-        from apsw import Error  # noqa: PLC0415
-
-        kinds.append(Error)
-    with suppress(ImportError, AttributeError):  # Python's own from 3.14 on, else a package's
-        from rosbags.rosbag2.storage_mcap import zstd  # type: ignore[attr-defined]  # noqa: PLC0415
-
-        kinds.append(zstd.ZstdError)
-    return tuple(kinds)
 
 
 def _damaged(source: str, error: Exception) -> InputError:
@@ -301,12 +278,9 @@ class _Topic:
 
 def _decoder(source: str, connection: Any, reader: Any) -> Decode:
     """Return a function that decodes messages of a topic."""
-    from rosbags.serde import SerdeError  # noqa: PLC0415
-    from rosbags.typesys import TypesysError  # noqa: PLC0415
-
     try:
         store = typestore(connection)
-    except (TypesysError, *DAMAGE) as error:
+    except Exception as error:
         raise _damaged(source, error) from error
     ros1 = type(reader).__module__.startswith("rosbags.rosbag1")
     read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
@@ -314,7 +288,7 @@ def _decoder(source: str, connection: Any, reader: Any) -> Decode:
     def decode(raw: bytes) -> Any:
         try:
             return read(raw, connection.msgtype)
-        except (SerdeError, *DAMAGE) as error:
+        except Exception as error:
             raise DamagedError(first_line(error)) from error
 
     return decode

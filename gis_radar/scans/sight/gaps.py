@@ -7,13 +7,14 @@ or the view is too wide. Uncorrected, such a stretch counts as observed and empt
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 import shapely
 
-from gis_radar.base import Booleans, Floats, Integers, Text
+from gis_radar.base import Floats, Integers, Text
 from gis_radar.scans.sight.recorded import MovingHits
 from gis_radar.scans.sight.sight import IN_SIGHT
 from gis_radar.scans.sight.tiles import SightTiles
@@ -64,54 +65,55 @@ def find_gaps(hits: Sequence[MovingHits], tiles: SightTiles) -> list[Gap]:
     list of Gap
         In the order of the tiles.
     """
-    count = np.zeros(len(tiles.tile_id))
-    frames = np.zeros(len(tiles.tile_id))
+    count, frames = np.zeros((2, len(tiles.tile_id)))
     for each in hits:
         seen = each.sight.state == IN_SIGHT
         count[seen] += each.count[seen]
         frames[seen] += each.frames
-    bins = _bins(tiles, frames > 0)
-    counted, looked = bins.sums(count), bins.sums(frames)
-    moved = counted > 0
-    empty = _empty(counted, _expected(counted, looked, moved, bins))
+    place = np.flatnonzero(frames > 0)
+    pieces, of_tile = _pieces(tiles, place, count, frames)
+    moved = pieces["count"] > 0
+    empty = _empty(pieces, moved)
     if not empty.any():
         return []
     # Without shared pieces less is expected, so only stretches with an empty piece need the check.
-    asked = moved & np.isin(bins.stretch, bins.stretch[empty])
-    moved &= ~_shared(tiles, bins, asked)
-    return list(_gaps(bins, counted, _expected(counted, looked, moved, bins)))
+    asked = moved & pieces["stretch"].isin(pieces["stretch"][empty])
+    shared = _shared(tiles, place[asked.to_numpy()[of_tile]])
+    moved &= ~pieces.index.isin(np.unique(of_tile[np.isin(place, shared)]))
+    empty = _empty(pieces, moved)
+    run = (empty.ne(empty.shift()) | pieces["stretch"].diff().ne(0)).cumsum()
+    pieces["expected"] = _expected(pieces, moved)
+    found = pieces[empty].groupby(run[empty])
+    columns = found["lanelet"].first(), found["tiles"].sum(), found["expected"].sum()
+    return [
+        Gap(lanelet_id=ref, tiles=size, expected=expected)
+        for ref, size, expected in zip(*(each.tolist() for each in columns), strict=True)
+        if expected >= LEAST_FRAMES
+    ]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Bins:
-    """Pieces of lanelets, `PIECE_M` long, of consecutive tiles that are all in sight.
+def _pieces(
+    tiles: SightTiles, place: Integers, count: Floats, frames: Floats
+) -> tuple[pd.DataFrame, Integers]:
+    """Return pieces of lanelets, `PIECE_M` long, of consecutive tiles that are all in sight.
 
     Parameters
     ----------
-    of_tile : (n,) int64 array
-        Number of each tile's piece; -1 where the tile is in no sensor's sight.
-    known : (n,) bool array
-        Tiles in a sensor's sight.
-    stretch : (b,) int64 array
-        For each piece, the number of its stretch: a run of tiles of a lanelet all in sight.
-    lanelet : (b,) int64 array
-        Lanelet of each piece.
+    tiles : SightTiles
+        All tiles.
+    place : (k,) int64 array
+        Positions of the tiles in sight.
+    count, frames : (n,) arrays
+        Sums to be made over each piece.
+
+    Returns
+    -------
+    pieces : DataFrame
+        By piece: `stretch` (the number of its run of tiles of a lanelet that are all in sight),
+        `lanelet`, `tiles` (their number), `count`, `frames`.
+    of_tile : (k,) int64 array
+        The piece of each tile in sight.
     """
-
-    of_tile: Integers
-    known: Booleans
-    stretch: Integers
-    lanelet: Integers
-
-    def sums(self, values: Floats) -> Floats:
-        """Return the sums over each piece of values by tile."""
-        number = len(self.lanelet)
-        sums = np.bincount(self.of_tile[self.known], values[self.known], minlength=number)
-        return np.asarray(sums, np.float64)
-
-
-def _bins(tiles: SightTiles, known: Booleans) -> _Bins:
-    place = np.flatnonzero(known)
     lanelet = tiles.lanelet_id[place]
     new = np.ones(len(place), np.bool_)
     new[1:] = (np.diff(place) > 1) | (np.diff(lanelet) != 0)
@@ -120,69 +122,44 @@ def _bins(tiles: SightTiles, known: Booleans) -> _Bins:
     ahead_m = np.hypot(*np.diff(middle, axis=0, prepend=middle[:1]).T)
     along = np.cumsum(np.where(new, 0.0, ahead_m))
     along -= along[new][stretch]
-    key = stretch * (1 << 32) + (along / PIECE_M).astype(np.int64)
-    _, first, piece = np.unique(key, return_index=True, return_inverse=True)
-    of_tile = np.full(len(known), -1)
-    of_tile[place] = piece
-    return _Bins(of_tile=of_tile, known=known, stretch=stretch[first], lanelet=lanelet[first])
+    table = pd.DataFrame({"stretch": stretch, "lanelet": lanelet, "tiles": 1})
+    table = table.assign(count=count[place], frames=frames[place])
+    grouped = table.groupby([stretch, (along / PIECE_M).astype(np.int64)])
+    first = {name: (name, "first") for name in ("stretch", "lanelet")}
+    sums = {name: (name, "sum") for name in ("tiles", "count", "frames")}
+    of_tile = np.asarray(grouped.ngroup(), np.int64)
+    return grouped.agg(**first, **sums).reset_index(drop=True), of_tile
 
 
-def _expected(counted: Floats, looked: Floats, moved: Booleans, bins: _Bins) -> Floats:
+def _expected(pieces: pd.DataFrame, moved: pd.Series) -> pd.Series:
     """Return the frames with movement to expect on each piece, by the rates on its quieter side."""
-    rate = np.where(moved, counted / np.maximum(looked, 1.0), 0.0)
-    before, behind = _most_before(rate, bins.stretch), _most_behind(rate, bins.stretch)
-    return np.asarray(np.minimum(before, behind) * looked)
+    rate = (pieces["count"] / pieces["frames"].clip(lower=1.0)).where(moved, 0.0)
+    before, behind = (_most_earlier(each, pieces["stretch"]) for each in (rate, rate[::-1]))
+    return before.clip(upper=behind.sort_index()) * pieces["frames"]
 
 
-def _most_before(rate: Floats, stretch: Integers) -> Floats:
-    """Return, for each piece, the greatest rate of the earlier ones in its stretch."""
-    found = np.zeros(len(rate))
-    for k in range(1, len(rate)):
-        if stretch[k] == stretch[k - 1]:
-            found[k] = max(found[k - 1], rate[k - 1])
-    return found
+def _most_earlier(rate: pd.Series, stretch: pd.Series) -> pd.Series:
+    """Return, for each piece, the greatest rate of those before it in its stretch."""
+    return rate.groupby(stretch).cummax().groupby(stretch).shift(fill_value=0.0)
 
 
-def _most_behind(rate: Floats, stretch: Integers) -> Floats:
-    """Return, for each piece, the greatest rate of the later ones in its stretch."""
-    return _most_before(rate[::-1], stretch[::-1])[::-1]
+def _empty(pieces: pd.DataFrame, moved: pd.Series) -> pd.Series:
+    expected = _expected(pieces, moved)
+    return (expected > 0) & (pieces["count"] <= SHARE * expected)
 
 
-def _empty(counted: Floats, expected: Floats) -> Booleans:
-    return (expected > 0) & (counted <= SHARE * expected)
-
-
-def _shared(tiles: SightTiles, bins: _Bins, asked: Booleans) -> Booleans:
-    """Return which of the asked pieces have a tile that overlaps one of another lanelet."""
-    found = np.zeros(len(asked), np.bool_)
-    mine = bins.known & np.append(asked, False)[bins.of_tile]
+def _shared(tiles: SightTiles, mine: Integers) -> Integers:
+    """Return which tiles overlap one of another lanelet."""
     low, high = tiles.quads.min(axis=1), tiles.quads.max(axis=1)
     near = (low <= high[mine].max(axis=0)).all(axis=1) & (high >= low[mine].min(axis=0)).all(axis=1)
     shapes = np.full(len(near), None)
     shapes[near] = shapely.polygons(tiles.quads[near])
     one, other = shapely.STRtree(shapes).query(shapes[mine], predicate="intersects")
-    one = np.flatnonzero(mine)[one]
+    one = mine[one]
     apart = tiles.lanelet_id[one] != tiles.lanelet_id[other]
     one, other = one[apart], other[apart]
     shared = shapely.area(shapely.intersection(shapes[one], shapes[other]))
-    found[bins.of_tile[one[shared > SHARED * shapely.area(shapes[one])]]] = True
-    return found
-
-
-def _gaps(bins: _Bins, counted: Floats, expected: Floats) -> Iterator[Gap]:
-    """Yield the runs of empty pieces on which at least `LEAST_FRAMES` are expected."""
-    empty = _empty(counted, expected)
-    begins = empty.copy()
-    begins[1:] &= ~(empty[:-1] & (np.diff(bins.stretch) == 0))
-    run = np.cumsum(begins) - 1
-    size = bins.sums(np.ones(len(bins.of_tile)))
-    for number in range(int(begins.sum())):
-        mine = empty & (run == number)
-        missed = float(expected[mine].sum())
-        if missed >= LEAST_FRAMES:
-            yield Gap(
-                lanelet_id=int(bins.lanelet[mine][0]), tiles=int(size[mine].sum()), expected=missed
-            )
+    return np.asarray(one[shared > SHARED * shapely.area(shapes[one])])
 
 
 def gap_warning(gaps: Sequence[Gap]) -> str:

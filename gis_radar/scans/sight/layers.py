@@ -23,14 +23,12 @@ from gis_radar.base import (
     paths_of,
 )
 from gis_radar.hdmap import fingerprint
-from gis_radar.scans.sight.kept import KeptSight
 from gis_radar.scans.sight.sight import (
     HIDERS,
     OUT_OF_VIEW,
     STATES,
     Sight,
     SightScan,
-    SightSource,
 )
 from gis_radar.scans.sight.tiles import SightTiles
 
@@ -107,7 +105,7 @@ def open_sight(
     scan_crs: Any = None,
     cache: str | Path | None = None,
     reporter: Reporter = QUIET,
-) -> SightSource | None:
+) -> SightScan | None:
     """Open scans as the source of sight.
 
     Parameters
@@ -125,10 +123,10 @@ def open_sight(
 
     Returns
     -------
-    SightScan, KeptSight or None
-        For :func:`find_sight` and :func:`describe_sight`; None means that sight is the view alone.
+    SightScan or None
+        For :func:`find_sight`; None means that sight is the view alone.
     """
     if not scans:
         return None
-    scan = SightScan(paths_of(scans), tiles, scan_crs=scan_crs, reporter=reporter)
-    return scan if cache is None else KeptSight(scan, Path(cache))
+    folder = None if cache is None else Path(cache)
+    return SightScan(paths_of(scans), tiles, scan_crs=scan_crs, cache=folder, reporter=reporter)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy
 
-from gis_radar.base import Booleans, Floats, Grid, Integers
+from gis_radar.base import Booleans, Floats, Grid, compiled
 from gis_radar.scans.columns import Heights, ScanColumns, ground_under, nearest_known
 
 CELL_M = 1.0  # of the cells in which the scan is gathered
@@ -29,6 +30,11 @@ SHOULDER_M = 4.0  # width of kerbs, shoulders and parapets beside an upper level
 OPENING_M = 8.0  # width beside the lower level's tiles in which rays under a deck are free
 DECK_M = 1.5  # thickness of a deck
 GAP_M = 3.0  # cells without points take the heights of the nearest cell within this distance
+# Length inside obstacles from which on a ray is blocked (1 or 1.5 change the shares wrongly seen by
+# 0.4 %), and distance of samples along it.
+BLOCKED_M, STEP_M = 0.5, 0.5
+# Ends of a ray that are not sampled: the sensor's mast may stand at a wall or in a crown.
+SKIP_NEAR_M, SKIP_FAR_M = 2.0, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,6 +219,50 @@ def _decks(
     return level, (opened | known) & deck, below
 
 
-def cells_of(grid: Grid, places: Floats) -> tuple[Integers, Integers]:
-    """Return column and row of (n, 2) places of the map, the outermost for those outside."""
-    return grid.nearest(places[:, 0], places[:, 1])
+@compiled
+def follow_rays(
+    eye: Floats,
+    targets: Floats,
+    cell_m: float,
+    floor: Any,
+    solid: Any,
+    slab_low: Any,
+    slab_high: Any,
+    known: Booleans,
+) -> tuple[Floats, Any, Floats]:
+    """Follow rays from `eye` to `targets`, all in metres from the corner of the cells.
+
+    Returns, by target, distance (m, else NaN) and kind of the first block, and length over no scan.
+    """
+    count = len(targets)
+    begin_m, unknown_m = np.full(count, np.nan), np.zeros(count)
+    hider = np.zeros(count, np.uint8)
+    columns, rows = floor.shape
+    for i in range(count):
+        dx, dy, dz = targets[i] - eye
+        flat_m = np.hypot(dx, dy)
+        blocked, first, by = 0.0, np.nan, 0
+        for k in range(int(SKIP_NEAR_M / STEP_M), int((flat_m - SKIP_FAR_M) / STEP_M) + 1):
+            share = k * STEP_M / flat_m
+            u = int(np.floor((eye[0] + share * dx) / cell_m))
+            v = int(np.floor((eye[1] + share * dy) / cell_m))
+            if u < 0 or v < 0 or u >= columns or v >= rows or not known[u, v]:
+                unknown_m[i] += STEP_M
+                continue
+            z = eye[2] + share * dz
+            kind = 0
+            if z < solid[u, v]:
+                kind = 1
+            elif z < floor[u, v]:
+                kind = 2
+            elif slab_low[u, v] < z < slab_high[u, v]:
+                kind = 3
+            if kind == 0:
+                continue
+            if blocked == 0.0:
+                first, by = k * STEP_M, kind
+            blocked += STEP_M
+            if blocked >= BLOCKED_M:
+                begin_m[i], hider[i] = first, by
+                break
+    return begin_m, hider, unknown_m

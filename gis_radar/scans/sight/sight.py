@@ -8,12 +8,15 @@ deck. Without a scan, all tiles in the view count as in sight: `view only`.
 from __future__ import annotations
 
 import hashlib
+import json
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+import zipfile
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -30,7 +33,7 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
-    compiled,
+    atomic_write,
     paths_of,
 )
 from gis_radar.poses import Pose, View, as_pose
@@ -41,8 +44,8 @@ from gis_radar.scans.sight.obstacles import (
     WIDEST_ROOF_M,
     Obstacles,
     RoadHeights,
-    cells_of,
     find_obstacles,
+    follow_rays,
     road_heights,
 )
 from gis_radar.scans.sight.tiles import SightTiles
@@ -59,11 +62,6 @@ TARGET_M = 0.6  # height over the road of the point of a tile that must be seen 
 # WINDOWS_KEPT of them stay in memory, 10 MB each.
 WINDOW_M, WINDOWS_KEPT = 64.0, 8
 LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
-# Length inside obstacles from which on a ray is blocked (1 or 1.5 change the shares wrongly seen by
-# 0.4 %), and distance of samples along it.
-BLOCKED_M, STEP_M = 0.5, 0.5
-# Ends of a ray that are not sampled: the sensor's mast may stand at a wall or in a crown.
-SKIP_NEAR_M, SKIP_FAR_M = 2.0, 0.5
 # Length over places without scan from which on a ray that is not blocked is uncertain: the tile is
 # in sight, but not covered.
 UNKNOWN_M = 10.0
@@ -72,6 +70,8 @@ UNKNOWN_M = 10.0
 LEAST_COVERED = 0.9
 # Median difference of road heights, scan against tiles, above which their vertical systems differ.
 OFFSET_M = 2.0
+_ARRAYS = ("state", "hider", "hidden_at_m", "uncovered")  # of a sight, in a file of the cache
+_DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,19 +134,6 @@ class Sight:
         )
 
 
-class SightSource(Protocol):
-    """A source of sight: scans, or a folder of sights that were found before."""
-
-    def read(self, poses: Sequence[Pose]) -> None:
-        """Read, in one pass, what the sights of these poses need."""
-
-    def find(self, pose: Pose) -> Sight:
-        """Return what a sensor sees from a pose."""
-
-    def describe(self) -> dict[str, Any]:
-        """Return its description for a manifest."""
-
-
 class SightScan:
     """Airborne scans of a place, and the obstacles in them around sensors.
 
@@ -161,6 +148,8 @@ class SightScan:
         Tiles; their heights distinguish the levels of roads.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
+    cache : Path, optional
+        A folder that keeps the sight of each pose, for several processes at a time.
     reporter : Reporter
         Receives progress.
 
@@ -176,9 +165,10 @@ class SightScan:
         tiles: SightTiles,
         *,
         scan_crs: Any = None,
+        cache: Path | None = None,
         reporter: Reporter = QUIET,
     ) -> None:
-        self.tiles = tiles
+        self.tiles, self.cache = tiles, cache
         self.scans: list[Scan] = [open_scan(scan, crs=scan_crs) for scan in scans]
         self._reporter = reporter
         self._kept: dict[Box, Obstacles] = {}
@@ -193,7 +183,12 @@ class SightScan:
         return hashlib.blake2b("".join(sorted(contents)).encode(), digest_size=16).hexdigest()
 
     def read(self, poses: Sequence[Pose]) -> None:
-        """Read the windows of all these poses in one pass; only the last few are kept."""
+        """Read the windows of poses whose sight is not kept in one pass; few windows stay."""
+        self._read_around(
+            [pose for pose in poses if self.cache is None or not self._kept_at(pose).exists()]
+        )
+
+    def _read_around(self, poses: Sequence[Pose]) -> None:
         grids = {grid.bounds: grid for grid in map(self._window, poses)}
         new = [grid for box, grid in grids.items() if box not in self._kept]
         for group in (new[k : k + WINDOWS_KEPT] for k in range(0, len(new), WINDOWS_KEPT)):
@@ -209,7 +204,7 @@ class SightScan:
         """
         box = self._window(pose).bounds
         if box not in self._kept:
-            self.read([pose])
+            self._read_around([pose])
         return self._kept[box]
 
     def find(self, pose: Pose) -> Sight:
@@ -220,7 +215,28 @@ class SightScan:
         InputError
             As of :meth:`around`.
         """
-        return _find(pose, self.tiles, self.around(pose), self.digest)
+        if self.cache is None:
+            return _find(pose, self.tiles, self.around(pose), self.digest)
+        path, ids = self._kept_at(pose), self.tiles.tile_id
+        if (kept := _read_arrays(path, len(ids))) is not None:
+            return Sight(pose=pose, tile_id=ids, scan=self.digest, **kept)
+        sight = _find(pose, self.tiles, self.around(pose), self.digest)
+        _write_arrays(path, {name: getattr(sight, name) for name in _ARRAYS})
+        return sight
+
+    def _kept_at(self, pose: Pose) -> Path:
+        """Return the file of a pose: its name is a digest of all that sight depends on."""
+        place = [pose.position.tolist(), pose.quaternion.tolist(), asdict(pose.view or View())]
+        digest = hashlib.blake2b(self._origin, digest_size=16)
+        digest.update(json.dumps(place).encode())
+        return (self.cache or Path()) / f"{digest.hexdigest()}.npz"
+
+    @cached_property
+    def _origin(self) -> bytes:
+        """Digest of scan, tiles and method."""
+        found = hashlib.blake2b(f"{self.digest} {METHOD}".encode())
+        found.update(self.tiles.fingerprint.encode() + self.tiles.height.tobytes())
+        return found.digest()
 
     def describe(self) -> dict[str, Any]:
         """Return digest and files of the scans, and the method, for a manifest."""
@@ -298,10 +314,27 @@ class SightScan:
         )
 
 
+def _read_arrays(path: Path, count: int) -> dict[str, Any] | None:
+    """Return the arrays of a sight of `count` tiles; None where they are missing or damaged."""
+    try:
+        with path.open("rb") as file, np.load(file) as arrays:
+            found = {name: arrays[name] for name in _ARRAYS}
+    except _DAMAGED:
+        return None
+    return found if all(values.shape == (count,) for values in found.values()) else None
+
+
+def _write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write the arrays of a sight."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
 def find_sight(
     pose: Pose | str | Path,
     tiles: gpd.GeoDataFrame | SightTiles,
-    source: SightSource | str | Path | Sequence[str | Path] | None = None,
+    source: SightScan | str | Path | Sequence[str | Path] | None = None,
     *,
     scan_crs: Any = None,
 ) -> Sight:
@@ -317,9 +350,9 @@ def find_sight(
     tiles : GeoDataFrame or SightTiles
         The tiles, in the pose's CRS. Where the road's height is unknown, that of the scan's ground
         counts; without a scan, any elevation is in view.
-    source : path or sequence of paths, SightScan or KeptSight, optional
-        Airborne scans, whole and not masked, or what keeps them for several poses; without it,
-        sight is the view alone.
+    source : path or sequence of paths, or SightScan, optional
+        Airborne scans, whole and not masked, or what reads them once for several poses; without
+        it, sight is the view alone.
     scan_crs : CRS, str or int, optional
         Coordinate system of scans that do not state it.
 
@@ -357,7 +390,8 @@ def _find(pose: Pose, tiles: SightTiles, obstacles: Obstacles | None, scan: str)
     place = tiles.centres.copy()
     unknown = np.isnan(place[:, 2])
     if obstacles is not None and unknown.any():
-        place[unknown, 2] = obstacles.ground[cells_of(obstacles.grid, place[unknown])]
+        cells = obstacles.grid.nearest(*place[unknown, :2].T)
+        place[unknown, 2] = obstacles.ground[cells]
         unknown = np.isnan(place[:, 2])
     place[:, 2] += TARGET_M
     points = pose.to_sensor(np.where(np.isnan(place), pose.height, place))
@@ -399,7 +433,7 @@ def _hide(sight: Sight, rows: Integers, place: Floats, obstacles: Obstacles) -> 
     """Change, in place, a new sight: set which of its `rows` an obstacle hides."""
     targets = np.where(np.isnan(place[rows]), sight.pose.height, place[rows])
     west, south = obstacles.grid.corner
-    begin_m, hider, unknown_m = _follow_rays(
+    begin_m, hider, unknown_m = follow_rays(
         sight.pose.position - (west, south, 0.0),
         targets - (west, south, 0.0),
         obstacles.grid.cell_m,
@@ -414,57 +448,3 @@ def _hide(sight: Sight, rows: Integers, place: Floats, obstacles: Obstacles) -> 
     sight.hider[rows] = hider
     sight.hidden_at_m[rows] = begin_m
     sight.uncovered[rows] = ~hidden & (unknown_m > UNKNOWN_M)
-
-
-@compiled
-def _follow_rays(
-    eye: Floats,
-    targets: Floats,
-    cell_m: float,
-    floor: Any,
-    solid: Any,
-    slab_low: Any,
-    slab_high: Any,
-    known: Booleans,
-) -> tuple[Floats, Any, Floats]:
-    """Follow rays from `eye` to `targets`, all in metres from the corner of the cells.
-
-    Returns, by target, distance (m, else NaN) and kind of the first block, and length over no scan.
-    """
-    count = len(targets)
-    begin_m, unknown_m = np.full(count, np.nan), np.zeros(count)
-    hider = np.zeros(count, np.uint8)
-    columns, rows = floor.shape
-    for i in range(count):
-        dx, dy, dz = targets[i] - eye
-        flat_m = np.hypot(dx, dy)
-        blocked, first, by = 0.0, np.nan, 0
-        for k in range(int(SKIP_NEAR_M / STEP_M), int((flat_m - SKIP_FAR_M) / STEP_M) + 1):
-            share = k * STEP_M / flat_m
-            u = int(np.floor((eye[0] + share * dx) / cell_m))
-            v = int(np.floor((eye[1] + share * dy) / cell_m))
-            if u < 0 or v < 0 or u >= columns or v >= rows or not known[u, v]:
-                unknown_m[i] += STEP_M
-                continue
-            z = eye[2] + share * dz
-            kind = 0
-            if z < solid[u, v]:
-                kind = 1
-            elif z < floor[u, v]:
-                kind = 2
-            elif slab_low[u, v] < z < slab_high[u, v]:
-                kind = 3
-            if kind == 0:
-                continue
-            if blocked == 0.0:
-                first, by = k * STEP_M, kind
-            blocked += STEP_M
-            if blocked >= BLOCKED_M:
-                begin_m[i], hider[i] = first, by
-                break
-    return begin_m, hider, unknown_m
-
-
-def describe_sight(source: SightSource | None) -> dict[str, Any] | str:
-    """Return the description of sight for a manifest: `view only`, or that of its source."""
-    return VIEW_ONLY if source is None else source.describe()
