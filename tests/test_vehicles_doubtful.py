@@ -82,6 +82,22 @@ def test_where_vehicles_differ_by_more_a_weak_one_is_no_person():
         assert found.tolist() == [person, *[False] * 5]
 
 
+@pytest.mark.parametrize("apart", [1.0, 5.0, 8.0])
+def test_the_weaker_a_slow_track_is_the_rather_it_is_a_person(apart):
+    others = apart * np.array([-1.0, -0.7, 0.0, 0.7, 1.0])
+    found = [
+        bool(
+            are_persons(
+                np.array([weak, *others]), np.array([3.0, *[14.0] * 5]), np.full(6, 0.75),
+                np.ones(6, np.bool_), -50.0,
+            )[0]
+        )
+        for weak in range(0, -40, -1)
+    ]  # fmt: skip
+    assert found == sorted(found)
+    assert found[-1]
+
+
 def test_who_mostly_stands_is_no_cyclist():
     detections, motions = followed([-6.0, 0.0], [5.0, 12.0])
     stopped = replace(motions[0], speed=np.where(np.arange(20) < 12, 0.0, 5.0))

@@ -82,6 +82,8 @@ def _options() -> argparse.Namespace:
     options = parser.parse_args()
     scenes = {*SHARED, *filter(is_there, options.scene.split(","))}
     parts = options.off.replace("+", ",")
+    if options.set and options.off:
+        parser.error("--set and --off: give one of them")
     for given, known in ((options.scene, scenes), (options.methods, METHODS), (parts, PARTS)):
         if unknown := [name for name in given.split(",") if given and name not in known]:
             parser.error(f"{unknown[0]} is not known")

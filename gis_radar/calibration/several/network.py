@@ -136,7 +136,7 @@ class _Member:
     away: Floats = field(default_factory=lambda: np.zeros(PLANAR))
     loose: bool = False  # its own answer did not fix the place: correspondences chose the start
     clock: SensorClock = RIGHT  # its assumed clock
-    free: bool = False  # its clock is off, and estimated with the poses
+    free: bool = False  # its clock, off or not measured, is estimated with the poses
 
     @property
     def pose(self) -> Pose:
@@ -227,6 +227,8 @@ class _Network:
             ahead_s = member.clock.offset_s + found.inside.late * MOMENT_S
             member.free, member.clock = True, replace(member.clock, offset_s=ahead_s)
             choices, found = self._among_placed(member)
+            if found.inside is not None and found.inside.late:  # now another clock fits better
+                found = replace(found, clock_z=0.0)
         return choices, found
 
     def _among_placed(self, member: _Member) -> tuple[list[Choice], Placing]:
@@ -435,9 +437,9 @@ class _Network:
                 continue
             gap_s, sigma_s = self._clock_gap(pair, matched)
             ahead_s = other.clock.offset_s - one.clock.offset_s + gap_s
-            if abs(ahead_s) < CLOCK_SIGMAS * math.hypot(CLOCK_S, CLOCK_S, sigma_s):
-                continue
             fast = (other.clock.drift_ppm - one.clock.drift_ppm) * 1e-6
+            if not fast and abs(ahead_s) < CLOCK_SIGMAS * math.hypot(CLOCK_S, CLOCK_S, sigma_s):
+                continue
             how = Text("fast") if fast > 0.0 else Text("slow")
             runs = Text(", and runs {:.1%} {}", abs(fast), how) if fast else ""
             remarks.append(

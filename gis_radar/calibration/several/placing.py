@@ -36,13 +36,12 @@ APART_M = 5.0
 # Standard deviations by which vehicles must prefer a place to all others (as for one sensor), and
 # to the score by chance.
 CLEAR_Z = 2.5
-# The same where the other place needs another offset of the clock: places that were wrong reached
-# 1.0 in simulation, right ones with balanced traffic 1.9 to 4.
+# As CLEAR_Z, against places with another offset of the clock: places that were wrong reached 1.0 in
+# simulation, right ones with balanced traffic 1.9 to 4.
 CLOCK_Z = 1.5
 # Time shifts of one sensor that give the score by chance: its vehicles meet other traffic.
 CHANCE_S: tuple[float, ...] = (-15.0, -8.0, 8.0, 15.0)
-# Largest offset of a clock that a place is compared with: what a vehicle drives in it at 12 m/s is
-# as far as tracks are compared.
+# Largest offset of a clock that is tried: at 12 m/s a vehicle drives FARTHEST_M in it.
 REACH_S = FARTHEST_M / 12.0
 # Standard deviations by which vehicles must prefer another offset of the clock to the present one.
 LAG_CLEAR = 2.0

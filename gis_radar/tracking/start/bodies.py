@@ -40,11 +40,14 @@ DRIVEN_MPS = 8.0  # vehicles above this speed certainly drive
 CYCLIST_MPS = 7.5  # largest speed of cyclists
 # Mean and sigma of the cross section, dB over that of vehicles, and of the logarithm of the spread
 # of detections, metres: most people return 4 to 10 dB less; a cyclist of 1.8 x 0.6 m spreads by
-# 0.55 m, a car by 1.4 m, bearing and smoothing add 0.5 m.
+# 0.55 m, a car by 1.4 m, bearing and smoothing add 0.5 m. The sigma of vehicles' cross sections is
+# that of the recordings where enough of them drive fast.
 PERSON, VEHICLE = (-7.0, 3.0, -0.3, 0.45), (0.0, 4.0, 0.4, 0.5)
 LEAST_DRIVEN, LEAST_DB = 5, 3.0  # fast vehicles that tell the sigma, which is this at least, dB
 FAINT_DB = 9.0  # detections weaker by this are faint: persons, also next to a passing vehicle
-FAINT_SIGMAS = 3.0  # vehicles weaker by this are hardly any: persons, whatever their motion
+FAINT_SIGMAS = (
+    3.0  # hardly a vehicle is weaker by so many: such a track may be a person at any speed
+)
 # Share of faint detections of a vehicle, and one less that of a person: a tenth of a car's, a fifth
 # of a lorry's or a motorcycle's; nine tenths of a walker's, two thirds of a cyclist's.
 FAINT_SHARE = 0.2
@@ -304,11 +307,22 @@ def are_persons(
     if np.isnan(usual):
         return np.asarray(faint)
     size = np.log(np.maximum(spread_m, LEAST_SPREAD_M))
-    odds = _log_density(rcs - usual, PERSON[:2]) - _log_density(rcs - usual, (0.0, sigma))
+    weak = np.maximum(rcs - usual, _weakest_told(sigma))
+    odds = _log_density(weak, PERSON[:2]) - _log_density(weak, (VEHICLE[0], sigma))
     by_size = _log_density(size, PERSON[2:]) - _log_density(size, VEHICLE[2:])
     odds += np.where(np.isnan(by_size), UNKNOWN_SIZE, by_size)
     may_be = steady & (fast < CYCLIST_MPS) | (rcs < usual - FAINT_SIGMAS * sigma)
     return np.asarray(may_be & (odds > 0.0))
+
+
+def _weakest_told(sigma: float) -> float:
+    """Return the cross section, dB over that of vehicles, where the odds of a person are highest.
+
+    Vehicles vary by more than persons, so that by normal densities what is weaker still would be
+    rather a vehicle again.
+    """
+    wide, narrow = sigma**2, PERSON[1] ** 2
+    return PERSON[0] * wide / (wide - narrow) if wide > narrow else -np.inf
 
 
 def _log_density(value: Floats, usual: Sequence[float]) -> Floats:

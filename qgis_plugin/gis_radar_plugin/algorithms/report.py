@@ -166,12 +166,14 @@ class ExportReport(WorkerAlgorithm):
         title, source = title_and_source(given)
         words = ["qgis", str(package.parent), "-o", path, "--title", title, "--source", source]
         words += ["--language", "de" if speaks_german() else "en"]
+        words += ["--timezone", bytes(zone.id()).decode()]
         for option, file in (("--sensors", _sensors(given)), ("--lanes", lanes_beside(package))):
             words += [option, str(file)] if file is not None else []
         self.work(words, [], given.feedback)
         project = QgsProject()
+        if not project.read(path):
+            raise QgsProcessingException(tr("{}: cannot be read").format(path))
         project.setTransformContext(given.context.transformContext())
-        project.read(path)
         known = given.parameters, "BACKGROUND", given.context
         below = copied(given.algorithm.parameterAsLayerList(*known) or [])
         for layer in below:
