@@ -73,7 +73,16 @@ def test_lanes_are_those_of_the_heat_maps_own_tiles(provider, site, tmp_path):
 
     package = site / "heatmap" / "heatmap.gpkg"
     assert lanes_beside(package) == site / "tiles.gpkg"
-    assert lanes_beside(tmp_path / "map" / "heatmap.gpkg") is None
+    other = tmp_path / "site"
+    (other / "heatmap").mkdir(parents=True)
+    shutil.copy(package, other / "heatmap")
+    shutil.copy(site / "tiles.gpkg", other)
+    copied = other / "heatmap" / "heatmap.gpkg"
+    assert lanes_beside(copied) == other / "tiles.gpkg"
+    tiles = QgsVectorLayer(f"{other / 'tiles.gpkg'}|layername=tiles")
+    assert tiles.dataProvider().deleteFeatures([next(tiles.getFeatures()).id()])
+    del tiles
+    assert lanes_beside(copied) is None  # tiles of another map
 
 
 def test_sheets_are_named_as_their_heat_map(provider, site, monkeypatch):

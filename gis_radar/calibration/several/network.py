@@ -223,11 +223,11 @@ class _Network:
                 member.clock = RIGHT
             else:
                 member.free, choices, found = True, then, there
-        if found.inside is not None and found.inside.late:
-            ahead_s = member.clock.offset_s + found.inside.late * MOMENT_S
+        if found.inside is not None and found.inside.ahead:
+            ahead_s = member.clock.offset_s + found.inside.ahead * MOMENT_S
             member.free, member.clock = True, replace(member.clock, offset_s=ahead_s)
             choices, found = self._among_placed(member)
-            if found.inside is not None and found.inside.late:  # now another clock fits better
+            if found.inside is not None and found.inside.ahead:  # now another clock fits better
                 found = replace(found, clock_z=0.0)
         return choices, found
 
@@ -409,13 +409,12 @@ class _Network:
 
     def free_clock(self, correspondences: Mapping[Names, Correspondences]) -> bool:
         """Free the clock that most correspondences show to be off; return whether there was one."""
-        off = {
-            pair: ahead_s
-            for pair, matched in correspondences.items()
-            for ahead_s, sigma_s in [self._clock_gap(pair, matched)]
-            for clocks in [[self._clock_s(self.all[name]) for name in pair]]
-            if abs(ahead_s) > CLOCK_SIGMAS * math.hypot(*clocks, sigma_s)
-        }
+        off: dict[Names, float] = {}
+        for pair, matched in correspondences.items():
+            ahead_s, sigma_s = self._clock_gap(pair, matched)
+            known_s = [self._clock_s(self.all[name]) for name in pair]
+            if abs(ahead_s) > CLOCK_SIGMAS * math.hypot(*known_s, sigma_s):
+                off[pair] = ahead_s
         if not off:
             return False
         named = [name for pair in off for name in reversed(pair) if not self.all[name].free]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -110,7 +109,7 @@ class Shift:
         Index of the one of its own poses from which the shift starts.
     step : (3,) array
         Easting, northing (m), yaw (radians) from that pose.
-    late : int
+    ahead : int
         By how many moments the sensor's clock is ahead.
     scores : (tracks,) array
         Score of each of its tracks.
@@ -120,7 +119,7 @@ class Shift:
 
     choice: int
     step: Floats
-    late: int
+    ahead: int
     scores: Floats
     pairs: Mapping[str, int]
 
@@ -189,28 +188,31 @@ def find_place(
     chance: list[Shift] = []
     most = round(reach_s / MOMENT_S)
     for number, choice in enumerate(choices):
-        best = partial(_best, number, choice, others, tracks)
         steps, inside = _grid(choice.covariance)
-        for late in range(-most, most + 1):
-            allowed += best(steps[inside], late)
-        if len(choices) == 1:
-            beyond += best(steps[~inside], 0)
-        for late_s in CHANCE_S:
-            chance += best(steps, round(late_s / MOMENT_S))[:1]
+        for ahead in range(-most, most + 1):
+            score = _Score(choice, others, tracks, ahead)
+            allowed += score.best(number, steps[inside])
+            if ahead == 0 and len(choices) == 1:
+                beyond += score.best(number, steps[~inside])
+        for ahead in [round(each / MOMENT_S) for each in CHANCE_S]:
+            chance += _Score(choice, others, tracks, ahead).best(number, steps)[:1]
 
     def good(shift: Shift) -> bool:
         z_scores = (preference(shift.scores, each.scores) for each in chance)
         return min(z_scores, default=math.inf) > CLEAR_Z
 
     allowed, beyond = [s for s in allowed if good(s)], [s for s in beyond if good(s)]
-    in_time = max((s for s in allowed if not s.late), key=total_score, default=None)
+    in_time = max((s for s in allowed if not s.ahead), key=total_score, default=None)
     first = _first(allowed, in_time)
-    rivals = [s for s in allowed if first is not None and _differ(choices, first, s)]
+    rivals: dict[bool, list[Shift]] = {True: [], False: []}  # with the same offset of the clock
+    for shift in allowed:
+        if first is not None and _differ(choices, first, shift):
+            rivals[shift.ahead == first.ahead].append(shift)
     there = [s for s in (in_time, _contradiction(in_time, beyond)) if s is not None]
     return Placing(
         inside=first,
-        z_score=_least(first, [s for s in rivals if first and s.late == first.late]),
-        clock_z=_least(first, [s for s in rivals if first and s.late != first.late]),
+        z_score=_least(first, rivals[True]),
+        clock_z=_least(first, rivals[False]),
         in_time=max(there, key=total_score).scores if there else np.empty(0),
         beyond=_contradiction(first, beyond),
     )
@@ -276,28 +278,24 @@ def _grid(covariance: Floats) -> tuple[Floats, Booleans]:
     return np.column_stack([east_north, np.where(inside, turn, 0.0)]), inside
 
 
-def _best(
-    number: int, choice: Choice, others: Mapping[str, Choice], tracks: int, steps: Floats, late: int
-) -> list[Shift]:
-    """Return the best steps from one choice if the sensor's clock is `late` moments ahead."""
-    return _Score(choice, others, tracks, late).best(number, steps)
-
-
 class _Score:
-    """Score of how well a sensor's vehicles agree with those of others after a step."""
+    """Score of how well a sensor's vehicles agree with those of others after a step.
+
+    The sensor's clock counts as some moments ahead.
+    """
 
     def __init__(
         self,
         choice: Choice,
         others: Mapping[str, Choice],
         tracks: int,
-        late: int,
+        ahead: int,
     ) -> None:
-        self.tracks, self.late = tracks, late
+        self.tracks, self.ahead = tracks, ahead
         self.parts: dict[str, tuple[Rows, Floats, Floats, Floats]] = {}
         loose = np.diag([STEP_M**2 / 3.0, STEP_M**2 / 3.0, GRID_YAW**2])
         for name, other in others.items():
-            rows = compare_moments(other.seen.later(self.late), choice.seen)
+            rows = compare_moments(other.seen.later(self.ahead), choice.seen)
             if not len(rows.tracks):
                 continue
             covariance = np.zeros((2 * PLANAR, 2 * PLANAR))
@@ -346,7 +344,7 @@ class _Score:
             taken: Integers = assign(chi2, rows.tracks, GATE_CHI2)
             np.add.at(scores, rows.tracks[taken, 1], GATE_CHI2 - chi2[taken])
             pairs[name] = len(taken)
-        return Shift(choice=choice, step=step, late=self.late, scores=scores, pairs=pairs)
+        return Shift(choice=choice, step=step, ahead=self.ahead, scores=scores, pairs=pairs)
 
 
 def contradiction_text(names: Names, vehicles: int, gap_m: float) -> str:

@@ -45,9 +45,7 @@ CYCLIST_MPS = 7.5  # largest speed of cyclists
 PERSON, VEHICLE = (-7.0, 3.0, -0.3, 0.45), (0.0, 4.0, 0.4, 0.5)
 LEAST_DRIVEN, LEAST_DB = 5, 3.0  # fast vehicles that tell the sigma, which is this at least, dB
 FAINT_DB = 9.0  # detections weaker by this are faint: persons, also next to a passing vehicle
-FAINT_SIGMAS = (
-    3.0  # hardly a vehicle is weaker by so many: such a track may be a person at any speed
-)
+FAINT_SIGMAS = 3.0  # a track weaker by so many may be a person at any speed
 # Share of faint detections of a vehicle, and one less that of a person: a tenth of a car's, a fifth
 # of a lorry's or a motorcycle's; nine tenths of a walker's, two thirds of a cyclist's.
 FAINT_SHARE = 0.2
