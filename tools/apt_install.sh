@@ -1,10 +1,8 @@
 #!/bin/sh
-# Install packages by apt, as root, from the mirror that this machine's apt uses already. Calls at
-# the same time wait for each other.
+# Install packages by apt, as root, from the mirror that this machine's apt uses already. Simultaneous
+# calls wait for each other.
 #
-#   tools/apt_install.sh LOG PACKAGE...
-#
-# What apt says goes to the file LOG.
+#   tools/apt_install.sh LOG PACKAGE...    apt's output goes to the file LOG
 set -eu
 log=$1
 shift
@@ -13,6 +11,6 @@ if command -v flock >/dev/null 2>&1 && [ -d /var/lib/dpkg ]; then
     flock 9
 fi
 {
-    apt-get update -qq || true # one bad source need not matter
+    apt-get update -qq || true # one bad source may not matter
     DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@"
 } >"$log" 2>&1 8<&- 9<&- # a service that it starts would keep the locks

@@ -1,11 +1,11 @@
 #!/bin/sh
-# Get what the checks use beside Python: MapLibre, PostGIS, Chromium and QGIS, those two one after the other as apt wants it.
-# What cannot be had is left out; with GIS_RADAR_CHROMIUM=required a missing Chromium is a failure.
+# Get the programs of the checks: MapLibre, Mosquitto, PostGIS, Chromium and QGIS, one after the other, as apt runs once at a time.
+# A program that cannot be had is left out; with GIS_RADAR_CHROMIUM=required (..._MOSQUITTO, ..._POSTGIS) that is a failure.
 #
 #   tools/get_browser_and_qgis.sh --apt    only what apt installs, which needs no .venv
 set -eu
 cd "$(dirname "$0")/.."
-if command -v flock >/dev/null 2>&1; then # another one may be at it
+if command -v flock >/dev/null 2>&1; then # another call may be running
     exec 8<tools
     flock 8
 fi

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Get programs for the checks, on Debian as root, from the mirror that this machine's apt uses
-# already. Where they are there, this says nothing.
+# already. Prints nothing where they are installed.
 #
 #   tools/get_by_apt.sh NAME SIZE "PROGRAM..." "PACKAGE..."
 #

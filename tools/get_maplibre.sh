@@ -1,6 +1,6 @@
 #!/bin/sh
 # Get MapLibre GL JS (BSD-3-Clause), which draws the page of the live map, with the machine's npm.
-# Where it is there, this says nothing.
+# Prints nothing where it is there.
 #
 #   tools/get_maplibre.sh      where it cannot be had, one line says why, and the exit code is 1
 set -eu

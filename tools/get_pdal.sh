@@ -1,10 +1,10 @@
 #!/bin/sh
 # Get Debian 11's PDAL into .pdal for the tests, on Debian 12, which has no package of it.
 #
-# Nothing but the tests runs it: its support has ended. The packages come from the mirror that this
-# machine's apt uses already, and apt checks their signatures, in a folder of its own, so the system
-# stays as it is and root is not needed. The program runs under the loader and the libraries that
-# came with it. Where it cannot be had, one line says why: tests of PDAL are then skipped.
+# Only the tests run it, as its support has ended. The packages come from the mirror that this
+# machine's apt uses already, and apt checks their signatures, in a folder of its own: the system
+# is not changed, and root is not needed. The program runs with the loader and libraries of
+# Debian 11. Where it cannot be had, one line says why, and tests of PDAL are skipped.
 set -eu
 cd "$(dirname "$0")/.."
 

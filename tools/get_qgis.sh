@@ -1,6 +1,6 @@
 #!/bin/sh
 # Get QGIS 3.40 for the checks of the plugin, on Debian 12 as root: from the backports suite of the
-# mirror that this machine's apt uses already. Where it is there, this says nothing.
+# mirror that this machine's apt uses already. Prints nothing where it is installed.
 #
 #   tools/get_qgis.sh          where it cannot be had, one line says why, and the exit code is 1
 #   tools/get_qgis.sh --apt    only what apt installs, which needs no .venv
@@ -32,8 +32,8 @@ all_is_there() {
         [ -x "$(command -v openbox)" ]
 }
 
-# This machine's own entries for Debian 12, with the backports suite in its place; mirror and keys
-# stay. They go into a file of their own, which is gone afterwards.
+# Writes this machine's apt entries for Debian 12 with the backports suite instead, mirror and keys
+# unchanged, into a file of their own, which is removed afterwards.
 backports_sources() {
     cat /etc/apt/sources.list /etc/apt/sources.list.d/*.list 2>/dev/null | awk '
         $1 == "deb" {
@@ -70,7 +70,7 @@ install() {
     if ! apt-cache policy qgis | grep -q bookworm-backports; then
         backports_sources $added || fail "apt knows no source of Debian 12's packages here"
     fi
-    # QGIS alone comes from there: a whole suite would drag more in.
+    # Only QGIS comes from backports: a whole suite would bring more.
     printf 'Package: src:qgis\nPin: release n=bookworm-backports\nPin-Priority: 990\n' >$pinned
     echo "set-up: installing QGIS by apt (250 MB, once; about a minute)."
     # shellcheck disable=SC2086 # one word a package
@@ -78,7 +78,7 @@ install() {
         fail "apt could not install QGIS ($(sed -n 's/^E: *//p' "$log" | head -n 1))"
 }
 
-# Python for the tests: QGIS's own, and pytest beside it. None of the geographic wheels.
+# Python for the tests: QGIS's own with pytest, without geographic wheels.
 make_venv() {
     requirements=qgis_plugin/tests/requirements.txt
     if [ -x $venv/bin/pytest ] && cmp -s $requirements $venv/requirements.txt &&
@@ -86,7 +86,7 @@ make_venv() {
         return
     fi
     uv=${GIS_RADAR_UV:-.venv/bin/uv}
-    if [ -x "$uv" ]; then # pip of its own takes ten seconds more
+    if [ -x "$uv" ]; then # installing pip takes ten seconds more
         /usr/bin/python3 -m venv --clear --without-pip --system-site-packages $venv &&
             "$uv" pip install --quiet --compile-bytecode --python $venv/bin/python -r $requirements
     else

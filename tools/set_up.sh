@@ -2,13 +2,13 @@
 # Set up .venv with pinned packages, and the system libraries that they miss.
 #
 #   tools/set_up.sh run    what gis-radar needs
-#   tools/set_up.sh dev    and what its checks and its documentation need, PDAL too (tools/get_pdal.sh)
-#   tools/set_up.sh bench  and the extra packages that the benchmarks compare with
+#   tools/set_up.sh dev    also what checks and documentation need, PDAL too (tools/get_pdal.sh)
+#   tools/set_up.sh bench  also the packages that the benchmarks compare with
 #
-# With --programs behind it, apt begins to fetch the programs of the checks, and goes on afterwards.
+# With --programs as second word, apt fetches the programs of the checks in the background.
 #
 # PYTHON=... names the Python to use (3.11 or newer).
-# Where all is in place already, this says nothing and uses no network.
+# Prints nothing and uses no network where all is in place.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -33,8 +33,8 @@ version() {
     "$1" -c 'import sys; print(sys.version.split()[0])' 2>/dev/null || echo "not there"
 }
 
-# The Python to build on: the one that is asked for, or the first that is new enough,
-# rather one that can make an environment than one that needs a package for it.
+# Finds the Python to build on: PYTHON, else the first one that is new enough, preferably one that
+# can make an environment without a further package.
 find_python() {
     if [ -n "${PYTHON:-}" ]; then
         is_new_enough "$PYTHON" ||
@@ -54,14 +54,14 @@ find_python() {
         fail "Python 3.11 or newer is needed; python3 is $(version python3). Name another with PYTHON=..."
 }
 
-# It runs, it was made here (its scripts hold the path), and it is of the Python that is asked for.
+# The environment runs, was made here (its scripts hold the path), and is of the Python asked for.
 venv_is_good() {
     is_new_enough $venv/bin/python && [ -x $venv/bin/pip ] || return 1
     grep -qF "$(pwd -P)/$venv" $venv/bin/activate || return 1
     [ -z "${PYTHON:-}" ] || [ "$(version "$PYTHON")" = "$(version $venv/bin/python)" ]
 }
 
-# Debian packages by apt; elsewhere, or without the right to, one line that says what is missing.
+# Installs Debian packages by apt; elsewhere, or without root, one line says what is missing.
 install_system() {
     [ $# -gt 0 ] || return 0
     command -v apt-get >/dev/null 2>&1 || fail "missing on this system, please install: $*"
@@ -73,7 +73,7 @@ install_system() {
     }
 }
 
-# What this machine lacks, in words of its package manager.
+# Lists what this machine lacks, by the names of its packages.
 list_missing() {
     if ! venv_is_good && ! can_make_venv "$python"; then
         "$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])'
@@ -83,7 +83,7 @@ list_missing() {
 
 make_venv() {
     venv_is_good && return
-    [ ! -L $venv ] || rm $venv # a link to that of another checkout, which stays as it is
+    [ ! -L $venv ] || rm $venv # a link to another checkout's, which is not changed
     "$python" -m venv --clear $venv || fail "$python could not make $venv."
 }
 
@@ -101,9 +101,9 @@ install_packages() {
         fail "the packages could not be installed (see above)."
 }
 
-# Each package is loaded once, which shows what no list foresaw, and our own modules: what Python
-# compiles thereby is kept, so that they start at once also where it may not write. To compile all
-# that is installed takes ten times as long. Some packages have numba compile on loading.
+# Loads each package and our own modules once: that shows libraries that are missing in our list, and
+# keeps what Python compiles, so that later starts are fast even where it may not write. To compile
+# all that is installed takes ten times as long. NUMBA_DISABLE_JIT: some packages compile on loading.
 check_packages() {
     PYTHONDONTWRITEBYTECODE= NUMBA_DISABLE_JIT=1 \
         $venv/bin/python tools/missing_libraries.py "$level" --load ||
@@ -129,7 +129,7 @@ find_python
 missing=$(list_missing)
 # shellcheck disable=SC2086 # one word a package
 install_system $missing
-# In a group of its own and to its end: broken off, apt leaves half of a package.
+# In a process group of its own, so that Ctrl-C does not leave a half-installed package.
 if [ "${2:-}" = --programs ]; then
     $(command -v setsid || true) nice -n 10 sh tools/get_browser_and_qgis.sh --apt >/dev/null 2>&1 &
 fi

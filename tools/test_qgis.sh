@@ -1,8 +1,8 @@
 #!/bin/sh
 # Test the plugin in a real QGIS: PyQGIS, qgis_process, and the desktop on a virtual screen.
 #
-# Where QGIS cannot be had, one line says why; with GIS_RADAR_QGIS=required that fails.
-# Further words go to pytest.
+# Where QGIS cannot be had, one line says why; with GIS_RADAR_QGIS=required that is a failure.
+# Further arguments go to pytest.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -24,11 +24,11 @@ if [ $# -gt 0 ]; then
     $pytest "$@"
     exit 0
 fi
-# The results that most tests show, made once for both: by `make test`, or here.
+# The results that most tests load are made once, by `make test` or here.
 export GIS_RADAR_QGIS_SITE="${GIS_RADAR_DEMO:-$place/site}"
 [ -n "${GIS_RADAR_DEMO:-}" ] || "$GIS_RADAR_PYTHON" -m gis_radar demo -o "$place/site" >/dev/null
-# Some with QGIS's libraries in front of all others, as the desktop has them; these beside the
-# rest, which runs in one process: a second one, beside those of `make test`, would make all slower.
+# Some tests run with QGIS's libraries in front of all others, as in the desktop, beside the
+# rest, which run in one process: more processes beside those of `make test` would be slower.
 core=$(ls /usr/lib/libqgis_core.so.3.*.* /usr/lib/*/libqgis_core.so.3.*.* 2>/dev/null | head -n 1)
 (
     export LD_PRELOAD="$core"

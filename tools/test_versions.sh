@@ -1,11 +1,11 @@
 #!/bin/sh
-# Test a part of all with other versions than those that constraints.txt pins.
+# Run a part of the tests with other versions than those that constraints.txt pins.
 #
-#   tools/test_versions.sh lowest  the lowest of each requirement that pyproject.toml allows
-#   tools/test_versions.sh newest  the newest of all
+#   tools/test_versions.sh lowest  the lowest version of each requirement that pyproject.toml allows
+#   tools/test_versions.sh newest  the newest version of each
 #
-# In an environment of its own, out/versions/NAME. Warnings of old libraries about newer ones do not
-# count. Left out are tests of QGIS, of the demo, of a browser, and of what needs large packages.
+# They run in an environment of their own, out/versions/NAME. Warnings of old libraries about newer
+# ones are ignored. Left out are tests of QGIS, the demo, a browser, and of large packages.
 set -eu
 cd "$(dirname "$0")/.."
 

@@ -33,7 +33,7 @@ from .worker import find_python, plugin_version, same_series, worker_version
 
 SETTING = "gis_radar/worker_python"
 ICONS = Path(__file__).parent / "icons"
-# Figures of hits, for diagnosis: where there is occupancy they would be taken for it.
+# Figures of hits, for diagnosis: beside occupancy a reader would take them for it.
 _OF_HITS = {"hits", "tiles hit", "occupied s"}
 ALL_STAGES = "all stages"  # as a site's run calls them
 SITE, TRAFFIC, RESULTS, SET_UP = "Site", "Traffic", "Results", "Set-up"
@@ -63,7 +63,7 @@ class WorkerFeedback(Listener):
         if stage in (ALL_STAGES, tr(ALL_STAGES)):
             self._ended, self._stages = done, total or 0.0
         else:
-            # Stages at work at once report in turns: each is named once.
+            # Stages that run at once report in turns: each is named once.
             if stage not in self._shares:
                 self._feedback.setProgressText(stage)
             self._shares[stage] = min(1.0, done / total) if total else 0.0
@@ -124,7 +124,7 @@ class Algorithm(QgsProcessingAlgorithm):  # type: ignore[misc]
     def postProcessAlgorithm(  # noqa: N802
         self, _context: QgsProcessingContext, _feedback: Any
     ) -> dict[str, Any]:
-        """Offer what was made to be opened: QGIS calls this in its own thread, at the end."""
+        """Show buttons that open the results: QGIS calls this in its own thread, at the end."""
         offer(self.NAME, self.made)
         return {}
 
@@ -198,7 +198,7 @@ class WorkerAlgorithm(Algorithm):
         return results
 
     def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
-        """Do what comes after the command, such as to load layers; return further results."""
+        """Do what follows the command, such as loading layers; return further results."""
         del given, answer
         return {}
 
@@ -260,9 +260,9 @@ class WorkerAlgorithm(Algorithm):
 
 
 def summary_lines(summary: dict[str, Any]) -> list[str]:
-    """Return a line for each figure; those of each sensor stand in a line of their own.
+    """Return a line for each figure, and a line for the figures of each sensor.
 
-    Beside occupancy there are none of hits, and tracks are not called vehicles: they are no count.
+    Beside occupancy, figures of hits are left out. Tracks are no count, and not called vehicles.
     """
     lines = []
     occupied = bool({"mean occupancy", "mean_occupancy", "passages"} & set(summary))

@@ -38,7 +38,7 @@ class Clock:
         QgsProject.instance().layersRemoved.connect(self.show_time)
 
     def show_time(self, *_: Any) -> None:
-        """Show the site's time of the map, nothing where no layer of ours with a time is shown."""
+        """Show the map's time by the site's clocks while a gis_radar layer with a time is shown."""
         text = self.text()
         self._label.setText(text)
         self._label.adjustSize()

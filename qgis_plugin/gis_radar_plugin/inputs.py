@@ -37,12 +37,12 @@ def layer_file(
     Parameters
     ----------
     algorithm, parameters, name, context
-        Of which parameter.
+        The parameter that names the layer.
     layer_name : str
-        How the layer is called where it must be exported; a file that has it so already is
+        Name of the layer where it must be exported; a file whose layer has this name already is
         used as it is.
     fields : tuple of str
-        What the layer must have.
+        Fields that the layer must have.
     metric : bool
         Whether coordinates in degrees are refused.
 
@@ -84,7 +84,7 @@ def _refuse_wrong(
 
 
 def _is_part(value: Any, layer: QgsVectorLayer) -> bool:
-    """Return whether a selection, a filter or unsaved edits make the file another thing."""
+    """Return whether a selection, a filter or unsaved edits make the layer differ from its file."""
     chosen = isinstance(value, QgsProcessingFeatureSourceDefinition) and (
         value.selectedFeaturesOnly or bool(getattr(value, "filterExpression", ""))
     )

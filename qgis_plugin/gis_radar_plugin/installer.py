@@ -18,13 +18,13 @@ OLDEST = (3, 11)
 BUNDLED = Path(__file__).parent / "worker"
 _NAMES = ("python3.13", "python3.12", "python3.11", "python3", "python")
 _ASK = "import sys; print('%d.%d' % sys.version_info[:2])"
-GRACE_S = 0.3  # pip and venv do not notice that they are let go: they are ended
-_PACKAGES = 45  # about as many as gis_radar brings along; only the progress bar counts them
+GRACE_S = 0.3  # pip and venv do not react to a closed standard input: they are killed
+_PACKAGES = 45  # about as many as gis_radar requires; only the progress bar uses it
 
 
 @dataclass(frozen=True)
 class Tools:
-    """With what the environment is made.
+    """The programs that make the environment.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def find_tools(python: str = "") -> Tools:
     Parameters
     ----------
     python : str
-        The one to take; without it those of QGIS and of the system are looked at.
+        The Python to take; without it those of QGIS and of the system are tried.
 
     Raises
     ------
@@ -114,13 +114,13 @@ def set_up(
     Parameters
     ----------
     folder : Path
-        Where it shall be; it appears whole or not at all.
+        Folder of the environment; it appears whole or not at all.
     package : str
         The wheel of gis_radar.
     tools : Tools
-        With what.
+        The programs that make it.
     listener : Listener
-        Hears the stage and how far all of it is, percent, and is asked whether to stop.
+        Receives the stage and the progress of the whole, percent, and is asked whether to stop.
     options : sequence of str
         Further words for pip or uv, such as where packages come from.
 
@@ -132,7 +132,7 @@ def set_up(
     Raises
     ------
     WorkerError
-        If a step fails, in one sentence with the tool's last word.
+        If a step fails, in one sentence with the last line of the tool.
     CancelledError
         If the listener wanted to stop.
     """
@@ -220,7 +220,7 @@ def _why(program: str, lines: Sequence[str], code: int) -> str:
 
 
 def _put_in_place(part: Path, folder: Path) -> None:
-    """Swap the new environment in; the earlier one stays where that cannot be."""
+    """Put the new environment in place of the earlier one, which stays where that fails."""
     before = folder.with_name(f"{folder.name}.before")
     _remove(before)
     if folder.exists():

@@ -16,7 +16,7 @@ Stamp = tuple[int, int, int]
 
 
 def stamp_of(path: Path) -> Stamp | None:
-    """Return what changes when a file is written or replaced, None where there is none."""
+    """Return a stamp that changes when a file is written or replaced, None without a file."""
     try:
         state = path.stat()
     except OSError:
@@ -39,9 +39,9 @@ class LiveLook(QObject):  # type: ignore[misc]
     Parameters
     ----------
     controller : QgsTemporalController or None
-        Follows the newest interval where it stood at the last one.
+        Moves on to the newest interval if it showed the last one.
     parent : QObject, optional
-        Who owns the timer.
+        Owner of the timer.
     """
 
     def __init__(self, controller: Any = None, parent: QObject | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Load results into the project: their style with a legend in words, their time, their group."""
+"""Load results into the project, with style, legend, time and group."""
 
 from __future__ import annotations
 

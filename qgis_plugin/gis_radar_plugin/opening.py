@@ -1,4 +1,4 @@
-"""Buttons that open what was made, where the user looks at the end: in the algorithm's dialog."""
+"""Buttons that open the results, in the dialog of the algorithm."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SHOWN: list[Any] = []  # dialogs
 def open_file(path: Path) -> None:
     """Open a file as the desktop does, a project in QGIS's window.
 
-    That asks first where the present one is not saved; `addProject` replaces it without a question.
+    QGIS's window asks first where the present project is not saved; `addProject` does not.
     """
     window = qgis_window()
     if path.suffix in (".qgz", ".qgs") and window is not None:

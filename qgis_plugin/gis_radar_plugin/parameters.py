@@ -1,4 +1,4 @@
-"""Parameters by declaration: what a dialog asks for, and the worker's option that it becomes."""
+"""Parameters: what a dialog asks for, and the option of the worker's command that it becomes."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Given:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter; children say of which kind it is, and what it becomes.
+    """A parameter; children define its kind, and the words that it becomes.
 
     Parameters
     ----------

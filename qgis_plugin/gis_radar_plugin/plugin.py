@@ -112,7 +112,7 @@ class GisRadarPlugin:
             self._message.destroyed.connect(self._forget_message)
 
     def _say_no_more(self) -> None:
-        """Take the message away once there is a worker."""
+        """Remove the message once there is a worker."""
         try:
             chosen_python()
         except WorkerError:

@@ -28,7 +28,7 @@ NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)  # on Windows a prog
 _POLL_S = 0.1
 _LAST_LINES_S = 1.0
 _LAST_LINES = 20
-# What QGIS sets for itself and what would lead another Python's libraries astray.
+# Variables that QGIS sets for itself, and that make another Python load wrong libraries.
 _FOREIGN = (
     "PYTHONHOME", "PYTHONPATH", "PYTHONEXECUTABLE", "PYTHONSTARTUP", "PYTHONUSERBASE",
     "PROJ_DATA", "PROJ_LIB", "GDAL_DATA", "GDAL_DRIVER_PATH", "GDAL_FILENAME_IS_UTF8",
@@ -45,14 +45,14 @@ class WorkerError(Exception):
     Parameters
     ----------
     text : str
-        A text of ours, put into the user's language; what the worker says is so already.
+        A text of the plugin, which is translated; the worker's own is so already.
     **values
-        For the holes of the text.
+        Values for the placeholders of the text.
 
     Attributes
     ----------
     summary : dict
-        Figures that the worker found all the same.
+        Figures that the worker reported before the error.
     """
 
     def __init__(self, text: str, **values: Any) -> None:
@@ -117,7 +117,7 @@ def run_worker(
     listener : Listener
         Takes progress and remarks, and is asked whether to stop.
     grace_s : float
-        How long a cancelled worker may take to leave.
+        How long a cancelled worker may take to end.
 
     Raises
     ------
@@ -169,7 +169,7 @@ def run_command(
     cancelled : callable
         Asked about ten times a second whether to stop.
     grace_s : float
-        How long a cancelled program may take to leave.
+        How long a cancelled program may take to end.
     merged : bool
         Whether its standard error is read, too.
 
@@ -297,7 +297,7 @@ def _kill(process: subprocess.Popen[str]) -> None:
 
 
 def _event(line: str) -> Event:
-    """Return a line as an event; what is none becomes a remark."""
+    """Return a line as an event; a line that is no event becomes a remark."""
     try:
         event = json.loads(line)
     except ValueError:

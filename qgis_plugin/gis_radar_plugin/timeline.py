@@ -16,17 +16,17 @@ from qgis.PyQt.QtCore import QDateTime, Qt
 
 
 def as_utc(moment: QDateTime) -> QDateTime:
-    """Return a time whose figures are UTC as a time in UTC.
+    """Return a time without a zone as the same time in UTC.
 
-    GeoPackages hold UTC, but QGIS hands the limits of a layer out without saying that.
+    GeoPackages hold UTC, but QGIS returns the limits of a layer without a zone.
     """
     return QDateTime(moment.date(), moment.time(), Qt.TimeSpec.UTC)
 
 
 def _with_times(layer: QgsVectorLayer) -> QgsVectorLayer:
-    """Return what holds the intervals of a layer once: the table beside a view, or the layer.
+    """Return the table that holds each interval once: the one beside a view, or the layer itself.
 
-    The limits of a column of a view are found in all its rows.
+    To find the limits of a column of a view, QGIS reads all its rows.
     """
     source, _, name = layer.source().partition("|layername=")
     if name == "by_interval":
@@ -71,7 +71,7 @@ def show_time(layer: QgsVectorLayer) -> None:
         return
     project = QgsProject.instance()
     if step.seconds() >= 1.0 and any(map(_is_of_vehicles, project.mapLayers().values())):
-        return  # at longer steps they would smear
+        return  # at longer steps each would be drawn at several places
     settings = project.timeSettings()
     settings.setTemporalRange(extent)
     seconds = step.seconds()

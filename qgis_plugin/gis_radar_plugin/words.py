@@ -1,4 +1,4 @@
-"""The plugin's words in the language of QGIS: English in the code, others from the catalogue.
+"""Texts of the plugin in the language of QGIS: English in the code, others from the catalogue.
 
 The catalogue is that of gis_radar: `base/languages` in the package, below `resources` in the zip.
 """

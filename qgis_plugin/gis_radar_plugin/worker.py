@@ -119,5 +119,5 @@ def forget_versions() -> None:
 
 
 def same_series(worker: str, plugin: str) -> bool:
-    """Return whether a worker of one version serves a plugin of another: the same x.y."""
+    """Return whether worker and plugin are of the same minor version x.y, so that they fit."""
     return not plugin or worker.split(".")[:2] == plugin.split(".")[:2]

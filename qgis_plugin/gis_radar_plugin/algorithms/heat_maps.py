@@ -23,7 +23,7 @@ from . import shared
 
 
 class MakeHeatMap(WorkerAlgorithm):
-    """An algorithm that makes layers of shares of time which compare over places and times."""
+    """An algorithm that makes layers of the share of time with a vehicle on each tile."""
 
     NAME = "heatmap"
     COMMAND = "heatmap"

@@ -118,7 +118,7 @@ class ExportReport(WorkerAlgorithm):
     )  # fmt: skip
 
     def flags(self) -> Any:
-        """Keep to the main thread, as layouts need."""
+        """Run in the main thread, which layouts need."""
         return super().flags() | QgsProcessingAlgorithm.Flag.FlagNoThreading
 
     def process(self, given: Given) -> dict[str, Any]:
@@ -189,7 +189,7 @@ class ExportReport(WorkerAlgorithm):
 
 
 def title_and_source(given: Given) -> tuple[str, str]:
-    """Return title and source: as given, as the heat map has them, or what they are in general."""
+    """Return title and source: as given, else of the heat map, else general ones."""
     known = labels_of(_package(given))
     title = str(known.get("title") or "") or tr("Traffic on the lanes")
     sources = known.get("sources")

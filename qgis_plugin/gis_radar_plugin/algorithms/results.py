@@ -1,4 +1,4 @@
-"""Algorithms of what a run leaves: the report for people without QGIS, a QGIS project."""
+"""Algorithms from the results of a run: the report for people without QGIS, a QGIS project."""
 
 from __future__ import annotations
 

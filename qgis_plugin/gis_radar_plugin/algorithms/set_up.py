@@ -1,4 +1,4 @@
-"""Set-up: the worker, made from inside QGIS, and a sample site to try everything on."""
+"""Set up the worker from inside QGIS, and copy a sample site to try everything on."""
 
 from __future__ import annotations
 

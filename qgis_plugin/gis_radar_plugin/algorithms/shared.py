@@ -1,4 +1,4 @@
-"""Parameters that several algorithms have; `dataclasses.replace` gives one another help."""
+"""Parameters of several algorithms; `dataclasses.replace` gives one of them another help text."""
 
 from __future__ import annotations
 

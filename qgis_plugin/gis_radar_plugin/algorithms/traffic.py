@@ -1,4 +1,4 @@
-"""Algorithms of traffic: from recordings to a dataset, and what is made of it."""
+"""Algorithms of traffic: from recordings to a dataset, and from that to its layers."""
 
 from __future__ import annotations
 

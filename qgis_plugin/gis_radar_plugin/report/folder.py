@@ -1,4 +1,4 @@
-"""The folder of a report: it appears whole or not at all, and replaces an earlier report only."""
+"""The folder of a report: it appears whole or not at all, and replaces only an earlier report."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def move(folder: Path, dest: Path) -> None:
 
 @contextmanager
 def _written(dest: Path) -> Iterator[None]:
-    """Turn what the system refuses into one sentence."""
+    """Turn an error of the file system into one sentence."""
     try:
         yield
     except OSError as error:

@@ -65,5 +65,5 @@ def _drive_map(chart: QgsLayoutItemMap, pages: QgsVectorLayer) -> None:
 
 
 def _literal(text: str) -> str:
-    """Return a text as QGIS prints it: what stands between `[%` and `%]` it would evaluate."""
+    """Return a text that QGIS prints as it is, instead of evaluating what is in `[%` and `%]`."""
     return text.replace("[%", "[% '[' || '%' %]")

@@ -28,7 +28,7 @@ from ..words import speaks_german, tr
 from .junctions import junctions_of
 
 NAMES = ("name", "junction", "sensor", "id")
-TO_SECOND_MS = 10_000  # times this long are told to the second, here and in the report
+TO_SECOND_MS = 10_000  # longer times are given to the second, here and in the report
 Interval = tuple[QDateTime, QDateTime]
 
 
@@ -39,7 +39,7 @@ class Place:
     Parameters
     ----------
     name : str
-        As it stands on the page.
+        Name on the page.
     frame : QgsGeometry
         What the page shows, in the coordinate system of the heat map.
     marks : bool
@@ -205,7 +205,7 @@ def _to_second(moment: QDateTime) -> QDateTime:
 
 
 def _told_in(package: Path, item: str) -> str:
-    """Return what a heat map's file tells of itself."""
+    """Return the metadata of a heat map's file."""
     data = ogr.Open(str(package)) if package.is_file() else None
     layer = data.GetLayerByName("heatmap") if data is not None else None
     return (layer.GetMetadataItem(item) if layer is not None else None) or ""

@@ -27,7 +27,7 @@ _BLUE = QColor("#1d4ed8")
 def moved(
     point: QgsPointXY, source: QgsCoordinateReferenceSystem, target: QgsCoordinateReferenceSystem
 ) -> QgsPointXY:
-    """Return a point in another system; where that cannot be, one that is nowhere."""
+    """Return a point in another coordinate system; NaN where it cannot be transformed."""
     try:
         return QgsCoordinateTransform(source, target, QgsProject.instance()).transform(point)
     except QgsCsException:

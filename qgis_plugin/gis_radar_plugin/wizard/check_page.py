@@ -83,11 +83,11 @@ class CheckPage(Page):
         self._show_text()
 
     def cleanupPage(self) -> None:  # noqa: N802
-        """Let the check go on the way back; QGIS calls it."""
+        """Cancel the check when the user goes back; QGIS calls it."""
         self.let_go()
 
     def let_go(self) -> None:
-        """Stop a check that runs: what it answers counts for nothing."""
+        """Stop a check that runs, and ignore its answer."""
         if self._task is not None:
             self._task.let_go()
         self._task = None
@@ -97,7 +97,7 @@ class CheckPage(Page):
         self.completeChanged.emit()
 
     def check(self) -> None:
-        """Write the site file and check it in the worker; what an earlier check found goes."""
+        """Write the site file and check it in the worker; clear what an earlier check found."""
         self.let_go()
         self.found.clear()
         if not self.save():
@@ -111,7 +111,7 @@ class CheckPage(Page):
         )  # fmt: skip
 
     def save(self) -> bool:
-        """Write the site file; one that says something else is kept beside it."""
+        """Write the site file; keep one with other contents beside it."""
         path = Path(self.site_box.filePath())
         draft = self.draft
         if draft.read and path.parent != Path(draft.folder):
@@ -172,7 +172,7 @@ class CheckPage(Page):
         self.completeChanged.emit()
 
     def _say_whether_it_fits(self, rows: list[list[str]]) -> None:
-        """Say of each sensor whether it fits, in the words of the check: rows with their heads."""
+        """Show whether each sensor fits, in the words of the check: a table with its header."""
         for sensor, verdict, evidence, advice in rows[1:]:
             colour = BAD if verdict == tr("does not fit") else ODD if advice else GOOD
             told = f'<b style="color: {colour}">{html.escape(verdict)}</b>'
@@ -199,7 +199,7 @@ class CheckPage(Page):
         return html.escape(text)
 
     def say(self, text: str, colour: str) -> None:
-        """Add a line to what was found; one with a colour is plain text."""
+        """Add a line to the findings; a line with a colour is plain text."""
         if colour:
             text = f'<span style="color: {colour}">{html.escape(text)}</span>'
         self.found.append(text)

@@ -1,6 +1,6 @@
-"""A site as it is filled in, and its text as a site file; needs no QGIS.
+"""The draft of a site, and its text as a site file; needs no QGIS.
 
-What a site file may hold is checked by gis_radar itself, in the worker: nothing is checked here.
+gis_radar itself checks the site file, in the worker: nothing is checked here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ VEHICLES_M = (-0.5, 4.5)  # heights over the road of what drives, without tree c
 
 @dataclass
 class SensorDraft:
-    """A radar as it is filled in.
+    """A radar in the draft.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class SensorDraft:
     measured : dict
         What its recordings show, as the check found.
     cycle : str
-        From frame to frame, of a slow one: `150ms`.
+        Time from frame to frame, of a radar under 10 Hz: `150ms`.
     """
 
     name: str
@@ -56,7 +56,7 @@ class SensorDraft:
 
     @property
     def is_placed(self) -> bool:
-        """Whether it is known where it stands."""
+        """Whether its position is known."""
         return bool(self.pose) or not math.isnan(self.easting + self.northing)
 
     @property
@@ -68,7 +68,7 @@ class SensorDraft:
 
 @dataclass
 class SiteDraft:
-    """A site as it is filled in; the fields are keys of the site file."""
+    """The draft of a site; the fields are keys of the site file."""
 
     title: str = ""
     timezone: str = ""
@@ -94,7 +94,7 @@ class SiteDraft:
     folder: str = ""  # where it lies, and where its other keys name files from
 
     def text(self, folder: Path) -> str:
-        """Return the site file; what lies in its folder is named from there."""
+        """Return the text of the site file; paths below its folder are relative to it."""
         now = self.tables(folder)
         if self.read and now == self.before and self._same_sensors(folder):
             return self.opened
@@ -104,7 +104,7 @@ class SiteDraft:
         })  # fmt: skip
 
     def tables(self, folder: Path) -> Table:
-        """Return what the draft says of the site, without its sensors: values, then tables."""
+        """Return the values of the draft without its sensors: single values, then tables."""
         tables: dict[str, Table] = {
             "map": {
                 "file": _path(self.map_file, folder), "crs": self.crs,
@@ -227,12 +227,12 @@ def _list(value: object) -> list[Any]:
 
 
 def _whole(path: object, folder: Path) -> str:
-    """Return a file that a site file names as seen from anywhere."""
+    """Return the absolute path of a file that a site file names."""
     return str(folder / str(path)) if path else ""
 
 
 def _states_view(pose: Path) -> bool:
-    """Return whether a file of a pose has a view: it counts then, and a measured one does not."""
+    """Return whether a pose file has a view, which then takes precedence over a measured one."""
     try:
         text = pose.read_text(encoding="utf-8", errors="replace")
     except OSError:  # the check says so
@@ -265,7 +265,7 @@ def next_name(sensors: list[SensorDraft]) -> str:
 
 
 def keep_earlier(path: Path, text: str) -> Path | None:
-    """Move a site file that says something else out of the way; return where it is now."""
+    """Move a site file with other contents out of the way; return its new place."""
     if not path.is_file() or path.read_bytes() == text.encode():
         return None
     number = 1

@@ -1,4 +1,4 @@
-"""What the pages of the site wizard are made of: a page that fills a draft, and its boxes."""
+"""A page of the site wizard, which fills a draft, and its widgets."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ..words import tr
 
 
 class Page(QWizardPage):  # type: ignore[misc]
-    """A page: what is typed goes into the wizard's draft at once."""
+    """A page that writes all input to the wizard's draft at once."""
 
     TITLE = ""
     SUBTITLE = ""

@@ -1,4 +1,4 @@
-"""The pages of the site wizard but the last: map and scan, radars, time and what is made."""
+"""The pages of the site wizard but the last: map and scan, radars, time and results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A site file that is there already: read into a draft, and written with all the draft leaves out.
+"""Read an existing site file into a draft, and write it with all keys that the draft lacks.
 
 Needs no QGIS; the worker's Python reads TOML, which that of QGIS may not.
 """
@@ -40,14 +40,14 @@ def read_toml(python: str, path: Path) -> Table:
 
 
 def kept(read: Mapping[str, Any], before: Mapping[str, Any], now: Mapping[str, Any]) -> Table:
-    """Return a table to write: what was changed as it is now, all else as it was read.
+    """Return a table to write: changed values as they are now, all others as they were read.
 
     Parameters
     ----------
     read : mapping
         As the file has it.
     before, now : mapping
-        What the draft says: as it was read, and as it is.
+        Values of the draft: as read, and now.
     """
     table: Table = {}
     for key in dict.fromkeys([*read, *now]):

@@ -1,4 +1,4 @@
-"""Work beside the window: commands of the worker as tasks of QGIS."""
+"""Commands of the worker as tasks of QGIS, which run beside the window."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class WorkerTask(QgsTask):  # type: ignore[misc]
         then: Callable[[Answer | str, list[str]], None],
         moved: Callable[[float], None] | None = None,
     ) -> WorkerTask:
-        """Begin; `moved` gets how far it is, percent."""
+        """Start; `moved` is called with the progress, percent."""
         task = cls(title, words, then)
         if moved is not None:
             task.progressChanged.connect(lambda percent: task._then and moved(percent))
@@ -60,7 +60,7 @@ class WorkerTask(QgsTask):  # type: ignore[misc]
         return task
 
     def let_go(self) -> None:
-        """Cancel: what it answers counts for nothing."""
+        """Cancel, and ignore the answer."""
         self._then = None
         self.cancel()
 

@@ -77,7 +77,7 @@ class SiteWizard(QWizard):  # type: ignore[misc]
         return self._iface.mapCanvas()
 
     def open_site(self, path: Path) -> None:
-        """Show a site file that is there, to change it; one that cannot be read changes nothing."""
+        """Open an existing site file to change it; one that cannot be read changes nothing."""
         try:
             read = read_toml(chosen_python(), path)
             text = path.read_text(encoding="utf-8-sig")
@@ -102,7 +102,7 @@ class SiteWizard(QWizard):  # type: ignore[misc]
     # Radars on the map.
 
     def place_on_map(self, sensor: SensorDraft | None) -> None:
-        """Let the user click where a radar stands; without one, a new one."""
+        """Let the user click where a radar stands; without `sensor`, a new one."""
         self._tool_before = self.canvas.mapTool()
         tool = PlaceTool(self.canvas, self.lanes.crs)
         tool.placed.connect(lambda *place: self._placed(sensor, *place))
@@ -178,7 +178,7 @@ class SiteWizard(QWizard):  # type: ignore[misc]
         self.draw_sensors(self.radar_page.chosen())
 
     def shift_sensors(self, east_m: float, north_m: float) -> None:
-        """Keep the radars where they are on the lanes, which lie elsewhere now."""
+        """Move the radars along with the lanes, whose origin has changed."""
         for sensor in self.draft.sensors:
             sensor.easting += east_m
             sensor.northing += north_m
@@ -229,7 +229,7 @@ class Lanes:
         self._folder = QTemporaryDir()  # goes when the wizard goes
 
     def read(self, draft: SiteDraft) -> None:
-        """Read the map of a draft; what was being read is let go."""
+        """Read the map of a draft, and cancel an earlier reading."""
         can, why = WorkerAlgorithm().canExecute()
         if not can:
             self._wizard.map_page.show_status(why, good=False)
@@ -248,7 +248,7 @@ class Lanes:
         )  # fmt: skip
 
     def let_go(self) -> None:
-        """Stop reading: what was read counts for nothing."""
+        """Stop reading, and ignore what was read."""
         if self._task is not None:
             self._task.let_go()
         self._task = None
@@ -302,7 +302,7 @@ class Lanes:
         canvas.refresh()
 
     def _follow(self, before: QgsRectangle, after: QgsRectangle) -> None:
-        """Move the radars with a map whose origin was changed: it is as large as it was."""
+        """Move the radars with a map whose origin was changed, which shows by its equal size."""
         east_m, north_m = after.xMinimum() - before.xMinimum(), after.yMinimum() - before.yMinimum()
         ends = after.xMaximum() - before.xMaximum(), after.yMaximum() - before.yMaximum()
         same = abs(ends[0] - east_m) < _SAME_M and abs(ends[1] - north_m) < _SAME_M
