@@ -73,15 +73,15 @@ class LaneTraffic(DayTables):
     @cached_property
     def network(self) -> LaneNetwork:
         """The lanes, read when they are first needed."""
-        tiles, known = read_tiles(self.folder / TILES), {}
+        tiles, columns = read_tiles(self.folder / TILES), {}
         with opened_package(self.folder / TILES, what="the tiles of a dataset") as place:
             if LANES_LAYER in pyogrio.list_layers(place)[:, 0]:
-                known = pyogrio.read_dataframe(
+                columns = pyogrio.read_dataframe(
                     place, layer=LANES_LAYER, read_geometry=False
                 ).to_dict("series")
-        lane = known.get("lane", [])
+        lane = columns.get("lane", [])
         stops, limits = (
-            dict(zip(lane, known.get(name, ()), strict=False))
+            dict(zip(lane, columns.get(name, ()), strict=False))
             for name in ("stop_line_m", "speed_limit_kmh")
         )
         network = LaneNetwork.of(tiles, stops, limits)
@@ -91,8 +91,8 @@ class LaneTraffic(DayTables):
         ]
         return replace(network, line_m=np.array(lines, np.float64)) if self.line_m else network
 
-    def note(self, records: Mapping[int, HourRecord]) -> None:
-        """Keep records that were read, as the hours before others."""
+    def remember(self, records: Mapping[int, HourRecord]) -> None:
+        """Keep records that were read: rows follow from the hour before, too."""
         self._before.update(_with_tracks(records))
 
     def keys(self, day: int, records: Mapping[int, HourRecord]) -> Keys:
@@ -120,9 +120,9 @@ class LaneTraffic(DayTables):
     def _hour_before(self, hour: int) -> HourRecord | None:
         """Return the record of the hour before, if it has tracks."""
         if hour - 1 not in self._before:
-            found = read_hour(self.folder, hour - 1)
+            record = read_hour(self.folder, hour - 1)
             self._before[hour - 1] = None
-            self._before.update(_with_tracks({} if found is None else {hour - 1: found}))
+            self._before.update(_with_tracks({} if record is None else {hour - 1: record}))
         return self._before[hour - 1]
 
     def finer(self, record: HourRecord, steps: int) -> tuple[pa.Table, pa.Table]:

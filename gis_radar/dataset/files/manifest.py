@@ -175,7 +175,7 @@ def remove_dataset(folder: Path) -> None:
 
 
 def require_same_site(
-    folder: Path, found: Manifest, *, map_digest: str, fingerprint: str, crs: str
+    folder: Path, present: Manifest, *, map_digest: str, fingerprint: str, crs: str
 ) -> None:
     """Refuse to add to a dataset with other tiles, another map or coordinate system.
 
@@ -185,23 +185,23 @@ def require_same_site(
         If one differs.
     """
     pairs = (
-        ("coordinate system", found.crs, crs),
-        ("map", found.map, map_digest),
-        ("tiles", found.fingerprint, fingerprint),
+        ("coordinate system", present.crs, crs),
+        ("map", present.map, map_digest),
+        ("tiles", present.fingerprint, fingerprint),
     )
-    for what, mine, other in pairs:
-        if mine != other:
+    for what, own, given in pairs:
+        if own != given:
             raise InputError(
                 "{}: was made with another {}: {}, not {}",
                 folder,
                 what,
-                mine,
-                other,
+                own,
+                given,
                 hint="name the dataset's own, or another folder",
             )
 
 
-def require_same_settings(folder: Path, found: Manifest, mine: Manifest) -> None:
+def require_same_settings(folder: Path, present: Manifest, wanted: Manifest) -> None:
     """Refuse to add to a dataset of another site, or with other settings.
 
     Raises
@@ -210,10 +210,10 @@ def require_same_settings(folder: Path, found: Manifest, mine: Manifest) -> None
         If they differ.
     """
     require_same_site(
-        folder, found, map_digest=mine.map, fingerprint=mine.fingerprint, crs=mine.crs
+        folder, present, map_digest=wanted.map, fingerprint=wanted.fingerprint, crs=wanted.crs
     )
-    for name in mine.settings:
-        if differs := _difference(name, found.settings.get(name), mine.settings[name]):
+    for name in wanted.settings:
+        if differs := _difference(name, present.settings.get(name), wanted.settings[name]):
             raise InputError(
                 "{}: was measured with other settings: {}",
                 folder,

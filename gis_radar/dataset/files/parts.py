@@ -34,7 +34,7 @@ MEASURE_AGAIN = Text("remove its hour's file in hours/ and measure again; the ho
 Values: TypeAlias = Mapping[str, Any] | pd.DataFrame | pa.Table
 """Arrays by column."""
 Keys: TypeAlias = Mapping[int, list[str | int]]
-"""What each hour, or date, since 1970 is now."""
+"""By hour, or first hour of a date, since 1970: digests and numbers that its rows follow from."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -293,7 +293,7 @@ class TableFile:
     path : Path
         The file.
     metadata : dict
-        What it is of, which is checked.
+        Entries that its metadata must have.
     keyed : str
         Entry of the metadata with the keys of the hours or dates that it was made from.
     """
@@ -330,7 +330,7 @@ class TableFile:
         return {int(number): key for number, key in known.items()}
 
     def write(self, rows: Values, keys: Keys | None = None) -> None:
-        """Replace it by rows, made from what has these keys."""
+        """Replace the file by rows, and state the keys that they were made from."""
         stated = {} if keys is None else {self.keyed: json.dumps(dict(sorted(keys.items())))}
         write_part(self.table, self.path, rows, self.metadata | stated)
         rename_whole(self.path)
@@ -451,7 +451,7 @@ def _check_columns(table: TableSchema, path: Path, file: pq.ParquetFile) -> None
 
 def _check_span(table: TableSchema, path: Path, file: pq.ParquetFile, hour: str) -> None:
     """Refuse steps of another hour, by the statistics of the row groups."""
-    assert table.span is not None  # noqa: S101 - the caller has looked
+    assert table.span is not None  # noqa: S101 - the caller has checked
     begin = int(datetime.fromisoformat(hour).timestamp()) * STEPS_PER_SECOND
     for name in set(table.span):
         place = file.schema_arrow.names.index(name)

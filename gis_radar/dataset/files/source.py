@@ -1,4 +1,4 @@
-"""What a dataset offers to those who measure by its tables."""
+"""Interface of a dataset for the modules that compute from its tables."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Moment: TypeAlias = str | datetime | int | None
 
 
 class Source(Protocol):
-    """A dataset, as those see it who measure by its tables."""
+    """A dataset, as the modules that compute from its tables use it."""
 
     @property
     def folder(self) -> Path:
         """The dataset's folder."""
 
     @property
-    def found(self) -> dict[Any, Any]:
-        """What questions found and need again."""
+    def cache(self) -> dict[Any, Any]:
+        """Results that several questions need, by key."""
 
     @property
     def crs(self) -> str:
