@@ -226,7 +226,7 @@ class RollUps:
         """The lane measures."""
         return LaneTraffic(folder=self.folder, fingerprint=self.fingerprint)
 
-    def update(self, hours: Iterable[int], known: Mapping[int, HourRecord]) -> None:
+    def update(self, hours: Iterable[int], records: Mapping[int, HourRecord]) -> None:
         """Bring the roll-ups of the months of some hours up to date; the caller is the only writer.
 
         Parameters
@@ -236,17 +236,17 @@ class RollUps:
         known : mapping
             The records of all complete hours.
         """
-        self.traffic.remember(known)
-        last = max(days_of(known), default=0)
+        self.traffic.remember(records)
+        last = max(days_of(records), default=0)
         for month in self.months(hours):
             for table in MONTH_TABLES:
-                keys = self._keys(table, month, known)
+                keys = self._keys(table, month, records)
                 keys = {day: key for day, key in keys.items() if day < last}
                 file = self.file(table, month)
                 if not keys:
                     file.path.unlink(missing_ok=True)
                 elif not self._is_made_of(table, month, keys):
-                    file.write(self._sums(table, month, keys, known).rows(), keys)
+                    file.write(self._sums(table, month, keys, records).rows(), keys)
 
     def read(
         self, table: TableSchema, month: str, columns: Sequence[str] | None = None
@@ -278,9 +278,9 @@ class RollUps:
         checked_at, stale = self.checked.get((table.name, month), ([], None))
         if written_at and checked_at == written_at:
             return stale
-        known = self._records(self.days(month))
-        keys = self._keys(table, month, known)
-        stale = None if keys and self._is_made_of(table, month, keys) else (keys, known)
+        records = self._records(self.days(month))
+        keys = self._keys(table, month, records)
+        stale = None if keys and self._is_made_of(table, month, keys) else (keys, records)
         if written_at:
             self.checked[table.name, month] = written_at, stale
         return stale
@@ -306,9 +306,9 @@ class RollUps:
                 yield month, self.read(table, month, columns)
                 continue
             masks, sums = asked.masks(month), Sums(table, columns)
-            known = self._records(list(masks))
+            records = self._records(list(masks))
             for day, quarters in masks.items():
-                self._add_day(sums, day, known, quarters)
+                self._add_day(sums, day, records, quarters)
             yield month, sums.rows().select(list(columns))
 
     def months(self, hours: Iterable[int]) -> list[str]:
@@ -380,7 +380,7 @@ class RollUps:
         state = [_written_ns(path) for path in places]
         return state if max(state) < time.time_ns() - _SETTLED_S * 1e9 else []
 
-    def _keys(self, table: TableSchema, month: str, known: Mapping[int, HourRecord]) -> Keys:
+    def _keys(self, table: TableSchema, month: str, records: Mapping[int, HourRecord]) -> Keys:
         """Return what the sums of each date follow from: a digest and a number of method.
 
         By the first hour of the date. The number is 0 where all exact tables were deleted: then the
@@ -388,7 +388,7 @@ class RollUps:
         """
         keys_by_day: dict[int, list[str | int]] = {}
         for day in self.days(month):
-            hours = self._hours(day, self._in_month(day, month), known)
+            hours = self._hours(day, self._in_month(day, month), records)
             if table is TILE_MONTHS:
                 keys, method = count_keys(hours), 0
             else:
@@ -407,18 +407,18 @@ class RollUps:
         return made.keys() == keys.keys() and all(map(_is_same_key, made.values(), keys.values()))
 
     def _hours(
-        self, day: int, wanted: Booleans, known: Mapping[int, HourRecord]
+        self, day: int, wanted: Booleans, records: Mapping[int, HourRecord]
     ) -> dict[int, HourRecord]:
         """Return the records of the hours of a UTC date of which some quarters are wanted."""
         hours = day + np.flatnonzero(wanted.reshape(-1, QUARTERS).any(axis=1))
-        return {hour: known[hour] for hour in hours.tolist() if hour in known}
+        return {hour: records[hour] for hour in hours.tolist() if hour in records}
 
     def _sums(
         self, table: TableSchema, month: str, keys: Keys,
-        known: Mapping[int, HourRecord], columns: Sequence[str] | None = None,
+        records: Mapping[int, HourRecord], columns: Sequence[str] | None = None,
     ) -> Sums:  # fmt: skip
         """Sum a month; the file is taken if its dates are the first ones, with the same keys."""
-        self.traffic.remember(known)
+        self.traffic.remember(records)
         sums, written = Sums(table, columns), self.file(table, month).keys()
         first_keys = {day: keys[day] for day in list(keys)[: len(written)]}
         continues = bool(written) and self._is_made_of(table, month, first_keys)
@@ -426,14 +426,14 @@ class RollUps:
             sums.add_written(self.file(table, month).read([*table.order, *sums.names]))
         for day in keys:
             if not (continues and day in written):
-                self._add_day(sums, day, known, self._in_month(day, month))
+                self._add_day(sums, day, records, self._in_month(day, month))
         return sums
 
     def _add_day(
-        self, sums: Sums, day: int, known: Mapping[int, HourRecord], wanted: Booleans
+        self, sums: Sums, day: int, records: Mapping[int, HourRecord], wanted: Booleans
     ) -> None:
         """Add the wanted quarters of a UTC date."""
-        hours, clock = self._hours(day, wanted, known), self.clock(day)
+        hours, clock = self._hours(day, wanted, records), self.clock(day)
         if not hours:
             return
         id_name = sums.table.order[0]

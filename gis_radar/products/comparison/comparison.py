@@ -78,11 +78,13 @@ def compare(
     if other.folder.resolve() == dataset.folder.resolve():
         _require_apart(dataset, before, after)
     sources = ((dataset, before), (other, after))
-    rows = _rows(sources, day_numbers(days), language)
-    sights = [lane_sights(source, table) for (source, _), table in zip(sources, rows, strict=True)]
+    tables = _rows(sources, day_numbers(days), language)
+    sights = [
+        lane_sights(source, table) for (source, _), table in zip(sources, tables, strict=True)
+    ]
     with speaking(language):
-        together = tr("All stop lines together")
-    return _compared(rows, sights, together, dataset.doubts, other.doubts)
+        name_of_all = tr("All stop lines together")
+    return _compared(tables, sights, name_of_all, dataset.doubts, other.doubts)
 
 
 def _as_period(period: Period | str) -> Period:
@@ -174,17 +176,17 @@ def _compared(
 ) -> Comparison:  # fmt: skip
     """Return the comparison; `together` is the name of all stop lines."""
     lines = pd.concat(rows)[["lane", "name", "geometry"]].drop_duplicates("lane").set_index("lane")
-    left_out, used = [], np.zeros(2)
+    left_out, rows_used = [], np.zeros(2)
     alike: dict[int, AlikeRows] = {}
     for lane in sorted(map(int, lines.index)):
         watchers, why = seen_alike(sights[0], sights[1], lane)
         if watchers is None:
             left_out.append({"lane": lane, "name": lines.loc[lane, "name"], "seen": why})
             continue
-        mine = [each.of_lane(lane) for each in sights]
-        mine = [each[each["watchers"] == watchers] for each in mine]
-        used += [len(each) for each in mine]
-        alike[lane] = AlikeRows(mine[0], mine[1], shown_names(watchers))
+        alike_rows = [each.of_lane(lane) for each in sights]
+        alike_rows = [each[each["watchers"] == watchers] for each in alike_rows]
+        rows_used += [len(each) for each in alike_rows]
+        alike[lane] = AlikeRows(alike_rows[0], alike_rows[1], shown_names(watchers))
     if not alike:
         raise NoAnswerError(
             "no lane was seen by the same sensors alike in both periods",
@@ -197,14 +199,14 @@ def _compared(
             int(table["count"].max()),
             hint="compare three days and more in each, or three times of day in both",
         )
-    named = lines["name"].reindex(table["lane"]).to_numpy()
-    table.insert(1, "name", np.where(table["lane"].isna(), together, named))
+    names = lines["name"].reindex(table["lane"]).to_numpy()
+    table.insert(1, "name", np.where(table["lane"].isna(), together, names))
     geometry = lines["geometry"].reindex(table["lane"]).to_numpy()
     before, after = ((each["begin"].min(), each["end"].max()) for each in rows)
     return Comparison(
         table=gpd.GeoDataFrame(table, geometry=geometry, crs=rows[0].crs),
         left_out=pd.DataFrame(left_out, columns=["lane", "name", "seen"]),
-        used=(float(used[0] / len(rows[0])), float(used[1] / len(rows[1]))),
+        used=(float(rows_used[0] / len(rows[0])), float(rows_used[1] / len(rows[1]))),
         before=before, after=after, doubts=sorted({line for each in doubts for line in each}),
     )  # fmt: skip
 
@@ -251,16 +253,19 @@ def lane_sights(dataset: Dataset, rows: pd.DataFrame) -> LaneSights:
     begin, end = (_seconds(spans[name]) for name in ("begin", "end"))
     recordings, poses = dataset.recordings(), dataset.poses()
     recorded = [_seconds(recordings[name]) for name in ("begin", "end")]
-    used = recordings[(recorded[0] < end.max()) & (recorded[1] > begin.min())]
-    sensors = sorted(set(used["sensor"]))
-    tiles = _tiles_by_lane(dataset, used, poses)
+    overlapping = recordings[(recorded[0] < end.max()) & (recorded[1] > begin.min())]
+    sensors = sorted(set(overlapping["sensor"]))
+    tiles = _tiles_by_lane(dataset, overlapping, poses)
     lanes = np.unique(rows["lane"].to_numpy(np.int64))
     sees = np.array([[(each, int(lane)) in tiles for each in sensors] for lane in lanes])
-    active, partly = _activity(used, sensors, begin, end)
-    at = np.searchsorted(lanes, rows["lane"].to_numpy(np.int64))
-    when = np.searchsorted(begin, _seconds(rows["begin"]))
-    there = sees[at].reshape(len(rows), -1)
-    watching, doubtful = there & active[when], (there & partly[when]).any(axis=1)
+    active, partly = _activity(overlapping, sensors, begin, end)
+    lane_place = np.searchsorted(lanes, rows["lane"].to_numpy(np.int64))
+    interval_place = np.searchsorted(begin, _seconds(rows["begin"]))
+    sees_row = sees[lane_place].reshape(len(rows), -1)
+    watching, doubtful = (
+        sees_row & active[interval_place],
+        (sees_row & partly[interval_place]).any(axis=1),
+    )
     names = [_joined(sensors, row) for row in watching]
     watchers = pd.Series(names, rows.index, dtype=object).mask(np.asarray(doubtful))
     return LaneSights(rows=rows.assign(watchers=watchers), tiles=tiles)

@@ -69,8 +69,8 @@ def table_by_lane(
     if not each:
         table = _sums(tally, chosen, lane_of_tile, index)
     else:
-        part = slice(None) if chosen is None else chosen
-        rows = range(len(tally.timeline))[part] if isinstance(part, slice) else [part]
+        picked = slice(None) if chosen is None else chosen
+        rows = range(len(tally.timeline))[picked] if isinstance(picked, slice) else [picked]
         shown = list(rows) or [0]  # without intervals, an empty table with the columns
         table = pd.concat(
             [_sums(tally, row, lane_of_tile, index) for row in shown],
@@ -79,10 +79,10 @@ def table_by_lane(
         ).iloc[: len(rows) * len(index)]
     if lanes is None:
         return table
-    known = lanes.set_index(LANE_COLUMN)
-    known = known[[name for name in known.columns if name not in table.columns]]
+    further = lanes.set_index(LANE_COLUMN)
+    further = further[[name for name in further.columns if name not in table.columns]]
     return gpd.GeoDataFrame(
-        table.join(known, on=LANE_COLUMN), geometry=known.geometry.name, crs=lanes.crs
+        table.join(further, on=LANE_COLUMN), geometry=further.geometry.name, crs=lanes.crs
     )
 
 

@@ -207,8 +207,8 @@ def _axes(figure: Figure, left: float, bottom: float, width: float, height: floa
 def _add_map(ax: Axes, tally: Tally, extent: Extent, width_in: float) -> None:
     """Draw the whole time on axes of a given width."""
     width_m, height_m = extent[1] - extent[0]
-    most = (width_in * DPI * FINER) ** 2 * float(height_m / width_m)
-    picture = map_picture(quads(tally.tiles), extent, int(most))
+    most_pixels = (width_in * DPI * FINER) ** 2 * float(height_m / width_m)
+    picture = map_picture(quads(tally.tiles), extent, int(most_pixels))
     box = ax.get_window_extent()
     dots = round(box.width), round(box.height)
     picture.show(ax, tally.shown(), tally.uncertain(), dots=dots)
@@ -295,17 +295,17 @@ def _add_side(ax: Axes, tally: Tally) -> None:
 
 
 def _facts(tally: Tally) -> list[tuple[str, str]]:
-    known, sensors = tally.figures(), tally.sensors
+    figures, sensors = tally.figures(), tally.sensors
     facts = [
         (tr("Sensors"), ", ".join(sensors) if len(", ".join(sensors)) < 24 else str(len(sensors))),
-        (tr("Tiles observed"), figure_text(known["tiles_observed"])),
-        (tr("Tiles hit"), figure_text(known["tiles_hit"])),
+        (tr("Tiles observed"), figure_text(figures["tiles_observed"])),
+        (tr("Tiles hit"), figure_text(figures["tiles_hit"])),
     ]
     shares = tally.occupancy_shares()
     if shares is not None:
-        part, whole = figure_text(known["tiles_visible"]), figure_text(len(tally.tiles))
+        part, whole = figure_text(figures["tiles_visible"]), figure_text(len(tally.tiles))
         facts[1:] = [(tr("Tiles visible"), tr("{part} of {all}", part=part, all=whole))]
-        mean = percent(known["mean_occupancy"], off=known["mean_occupancy_se"])
+        mean = percent(figures["mean_occupancy"], off=figures["mean_occupancy_se"])
         facts.append((tr("Mean occupancy"), mean))
         if np.any(shares.occupancy > 0):
             top = surest(shares.occupancy, shares.occupancy_se)

@@ -177,10 +177,10 @@ def intervals_at(
             )
         return number
     moment = moment_in(interval, zone, what="interval")
-    found = int(timeline.find(step_of(np.array([moment.timestamp()])))[0])
-    if found < 0:
+    number_at = int(timeline.find(step_of(np.array([moment.timestamp()])))[0])
+    if number_at < 0:
         raise _none_there(timeline, zone, Text("no interval holds {}", moment.astimezone(zone)))
-    return found
+    return number_at
 
 
 def _between(timeline: Timeline, zone: ZoneInfo, begin: Any, end: Any) -> slice:

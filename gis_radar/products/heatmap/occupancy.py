@@ -269,8 +269,8 @@ class _Shifted:
         beside = np.append(np.nan_to_num(share), 0.0)[self.beside] - occupancy
         shifted = self._change(share) ** 2 + self.other_lane * (beside**2).mean(axis=0)
         least = LEAST_ERROR_S / STEP_S / time
-        found = np.sqrt((squares + unknown) / time**2 + shifted)
-        return np.where(visible > 0, np.clip(found, np.minimum(least, 1.0), 1.0), np.nan)
+        error = np.sqrt((squares + unknown) / time**2 + shifted)
+        return np.where(visible > 0, np.clip(error, np.minimum(least, 1.0), 1.0), np.nan)
 
     def _change(self, share: Floats) -> Floats:
         """Return the change of a share of the counted tiles by the shift, of both directions."""

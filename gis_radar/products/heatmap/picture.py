@@ -181,12 +181,12 @@ def map_picture(corners: Floats, extent: Extent, most_pixels: int) -> MapPicture
     grid = PixelGrid(
         west_m=float(west), north_m=float(north), pixel_m=pixel_m, width=width, height=height
     )
-    covered = cover(grid, corners)
+    tiles_of_pixels = cover(grid, corners)
     road = np.zeros((height, width), np.bool_)
-    road.ravel()[covered.pixel] = True
+    road.ravel()[tiles_of_pixels.pixel] = True
     around = scipy.ndimage.binary_dilation(road, iterations=max(1, round(width / 700)))
     ground = np.where(around & ~road, OUTLINE, NO_TILE).astype(np.uint8)
-    return MapPicture(grid=grid, cover=covered, ground=ground)
+    return MapPicture(grid=grid, cover=tiles_of_pixels, ground=ground)
 
 
 def legend_in_words(measure: str) -> list[tuple[str, str]]:

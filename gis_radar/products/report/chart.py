@@ -34,7 +34,7 @@ ACROSS, UP = 1000, 100  # units of a strip on the page, to the right and upwards
 
 
 def draw_lanes_over_time(
-    heat: HeatMap, each: pd.DataFrame, table: pd.DataFrame, clock: Clock
+    heat: HeatMap, by_interval: pd.DataFrame, table: pd.DataFrame, clock: Clock
 ) -> list[Chart]:
     """Draw the share of each lane by interval, with its standard error; nothing of one interval.
 
@@ -53,7 +53,7 @@ def draw_lanes_over_time(
         return []
     lanes = table[table["share"].notna()].head(STRIPS * MOST_CHARTS)
     share, error = (
-        each[name].unstack(sort=False)[lanes["lane"]]  # noqa: PD010 - a value each
+        by_interval[name].unstack(sort=False)[lanes["lane"]]  # noqa: PD010 - a value each
         for name in ("share", "share_se")
     )
     if not np.isfinite(share).any(axis=None):
@@ -63,14 +63,14 @@ def draw_lanes_over_time(
     charts = []
     for first in range(0, len(lanes), STRIPS):
         strips = [
-            (_named(row), share[row["lane"]].to_numpy(), error[row["lane"]].to_numpy())
+            (_strip_name(row), share[row["lane"]].to_numpy(), error[row["lane"]].to_numpy())
             for _, row in lanes.iloc[first : first + STRIPS].iterrows()
         ]
         charts.append(_chart(heat, strips, top, clock))
     return charts
 
 
-def _named(row: pd.Series) -> str:
+def _strip_name(row: pd.Series) -> str:
     """Return how a strip is called."""
     known = shorten(str(row.get("street") or ""), STREET_LETTERS, placeholder="\u2026")
     street = street_label(known, row.get("street_part"))
@@ -100,7 +100,7 @@ def _chart(
 
     drawn = [(name, spread(share), spread(error)) for name, share, error in strips]
     return chart_over(
-        edges, drawn, clock, caption=_caption(heat.measure), alt=_described(heat, strips, clock),
+        edges, drawn, clock, caption=_caption(heat.measure), alt=_alt_text(heat, strips, clock),
         heading=_heading(heat.measure), top=f"{top * 100:g}",
     )  # fmt: skip
 
@@ -233,7 +233,7 @@ def _caption(measure: str) -> str:
     return tr(text)
 
 
-def _described(heat: HeatMap, strips: Sequence[tuple[str, Floats, Floats]], clock: Clock) -> str:
+def _alt_text(heat: HeatMap, strips: Sequence[tuple[str, Floats, Floats]], clock: Clock) -> str:
     """Return the chart in words: of each lane, its highest interval."""
     lines = []
     for name, share, _ in strips:

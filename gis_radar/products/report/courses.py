@@ -84,12 +84,12 @@ def draw_courses(
     list of Figure
         One figure, or none.
     """
-    parts = [(each, *_window(each.moment, *span)) for each in queues]
-    drawn = [(*part, _course(dataset, part[0].lane, *part[1:])) for part in parts]
-    if not all(each for *_, each in drawn):
+    windows = [(each, *_window(each.moment, *span)) for each in queues]
+    courses = [(*part, _course(dataset, part[0].lane, *part[1:])) for part in windows]
+    if not all(each for *_, each in courses):
         return []
     wide, narrow = (
-        _drawn(drawn, (width_in, height_in), letters_pt, clock, ways=ways)
+        _diagrams(courses, (width_in, height_in), letters_pt, clock, ways=ways)
         for width_in, height_in, letters_pt in (
             (*COURSE_IN, LETTERS_PT), (NARROW_IN, NARROW_COURSE_IN, NARROW_PT),
         )
@@ -130,8 +130,8 @@ def _course(dataset: Dataset, lane: int, begin: datetime, end: datetime) -> list
     return traffic.courses(dataset.records(span), lane, span) if span else []
 
 
-def _drawn(
-    drawn: Sequence[tuple[LongQueue, datetime, datetime, list[QueueCourse]]],
+def _diagrams(
+    courses: Sequence[tuple[LongQueue, datetime, datetime, list[QueueCourse]]],
     size_in: tuple[float, float], letters_pt: float, clock: Clock, *, ways: bool,
 ) -> Image.Image:  # fmt: skip
     """Return the diagrams of lanes below each other."""
@@ -139,10 +139,10 @@ def _drawn(
     dpi = COURSE_DPI if width_in > NARROW_IN else 2 * COURSE_DPI
     with mpl.rc_context(FONTS | {"font.size": letters_pt, "axes.titlesize": "medium"}):
         figure = MplFigure(
-            figsize=(width_in, height_in * len(drawn)), dpi=dpi, layout="constrained"
+            figsize=(width_in, height_in * len(courses)), dpi=dpi, layout="constrained"
         )
-        axes = figure.subplots(len(drawn), 1, squeeze=False)[:, 0]
-        for ax, (queue, begin, end, parts) in zip(axes, drawn, strict=True):
+        axes = figure.subplots(len(courses), 1, squeeze=False)[:, 0]
+        for ax, (queue, begin, end, parts) in zip(axes, courses, strict=True):
             for part in parts:
                 _draw(ax, part, begin, ways=ways)
             near, far = np.concatenate([each.seen[:, 2:] for each in parts]).T
@@ -157,24 +157,29 @@ def _drawn(
 def _draw(ax: Axes, course: QueueCourse, begin: datetime, *, ways: bool) -> None:
     """Draw what was seen, ways and the queue of one hour; seconds from `begin` to the right."""
 
-    def at(steps: Floats | Integers) -> Floats:
+    def to_s(steps: Floats | Integers) -> Floats:
         return np.asarray(steps, np.float64) / STEPS_PER_SECOND - begin.timestamp()
 
     first, after, near, far = course.seen.T
-    corners = [(at(first), near), (at(after), near), (at(after), far), (at(first), far)]
+    corners = [
+        (to_s(first), near),
+        (to_s(after), near),
+        (to_s(after), far),
+        (to_s(first), far),
+    ]
     boxes = np.stack([np.column_stack(each) for each in corners], axis=1)
     ax.add_collection(PolyCollection(list(boxes), facecolors="white", edgecolors="white", lw=0.3))
     back = np.nan_to_num(course.back_m)
     ax.fill_between(
-        at(course.back_step), 0.0, back, step="post", color=QUEUE, alpha=0.3, lw=0.0, zorder=3
+        to_s(course.back_step), 0.0, back, step="post", color=QUEUE, alpha=0.3, lw=0.0, zorder=3
     )
     shown = np.where(course.back_m > 0.0, course.back_m, np.nan)
-    ax.step(at(course.back_step), shown, where="post", color=QUEUE, lw=1.1, zorder=4)
+    ax.step(to_s(course.back_step), shown, where="post", color=QUEUE, lw=1.1, zorder=4)
     if not ways:
         return
     new = np.diff(course.vehicle, prepend=-1) != 0
     new |= np.diff(course.step, prepend=0) > BROKEN_STEPS
-    points = np.column_stack([at(course.step), course.to_line_m])
+    points = np.column_stack([to_s(course.step), course.to_line_m])
     lines = np.split(points, np.flatnonzero(new)[1:])
     ax.add_collection(LineCollection(lines, colors=INK, linewidths=0.45, alpha=0.75, zorder=5))
 

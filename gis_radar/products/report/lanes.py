@@ -86,7 +86,9 @@ def tracks_of(dataset: Dataset | None, lanes: Sequence[Lane]) -> Integers | None
     return counts
 
 
-def lane_table(heat: HeatMap, each: pd.DataFrame, tracks: Integers | None = None) -> pd.DataFrame:
+def lane_table(
+    heat: HeatMap, by_interval: pd.DataFrame, tracks: Integers | None = None
+) -> pd.DataFrame:
     """Return one row a lane: those that are ranked by their occupancy, then the others.
 
     Hits are not ranked: their lanes stay in the order of their numbers. What was not visible
@@ -116,31 +118,31 @@ def lane_table(heat: HeatMap, each: pd.DataFrame, tracks: Integers | None = None
     tiles, shares, known = heat.tiles, heat.shown(), heat.occupancy_shares()
     error = np.full(len(tiles), np.nan) if known is None else known.occupancy_se
     length, centre = tiles["length_m"].to_numpy(np.float64), quads(tiles).mean(axis=1)
-    by_lane = {int(str(lane)): rows for lane, rows in each.groupby(level=LANE_COLUMN)}
+    by_lane = {int(str(lane)): rows for lane, rows in by_interval.groupby(level=LANE_COLUMN)}
     rows = []
     for i, lane in enumerate(lanes_of(tiles)):
-        mine, long = shares[lane.rows], length[lane.rows]
-        seen = np.isfinite(mine)
-        top = surest(mine, error[lane.rows]) if seen.any() else 0
-        before = int(np.searchsorted(np.cumsum(long[::-1]), LANE_EXIT_M))
-        east, north = centre[lane.rows[-1]] - centre[lane.rows[max(len(long) - 1 - before, 0)]]
-        spot_m = long[: top + 1].sum() - long[top] / 2
+        shares_of_lane, lengths = shares[lane.rows], length[lane.rows]
+        seen = np.isfinite(shares_of_lane)
+        top = surest(shares_of_lane, error[lane.rows]) if seen.any() else 0
+        before = int(np.searchsorted(np.cumsum(lengths[::-1]), LANE_EXIT_M))
+        east, north = centre[lane.rows[-1]] - centre[lane.rows[max(len(lengths) - 1 - before, 0)]]
+        top_m = lengths[: top + 1].sum() - lengths[top] / 2
         rows.append(
             {
                 "lanelets": lane.lanelets,
                 "subtype": str(tiles["subtype"].iloc[lane.rows[0]]),
                 "east_m": float(east),
                 "north_m": float(north),
-                "busiest_spot": mine[top],
+                "busiest_spot": shares_of_lane[top],
                 "busiest_spot_se": error[lane.rows[top]] if seen.any() else np.nan,
-                "busiest_spot_m": spot_m if seen.any() else np.nan,
-                "busy_m": long[mine >= BUSY].sum() if seen.any() else np.nan,
+                "busiest_spot_m": top_m if seen.any() else np.nan,
+                "busy_m": lengths[shares_of_lane >= BUSY].sum() if seen.any() else np.nan,
                 "tracks": -1 if tracks is None else int(tracks[i]),
                 **_busiest(heat, by_lane[lane.number]),
             }
         )
-    whole = sums_of(heat).reset_index().rename(columns={"seen_m": "base_m"})
-    return _in_order(pd.concat([whole, pd.DataFrame(rows)], axis=1), heat.measure)
+    sums = sums_of(heat).reset_index().rename(columns={"seen_m": "base_m"})
+    return _in_order(pd.concat([sums, pd.DataFrame(rows)], axis=1), heat.measure)
 
 
 def _in_order(table: pd.DataFrame, measure: str) -> pd.DataFrame:
@@ -181,8 +183,8 @@ def _why_not(row: pd.Series, measure: str) -> str:
 def _busiest(heat: HeatMap, rows: pd.DataFrame) -> dict[str, object]:
     """Return the busiest interval of a lane; nothing where there is but one, or nothing in any."""
     base = rows["base_s"].to_numpy(np.float64)
-    fair = (base > 0) & (base >= 0.5 * base.max(initial=0.0))
-    share = np.where(fair, rows["share"], -1.0)
+    is_fair = (base > 0) & (base >= 0.5 * base.max(initial=0.0))
+    share = np.where(is_fair, rows["share"], -1.0)
     if len(rows) < 2 or not share.max() > 0.0:
         none = dict.fromkeys(("busiest_share", "busiest_share_se"), np.nan)
         return {"busiest_begin": pd.NaT, "busiest_end": pd.NaT, **none}
@@ -240,9 +242,11 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
     _write(path, shown, columns)
 
 
-def write_lane_intervals(path: Path, heat: HeatMap, each: pd.DataFrame, clock: Clock) -> None:
+def write_lane_intervals(
+    path: Path, heat: HeatMap, by_interval: pd.DataFrame, clock: Clock
+) -> None:
     """Write one row a lane and interval, also where nothing was hit or seen."""
-    rows = each.reset_index()
+    rows = by_interval.reset_index()
     times = [(utc(begin), utc(end), clock.iso(begin)) for begin, end in heat.timeline.spans()]
     lanes = len(rows) // len(times)
     for k, name in enumerate(("begin_utc", "end_utc", "begin_local")):

@@ -120,7 +120,7 @@ def _groups(heat: HeatMap) -> list[slice]:
 
 
 def _map(picture: MapPicture, heat: HeatMap, label: str, group: slice | None = None) -> Figure:
-    text = _sentence(heat, group)
+    sentence = _sentence(heat, group)
     alt = "Map of occupancy, {time}. {text}"
     if heat.measure == "hit_share":
         alt = "Map of radar hits, {time}. {text}"
@@ -129,8 +129,8 @@ def _map(picture: MapPicture, heat: HeatMap, label: str, group: slice | None = N
         width=picture.grid.width,
         height=picture.grid.height,
         title=label,
-        caption=text,
-        alt=tr(alt, time=label, text=text),
+        caption=sentence,
+        alt=tr(alt, time=label, text=sentence),
     )
 
 

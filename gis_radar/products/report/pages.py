@@ -166,7 +166,7 @@ def write_pdf(content: Content, path: Path) -> None:
         (folder / "page.html").write_text(page_of(still), encoding="utf-8")
         (folder / "letters.css").write_text(_letters(), encoding="utf-8")
         # Not the time of writing: what was made of the same data is the same.
-        made = content.until.isoformat(timespec="seconds")
+        date = content.until.isoformat(timespec="seconds")
         command = (
             sys.executable,
             "-P",
@@ -174,7 +174,7 @@ def write_pdf(content: Content, path: Path) -> None:
             "gis_radar.products.report.printing",
             folder,
             path,
-            made,
+            date,
         )
         with Path(os.devnull).open("rb") as nothing, (folder / "said").open("w+b") as said:
             code = run_child(

@@ -41,7 +41,7 @@ from gis_radar.products.heatmap.picture import MapPicture
 from gis_radar.products.quality.quality import Quality, measure_quality
 from gis_radar.products.report import names
 from gis_radar.products.report.basis import (
-    Findings,
+    ReportData,
     as_high_as,
     basis_of,
     facts_of,
@@ -178,25 +178,25 @@ def write_report(
     heat = results.heat
     spoken = language or str(results.site.get("language") or heat.labels.language)
     with csv_for(csv_locale), speaking(known_language(spoken)):
-        found = _find(results, title or _named(results, folder), timezone, reporter)
-        content = _content(found, reporter, ways=ways)
-        outputs = _write(folder if output is None else Path(output), found, content, reporter)
-        return Report(outputs=outputs, summary=_summary(found, content))
+        data = _gather(results, title or _default_title(results, folder), timezone, reporter)
+        content = _content(data, reporter, ways=ways)
+        outputs = _write(folder if output is None else Path(output), data, content, reporter)
+        return Report(outputs=outputs, summary=_summary(data, content))
 
 
-def _named(results: Results, folder: Path) -> str:
+def _default_title(results: Results, folder: Path) -> str:
     return str(results.site.get("title") or results.heat.labels.title or folder.resolve().name)
 
 
-def _find(results: Results, title: str, timezone: str | None, reporter: Reporter) -> Findings:
+def _gather(results: Results, title: str, timezone: str | None, reporter: Reporter) -> ReportData:
     """Work out what page, paper and tables are made of."""
     heat = results.heat
     zone = timezone or results.timezone
     sums = sums_of(heat, each=True)
     table = lane_table(heat, sums, tracks_of(results.dataset, lanes_of(heat.tiles)))
-    known = [results.streets.get(int(lane), ("", "")) for lane in table["lane"]]
-    table["street"], table["street_part"] = zip(*known, strict=True) if known else ((), ())
-    return Findings(
+    streets = [results.streets.get(int(lane), ("", "")) for lane in table["lane"]]
+    table["street"], table["street_part"] = zip(*streets, strict=True) if streets else ((), ())
+    return ReportData(
         results=results,
         title=title,
         clock=_clock(heat, zone),
@@ -228,9 +228,9 @@ def _quality(results: Results, timezone: str, reporter: Reporter) -> Quality | N
     return measure_quality(dataset, timezone=timezone, reporter=reporter)
 
 
-def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -> list[Path]:
+def _write(place: Path, data: ReportData, content: Content, reporter: Reporter) -> list[Path]:
     """Write all files, which appear together or not at all."""
-    writers = _writers(found, content)
+    writers = _writers(data, content)
     before = [place / name for name in names.REPORT_FILES] if (place / names.PAGE).is_file() else []
     with folder_to_fill(place), atomic_writes(place / names.PAGE) as (private, places):
         for done, (name, write) in enumerate(writers.items(), start=1):
@@ -238,132 +238,132 @@ def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -
             if (private / name).is_file():
                 places[private / name] = place / name
             reporter.progress("writing the report", done, len(writers))
-    made = list(places.values())
+    written = list(places.values())
     for path in before:  # what the last report had and this one has not
-        if path not in made:
+        if path not in written:
             path.unlink(missing_ok=True)
-    if place / names.PAPER not in made:
+    if place / names.PAPER not in written:
         reporter.warn(
             "{} is not written: WeasyPrint, or Pango, which it calls, is missing (pip "
             "install gis_radar[pdf]); a browser prints {} alike",
             names.PAPER,
             names.PAGE,
         )
-    return made
+    return written
 
 
-def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], object]]:
+def _writers(data: ReportData, content: Content) -> dict[str, Callable[[Path], object]]:
     """Return the writer of each file."""
-    clock, heat, quality = found.clock, found.results.heat, found.quality
+    clock, heat, quality = data.clock, data.results.heat, data.quality
     writers: dict[str, Callable[[Path], object]] = {
         names.PAGE: lambda path: path.write_text(page_of(content), encoding="utf-8", newline="\n"),
         names.PAPER: lambda path: write_pdf(content, path),
-        names.LANES: lambda path: write_lanes(path, found.table, clock, heat.measure),
-        names.LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, found.lanes, clock),
+        names.LANES: lambda path: write_lanes(path, data.table, clock, heat.measure),
+        names.LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, data.lanes, clock),
     }
     if quality is not None:
         writers[names.QUALITY] = quality.write_rows
-    if (traffic := found.traffic) is not None:
+    if (traffic := data.traffic) is not None:
         writers[names.TRAFFIC] = lambda path: write_lane_traffic(path, traffic)
         writers[names.TURNS] = lambda path: write_turn_traffic(path, traffic)
     return writers
 
 
-def _summary(found: Findings, content: Content) -> dict[str, Any]:
+def _summary(data: ReportData, content: Content) -> dict[str, Any]:
     """Return the figures as numbers, None where not known; the page has them in words."""
-    begin, end = found.results.heat.whole.span()
+    begin, end = data.results.heat.whole.span()
     return {
         "title": content.title,
         "begin": utc(begin),
         "end": utc(end),
-        "timezone": str(found.clock.zone),
+        "timezone": str(data.clock.zone),
         "pictures": len(content.map.frames) + 1,
-        "sensors": found.results.sensors,
-        **totals_of(found),
+        "sensors": data.results.sensors,
+        **totals_of(data),
         "facts": {fact.name: " ".join(filter(None, [fact.value, fact.rests and f"({fact.rests})"]))
                   for fact in content.facts},
         "basis": [[each.title for each in content.basis.columns], *map(list, content.basis.rows)],
-        "found": _english_remarks(found),
+        "found": _english_remarks(data),
         "remarks": list(content.remarks),
     }  # fmt: skip
 
 
-def _english_remarks(found: Findings) -> list[Text]:
+def _english_remarks(data: ReportData) -> list[Text]:
     """Return what it finds for a run's log: all there is English until the console translates."""
     with speaking("en"):
-        return own_remarks(found)
+        return own_remarks(data)
 
 
-def _content(found: Findings, reporter: Reporter, *, ways: bool) -> Content:
+def _content(data: ReportData, reporter: Reporter, *, ways: bool) -> Content:
     """Put the findings into words."""
-    results, clock = found.results, found.clock
+    results, clock = data.results, data.clock
     picture = lay_out(results.heat)
-    questions = traffic_chapters(found.traffic, clock, ways=ways) if found.traffic else []
+    questions = traffic_chapters(data.traffic, clock, ways=ways) if data.traffic else []
     queues = (part for each in questions if each.name == QUEUES for part in each.parts)
     ways &= any(isinstance(part, Figure) for part in queues)
     begin, end = results.heat.whole.span()
     return Content(
-        title=found.title,
+        title=data.title,
         subtitle=clock.whole(begin, end),
         zone=clock.name,
         until=end,
         intro=tr(WORDS[results.heat.measure].intro),
-        facts=facts_of(found),
-        remarks=remarks_of(found),
-        basis=basis_of(found),
+        facts=facts_of(data),
+        remarks=remarks_of(data),
+        basis=basis_of(data),
         questions=questions,
         shows_ways=ways,
         map=draw_maps(results, picture, clock, reporter),
-        chapters=_chapters(found, picture),
+        chapters=_chapters(data, picture),
         made_by=made_by(),
         measure=results.heat.measure,
     )
 
 
-def _chapters(found: Findings, picture: MapPicture) -> list[Chapter]:
+def _chapters(data: ReportData, picture: MapPicture) -> list[Chapter]:
     """Return what follows the map."""
-    results, clock = found.results, found.clock
-    lanes = _lanes(found, intervals=len(results.heat.timeline) > 1)
+    results, clock = data.results, data.clock
+    lanes = _lanes(data, intervals=len(results.heat.timeline) > 1)
     sensors = sensor_table(results)
     sources = [settings_of(results), sources_of(results)]
-    plan = draw_plan(results.heat.tiles, picture, found.table)
-    over_time = draw_lanes_over_time(results.heat, found.lanes, found.table, clock)
+    plan = draw_plan(results.heat.tiles, picture, data.table)
+    over_time = draw_lanes_over_time(results.heat, data.lanes, data.table, clock)
     return [
         Chapter("trust", tr("Can this be trusted?"), [trust_table(results, clock)]),
         Chapter("lanes", tr("Lanes"), [plan, lanes]),
         *([Chapter("time", tr("The lanes over time"), over_time)] if over_time else []),
         Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results)]),
-        Chapter("quality", tr("What sensors delivered"), [quality_table(found)]),
+        Chapter("quality", tr("What sensors delivered"), [quality_table(data)]),
         Chapter("settings", tr("Settings and sources"), sources),
-        Chapter("words", tr("What the words mean"), [_terms(found)]),
+        Chapter("words", tr("What the words mean"), [_terms(data)]),
     ]
 
 
-def _terms(found: Findings) -> Terms:
+def _terms(data: ReportData) -> Terms:
     """Return what the words of a report mean, of what it shows."""
     text = (
         files("gis_radar.products.report").joinpath("definitions.toml").read_text(encoding="utf-8")
     )
     groups = tomllib.loads(text)
-    others = {"hits" if found.results.heat.measure == "occupancy" else "occupancy"}
-    others |= set() if found.traffic else {"traffic"}
+    others = {"hits" if data.results.heat.measure == "occupancy" else "occupancy"}
+    others |= set() if data.traffic else {"traffic"}
     chosen = [name for name in groups if name not in others]
     pairs = [pair for name in chosen for pair in groups[name].items()]
     return Terms(tuple((tr(term), tr(meaning)) for term, meaning in pairs))
 
 
-def _lanes(found: Findings, *, intervals: bool) -> Table:
+def _lanes(data: ReportData, *, intervals: bool) -> Table:
     """Return the lanes with a share as they are read, from what `lane_table` returns."""
-    table, measure = found.table, found.results.heat.measure
-    seen, words = table[table["share"].notna()], WORDS[measure]
-    shown = seen.head(MOST_LANES)
-    columns = lane_columns(found.clock, measure)
+    table, measure = data.table, data.results.heat.measure
+    known, words = table[table["share"].notna()], WORDS[measure]
+    shown = known.head(MOST_LANES)
+    columns = lane_columns(data.clock, measure)
     columns = columns if intervals else columns[:-1]
     notes = [] if measure == "hit_share" else [_ranking(table)]
-    if unseen := len(table) - len(seen):
+    if unseen := len(table) - len(known):
         notes.append(plural(unseen, words.unseen_one, words.unseen_many))
-    if len(seen) > len(shown):
-        text = tr("Here are {part} of {all} lanes.", part=len(shown), all=figure_text(len(seen)))
+    if len(known) > len(shown):
+        text = tr("Here are {part} of {all} lanes.", part=len(shown), all=figure_text(len(known)))
         notes.append(text)
     if measure == "occupancy":
         notes.append(tr("± is the standard error."))
@@ -376,14 +376,14 @@ def _lanes(found: Findings, *, intervals: bool) -> Table:
         columns=columns,
         rows=text_rows((row for _, row in shown.iterrows()), columns),
         note=" ".join(notes),
-        files=_files((names.LANES, "all lanes"), *([_BY_INTERVAL] if intervals else [])),
+        files=_translated_files((names.LANES, "all lanes"), *([_BY_INTERVAL] if intervals else [])),
     )
 
 
 _BY_INTERVAL = (names.LANES_BY_INTERVAL, "each lane in each interval")
 
 
-def _files(*given: tuple[str, str]) -> list[tuple[str, str]]:
+def _translated_files(*given: tuple[str, str]) -> list[tuple[str, str]]:
     return [(name, tr(text)) for name, text in given]
 
 

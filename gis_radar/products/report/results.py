@@ -172,18 +172,18 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
     """
     run, place = read_run(folder), _heat_map(folder)
     heat = read_heatmap(place)
-    measured, missing = _dataset(folder, heat, dataset)
-    if measured is None:
+    of_map, missing = _dataset(folder, heat, dataset)
+    if of_map is None:
         missing.append(
             "The dataset that the heat map was made of is not in the folder: what the sensors "
             "delivered, their poses and the filters are not known."
         )
     if not run:
         missing.append("The folder is not that of a run: settings are listed only as far as known.")
-    if measured is not None and measured.has_vehicles:
-        measured, left_out = as_stated(measured, run.get("site") or {})
+    if of_map is not None and of_map.has_vehicles:
+        of_map, left_out = as_stated(of_map, run.get("site") or {})
         missing += left_out
-    poses = _poses(folder, measured)
+    poses = _poses(folder, of_map)
     missing += [
         Text(
             "The pose of sensor {} is in {}, the map in {}: it is left out.",
@@ -197,7 +197,7 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
     return Results(
         name=place.name,
         heat=heat,
-        dataset=measured,
+        dataset=of_map,
         poses=[pose for pose in poses if same_plane(pose.crs, heat.crs)],
         streets=_streets(folder),
         figures=any((folder / "sensors").glob("*/localization.png")),
@@ -223,15 +223,15 @@ def _heat_map(folder: Path) -> Path:
     for place in (folder, folder / "heatmap"):
         if (place / PACKAGE).is_file():
             return place
-    found = sorted(path.parent for path in folder.glob(f"*/{PACKAGE}"))
-    if len(found) > 1:
-        names = ", ".join(path.name for path in found)
+    folders = sorted(path.parent for path in folder.glob(f"*/{PACKAGE}"))
+    if len(folders) > 1:
+        names = ", ".join(path.name for path in folders)
         raise InputError("{}: holds several heat maps: {}", folder, names, hint="name one of them")
-    if not found:
+    if not folders:
         raise InputError(
             "{}: holds no heat map", folder, hint="make one with: gis-radar run, gis-radar heatmap"
         )
-    return found[0]
+    return folders[0]
 
 
 def _dataset(folder: Path, heat: HeatMap, given: Path | None) -> tuple[Dataset | None, list[str]]:
@@ -239,9 +239,9 @@ def _dataset(folder: Path, heat: HeatMap, given: Path | None) -> tuple[Dataset |
     place = given or folder / DATASET
     if given is None and not place.is_dir():
         return None, []
-    found = open_dataset(place)
-    if found.manifest.fingerprint == heat.fingerprint:
-        return found, []
+    dataset = open_dataset(place)
+    if dataset.manifest.fingerprint == heat.fingerprint:
+        return dataset, []
     if given is not None:
         raise InputError(
             "{}: the heat map was not made with the tiles of {}",
@@ -270,17 +270,17 @@ def _streets(folder: Path) -> dict[int, tuple[str, str]]:
 
 def _poses(folder: Path, dataset: Dataset | None) -> list[Pose]:
     """Return the pose that each sensor had last, by the dataset, or by the files beside."""
-    found: dict[str, Pose] = {}
+    by_sensor: dict[str, Pose] = {}
     if dataset is not None:
         for document in dataset.poses()["document"]:
             pose = pose_from_dict(json.loads(document), what=Text("{}: a pose", dataset.folder))
-            before = found.get(pose.sensor)
-            if before is None or before.parsed_evidence().time <= pose.parsed_evidence().time:
-                found[pose.sensor] = pose
+            earlier = by_sensor.get(pose.sensor)
+            if earlier is None or earlier.parsed_evidence().time <= pose.parsed_evidence().time:
+                by_sensor[pose.sensor] = pose
     elif (folder / "sensors").is_dir():
         for path in sorted((folder / "sensors").glob("*/pose.json")):
-            found[path.parent.name] = read_track(path).poses[-1]
-    return [found[name] for name in sorted(found)]
+            by_sensor[path.parent.name] = read_track(path).poses[-1]
+    return [by_sensor[name] for name in sorted(by_sensor)]
 
 
 def read_run(folder: Path) -> dict[str, Any]:
@@ -326,7 +326,7 @@ def _sensor_columns() -> list[Column]:
     """Return how a pose is read."""
 
     def angles(pose: Pose) -> str:
-        both = [_measured(pose, name, 1).replace(" ", THIN_SPACE) for name in ("pitch", "roll")]
+        both = [_with_sigma(pose, name, 1).replace(" ", THIN_SPACE) for name in ("pitch", "roll")]
         return ", ".join(both)
 
     def sees(pose: Pose) -> str:
@@ -335,9 +335,9 @@ def _sensor_columns() -> list[Column]:
 
     return [
         Column(tr("Sensor"), "", lambda pose: str(pose.sensor), False),
-        Column(tr("Easting"), "m", lambda pose: _measured(pose, "easting", 2)),
-        Column(tr("Northing"), "m", lambda pose: _measured(pose, "northing", 2)),
-        Column(tr("Height"), "m", lambda pose: _measured(pose, "height", 2)),
+        Column(tr("Easting"), "m", lambda pose: _with_sigma(pose, "easting", 2)),
+        Column(tr("Northing"), "m", lambda pose: _with_sigma(pose, "northing", 2)),
+        Column(tr("Height"), "m", lambda pose: _with_sigma(pose, "height", 2)),
         Column(tr("Looks to"), tr("from grid north"), _looks_to),
         Column(tr("Pitch, roll"), tr("degrees"), angles),
         Column(tr("Sees"), tr("range, width"), sees),
@@ -345,7 +345,7 @@ def _sensor_columns() -> list[Column]:
     ]
 
 
-def _measured(
+def _with_sigma(
     pose: Pose, name: str, digits: int, value: float | None = None, unit: str = ""
 ) -> str:
     """Return a number of a pose, or another value for it, with its standard deviation."""
@@ -357,4 +357,4 @@ def _measured(
 def _looks_to(pose: Pose) -> str:
     ahead = pose.R_map_sensor[:2, 0]
     bearing = math.degrees(math.atan2(ahead[0], ahead[1])) % 360.0
-    return f"{direction(*ahead)}, {_measured(pose, 'yaw', 1, bearing, '°')}"
+    return f"{direction(*ahead)}, {_with_sigma(pose, 'yaw', 1, bearing, '°')}"

@@ -148,17 +148,17 @@ def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None
 
 def write_lane_traffic(path: Path, traffic: ReportedTraffic) -> None:
     """Write the traffic of lanes by interval: columns as of `gis-radar traffic`."""
-    write_table(traffic.lanes.assign(name=_english(traffic, traffic.lanes["lane"])), path)
+    write_table(traffic.lanes.assign(name=_english_names(traffic, traffic.lanes["lane"])), path)
 
 
 def write_turn_traffic(path: Path, traffic: ReportedTraffic) -> None:
     """Write the volumes of turns by interval: columns as of `gis-radar traffic`."""
-    ends = {f"{end}_name": _english(traffic, traffic.turns[f"{end}_lane"])
+    ends = {f"{end}_name": _english_names(traffic, traffic.turns[f"{end}_lane"])
             for end in ("from", "to")}  # fmt: skip
     write_table(traffic.turns.assign(**ends), path)
 
 
-def _english(traffic: ReportedTraffic, lanes: pd.Series) -> pd.Series:
+def _english_names(traffic: ReportedTraffic, lanes: pd.Series) -> pd.Series:
     """Return the names of lanes in English, as all tables are."""
     with speaking("en"):
         named = lane_names(traffic.dataset.layer(LANES_LAYER), traffic.network)
@@ -190,7 +190,7 @@ def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> l
     return chapters
 
 
-def _before_lines(traffic: ReportedTraffic) -> set[int]:
+def _lanes_with_stop_lines(traffic: ReportedTraffic) -> set[int]:
     network = traffic.network
     return set(network.lane[network.has_stop_line].tolist())
 
@@ -203,7 +203,7 @@ def _roads(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
     network = traffic.network
     inside = set(network.lane[network.connector].tolist())
     rows = traffic.by_lane[~traffic.by_lane["lane"].isin(inside)]
-    later = ~rows["lane"].isin(_before_lines(traffic))
+    later = ~rows["lane"].isin(_lanes_with_stop_lines(traffic))
     rows = rows.assign(later=later, order=rows["name"].map(by_number))
     return rows.sort_values(["later", "order"], ignore_index=True)
 
@@ -217,13 +217,13 @@ def _estimated(row: pd.Series) -> str:
 
 def _volume_table(traffic: ReportedTraffic) -> Table:
     """Return volumes, speeds and queues, a row a lane."""
-    known = _roads(traffic).assign(hours=traffic.hours)
-    shown = known.head(MOST_LANES)
-    columns = _volume_columns(_before_lines(traffic))
+    rows = _roads(traffic).assign(hours=traffic.hours)
+    shown = rows.head(MOST_LANES)
+    columns = _volume_columns(_lanes_with_stop_lines(traffic))
     return Table(
         name="volumes", caption=tr("Traffic of lanes over the whole time"), columns=columns,
         rows=text_rows((row for _, row in shown.iterrows()), columns),
-        note=" ".join(_volume_notes(traffic, known, len(shown))),
+        note=" ".join(_volume_notes(traffic, rows, len(shown))),
         files=[(names.TRAFFIC, tr("each lane in each interval, with further measures"))],
     )  # fmt: skip
 
@@ -260,7 +260,7 @@ def _longest(row: pd.Series) -> str:
     return text if ends_in_sight or row["queue_max_m"] == 0.0 else tr("at least {m}", m=text)
 
 
-def _volume_notes(traffic: ReportedTraffic, known: pd.DataFrame, shown: int) -> list[str]:
+def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> list[str]:
     """Return how the table is to be read, and what it does not tell."""
     seconds = (traffic.end - traffic.begin).total_seconds()
     notes = [
@@ -270,15 +270,15 @@ def _volume_notes(traffic: ReportedTraffic, known: pd.DataFrame, shown: int) -> 
            time=seconds_text(seconds)),
     ]  # fmt: skip
     share = percent(LEAST_SHARE, 0)
-    if known["volume"].isna().any():
+    if rows["volume"].isna().any():
         notes.append(
             tr("Not seen: the place of counting was not visible, which is not 0; too little seen: "
                "under {share} of the time.", share=share)
         )  # fmt: skip
     if missing := len(traffic.network.lane) - len(traffic.by_lane):
         notes.append(plural(missing, WORDS["occupancy"].unseen_one, WORDS["occupancy"].unseen_many))
-    if len(known) > shown:
-        notes.append(tr("Here are {part} of {all} lanes.", part=shown, all=len(known)))
+    if len(rows) > shown:
+        notes.append(tr("Here are {part} of {all} lanes.", part=shown, all=len(rows)))
     return notes
 
 
@@ -286,7 +286,7 @@ def _volume_charts(traffic: ReportedTraffic, clock: Clock) -> list[Chart]:
     """Draw the volume of lanes before stop lines by interval, of others where there are none."""
     rows = _roads(traffic)
     rows = rows[rows["volume"].notna()]
-    before = rows["lane"].isin(_before_lines(traffic))
+    before = rows["lane"].isin(_lanes_with_stop_lines(traffic))
     return _charts(traffic, rows[before] if before.any() else rows, _VOLUMES, clock)
 
 
@@ -306,7 +306,7 @@ _VOLUMES = _Profile(
     Text("Volume of each lane in intervals of {length}, all on one scale; the band is its "
          "standard error. Hatched grey: not seen."),
 )  # fmt: skip
-_BACKS = _Profile(
+_LONGEST_QUEUES = _Profile(
     ("queue_max_m", "unknown"), (20, 50, 100, 200, 300, 500), False,
     Text("Lane; longest queue, metres"),
     Text("Longest queue of each lane in intervals of {length}, all on one scale. Hatched grey: the "
@@ -355,7 +355,7 @@ def _chart(
 
 def _turning_diagram(traffic: ReportedTraffic) -> Figure:
     """Draw the turning diagram, for the page and for a phone."""
-    drawn = [_turns_drawn(traffic, width_in) for width_in in (TURNS_IN, NARROW_IN)]
+    drawn = [_turning_image(traffic, width_in) for width_in in (TURNS_IN, NARROW_IN)]
     wide, narrow = (each.quantize(128, dither=Image.Dither.NONE) for each in drawn)
     return Figure(
         png=png(wide), narrow=png(for_a_phone(narrow)), width=wide.width, height=wide.height,
@@ -368,7 +368,7 @@ def _turning_diagram(traffic: ReportedTraffic) -> Figure:
     )  # fmt: skip
 
 
-def _turns_drawn(traffic: ReportedTraffic, width_in: float) -> Image.Image:
+def _turning_image(traffic: ReportedTraffic, width_in: float) -> Image.Image:
     wide = width_in > NARROW_IN
     with mpl.rc_context(FONTS):
         dpi = TURNS_DPI if wide else 2 * TURNS_DPI
@@ -422,11 +422,11 @@ def _queues(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Table
     if queues.empty:
         return []
     table = traffic.lanes.dropna(subset="queue_max_m").sort_values("queue_max_m", kind="stable")
-    most = table.groupby("lane").last()
+    longest_by_lane = table.groupby("lane").last()
     longest = [
         LongQueue(
             int(row["lane"]), str(row["name"]), float(row["queue_max_m"]),
-            most.loc[row["lane"], ["begin", "end"]].mean().to_pydatetime(),
+            longest_by_lane.loc[row["lane"], ["begin", "end"]].mean().to_pydatetime(),
         )
         for _, row in queues.head(MOST_COURSES).iterrows()
     ]  # fmt: skip
@@ -434,16 +434,16 @@ def _queues(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Table
     long = int((traffic.end - traffic.begin).total_seconds() > WINDOW_S)  # more than diagrams show
     return [
         *draw_courses(traffic.dataset, longest, span, replace(clock, to_seconds=True), ways=ways),
-        _queue_table(traffic, queues, most, clock),
-        *_charts(traffic, queues.head(MOST_QUEUES), _BACKS, clock)[:long],
+        _queue_table(traffic, queues, longest_by_lane, clock),
+        *_charts(traffic, queues.head(MOST_QUEUES), _LONGEST_QUEUES, clock)[:long],
     ]
 
 
 def _queue_table(
-    traffic: ReportedTraffic, queues: pd.DataFrame, most: pd.DataFrame, clock: Clock
+    traffic: ReportedTraffic, queues: pd.DataFrame, longest_by_lane: pd.DataFrame, clock: Clock
 ) -> Table:
     def when(row: pd.Series) -> str:
-        span = most.loc[row["lane"]]
+        span = longest_by_lane.loc[row["lane"]]
         return clock.span(span["begin"].to_pydatetime(), span["end"].to_pydatetime())
 
     def figure(name: str) -> Column:
@@ -463,9 +463,9 @@ def _queue_table(
           if name != "queue_max_m" and queues[name].notna().any()),
     ]  # fmt: skip
     levels = service_levels(queues, "hcm")
-    told = ""
+    level_note = ""
     if levels.notna().any():
-        told = " " + tr("Levels of service are those of signals, by the delay on the lane.")
+        level_note = " " + tr("Levels of service are those of signals, by the delay on the lane.")
         queues = queues.assign(los=levels.fillna(NO_FIGURE))
         columns.append(Column(tr(LEVEL), "HCM", lambda row: str(row["los"])))
     rows = [row for _, row in queues.head(MOST_QUEUES).iterrows()]
@@ -476,7 +476,7 @@ def _queue_table(
             "A queue is who stands, from the stop line back, with no more than 10 m of visible "
             "road free: a vehicle that was missed cuts it there, so it may be longer. 'At least' "
             "is where it reaches as far as the radars see. Nothing follows about why vehicles wait."
-        ) + told,
+        ) + level_note,
     )  # fmt: skip
 
 
