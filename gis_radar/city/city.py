@@ -153,9 +153,10 @@ class City(SqlQueries):
     def _maps(self, month: str, crs: Any) -> dict[str, HeatMap]:
         systems = {dataset.crs: name for name, dataset in self.sites.items()}
         if crs is None and len(systems) > 1:
-            (one, here), (other, there), *_ = systems.items()
+            (site, crs_here), (other_site, crs_there), *_ = systems.items()
             raise CrsError(
-                "{}: site {} lies in {}, site {} in {}", self.root, here, one, there, other,
+                "{}: site {} lies in {}, site {} in {}",
+                self.root, crs_here, site, crs_there, other_site,
                 hint="name one for all sites, in Python: city.write_map(month, folder, crs=...)",
             )  # fmt: skip
         return self._of_sites(lambda dataset: make_heatmap(dataset, month=month))
@@ -183,19 +184,19 @@ class City(SqlQueries):
         NoAnswerError, InputError
             That of the first site, if none can be compared.
         """
-        found: dict[str, Comparison] = {}
+        compared: dict[str, Comparison] = {}
         refused: list[NoAnswerError | InputError] = []
         for name, dataset in self.sites.items():
             try:
-                found[name] = compare(
+                compared[name] = compare(
                     dataset, before=before, after=after, days=days, language=language
                 )
             except (NoAnswerError, InputError) as error:
                 refused.append(error)
                 reporter.warn("{} is left out: {}", name, error.message)
-        if not found:
+        if not compared:
             raise refused[0]
-        return found
+        return compared
 
     def write_catalogue(self, path: str | Path, *, root: str | None = None) -> None:
         """Write an SQL file that makes views of the tables of all sites in DuckDB.

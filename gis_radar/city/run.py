@@ -54,7 +54,7 @@ from gis_radar.site import software
 
 STATE = ".gis-radar"
 OWNED = (STATE, "site=", "results", "poses", "recordings", "run.json", MONTH_PAGE)
-NOTED_EVERY_S = 10.0  # seconds between writes of a site's registry
+REGISTRY_EVERY_S = 10.0  # seconds between writes of a site's registry
 HOURS = Text("hours")
 
 
@@ -249,14 +249,14 @@ class CitySteps:
                 (name, hour): (make_site_hour, self._dataset(name), hour, share)
                 for _, name, hour in sorted(order)
             }
-            noted = dict.fromkeys(opened, time.monotonic())
+            written_at = dict.fromkeys(opened, time.monotonic())
             try:  # which hours are made is recorded from time to time, and at the end
                 for name, hour in self._made(calls):
                     opened[name].made.append(hour)
                     self.sites[name].hours += 1
-                    if time.monotonic() - noted[name] > NOTED_EVERY_S:
+                    if time.monotonic() - written_at[name] > REGISTRY_EVERY_S:
                         opened[name].note()
-                        noted[name] = time.monotonic()
+                        written_at[name] = time.monotonic()
             finally:  # also of a broken run
                 for each in opened.values():
                     if each.made:

@@ -43,7 +43,7 @@ class SiteMonth:
     hours : int
         Complete hours in the month.
     lanes : DataFrame or None
-        Its lanes over the month, as of :meth:`gis_radar.Dataset.traffic`, with `delay_se`,
+        Its lanes over the month, from :meth:`gis_radar.Dataset.traffic`, with `delay_se`,
         `queue_se` (from day to day), `worst_hour` and `worst_delay_s`, `level`, `length_m`,
         `is_inside` (a turn in the junction) and `is_entry` (where the site's vehicles are
         counted, once each); None where nothing is known.
@@ -122,27 +122,27 @@ def site_month(month: CityMonth, name: str, folder: Path) -> SiteMonth:
     folder : Path
         Where the page goes, from which its links lead.
     """
-    known_as, place = month.city.sites[name], month.city.root / RESULTS / name
+    opened, place = month.city.sites[name], month.city.root / RESULTS / name
     # The layers that it reads go with it: those of hundreds of sites would fill the memory.
-    dataset = Dataset(folder=known_as.folder, manifest=known_as.manifest)
+    dataset = Dataset(folder=opened.folder, manifest=opened.manifest)
     site = read_run(place).get("site") or {}
     if dataset.has_vehicles:
         dataset, _ = as_stated(dataset, site)
-    known: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "name": name, "title": str(site.get("title") or name), "ways": _ways(dataset),
         "link": _link(place / PAGE, folder), "hours": len(month.hours[name].get(month.month, [])),
     }  # fmt: skip
     if not (dataset.has_vehicles and month.has_data(name)):
-        return SiteMonth(**known)
+        return SiteMonth(**fields)
     network = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint).network
     lanes = _lanes(dataset, month, network)
     if lanes.empty:
-        return SiteMonth(**known)
+        return SiteMonth(**fields)
     sums = dataset.lane_months(month=month.month)
     lanes = lanes.join(_worst_hours(sums), on="lane")
     changes, not_alike = _changes(dataset, name, month)
     return SiteMonth(
-        **known, lanes=lanes, profile=_profile(sums, lanes), changes=changes,
+        **fields, lanes=lanes, profile=_profile(sums, lanes), changes=changes,
         not_alike=not_alike,
     )  # fmt: skip
 
@@ -210,10 +210,10 @@ def _profile(sums: pd.DataFrame, lanes: pd.DataFrame) -> pd.DataFrame:
     )
     by_lane["variance"] /= by_lane["days"] ** 2
     groups = by_lane.groupby(level=[0, 1])
-    found = groups[["volume", "variance"]].sum().assign(known=groups.size() == len(entries))
+    profile = groups[["volume", "variance"]].sum().assign(known=groups.size() == len(entries))
     index = pd.MultiIndex.from_product([[False, True], range(24)], names=["is_weekend", "hour"])
-    found = found[found["known"]].reindex(index)
-    return found.assign(volume_se=np.sqrt(found["variance"].astype(np.float64))).reset_index()
+    profile = profile[profile["known"]].reindex(index)
+    return profile.assign(volume_se=np.sqrt(profile["variance"].astype(np.float64))).reset_index()
 
 
 def _worst_hours(sums: pd.DataFrame) -> pd.DataFrame:
@@ -238,8 +238,8 @@ def _changes(dataset: Dataset, name: str, month: CityMonth) -> tuple[pd.DataFram
     if not month.before.has_data(name):
         return None, 0
     try:
-        found = compare(dataset, before=month.before.period, after=month.period)
+        comparison = compare(dataset, before=month.before.period, after=month.period)
     except (InputError, NoAnswerError):  # of other methods, or nothing was seen alike
         return None, 0
-    table = pd.DataFrame(found.table.drop(columns="geometry")).assign(site=name)
-    return table, len(found.left_out)
+    table = pd.DataFrame(comparison.table.drop(columns="geometry")).assign(site=name)
+    return table, len(comparison.left_out)

@@ -127,7 +127,7 @@ def observed_runs(
 
     Parameters
     ----------
-    held : DataFrame
+    sight_runs : DataFrame
         Table from :func:`valid_runs`.
     sights : mapping
         Sights by name.

@@ -126,7 +126,7 @@ class Publication:
     rows: Mapping[str, int]
 
     def figures(self) -> dict[str, Any]:
-        """Return the result as figures with titles."""
+        """Return the figures of the result by name."""
         return {
             "database": self.place, "dates_sent": self.sent, "dates_kept": self.kept,
             "dates_removed": self.removed, **{f"rows_of_{k}": n for k, n in self.rows.items()},

@@ -53,7 +53,7 @@ class CityPublication:
     sites: Mapping[str, Publication]
 
     def figures(self) -> dict[str, Any]:
-        """Return the result as figures with titles."""
+        """Return the figures of the result by name."""
         sums: Counter[str] = Counter()
         for each in self.sites.values():
             sums.update({k: n for k, n in each.figures().items() if isinstance(n, int)})
@@ -79,7 +79,7 @@ def publish_city(
     root : str or Path
         A folder with a dataset a site, `ROOT/site=NAME/`.
     url, reader
-        As of :func:`gis_radar.publish`.
+        As for :func:`gis_radar.publish`.
     schema : str
         Schema of the views, and the beginning of those of the sites.
     reporter : Reporter

@@ -30,7 +30,7 @@ def mean_turns(turns: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     Parameters
     ----------
     turns : GeoDataFrame
-        As of :meth:`gis_radar.Dataset.turns`.
+        From :meth:`gis_radar.Dataset.turns`.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def write_turning_diagram(
     Parameters
     ----------
     lanes, turns : GeoDataFrame
-        As of :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`; of the turns
+        From :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`; of the turns
         one at least with a volume.
     path : Path
         The picture (PNG).
@@ -82,7 +82,7 @@ def draw_turning_diagram(
         Square; the smaller, the thinner are lines. Letters keep their size.
     lanes : GeoDataFrame
         As for :func:`write_turning_diagram`.
-    known : GeoDataFrame
+    turns : GeoDataFrame
         Turns, from :func:`mean_turns`.
     labels : bool
         Whether their figures are written along the approaches.

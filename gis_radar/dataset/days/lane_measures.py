@@ -60,7 +60,7 @@ class LaneTraffic(DayTables):
     Parameters
     ----------
     folder, fingerprint
-        As of :class:`~gis_radar.dataset.days.tables.DayTables`.
+        As for :class:`~gis_radar.dataset.days.tables.DayTables`.
     line_m : mapping, optional
         By number of the lane: the counting line, m along the lane, in place of the stop line or the
         middle. Such traffic is measured by :meth:`finer`, and never stored.

@@ -233,7 +233,7 @@ class RollUps:
         ----------
         hours : iterable of int
             Hours since 1970 that were made or removed.
-        known : mapping
+        records : mapping
             The records of all complete hours.
         """
         self.traffic.remember(records)

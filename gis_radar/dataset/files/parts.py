@@ -304,11 +304,11 @@ class TableFile:
     keyed: str = ""
 
     def opened(self) -> AbstractContextManager[pq.ParquetFile]:
-        """Open it, and check it; errors are as of :func:`opened_part`."""
+        """Open it, and check it; errors are those of :func:`opened_part`."""
         return opened_part(self.table, self.path, self.metadata)
 
     def read(self, columns: Sequence[str] | None = None) -> pa.Table:
-        """Read columns, by default all; errors are as of :func:`opened_part`."""
+        """Read columns, by default all; errors are those of :func:`opened_part`."""
         with self.opened() as file:
             return file.read(columns=list(columns or self.table.names))
 

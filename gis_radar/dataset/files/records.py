@@ -100,7 +100,7 @@ class HourRecord:
     def read(
         self, folder: Path, table: TableSchema, columns: Sequence[str] | None = None
     ) -> pa.Table:
-        """Read the part of a table; errors are as of :meth:`opened`."""
+        """Read the part of a table; errors are those of :meth:`opened`."""
         with self.opened(folder, table) as file:  # hours are read in parallel
             return file.read(columns=list(columns or table.names), use_threads=False)
 

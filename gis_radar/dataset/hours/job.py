@@ -212,7 +212,8 @@ def read_sensors(
 ) -> list[SensorHour]:
     """Read what all sensors delivered in a window, and refuse frames that contradict each other.
 
-    Parameters and errors as of :func:`make_hour`; `count_hits` False only compares the frames.
+    Parameters and errors are those of :func:`make_hour`; if `count_hits` is False, frames are only
+    compared.
     """
     by_sensor: dict[str, list[PlacedRecording]] = {}
     for source in sources:

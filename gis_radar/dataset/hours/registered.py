@@ -121,7 +121,7 @@ def make_registered(folder: Path, hour: int, processes: int = 1) -> MadeHour:
     Parameters
     ----------
     folder : Path
-        Folder of the dataset; the caller, or who sent it the task, is its only writer.
+        Folder of the dataset; the caller, or the process that sent the task, is its only writer.
     hour : int
         The hour since 1970.
     processes : int

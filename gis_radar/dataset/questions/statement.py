@@ -25,7 +25,7 @@ def tables_of(connection: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
 
     Parameters
     ----------
-    asked : duckdb.DuckDBPyConnection
+    connection : duckdb.DuckDBPyConnection
         Connection that parses the query.
     sql : str
         The query.

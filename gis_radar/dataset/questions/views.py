@@ -42,7 +42,7 @@ def views_of_sites(
     ----------
     sites : mapping
         Datasets by the names of their sites; one alone by an empty name has no such column.
-    asked, names, reporter
+    connection, names, reporter
         As for :func:`make_views`.
 
     Returns
@@ -74,7 +74,7 @@ def make_views(
     ----------
     dataset : Source
         The dataset, of which complete hours are read.
-    asked : duckdb.DuckDBPyConnection
+    connection : duckdb.DuckDBPyConnection
         Connection in which the views are made.
     names : set of str
         Names of the tables.
@@ -121,7 +121,7 @@ def catalogue_of(folders: Sequence[Path], place: str) -> str:
     folders : sequence of Path
         The datasets.
     place : str
-        Pattern of where they are for who reads the views, such as `s3://bucket/city/site=*`.
+        Pattern of their folders as readers of the views see them: `s3://bucket/city/site=*`.
     """
     lines = []
     for table in TABLES.values():

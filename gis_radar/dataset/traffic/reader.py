@@ -61,7 +61,7 @@ class TrafficReader:
     language : str, optional
         Language of the names; by default the current one.
     line_m : mapping
-        Counting lines, as of :class:`LaneTraffic`; with any, intervals of 15 min and more are
+        Counting lines, as for :class:`LaneTraffic`; with any, intervals of 15 min and more are
         measured from the exact tables, too.
     whole : bool
         Whether all intervals are one, as for :meth:`gis_radar.Dataset.traffic`.

@@ -44,7 +44,7 @@ class _Crossing:
         Number of the lane.
     along_m : float
         Place along the lane, metres.
-    way : (2,) array
+    direction : (2,) array
         Unit vector of the lane's direction there.
     is_left : bool
         Whether traffic comes from the left of the section, seen from its first point.

@@ -212,7 +212,7 @@ def _compared(
 
 
 ACTIVE_SHARE = 0.9  # least recorded share of an interval of a sensor that counts as present
-BETWEEN = "\x1f"  # separator of sensors' names, which may hold a comma
+SEPARATOR = "\x1f"  # separator of sensors' names, which may hold a comma
 ALIKE_SHARE = 0.9  # least share, of the lane's tiles seen in either period, that is seen in both
 
 
@@ -279,7 +279,8 @@ def _seconds(times: pd.Series) -> Floats:
 
 def _joined(sensors: Sequence[str], row: Booleans) -> str | None:
     return (
-        BETWEEN.join(name for name, is_there in zip(sensors, row, strict=True) if is_there) or None
+        SEPARATOR.join(name for name, is_there in zip(sensors, row, strict=True) if is_there)
+        or None
     )
 
 
@@ -314,7 +315,7 @@ def _tiles_by_lane(
 
 def shown_names(watchers: str) -> str:
     """Return the joined names of sensors separated by commas, for texts."""
-    return ", ".join(watchers.split(BETWEEN))
+    return ", ".join(watchers.split(SEPARATOR))
 
 
 def seen_alike(before: LaneSights, after: LaneSights, lane: int) -> tuple[str | None, str]:
@@ -328,7 +329,7 @@ def seen_alike(before: LaneSights, after: LaneSights, lane: int) -> tuple[str | 
         seen = (shown_names(next(iter(count.index), "-")) for count in counts)
         return None, " / ".join(seen)
     watchers = str(max(sorted(both), key=lambda name: min(count[name] for count in counts)))
-    for sensor in watchers.split(BETWEEN):
+    for sensor in watchers.split(SEPARATOR):
         first, second = (each.tiles[sensor, lane] for each in (before, after))
         if len(first & second) < ALIKE_SHARE * len(first | second):
             return None, f"{sensor}: {len(first)} / {len(second)}"

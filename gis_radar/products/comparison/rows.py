@@ -60,7 +60,7 @@ COMPARED = {
 }
 
 
-LEAST_TOGETHER = 2  # stop lines that are compared together, too
+LEAST_TOGETHER = 2  # from so many on, stop lines are compared together, too
 
 
 class AlikeRows(NamedTuple):
@@ -117,13 +117,13 @@ def compared_rows(lanes: Mapping[int, AlikeRows]) -> pd.DataFrame:
 
 
 def _known(rows: gpd.GeoDataFrame) -> dict[str, pd.DataFrame]:
-    """Return the values of a lane by measure, of those that are known: none is of no vehicle."""
+    """Return the values of a lane by measure; measures without any weight are left out."""
     values = {measure: interval_values(rows, measure) for measure in COMPARED}
     return {measure: each for measure, each in values.items() if each["weight"].sum() > 0.0}
 
 
 def _together(lanes: Sequence[Sequence[Mapping[str, pd.DataFrame]]]) -> list[dict[str, Any]]:
-    """Return the values of lanes together, by period and measure: what a signal changes adds up."""
+    """Return the values of several lanes together, by period and measure."""
     periods: list[dict[str, Any]] = [{}, {}]
     for measure in COMPARED:
         of_periods = [[each[k].get(measure) for each in lanes] for k in range(2)]
@@ -165,7 +165,9 @@ def with_verdicts(table: pd.DataFrame) -> pd.DataFrame:
 
 
 LONGEST_MIN = 5  # minutes over which a queue's farthest back is taken, several cycles
-KNOWN_SHARE = 0.9  # least share of the intervals of a lane that counts with others
+# Least number of intervals of a lane that is taken together with others, as a share of the most
+# that any of them has.
+KNOWN_SHARE = 0.9
 LEAST_SEEN = 0.5  # least share of the intervals with traffic in which enough of a lane is visible
 
 
@@ -229,7 +231,7 @@ def _longest(rows: pd.DataFrame) -> pd.Series:
 
 
 def often_known(lanes: Sequence[pd.DataFrame | None]) -> Booleans:
-    """Return of which lanes values are known nearly as often as of any of them."""
+    """Return which lanes have values in nearly as many intervals as the lane with most."""
     count = np.array([0 if values is None else len(values) for values in lanes])
     return np.asarray((count > 0) & (count >= KNOWN_SHARE * count.max()), np.bool_)
 

@@ -244,7 +244,7 @@ PLACE_M = 1.0 / 128.0  # of places in GeoParquet: a radar resolves decimetres
 # GDAL reads it from 3.9 on, GeoPandas from 1.0; as WKB, points take 1.3 to 1.4 times as much.
 POINT = pa.struct([pa.field(axis, pa.float64(), nullable=False) for axis in "xyz"])
 SPLIT = "BYTE_STREAM_SPLIT"
-LEVEL = 14  # of zstd: from here on, split bytes take a sixth less than at 9
+LEVEL = 14  # of zstd: split bytes take a sixth less room than at level 9
 NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_boolean)
 NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
 

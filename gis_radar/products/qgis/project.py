@@ -51,7 +51,7 @@ from gis_radar.products.qgis.project_xml import LayerSource, ProjectContent, Tim
 from gis_radar.scans import SIGHT_LAYER, SightTiles, write_sights
 
 MAP_MARGIN = 0.05
-"""Around what was observed, as a share of its size: the road goes on a little to each side."""
+"""Margin around the observed tiles, as a share of their extent."""
 
 _TIMES = f'SELECT min("begin"), min("end"), max("end") FROM "{TIMES}"'  # noqa: S608 - our own name
 
@@ -82,9 +82,9 @@ def write_qgis_project(
     sensors : str or Path, optional
         GeoPackage of :func:`gis_radar.poses.write_sensors`.
     sight : str or Path, optional
-        GeoPackage of :func:`gis_radar.scans.write_sights`: what the sensors see, off at first.
+        GeoPackage of :func:`gis_radar.scans.write_sights`: what the sensors see, hidden at first.
     lanes : str or Path, optional
-        GeoPackage with the layers `lanes` and `stop_lines`, as of :func:`gis_radar.write_tiles`.
+        GeoPackage with the layers `lanes` and `stop_lines`, from :func:`gis_radar.write_tiles`.
     footprints : str or Path, optional
         GeoPackage of :meth:`gis_radar.Dataset.write_footprints`: the project then plays single
         vehicles, half second by half second.

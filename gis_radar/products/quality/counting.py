@@ -54,7 +54,7 @@ _REDUCE = {"sum": np.add, "min": np.minimum, "max": np.maximum}
 
 
 def _sums(rows: Columns, number: int, hours: Integers) -> pd.DataFrame:
-    """Return the sums over frames of a sensor by the hours that they are in."""
+    """Return the aggregates of the frames of a sensor by hour."""
     hit, seen = rows["tiles_hit"], rows["tiles_seen"]
     share = hit / np.maximum(seen, 1)
     high = (share > HIGH).astype(np.int64)

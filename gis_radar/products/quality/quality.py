@@ -125,9 +125,9 @@ class Quality:
     without_elevation: frozenset[str] = frozenset()
     verdicts: Mapping[str, str] = field(default_factory=dict)
 
-    def verdict(self, told: str) -> str:
+    def verdict(self, text: str) -> str:
         """Return a verdict of the table as a text that can be translated."""
-        return self.verdicts.get(told, told)
+        return self.verdicts.get(text, text)
 
     def figures(self) -> dict[str, str]:
         """Return a line for each sensor: how many hours are good, and the faults of the others."""

@@ -40,7 +40,7 @@ MOST_HOURS = 168  # rows of the table as read; the CSV file holds all
 
 
 class ReportData(NamedTuple):
-    """What page, paper and tables are made of."""
+    """Data of a report, from which page, PDF and tables are made."""
 
     results: Results
     title: str
@@ -65,7 +65,7 @@ def recorded_s(results: Results) -> float:
     return results.dataset.frame_steps().steps * STEP_S
 
 
-# Names of the totals of lanes, their length, tiles, and tiles that something was on.
+# Names of the totals of lanes, their length, tiles, and tiles occupied or hit.
 OCCUPIED_TOTALS = ("lanes_visible", "lane_length_visible_m", "tiles_visible", "tiles_occupied")
 HIT_TOTALS = ("lanes_observed", "lane_length_observed_m", "tiles_observed", "tiles_hit")
 
@@ -164,7 +164,7 @@ def as_high_as(table: pd.DataFrame) -> list[str]:
 
 
 def basis_of(data: ReportData) -> Table:
-    """Return what the report rests on: a row a thing, with what follows from it."""
+    """Return the table of what the report rests on, and what follows from it."""
     rows = [
         recorded_row(data), _seen_row(data), *_tracked_rows(data), *_counted_rows(data),
         *_ranked_rows(data), _placed_row(data.results), _hidden_row(data.results),
@@ -180,13 +180,13 @@ def recorded_row(data: ReportData) -> list[str]:
 
     Parameters
     ----------
-    found : Findings
-        What the report shows.
+    data : ReportData
+        Data of the report.
 
     Returns
     -------
     list of str
-        Title, seconds by sensor, and what follows, in the language of who reads.
+        Title, seconds by sensor, and what follows, in the current language.
     """
     runs = recorded_runs(data.results)
     by_sensor = [f"{name} {seconds_text(part.steps * STEP_S)}" for name, part in runs.items()]
@@ -315,7 +315,7 @@ def remarks_of(data: ReportData) -> list[str]:
 
 
 def own_remarks(data: ReportData) -> list[Text]:
-    """Return what this report finds by itself: too short a time, faults of what was delivered."""
+    """Return the remarks that the report itself adds: too short a time, faults of recordings."""
     begin, end = data.results.heat.whole.span()
     seconds = np.fmin(recorded_s(data.results), (end - begin).total_seconds())
     remarks = []
@@ -324,7 +324,7 @@ def own_remarks(data: ReportData) -> list[Text]:
         remarks.append(
             Text("Recorded were {} only: a few cycles of a signal, and no usual day", span)
         )
-    if data.results.dataset is not None and not data.results.warnings:  # else a run says it
+    if data.results.dataset is not None and not data.results.warnings:  # else the run has warned
         remarks += [Text("{}", doubt) for doubt in data.results.dataset.doubts]
     if data.quality is not None:
         remarks += [
@@ -368,7 +368,7 @@ def _recorded_in(table: pd.DataFrame, results: Results) -> list[float]:
 
 
 def _hour_columns(data: ReportData) -> list[Column]:
-    """Return how an hour of a sensor is read."""
+    """Return the columns of the table of hours of sensors."""
     clock, quality = data.clock, data.quality
 
     def number(name: str, digits: int = 0) -> Callable[[pd.Series], str]:
@@ -406,9 +406,9 @@ def trust_table(results: Results, clock: Clock) -> Table:
     Parameters
     ----------
     results : Results
-        What the report is made of.
+        The results.
     clock : Clock
-        Of the site, for times in the evidence.
+        Clock of the site, for times in the evidence.
 
     Returns
     -------

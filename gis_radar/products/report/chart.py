@@ -23,13 +23,13 @@ from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.report.content import Chart, Strip
 
 STRIPS, MOST_CHARTS = 14, 4  # lanes of a chart, which fills a page; as many charts
-TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # of the scale
-MOST_TICKS = 7
+TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # highest values that the scale may have
+MOST_TICKS = 7  # times below a chart
 ROUND_S = (
     *(5, 10, 20, 30, 60, 120, 300, 600, 900, 1800),
     *(hours * 3600 for hours in (1, 2, 3, 4, 6, 12, 24)),
 )  # between the times below a chart
-STREET_LETTERS = 20  # beside a strip
+STREET_LETTERS = 20  # most letters of a street beside a strip
 ACROSS, UP = 1000, 100  # units of a strip on the page, to the right and upwards
 
 
@@ -41,13 +41,13 @@ def draw_lanes_over_time(
     Parameters
     ----------
     heat : HeatMap
-        Whose intervals.
-    each : DataFrame
-        From :func:`gis_radar.products.report.lanes.sums_of`: its sums by lane and interval.
+        The heat map.
+    by_interval : DataFrame
+        Its sums by lane and interval, from :func:`gis_radar.products.report.lanes.sums_of`.
     table : DataFrame
         From :func:`gis_radar.products.report.lanes.lane_table`: lanes with a share, in this order.
     clock : Clock
-        Whose times stand below.
+        Clock by which the times below are written.
     """
     if len(heat.timeline) < 2:
         return []
@@ -71,7 +71,7 @@ def draw_lanes_over_time(
 
 
 def _strip_name(row: pd.Series) -> str:
-    """Return how a strip is called."""
+    """Return the name of a lane's strip: its street, number and direction."""
     known = shorten(str(row.get("street") or ""), STREET_LETTERS, placeholder="\u2026")
     street = street_label(known, row.get("street_part"))
     number = f"{row['lane']} {direction(row['east_m'], row['north_m'])}"
@@ -79,7 +79,7 @@ def _strip_name(row: pd.Series) -> str:
 
 
 def edges_of(spans: Sequence[tuple[datetime, datetime]]) -> tuple[list[datetime], list[int]]:
-    """Return the edges of intervals and of gaps between them, and which each is; -1 for a gap."""
+    """Return the edges of intervals and gaps, and the number of the interval in each; -1: a gap."""
     edges, interval = [spans[0][0]], list[int]()
     for number, (begin, end) in enumerate(spans):
         if begin > edges[-1]:
@@ -114,7 +114,7 @@ def chart_over(
     Parameters
     ----------
     edges : sequence of datetime
-        Of the intervals.
+        Edges of the intervals.
     strips : iterable of (name, share, error)
         As for :func:`strip_of`, from top to bottom.
     clock : Clock
@@ -138,9 +138,9 @@ def strip_of(name: str, place: Floats, share: Floats, error: Floats) -> Strip:
     name : str
         What it shows.
     place : (n + 1,) array
-        Of the edges of the intervals, from 0 to 1.
+        Places of the edges of the intervals, from 0 to 1.
     share, error : (n,) array
-        Of each interval, of the scale; NaN where nothing was seen.
+        Value and error of each interval, as shares of the scale; NaN where nothing was seen.
 
     Returns
     -------
@@ -164,7 +164,7 @@ def strip_of(name: str, place: Floats, share: Floats, error: Floats) -> Strip:
 
 
 def _runs(which: Booleans) -> list[slice]:
-    """Return the runs of intervals that are meant."""
+    """Return the runs of intervals for which `which` is true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8)))
     return [slice(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 
@@ -185,7 +185,7 @@ def times_below(
     Parameters
     ----------
     edges : sequence of datetime
-        Of the intervals.
+        Edges of the intervals.
     seconds : (n,) array
         The same, from the begin.
     clock : Clock

@@ -39,12 +39,12 @@ from gis_radar.products.report.chart import times_below
 from gis_radar.products.report.content import Figure
 
 MOST_COURSES = 3  # lanes, which fill two thirds of a page
-WINDOW_S = 900.0  # of a diagram: in more, ways of vehicles are a grey field
+WINDOW_S = 900.0  # time in a diagram: over more, the lines of vehicles merge into grey
 COURSE_IN, COURSE_DPI = (7.2, 1.9), 150  # of one lane
 NARROW_COURSE_IN = 1.7  # its height on a phone
-BEYOND_M, LEAST_M, MOST_M = 12.0, 45.0, 250.0  # shown beyond the line; before it
-LEAST_ABOVE_M = 2.0  # shown beyond a line with which its lane ends
-AROUND = 1.5  # shown before the line, of the longest queue
+BEYOND_M, LEAST_M, MOST_M = 12.0, 45.0, 250.0  # shown beyond the line; least and most before it
+LEAST_ABOVE_M = 2.0  # shown beyond a stop line at the end of its lane
+AROUND = 1.5  # shown before the line, as a multiple of the longest queue
 BROKEN_STEPS = 3 * TRACK_EVERY_STEPS  # without a state, after which a line ends
 QUEUE, UNSEEN = "#ba1c4d", "#d5dade"
 LETTERS_PT, NARROW_PT = 8.0, 6.5
@@ -73,11 +73,11 @@ def draw_courses(
     queues : sequence of LongQueue
         Lanes from top to bottom.
     span : (datetime, datetime)
-        What the report shows; of more than 15 minutes those around each queue.
+        Time of the report; of more than 15 minutes, 15 minutes around each queue are drawn.
     clock : Clock
-        For the times below.
+        Clock for the times below.
     ways : bool
-        Whether the ways of vehicles are drawn, or the queues alone.
+        Whether the trajectories of vehicles are drawn, or the queues alone.
 
     Returns
     -------
@@ -117,7 +117,7 @@ _WAYS = Text(
 
 
 def _window(moment: datetime, begin: datetime, end: datetime) -> tuple[datetime, datetime]:
-    """Return the time that a diagram shows: that around a moment, within what there is."""
+    """Return the time that a diagram shows: `WINDOW_S` around a moment, within the report's."""
     length = min(timedelta(seconds=WINDOW_S), end - begin)
     first = min(max(moment - length / 2, begin), end - length)
     return first, first + length
@@ -155,7 +155,7 @@ def _diagrams(
 
 
 def _draw(ax: Axes, course: QueueCourse, begin: datetime, *, ways: bool) -> None:
-    """Draw what was seen, ways and the queue of one hour; seconds from `begin` to the right."""
+    """Draw visible road, queue and trajectories of one hour; x is seconds from `begin`."""
 
     def to_s(steps: Floats | Integers) -> Floats:
         return np.asarray(steps, np.float64) / STEPS_PER_SECOND - begin.timestamp()

@@ -16,7 +16,7 @@ from gis_radar.products.heatmap.intervals import When
 from gis_radar.products.heatmap.occupancy import surest
 from gis_radar.products.report.content import utc
 
-BUSY = 0.2  # a class break of all heat maps
+BUSY = 0.2  # least share of a busy tile; a class break of all heat maps
 # Compared with each other are lanes that are known well enough.
 LEAST_TRACKS = 10  # of vehicles that followed it: of ten, chance alone moves a share by a third
 LEAST_SEEN = 0.5  # share of its length: less may be its queue alone, or all but its queue
@@ -24,14 +24,16 @@ MOST_ERROR = 0.5  # standard error, as a share of the occupancy: beyond, 0 is wi
 
 
 def part_and_base(heat: HeatMap, interval: When = None) -> tuple[Floats, Floats]:
-    """Return what a share of each tile is made of: seconds occupied and visible, or of hits.
+    """Return the two times whose quotient is the share of each tile, seconds.
+
+    They are occupied and visible, or hit and observed where no vehicles are known.
 
     Parameters
     ----------
     heat : HeatMap
-        Whose tiles.
+        The heat map.
     interval : optional
-        Which, as for :meth:`HeatMap.shares`.
+        The interval, as for :meth:`HeatMap.shares`.
     """
     known = heat.occupancy_shares(interval)
     if known is None:
@@ -54,15 +56,15 @@ def sums_of(heat: HeatMap, *, each: bool = False) -> pd.DataFrame:
     Parameters
     ----------
     heat : HeatMap
-        Whose tiles.
+        The heat map.
     each : bool
         Whether each interval has its own rows, as for :meth:`HeatMap.by_lane`.
 
     Returns
     -------
     DataFrame
-        As of :meth:`HeatMap.by_lane`, with the seconds of all tiles of a lane together: `part_s`,
-        `base_s`, tile-seconds occupied and visible, of hits hit and observed; `share`, their
+        The table of :meth:`HeatMap.by_lane`, with seconds summed over the tiles of a lane: `part_s`
+        and `base_s`, occupied and visible (hit and observed without vehicles); `share`, their
         quotient, NaN where there is none, and its standard error `share_se`, NaN for hits; `hit_s`,
         `observed_s`, `hit_share`.
     """
@@ -97,11 +99,11 @@ def lane_table(
     Parameters
     ----------
     heat : HeatMap
-        What is reported.
-    each : DataFrame
-        Its sums by lane and interval, of :func:`sums_of`.
+        The heat map.
+    by_interval : DataFrame
+        Its sums by lane and interval, from :func:`sums_of`.
     tracks : array, optional
-        How many tracks followed each lane, of :func:`tracks_of`.
+        Number of tracks that followed each lane, from :func:`tracks_of`.
 
     Returns
     -------
@@ -146,7 +148,7 @@ def lane_table(
 
 
 def _in_order(table: pd.DataFrame, measure: str) -> pd.DataFrame:
-    """Return the lanes in the order in which they are read, with their ranks."""
+    """Return the lanes in the order of the report's table, with their ranks."""
     table = table.assign(why=[_why_not(row, measure) for _, row in table.iterrows()])
     table["place"] = table["share"].isna() * 2 + table["why"].ne("")
     by_share = measure == "occupancy"

@@ -36,10 +36,11 @@ PLAN_IN = 6.0  # width of the figure of lanes: the narrower, the larger its word
 MOST_LABELS = 60
 LETTERS_PT = 7.5
 GLYPH = (0.68, 1.25)  # width of a bold figure and height of its line, of the size of the letters
-TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)  # where on a lane its number may stand
-ASIDE_PT = (14.0, 22.0, 32.0, 46.0, 64.0, 90.0)  # or how far beside it, at the end of a line
-AROUND_PT, AROUND = (46.0, 64.0, 90.0, 125.0, 175.0), 24  # or in so many directions of its middle
-SCALE_IN = (2.2, 0.75)  # the corner of the scale bar
+# Places to try for the number of a lane: on it, as shares of its length;
+TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)
+ASIDE_PT = (14.0, 22.0, 32.0, 46.0, 64.0, 90.0)  # beside it, at the end of a line, points;
+AROUND_PT, AROUND = (46.0, 64.0, 90.0, 125.0, 175.0), 24  # around its middle, in 24 directions.
+SCALE_IN = (2.2, 0.75)  # size of the corner with the scale bar
 # Four tints that neighbours can take in turn, told apart without colour by their numbers.
 TINTS = ("#cfe3f5", "#f7dfb2", "#d8ead0", "#ead6ea")
 
@@ -64,7 +65,7 @@ def draw_plan(tiles: gpd.GeoDataFrame, picture: MapPicture, table: pd.DataFrame)
     tiles : GeoDataFrame
         All tiles.
     picture : MapPicture
-        The piece of the map.
+        Grid of pixels and extent of the map.
     table : DataFrame
         From :func:`~gis_radar.products.report.lanes.lane_table`: lanes with a share are named, the
         first where they are too many.
@@ -110,7 +111,7 @@ def _overlay(
     tips: Sequence[Floats],
     middles: dict[int, Floats],
 ) -> Image.Image:
-    """Return lines, arrows, numbers and scale of a figure so wide, on nothing."""
+    """Return lines, arrows, numbers and scale as a transparent image of a figure's width."""
     west, east, south, north = picture.grid.bounds
     with mpl.rc_context(FONTS):
         figure, ax = picture.blank(width_in)
@@ -135,7 +136,7 @@ def place_numbers(
 
     Parameters
     ----------
-    ways : dict
+    middles : dict
         By number, the middles of the tiles of a lane within the map, (n, 2), metres.
     point_m : float
         Metres of the map to a point of the letters' size.

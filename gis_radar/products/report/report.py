@@ -1,4 +1,4 @@
-"""From a folder of results to a report of them: facts, lanes and quality in words and tables."""
+"""Write the report of a folder of results: key figures, lanes and quality in words and tables."""
 
 from __future__ import annotations
 
@@ -100,9 +100,9 @@ class Report:
     Parameters
     ----------
     outputs : sequence of Path
-        The files: the page, the paper, and the tables.
+        The files: the page, the PDF, and the tables.
     summary : dict
-        Figures worth a look.
+        Key figures.
     """
 
     outputs: Sequence[Path]
@@ -146,17 +146,17 @@ def write_report(
         Whose clocks the report's times follow, such as Europe/Berlin; by default the site's, or
         those of the heat map's picture.
     language : str, optional
-        `en` or `de`, of all that is read; by default the site's, or that of the heat map's picture.
-        The tables as CSV are the same in every language.
+        Language of all text, `en` or `de`; by default the site's, or that of the heat map's
+        picture. The tables as CSV are the same in every language.
     csv_locale : str
         `de` writes them as a German spreadsheet opens them: semicolons, decimal commas, and the
         mark of UTF-8.
     dataset : str or Path, optional
-        What the heat map was made of, where it is not `dataset` in `folder`.
+        The dataset that the heat map was made of, if it is not `dataset` in `folder`.
     ways : bool
-        Whether diagrams of queues show the ways of single vehicles to the stop line.
+        Whether diagrams of queues show the trajectories of single vehicles to the stop line.
     reporter : Reporter
-        Where progress goes.
+        Receives progress.
 
     Returns
     -------
@@ -189,7 +189,7 @@ def _default_title(results: Results, folder: Path) -> str:
 
 
 def _gather(results: Results, title: str, timezone: str | None, reporter: Reporter) -> ReportData:
-    """Work out what page, paper and tables are made of."""
+    """Compute the data of page, PDF and tables."""
     heat = results.heat
     zone = timezone or results.timezone
     sums = sums_of(heat, each=True)
@@ -242,11 +242,11 @@ def _write(place: Path, data: ReportData, content: Content, reporter: Reporter) 
     for path in before:  # what the last report had and this one has not
         if path not in written:
             path.unlink(missing_ok=True)
-    if place / names.PAPER not in written:
+    if place / names.PDF not in written:
         reporter.warn(
             "{} is not written: WeasyPrint, or Pango, which it calls, is missing (pip "
             "install gis_radar[pdf]); a browser prints {} alike",
-            names.PAPER,
+            names.PDF,
             names.PAGE,
         )
     return written
@@ -257,7 +257,7 @@ def _writers(data: ReportData, content: Content) -> dict[str, Callable[[Path], o
     clock, heat, quality = data.clock, data.results.heat, data.quality
     writers: dict[str, Callable[[Path], object]] = {
         names.PAGE: lambda path: path.write_text(page_of(content), encoding="utf-8", newline="\n"),
-        names.PAPER: lambda path: write_pdf(content, path),
+        names.PDF: lambda path: write_pdf(content, path),
         names.LANES: lambda path: write_lanes(path, data.table, clock, heat.measure),
         names.LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, data.lanes, clock),
     }
@@ -289,13 +289,13 @@ def _summary(data: ReportData, content: Content) -> dict[str, Any]:
 
 
 def _english_remarks(data: ReportData) -> list[Text]:
-    """Return what it finds for a run's log: all there is English until the console translates."""
+    """Return the report's remarks in English, as logs keep them; the console translates."""
     with speaking("en"):
         return own_remarks(data)
 
 
 def _content(data: ReportData, reporter: Reporter, *, ways: bool) -> Content:
-    """Put the findings into words."""
+    """Return the content of the report: texts, tables and pictures."""
     results, clock = data.results, data.clock
     picture = lay_out(results.heat)
     questions = traffic_chapters(data.traffic, clock, ways=ways) if data.traffic else []
@@ -321,7 +321,7 @@ def _content(data: ReportData, reporter: Reporter, *, ways: bool) -> Content:
 
 
 def _chapters(data: ReportData, picture: MapPicture) -> list[Chapter]:
-    """Return what follows the map."""
+    """Return the chapters after the map."""
     results, clock = data.results, data.clock
     lanes = _lanes(data, intervals=len(results.heat.timeline) > 1)
     sensors = sensor_table(results)
@@ -340,7 +340,7 @@ def _chapters(data: ReportData, picture: MapPicture) -> list[Chapter]:
 
 
 def _terms(data: ReportData) -> Terms:
-    """Return what the words of a report mean, of what it shows."""
+    """Return the definitions of the words that the report uses."""
     text = (
         files("gis_radar.products.report").joinpath("definitions.toml").read_text(encoding="utf-8")
     )
@@ -353,7 +353,7 @@ def _terms(data: ReportData) -> Terms:
 
 
 def _lanes(data: ReportData, *, intervals: bool) -> Table:
-    """Return the lanes with a share as they are read, from what `lane_table` returns."""
+    """Return the table of the lanes with a share, from the rows of `lane_table`."""
     table, measure = data.table, data.results.heat.measure
     known, words = table[table["share"].notna()], WORDS[measure]
     shown = known.head(MOST_LANES)
@@ -407,19 +407,19 @@ def _ranking(table: pd.DataFrame) -> str:
 
 
 def lane_columns(clock: Clock, measure: str) -> list[Column]:
-    """Return how a lane is read; the last is of its highest interval.
+    """Return the columns of the table of lanes; the last is of the highest interval.
 
     Parameters
     ----------
     clock : Clock
-        Of the intervals.
+        Clock of the intervals.
     measure : str
-        What lanes are compared by; those columns that only vehicles give are left out for others.
+        Measure of the map; for hit share, columns that need vehicles are left out.
 
     Returns
     -------
     list of Column
-        With titles in the language of who reads.
+        Columns with titles in the current language.
     """
     words = WORDS[measure]
 

@@ -47,11 +47,11 @@ class Results:
     Parameters
     ----------
     name : str
-        Of the heat map's folder.
+        Name of the heat map's folder.
     heat : HeatMap
         The heat map.
     dataset : Dataset or None
-        What it was made of; None where it is not there.
+        The dataset that it was made of; None if it is missing.
     poses : sequence of Pose
         The last pose of each sensor that the heat map shows, by name, where it is in the map's
         coordinate system.
@@ -63,7 +63,7 @@ class Results:
     run : mapping
         The `run.json` of `gis-radar run`; empty where the steps were made one by one.
     missing : sequence of str
-        What is not there, in sentences.
+        Sentences on what is missing.
     """
 
     name: str
@@ -94,24 +94,24 @@ class Results:
 
     @property
     def stages(self) -> list[dict[str, Any]]:
-        """How the stages of the run ended."""
+        """Stages of the run, with figures, warnings and errors."""
         return list(self.run.get("stages") or [])
 
     @property
     def traffic(self) -> dict[str, int]:
-        """How many vehicles the run followed; empty where that is not known."""
+        """Numbers of vehicles, heavy ones and passages of the run; empty where not known."""
         found = (each.get("figures") or {} for each in self.stages if each["name"] == "measure")
         names = ("vehicles", "heavy", "passages")
         return {n: int(each[n]) for each in found for n in names if n in each}
 
     @property
     def lost(self) -> dict[str, str]:
-        """The sensors of the site that the heat map does not show, and why."""
+        """By sensor of the site that the heat map does not show, the reason."""
         return lost_sensors(self.run)
 
     @property
     def findings(self) -> dict[str, Finding]:
-        """Whether pose and recordings of sensors fit, as the run or the dataset tells."""
+        """By sensor, the finding whether its pose and recordings fit, from dataset or run."""
         records = [] if self.dataset is None else [self.dataset.manifest.checks]
         records += [(each.get("figures") or {}).get("findings") or {} for each in self.stages]
         return {
@@ -123,7 +123,7 @@ class Results:
 
     @property
     def warnings(self) -> list[str]:
-        """The warnings of the run, each once, after the stages that raised it."""
+        """The warnings of the run, each once, with the names of the stages that raised it."""
         raised: dict[str, list[str]] = {}
         for each in self.stages:
             stage = tr(str(each["name"]))
@@ -133,7 +133,7 @@ class Results:
 
     @property
     def credits(self) -> list[str]:
-        """The sources of map and scan and whom to name, each once."""
+        """The sources of map and scan, and attributions, each once."""
         parts = [self.site.get("map"), self.site.get("scan")]
         named = [str(part["source"]) for part in parts if part and part.get("source")]
         named += map(str, self.site.get("attribution") or self.heat.labels.sources)
@@ -235,7 +235,7 @@ def _heat_map(folder: Path) -> Path:
 
 
 def _dataset(folder: Path, heat: HeatMap, given: Path | None) -> tuple[Dataset | None, list[str]]:
-    """Return the dataset of the heat map's tiles, and what to know of another one."""
+    """Return the dataset of the heat map's tiles, and a sentence if the folder's is another."""
     place = given or folder / DATASET
     if given is None and not place.is_dir():
         return None, []
@@ -269,7 +269,7 @@ def _streets(folder: Path) -> dict[int, tuple[str, str]]:
 
 
 def _poses(folder: Path, dataset: Dataset | None) -> list[Pose]:
-    """Return the pose that each sensor had last, by the dataset, or by the files beside."""
+    """Return the last pose of each sensor, from the dataset, else from pose files."""
     by_sensor: dict[str, Pose] = {}
     if dataset is not None:
         for document in dataset.poses()["document"]:
@@ -295,12 +295,12 @@ def read_run(folder: Path) -> dict[str, Any]:
 
 
 def sensor_table(results: Results) -> Table:
-    """Return where sensors stand, how well that is known, and how it was found.
+    """Return the table of the sensors' poses, with their errors and how they were found.
 
     Parameters
     ----------
     results : Results
-        Whose sensors.
+        The results.
     """
     columns = _sensor_columns()
     rows = text_rows(results.poses, columns)
@@ -323,7 +323,7 @@ def sensor_table(results: Results) -> Table:
 
 
 def _sensor_columns() -> list[Column]:
-    """Return how a pose is read."""
+    """Return the columns of the table of sensors."""
 
     def angles(pose: Pose) -> str:
         both = [_with_sigma(pose, name, 1).replace(" ", THIN_SPACE) for name in ("pitch", "roll")]

@@ -53,10 +53,11 @@ from gis_radar.products.report.courses import MOST_COURSES, WINDOW_S, LongQueue,
 from gis_radar.products.traffic import service_levels, write_table
 from gis_radar.products.traffic_picture import draw_turning_diagram
 
-# The longest time that intervals of a length are for: some 30 points a strip, then 96 a day.
+# Lengths of intervals, each with the longest time (s) that it is used for: some 30 points a strip,
+# then 96 a day.
 INTERVALS = (("1min", 1800.0), ("5min", 10_800.0), ("15min", np.inf))
 STRIPS, MOST_CHARTS = 12, 2  # lanes of a chart, which fills a page; as many charts
-LEAST_INTERVALS = 3  # of a profile: two values are no course, and the table has their mean
+LEAST_INTERVALS = 3  # for a chart over time: of two values the table has the mean
 MOST_LANES = 60  # rows of the table as read; the CSV file holds all
 MOST_QUEUES = 6  # lanes of the table of queues
 LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it: less is no queue to speak of
@@ -66,22 +67,22 @@ NOT_SEEN, TOO_LITTLE = "not seen", "too little seen"
 
 
 class ReportedTraffic(NamedTuple):
-    """What a report says of traffic.
+    """Traffic in a report.
 
     Parameters
     ----------
     dataset : Dataset
-        Where it is from.
+        The dataset that it is from.
     begin, end : datetime
-        Of the time that the report shows.
+        Time of the report.
     interval : str
         Length of the intervals.
     lanes, turns : GeoDataFrame
-        By interval, as of :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
+        By interval, from :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
     by_lane, by_turn : GeoDataFrame
         The same over all intervals.
     network : LaneNetwork
-        Of the site.
+        Network of the site.
     """
 
     dataset: Dataset
@@ -96,16 +97,16 @@ class ReportedTraffic(NamedTuple):
 
     @property
     def length_s(self) -> float:
-        """Length of an interval."""
+        """Length of an interval, seconds."""
         return float(interval_steps(self.interval)) / STEPS_PER_SECOND
 
     @property
     def hours(self) -> float:
-        """How long the intervals are together."""
+        """Total length of the intervals, hours."""
         return len(set(self.lanes["begin"])) * self.length_s / 3600.0
 
     def clock(self, clock: Clock) -> Clock:
-        """Return clocks for the intervals, which may begin before what was recorded."""
+        """Return a clock for the intervals, which may begin before the first recording."""
         begin, end = self.lanes["begin"].min(), self.lanes["end"].max()
         return replace(
             clock, first=min(clock.first, begin.to_pydatetime()),
@@ -119,9 +120,9 @@ def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None
     Parameters
     ----------
     dataset : Dataset or None
-        That the heat map was made of.
+        The dataset of the heat map.
     heat : HeatMap
-        Whose time.
+        The heat map, whose time counts.
     """
     if dataset is None or not dataset.has_vehicles or heat.measure != "occupancy":
         return None
@@ -147,12 +148,12 @@ def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None
 
 
 def write_lane_traffic(path: Path, traffic: ReportedTraffic) -> None:
-    """Write the traffic of lanes by interval: columns as of `gis-radar traffic`."""
+    """Write the traffic of lanes by interval, with the columns of `gis-radar traffic`."""
     write_table(traffic.lanes.assign(name=_english_names(traffic, traffic.lanes["lane"])), path)
 
 
 def write_turn_traffic(path: Path, traffic: ReportedTraffic) -> None:
-    """Write the volumes of turns by interval: columns as of `gis-radar traffic`."""
+    """Write the volumes of turns by interval, with the columns of `gis-radar traffic`."""
     ends = {f"{end}_name": _english_names(traffic, traffic.turns[f"{end}_lane"])
             for end in ("from", "to")}  # fmt: skip
     write_table(traffic.turns.assign(**ends), path)
@@ -171,11 +172,11 @@ def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> l
     Parameters
     ----------
     traffic : ReportedTraffic
-        What is known.
+        The traffic.
     clock : Clock
-        Of the site.
+        Clock of the site.
     ways : bool
-        Whether diagrams of queues show the ways of vehicles.
+        Whether diagrams of queues show the trajectories of vehicles.
     """
     clock = traffic.clock(clock)
     chapters = [
@@ -291,7 +292,11 @@ def _volume_charts(traffic: ReportedTraffic, clock: Clock) -> list[Chart]:
 
 
 class _Profile(NamedTuple):
-    """What strips over time show: columns of a value and its error, by how much to divide them."""
+    """Content of strips over time.
+
+    Columns of a value and its error, highest values that scales may have, whether values are
+    divided by the hours of an interval, heading and caption.
+    """
 
     columns: Sequence[str]
     tops: Sequence[float]
@@ -317,7 +322,7 @@ _LONGEST_QUEUES = _Profile(
 def _charts(
     traffic: ReportedTraffic, lanes: pd.DataFrame, profile: _Profile, clock: Clock
 ) -> list[Chart]:
-    """Draw a strip a lane, as far as they fill some pages; nothing of too few intervals."""
+    """Draw a strip for each lane, up to `MOST_CHARTS` charts; none of too few intervals."""
     if len(set(traffic.lanes["begin"])) < LEAST_INTERVALS or lanes.empty:
         return []
     lanes = lanes.head(STRIPS * MOST_CHARTS)
