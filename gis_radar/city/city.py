@@ -182,7 +182,7 @@ class City(SqlQueries):
         Raises
         ------
         NoAnswerError, InputError
-            That of the first site, if none can be compared.
+            The error of the first site, if none can be compared.
         """
         compared: dict[str, Comparison] = {}
         refused: list[NoAnswerError | InputError] = []
@@ -232,7 +232,7 @@ class City(SqlQueries):
                 answers[name] = ask(dataset)
             except (NotMeasuredError, UnknownStreetError, NoVehiclesError) as error:
                 refused.append(error)
-        if not answers:  # a street that some site has is told from one that none has
+        if not answers:  # "nothing measured" comes before "no such street": some site may have it
             raise next((each for each in refused if isinstance(each, NotMeasuredError)), refused[0])
         return answers
 

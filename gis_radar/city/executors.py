@@ -222,7 +222,7 @@ class Processes(Workers):
     Parameters
     ----------
     jobs : int, optional
-        How many; by default as many as the machine has cores and memory for.
+        Number of processes; by default as many as the machine has cores and memory for.
     reporter : Reporter
         As for :class:`Workers`.
     """
@@ -338,7 +338,7 @@ def workers_of(address: str | None, jobs: int | None, reporter: Reporter) -> Ite
     address : str, optional
         Address of a Dask scheduler; without one, processes of this machine work.
     jobs : int, optional
-        How many processes.
+        Number of processes.
     reporter : Reporter
         Receives remarks on the workers.
 

@@ -36,7 +36,7 @@ class SiteMark(NamedTuple):
     x, y, radius : float
         Its place and size, units of the map, y downwards.
     colour : str
-        Of its class of occupancy; empty where none is known.
+        Colour of its class of occupancy; empty where none is known.
     is_deep : bool
         Whether its colour is deep, so that the number on it is white.
     label : (x, y, anchor, text) or None

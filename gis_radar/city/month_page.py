@@ -80,7 +80,7 @@ class Profile(NamedTuple):
     weekdays, weekend : Strip
         Lines and bands.
     words : str
-        The same in words.
+        Description of both, for screen readers.
     """
 
     name: str
@@ -114,11 +114,12 @@ def write_month_page(
     title : str, optional
         Name of the city; by default that of its run, else of its folder.
     timezone : str, optional
-        Whose clocks the page's times follow; by default those of its run, else of most sites.
+        Time zone of the page's times; by default that of its run, else that of most sites.
     language : str, optional
         `en` or `de`; by default that of its run, else of most sites' results, else `en`.
     workers : Workers, optional
-        Who read the sites; by default processes of this machine, for a few sites this one.
+        Workers that read the sites; by default processes of this machine, or this process where
+        there are few sites.
     reporter : Reporter
         Receives progress, and a warning for each site that is left out.
 
@@ -192,7 +193,7 @@ def _sites(
 def _read(
     tasks: Mapping[str, Sequence[Any]], workers: Workers | None, reporter: Reporter
 ) -> Iterator[tuple[str, Any]]:
-    """Yield what is read of each site, or the error, as it comes."""
+    """Yield the result of each site's task, or its error, in the order in which they end."""
     if workers is not None:
         yield from workers.results(tasks)
     elif len(tasks) >= MANY_SITES:

@@ -67,7 +67,7 @@ class SiteOutcome:
     hours : int
         Number of hours made.
     failures : list of Failure
-        What has no result, and why.
+        Names of what has no result, with the errors.
     warnings : list of str
         Warnings.
     """
@@ -315,7 +315,7 @@ class CitySteps:
             self.reporter.progress(HOURS, done, len(calls))
 
     def _fail(self, name: str, what: str, error: GisRadarError) -> None:
-        """Keep a failure and tell it, once: a broken file stops several steps."""
+        """Keep a failure and warn of it once, though a broken file stops several steps."""
         if any(known.message == error.message for _, known in self.sites[name].failures):
             return
         self.sites[name].failures.append((what, error))

@@ -48,7 +48,7 @@ OPTIONS = "options.json"  # beside a converted recording: how it was converted
 REGISTERED = ".gis-radar/recordings.json"  # what was registered, below the results of a site
 
 Failure = tuple[str, GisRadarError]
-"""What has no result, and why."""
+"""Name of what has no result (site, sensor or hour), and the error."""
 
 
 @dataclass(kw_only=True)
@@ -64,7 +64,7 @@ class SiteTask(Reporter):
     file : Path
         The site file.
     failures : list of Failure
-        What has no result, and why.
+        Names of what has no result, with the errors.
     warnings : list of str
         Warnings.
     """
@@ -158,7 +158,7 @@ def _converted(site: Site, task: SiteTask) -> Site:
 
 
 def _is_converted(path: Path, converted: Path, stated: str) -> bool:
-    """Return whether a recording was converted as it is now, by the options as stated."""
+    """Return whether a recording was converted since it was written, by the stated options."""
     converted.parent.mkdir(parents=True, exist_ok=True)
     if not converted.exists() or converted.stat().st_mtime < path.stat().st_mtime:
         return False

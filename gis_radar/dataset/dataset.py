@@ -363,7 +363,8 @@ class Dataset(SqlQueries):
         Parameters
         ----------
         lanes : sequence of mapping
-            Of each lane its number `id`, and `name` and `speed_kmh`, each None where not stated.
+            For each lane its number `id`, `name` and `speed_kmh`; the last two are None if not
+            stated.
         speed_kmh : float, optional
             Free speed of lanes that have none by the map.
 

@@ -1,4 +1,4 @@
-"""Lanes of an old map matched to those of a new one, so that their series can go on."""
+"""Match the lanes of an old map to those of a new one, so that time series can be continued."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ def measure(
     poses : one or a sequence of Pose, PoseTrack or their files
         As many as recordings, in order. A pose without a view gets the default one.
     tiles : GeoDataFrame
-        As from :func:`gis_radar.read_tiles`.
+        From :func:`gis_radar.read_tiles`.
     map : str or Path, optional
         The Lanelet2 map from which the tiles were made; CRS and origin are taken from the tiles.
         Hits alone need none.

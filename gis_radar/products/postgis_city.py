@@ -46,7 +46,7 @@ class CityPublication:
     schema : str
         Schema of the views of all sites.
     sites : dict
-        What was sent, by site.
+        Publication of each site.
     """
 
     schema: str

@@ -145,8 +145,8 @@ class Traffic:
         folder : str or Path
             The folder; an earlier result there is replaced.
         datex : str, optional
-            Who publishes, country and name such as `DE:City of Example`, to write files for DATEX
-            II version 3, too.
+            Publisher, country and name such as `DE:City of Example`, to write files for DATEX II
+            version 3, too.
         language : str, optional
             Language of titles in sheets and layers, `en` or `de`; by default the current one.
         reporter : Reporter
@@ -338,7 +338,7 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
     Parameters
     ----------
     table : DataFrame
-        Of traffic, with `begin` and `end`.
+        Table of traffic, with `begin` and `end`.
     path : Path
         The file.
     """
@@ -366,7 +366,7 @@ def service_levels(lanes: gpd.GeoDataFrame, handbook: str) -> pd.Series:
     lanes : GeoDataFrame
         From :meth:`gis_radar.Dataset.traffic`.
     handbook : {"hcm"}
-        Whose thresholds count.
+        Handbook with the thresholds.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Lane measures and turns: traffic by lane and quarter of an hour, from the tracks of each hour.
 
-The rows of an hour follow from its own parts and from the tracks, in the hour before, of vehicles
-that go on in it: which of them have crossed a line already, and which have been standing.
+The rows of an hour follow from its own parts and from the tracks that it continues from the hour
+before: these tell which vehicles have crossed a line already, and which have been standing.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ class LaneTraffic(DayTables):
         Parameters
         ----------
         records : mapping
-            Of hours.
+            Records of the hours.
         lane : int
             Number of the lane.
         span : (int, int)
@@ -189,7 +189,7 @@ class LaneTraffic(DayTables):
         return queue_course(stop, states, length_m, self.network, self._visible(record), grid)
 
     def exact(self, record: HourRecord) -> tuple[FrontStates, VehicleTable, VisibleRuns]:
-        """Return states, vehicles and visible runs of an hour, with the vehicles that go on in it.
+        """Return states, vehicles and visible runs of an hour.
 
         Raises
         ------
@@ -235,7 +235,7 @@ class LaneTraffic(DayTables):
         )  # fmt: skip
 
     def _states(self, record: HourRecord) -> FrontStates:
-        """Return the states of an hour, and the earlier ones of vehicles that go on in it."""
+        """Return the states of an hour, and those of the same vehicles in the hour before."""
         columns = ["vehicle", "step", "speed_cms", "lanelet_id", "s_cm", "seen"]
         rows = record.read(self.folder, TRACKS, columns)
         before = self._hour_before(record.hour)

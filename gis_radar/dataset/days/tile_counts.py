@@ -149,9 +149,9 @@ def count_spans(
     Parameters
     ----------
     folder : Path
-        Of the dataset.
+        Folder of the dataset.
     record : HourRecord
-        Of the hour.
+        Record of the hour.
     first, last : (spans,) int64 arrays
         Disjoint spans of the hour, ascending: steps from its begin, inclusive.
 

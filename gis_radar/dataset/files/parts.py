@@ -188,7 +188,7 @@ class PartWriter:
     path : Path
         The file.
     metadata : dict
-        Of :meth:`Origin.metadata`.
+        From :meth:`Origin.metadata`.
     """
 
     def __init__(self, table: TableSchema, path: Path, metadata: dict[str, str]) -> None:
@@ -265,7 +265,7 @@ def write_part(
     batches : mapping, or iterable of mappings
         Its rows, whole or in batches, in order.
     metadata : dict
-        Of :meth:`Origin.metadata`.
+        From :meth:`Origin.metadata`.
     """
     fresh = unfinished(path)
     with output_errors(path):

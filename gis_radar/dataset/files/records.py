@@ -195,7 +195,7 @@ def hour_bounds(
 
 
 def listed_hours(folder: Path) -> list[int]:
-    """List the hours since 1970 that have a record, ascending; none is read."""
+    """List the hours since 1970 that have a record, ascending, without reading the records."""
     return [hour for hour, _ in _record_paths(folder)]
 
 

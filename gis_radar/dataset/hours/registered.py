@@ -90,9 +90,8 @@ def hours_to_make(
 ) -> list[int]:
     """Return the hours that have to be made, ascending.
 
-    These are hours that recordings reach into and that were not made with them, hours with a
-    missing part, and those of an earlier method among the hours that are asked for, if their
-    recordings are there.
+    These are hours that were not made with all recordings that reach into them, hours with a
+    missing part, and, of the `asked` ones, hours of an earlier method whose recordings exist.
     """
     complete = {hour for hour, record in records.items() if is_complete(registry.folder, record)}
     expected = set(registry.hours)
@@ -130,7 +129,7 @@ def make_registered(folder: Path, hour: int, processes: int = 1) -> MadeHour:
     Raises
     ------
     InputError
-        As :func:`~gis_radar.dataset.hours.job.make_hour`.
+        As for :func:`~gis_radar.dataset.hours.job.make_hour`.
     """
     manifest = Manifest.read(folder)
     margin = measure_settings_of(manifest, folder).margin

@@ -68,7 +68,7 @@ def stamped(table: pa.Table) -> pa.Table:
 
 
 def _named(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return ids as text; what is no whole number under such a name stays as it is."""
+    """Return ids as text; a column of such a name that holds no integers stays as it is."""
     kind = column.type
     if pa.types.is_list(kind) and pa.types.is_integer(kind.value_type):
         return column.cast(pa.list_(pa.string()))

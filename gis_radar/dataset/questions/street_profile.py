@@ -126,7 +126,7 @@ def street_profile(
     street : StreetLanes
         The lanes.
     by : {"hour", "weekday", "month"}
-        What a cell is.
+        Whether cells are hours of the day, days of the week or months.
     """
     sums = sums[sums["lane"].isin(street.lane)].groupby(["lane", by])[list(SUMMED)].sum()
     sums = sums.reset_index()

@@ -81,7 +81,7 @@ def make_views(
     reporter : Reporter
         Receives a warning where parts of a table were deleted; they are left out.
     prefix : str
-        What the names of the views begin with.
+        Prefix of the names of the views.
 
     Returns
     -------

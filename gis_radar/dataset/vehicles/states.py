@@ -38,7 +38,7 @@ def states_of(
     Yields
     ------
     vehicles : DataFrame
-        The columns of `vehicles`, by number. A vehicle that goes on over an hour's begin keeps its
+        The columns of `vehicles`, by number. A vehicle that is there in several hours keeps its
         first number.
     states : DataFrame
         `vehicle, step, easting, northing` (m, the middle of the footprint), `heading` (degrees),
@@ -60,7 +60,7 @@ def states_of(
 
 
 def first_numbers(ahead: Mapping[int, int]) -> dict[int, int]:
-    """Return the first number of each vehicle that goes on over an hour's begin.
+    """Return, by each later number of a vehicle that is there in several hours, its first number.
 
     Parameters
     ----------

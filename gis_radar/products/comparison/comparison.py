@@ -247,7 +247,7 @@ def lane_sights(dataset: Dataset, rows: pd.DataFrame) -> LaneSights:
     dataset : Dataset
         The dataset, with recordings, poses and sights.
     rows : DataFrame
-        As from :meth:`gis_radar.Dataset.traffic`.
+        From :meth:`gis_radar.Dataset.traffic`.
     """
     spans = rows[["begin", "end"]].drop_duplicates().sort_values("begin")
     begin, end = (_seconds(spans[name]) for name in ("begin", "end"))

@@ -40,7 +40,7 @@ from gis_radar.products.traffic_style import LineClass, class_style
 
 Period = tuple[Any, Any]
 LAYER = "comparison"
-# Classes of the difference in percent: colours without red and green, grey for no told difference.
+# Classes of the difference in percent: colours without red and green, grey where none is told.
 MOST = 999.0  # largest percentage shown, also for what was 0 before
 BREAKS = (-1000.0, -25.0, -10.0, -1e-9, 1e-9, 10.0, 25.0, 1000.0)
 COLOURS = ("#7f3b08", "#d08020", "#f0c080", "#9a9a9a", "#b2abd2", "#8073ac", "#2d004b")

@@ -69,7 +69,7 @@ class AlikeRows(NamedTuple):
     Parameters
     ----------
     before, after : GeoDataFrame
-        As from :meth:`gis_radar.Dataset.traffic`.
+        From :meth:`gis_radar.Dataset.traffic`.
     watchers : str
         Sensors that saw it.
     """
@@ -177,7 +177,7 @@ def interval_values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
     Parameters
     ----------
     rows : DataFrame
-        As from :meth:`gis_radar.Dataset.traffic`, of the lane.
+        From :meth:`gis_radar.Dataset.traffic`, of the lane.
     measure : str
         One of :data:`gis_radar.products.comparison.rows.COMPARED`.
 
@@ -242,7 +242,7 @@ def values_together(lanes: Sequence[pd.DataFrame], *, adds: bool) -> pd.DataFram
     Parameters
     ----------
     lanes : sequence of DataFrame
-        As from :func:`interval_values`.
+        From :func:`interval_values`.
     adds : bool
         Whether values add up, as volumes, and are no means.
     """

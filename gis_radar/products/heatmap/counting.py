@@ -343,7 +343,7 @@ class Tally:
         }
 
     def figures(self) -> dict[str, Any]:
-        """Return a few figures worth a look: the time, and how much was observed and hit."""
+        """Return key figures: the time, numbers of tiles observed and hit, mean occupancy."""
         hit, observed = self.steps()
         begin, end = self.whole_iso
         figures: dict[str, Any] = {

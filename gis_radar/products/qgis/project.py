@@ -1,7 +1,4 @@
-"""Write the QGIS project of a folder of results.
-
-The plugin's reports go on from such a project.
-"""
+"""Write the QGIS project of a folder of results, which the plugin's reports start from."""
 
 from __future__ import annotations
 
@@ -89,13 +86,13 @@ def write_qgis_project(
         GeoPackage of :meth:`gis_radar.Dataset.write_footprints`: the project then plays single
         vehicles, half second by half second.
     title : str
-        Of the project and the layout; by default the file's name.
+        Title of project and layout; by default the file's name.
     timezone : str
-        Of the times on layout and map, such as `Europe/Berlin`.
+        Time zone of the times on layout and map, such as `Europe/Berlin`.
     source : str
         Source of the data, for the layout.
     language : str
-        Of the names of layers, of legends and the layout: `en` or `de`.
+        Language of names of layers, legends and layout: `en` or `de`.
 
     Raises
     ------
@@ -170,9 +167,9 @@ def write_site_project(
         Whether the single vehicles of the dataset are written as a layer that the project plays;
         without it, an earlier such layer is deleted.
     title : str
-        Of the project; by default the folder's name.
+        Title of the project; by default the folder's name.
     timezone, source, language : str
-        As :func:`write_qgis_project` takes them.
+        As for :func:`write_qgis_project`.
     reporter : Reporter
         Receives a warning where an edited project is in the way.
 

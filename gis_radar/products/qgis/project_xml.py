@@ -225,7 +225,7 @@ def _fill_time(root: Element, played: TimeRange | None, language: str) -> None:
     settings.attrib |= {"timeStep": f"{step:g}", "timeStepUnit": "min" if minutes else "s"}
 
 
-_FIGURES = "yyyy-MM-ddTHH:mm:ss"  # of the map's time: UTC, whatever QGIS takes them for
+_FIGURES = "yyyy-MM-ddTHH:mm:ss"  # format of the map's time, whose figures are UTC
 _TIMED = ("gis_radar_by_interval", "gis_radar_footprints")  # layers that have a time
 
 

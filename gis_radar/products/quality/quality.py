@@ -216,7 +216,7 @@ def measure_quality(
     Parameters
     ----------
     dataset : Dataset, str or Path
-        As from :func:`gis_radar.open_dataset`, or its folder.
+        From :func:`gis_radar.open_dataset`, or its folder.
     timezone : str
         Time zone of hours, days and weekdays, such as Europe/Berlin.
     reporter : Reporter

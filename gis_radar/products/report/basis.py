@@ -303,7 +303,7 @@ def _sources_row(results: Results) -> list[str]:
 
 
 def remarks_of(data: ReportData) -> list[str]:
-    """Return what to know before reading on: each a sentence of its own."""
+    """Return the remarks at the top of the report, a sentence each."""
     results = data.results
     return [
         *(tr("No result for sensor {name}: {why}", name=name, why=tr(why))
@@ -413,7 +413,7 @@ def trust_table(results: Results, clock: Clock) -> Table:
     Returns
     -------
     Table
-        With sensors whose recordings are in the heat map, and those that were left out.
+        Table of the sensors whose recordings are in the heat map, and of those left out.
     """
     findings = results.findings
     names = sorted({*results.sensors, *results.lost, *findings})

@@ -118,7 +118,7 @@ def chart_over(
     strips : iterable of (name, share, error)
         As for :func:`strip_of`, from top to bottom.
     clock : Clock
-        By which the times below are shown.
+        Clock by which the times below are written.
     **words
         The texts of the chart.
     """
@@ -136,7 +136,7 @@ def strip_of(name: str, place: Floats, share: Floats, error: Floats) -> Strip:
     Parameters
     ----------
     name : str
-        What it shows.
+        Name of the strip.
     place : (n + 1,) array
         Places of the edges of the intervals, from 0 to 1.
     share, error : (n,) array
@@ -187,9 +187,9 @@ def times_below(
     edges : sequence of datetime
         Edges of the intervals.
     seconds : (n,) array
-        The same, from the begin.
+        The edges as seconds from the first one.
     clock : Clock
-        By which they are shown.
+        Clock by which they are written.
 
     Returns
     -------
@@ -234,7 +234,7 @@ def _caption(measure: str) -> str:
 
 
 def _alt_text(heat: HeatMap, strips: Sequence[tuple[str, Floats, Floats]], clock: Clock) -> str:
-    """Return the chart in words: of each lane, its highest interval."""
+    """Return a description of the chart: the highest interval of each lane."""
     lines = []
     for name, share, _ in strips:
         if np.isfinite(share).any():

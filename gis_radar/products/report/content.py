@@ -159,7 +159,7 @@ class Fact(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """Words and what they mean, as pairs in the order in which they are read."""
+    """Pairs of a word and its definition, in the order of the page."""
 
     terms: Sequence[tuple[str, str]]
 

@@ -69,7 +69,7 @@ def draw_courses(
     Parameters
     ----------
     dataset : Dataset
-        With exact tables, else nothing is drawn.
+        The dataset; without exact tables nothing is drawn.
     queues : sequence of LongQueue
         Lanes from top to bottom.
     span : (datetime, datetime)

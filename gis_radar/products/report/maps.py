@@ -71,7 +71,7 @@ def draw_maps(results: Results, picture: MapPicture, clock: Clock, reporter: Rep
     Parameters
     ----------
     results : Results
-        With the heat map, the sensors that it shows, and whose data they are.
+        The heat map, the poses of its sensors, and the sources of the data.
     picture : MapPicture
         Pixels of the maps.
     clock : Clock

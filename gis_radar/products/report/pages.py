@@ -152,7 +152,7 @@ def write_pdf(content: Content, path: Path) -> None:
     Parameters
     ----------
     content : Content
-        What to write.
+        Content of the report.
     path : Path
         The file. The same content gives the same bytes.
 

@@ -132,7 +132,8 @@ def write_report(
     """Write a report for people without QGIS: `report.html`, `report.pdf`, and tables as CSV.
 
     The page opens without a network and asks for nothing; it needs no script but for the slider.
-    What the folder does not hold is named as not known. The same results give the same files.
+    Results that are missing in the folder are named as not known. The same results give the same
+    files.
 
     Parameters
     ----------
@@ -141,10 +142,10 @@ def write_report(
     output : str or Path, optional
         Folder that the report goes to; by default `folder`.
     title : str, optional
-        By default that of the site or heat map, or the name of the folder.
+        Title; by default that of the site or heat map, or the name of the folder.
     timezone : str, optional
-        Whose clocks the report's times follow, such as Europe/Berlin; by default the site's, or
-        those of the heat map's picture.
+        Time zone of the report's times, such as Europe/Berlin; by default that of the site, or of
+        the heat map's picture.
     language : str, optional
         Language of all text, `en` or `de`; by default the site's, or that of the heat map's
         picture. The tables as CSV are the same in every language.

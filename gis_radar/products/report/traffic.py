@@ -255,14 +255,14 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
 
 
 def _longest(row: pd.Series) -> str:
-    """Return the longest queue of a lane in metres: at least so many where sight ends there."""
+    """Return the longest queue of a lane, m; `at least` where it reaches the end of sight."""
     text = figure_text(float(row["queue_max_m"]))
     ends_in_sight = row["queue_max_m"] < row["sight_m"] - JOINED_M
     return text if ends_in_sight or row["queue_max_m"] == 0.0 else tr("at least {m}", m=text)
 
 
 def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> list[str]:
-    """Return how the table is to be read, and what it does not tell."""
+    """Return notes on the table: definitions, missing values, lanes without a row."""
     seconds = (traffic.end - traffic.begin).total_seconds()
     notes = [
         tr("Vehicles are counted at the stop line, elsewhere in the middle of the lane. Volume is "
