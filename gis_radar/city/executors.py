@@ -238,7 +238,9 @@ class Processes(Workers):
     def begin(self) -> Executor:
         """Return a pool of new processes: copies of this one would inherit locks of libraries."""
         self._context = WorkerContext()
-        return ProcessPoolExecutor(self.count, mp_context=self._context, initializer=_begin)
+        return ProcessPoolExecutor(
+            self.count, mp_context=self._context, initializer=_prepare_worker
+        )
 
     def end(self, executor: Executor) -> None:
         """Stop the pool at once."""
@@ -246,7 +248,7 @@ class Processes(Workers):
         executor.shutdown(cancel_futures=True)
 
 
-def _begin() -> None:
+def _prepare_worker() -> None:
     """Prepare a worker process: it ends with the run, and SIGTERM ends it without a word."""
     watch_parent()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

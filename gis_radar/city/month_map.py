@@ -123,16 +123,16 @@ def draw_city(
             number=k + 1, x=round(float(centres[k, 0]), 1), y=round(float(centres[k, 1]), 1),
             radius=round(float(radius[k]), 1), colour=_colour(site),
             is_deep=site.occupancy[0] > DEEP_FROM, label=labels[k],
-            title=_words(site, faulty.get(site.name, 0)), link=site.link,
+            title=_description(site, faulty.get(site.name, 0)), link=site.link,
             has_fault=site.name in faulty,
         )
         for k, site in enumerate(sites)
     ]  # fmt: skip
     lanes = "".join(
         _path(((way - middle) * metres * [1.0, -1.0] - corner) * scale)
-        for each in sites for way in each.ways
+        for each in sites for way in each.lines
     )  # fmt: skip
-    return CityMap(WIDTH, round(float(height)), lanes, marks, bar, _classes(legend))
+    return CityMap(WIDTH, round(float(height)), lanes, marks, bar, _legend_classes(legend))
 
 
 def _colour(site: SiteMonth) -> str:
@@ -142,7 +142,7 @@ def _colour(site: SiteMonth) -> str:
     return next(each.colour for each in colour_classes("occupancy") if share <= each.upper)
 
 
-def _words(site: SiteMonth, faulty: int) -> str:
+def _description(site: SiteMonth, faulty: int) -> str:
     if site.lanes is None:
         known = tr("no data in this month")
     else:
@@ -205,7 +205,7 @@ def _box_of_bar(x: float, length: float, height: float) -> shapely.Polygon:
     return shapely.box(x - 5.0, height - 60.0, x + length + 5.0, height)
 
 
-def _classes(legend: Sequence[tuple[str, str]]) -> list[tuple[str, str, str]]:
+def _legend_classes(legend: Sequence[tuple[str, str]]) -> list[tuple[str, str, str]]:
     return [
         ("unseen" if colour == NOT_OBSERVED else f"class-{colour[1:]}", colour, text)
         for colour, text in legend

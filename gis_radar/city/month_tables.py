@@ -123,10 +123,10 @@ def lane_rows(worst: pd.DataFrame) -> Table:
                lambda row: row["level"] if isinstance(row["level"], str) else NO_FIGURE),
         Column(tr("Worst hour"), tr("Monday to Friday; delay"), _worst_hour),
         Column(tr("Mean queue"), "m", off("queue_mean_m", "queue_se", 1)),
-        Column(tr("Longest queue"), "m", _longest),
+        Column(tr("Longest queue"), "m", _queue_text),
         Column(tr("Mean occupancy"), tr("of visible time"),
                lambda row: share_with_error(row["occupancy"], row["occupancy_se"])),
-        Column(tr("Volume"), tr("veh/h"), _volume),
+        Column(tr("Volume"), tr("veh/h"), _volume_text),
     ]  # fmt: skip
     return Table(
         name="worst", caption=tr("Lanes on which most time is lost"), columns=columns,
@@ -161,7 +161,7 @@ def share_with_error(share: float, error: float) -> str:
     return percent(share, off=np.ceil(error * 1000.0) / 1000.0)
 
 
-def _longest(row: pd.Series) -> str:
+def _queue_text(row: pd.Series) -> str:
     if pd.isna(row["queue_max_m"]):
         return NO_FIGURE
     text = figure_text(float(row["queue_max_m"]))
@@ -169,7 +169,7 @@ def _longest(row: pd.Series) -> str:
     return tr("at least {m}", m=text) if at_the_end else text
 
 
-def _volume(row: pd.Series) -> str:
+def _volume_text(row: pd.Series) -> str:
     if pd.isna(row["volume_veh_h"]):
         return NO_FIGURE
     relative = row["volume_se"] / row["volume"] if row["volume"] > 0.0 else 0.0

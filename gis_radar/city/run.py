@@ -222,7 +222,7 @@ class CitySteps:
     def register(self) -> list[str]:
         """Register the new recordings of all sites; return the sites with a dataset."""
         tasks = {name: (add_recordings, _task(self.root, self.city, name)) for name in self.sites}
-        self._each(tasks, Text("registering recordings"))
+        self._carry_out(tasks, Text("registering recordings"))
         there = [name for name in self.sites if Manifest.is_there(self._dataset(name))]
         for name in self.sites.keys() - {*there}:
             if not self.sites[name].failures:
@@ -251,7 +251,7 @@ class CitySteps:
             }
             written_at = dict.fromkeys(opened, time.monotonic())
             try:  # which hours are made is recorded from time to time, and at the end
-                for name, hour in self._made(calls):
+                for name, hour in self._make_hours(calls):
                     opened[name].made.append(hour)
                     self.sites[name].hours += 1
                     if time.monotonic() - written_at[name] > REGISTRY_EVERY_S:
@@ -268,7 +268,7 @@ class CitySteps:
         tasks = {
             name: (update_site, _task(self.root, self.city, name), self.city) for name in names
         }
-        self._each(tasks, Text("updating tables and reports"))
+        self._carry_out(tasks, Text("updating tables and reports"))
 
     def write_page(self) -> None:
         """Write the page of the city's last month with measured hours."""
@@ -289,7 +289,7 @@ class CitySteps:
     def _dataset(self, name: str) -> Path:
         return _task(self.root, self.city, name).dataset
 
-    def _each(self, tasks: Mapping[str, Sequence[Any]], stage: Text) -> None:
+    def _carry_out(self, tasks: Mapping[str, Sequence[Any]], stage: Text) -> None:
         """Carry out a task a site, and keep what it says."""
         self.reporter.progress(stage, 0, len(tasks))
         for done, (name, found) in enumerate(self.workers.results(tasks), start=1):
@@ -303,7 +303,9 @@ class CitySteps:
                     self.reporter.warn("{}: {}", name, message)
             self.reporter.progress(stage, done, len(tasks))
 
-    def _made(self, calls: Mapping[tuple[str, int], Sequence[Any]]) -> Iterator[tuple[str, int]]:
+    def _make_hours(
+        self, calls: Mapping[tuple[str, int], Sequence[Any]]
+    ) -> Iterator[tuple[str, int]]:
         self.reporter.progress(HOURS, 0, len(calls))
         for done, ((name, hour), found) in enumerate(self.workers.results(calls), start=1):
             if isinstance(found, OutputError):

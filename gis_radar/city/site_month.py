@@ -38,7 +38,7 @@ class SiteMonth:
         Its name in the city, and that of its site file, else the same.
     link : str
         Its report, from the folder of the page; empty where there is none.
-    ways : sequence of (n, 2) arrays
+    lines : sequence of (n, 2) arrays
         Its lanes, degrees east and north.
     hours : int
         Complete hours in the month.
@@ -60,7 +60,7 @@ class SiteMonth:
     name: str
     title: str
     link: str
-    ways: Sequence[Floats]
+    lines: Sequence[Floats]
     hours: int
     lanes: pd.DataFrame | None = None
     profile: pd.DataFrame | None = None
@@ -70,7 +70,7 @@ class SiteMonth:
     @property
     def place(self) -> Floats:
         """Middle of the site, degrees east and north."""
-        return np.asarray(np.concatenate(self.ways).mean(axis=0), np.float64)
+        return np.asarray(np.concatenate(self.lines).mean(axis=0), np.float64)
 
     @property
     def occupancy(self) -> tuple[float, float]:
@@ -129,7 +129,7 @@ def site_month(month: CityMonth, name: str, folder: Path) -> SiteMonth:
     if dataset.has_vehicles:
         dataset, _ = as_stated(dataset, site)
     fields: dict[str, Any] = {
-        "name": name, "title": str(site.get("title") or name), "ways": _ways(dataset),
+        "name": name, "title": str(site.get("title") or name), "lines": _lane_lines(dataset),
         "link": _link(place / PAGE, folder), "hours": len(month.hours[name].get(month.month, [])),
     }  # fmt: skip
     if not (dataset.has_vehicles and month.has_data(name)):
@@ -156,7 +156,7 @@ def _link(page: Path, folder: Path) -> str:
         return page.resolve().as_uri()
 
 
-def _ways(dataset: Dataset) -> list[Floats]:
+def _lane_lines(dataset: Dataset) -> list[Floats]:
     """Return the lanes, degrees; of datasets without lanes the tiles' box."""
     if dataset.has_vehicles:
         lines = list(dataset.layer(LANES_LAYER).geometry)
@@ -172,21 +172,21 @@ def _lanes(dataset: Dataset, month: CityMonth, network: LaneNetwork) -> pd.DataF
     lanes = dataset.traffic(begin=begin, end=end, whole=True)
     days = dataset.traffic("24h", begin=begin, end=end).groupby("lane")
     at = np.searchsorted(network.lane, lanes["lane"].to_numpy(np.int64))
-    entry = network.has_stop_line if network.has_stop_line.any() else _begins(network)
+    entry = network.has_stop_line if network.has_stop_line.any() else _is_first(network)
     found: gpd.GeoDataFrame = lanes.assign(
         level=service_levels(lanes, "hcm"), length_m=network.length_m[at],
         is_inside=network.connector[at], is_entry=entry[at],
-        **{name: lanes["lane"].map(_error(days[of]))
+        **{name: lanes["lane"].map(_error_over_days(days[of]))
            for name, of in (("delay_se", "delay_s"), ("queue_se", "queue_mean_m"))},
     )  # fmt: skip
     return pd.DataFrame(found.drop(columns="geometry"))
 
 
-def _begins(network: LaneNetwork) -> Any:
+def _is_first(network: LaneNetwork) -> Any:
     return np.array([not each for each in network.before], np.bool_)
 
 
-def _error(days: Any) -> pd.Series:
+def _error_over_days(days: Any) -> pd.Series:
     """Return the standard error of a mean over days, by lane; null of too few."""
     count = days.count()
     error: pd.Series = (days.std() / np.sqrt(count)).where(count >= LEAST_DAYS)

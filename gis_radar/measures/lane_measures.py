@@ -300,7 +300,7 @@ def _turns(
     Vehicles without a known exit may have taken one that is not visible: then the other exits only
     get the share of the volume that is known for them.
     """
-    ways = _ways(network)
+    ways = _turn_rows(network)
     followed = _known_turns(states, crossed, ways, grid, len(network.lane))
     by_lane = {n: lanes[n].reshape(-1, grid.count)[ways[:, 0]].ravel() for n in _OF_APPROACH}
     exits = network.tile_id[np.searchsorted(network.tile_lane, ways[:, 1])]
@@ -337,7 +337,7 @@ def _turns(
 _OF_APPROACH = ("visible_share", "counted", "volume", "volume_se")
 
 
-def _ways(network: LaneNetwork) -> Integers:
+def _turn_rows(network: LaneNetwork) -> Integers:
     """Return rows of start, end, and last connector of turns; -1 if that leads elsewhere, too."""
     rows = [
         (each.start, each.end, each.via[-1])

@@ -133,13 +133,13 @@ class LaneNetwork:
         offset = _offsets([each.lanelets for each in lanes], ends)
         length = np.array([sum(ends[ref] for ref in each.lanelets) for each in lanes], np.float64)
         number = np.array([each.number for each in lanes], np.int64)
-        stop = _known(number, stop_line_m)
+        stop = _values_by_lane(number, stop_line_m)
         ids = np.array(sorted(offset), np.int64)
         lane_of = dict(zip(lanelet[rows].tolist(), lane_of_row.tolist(), strict=True))
         return cls(
             lane=number, length_m=length, has_stop_line=np.isfinite(stop),
             line_m=np.clip(np.where(np.isfinite(stop), stop, length / 2.0), 0.0, length),
-            free_speed=_known(number, free_speed_kmh) / 3.6,
+            free_speed=_values_by_lane(number, free_speed_kmh) / 3.6,
             lanelet_id=ids, lanelet_lane=np.array([lane_of[ref] for ref in ids.tolist()], np.int64),
             offset_m=np.array([offset[ref] for ref in ids.tolist()], np.float64),
             tile_id=tiles["tile_id"].to_numpy(np.int64)[rows], tile_lane=lane_of_row,
@@ -270,7 +270,7 @@ def _offsets(chains: Sequence[Sequence[int]], ends: pd.Series) -> dict[int, floa
     return offsets
 
 
-def _known(lane: Integers, values: Mapping[int, float] | None) -> Floats:
+def _values_by_lane(lane: Integers, values: Mapping[int, float] | None) -> Floats:
     known = values or {}
     return np.array([known.get(each, math.nan) for each in lane.tolist()], np.float64)
 

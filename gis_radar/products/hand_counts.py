@@ -53,7 +53,7 @@ def beside_hand_counts(
     compared = []
     for number, row in _read(path):
         what = f"{path}, line {number}"
-        place, ours = _ours_at(row, lanes, sections, what)
+        place, ours = _our_volumes_at(row, lanes, sections, what)
         begin, end = (
             _moment(text_in(row, name), zone, f"{what}: {name}") for name in ("begin", "end")
         )
@@ -111,7 +111,7 @@ def _moment(text: str, zone: ZoneInfo, what: str) -> pd.Timestamp:
     return pd.Timestamp(stated_moment(text, zone, what)).tz_convert(zone)
 
 
-def _ours_at(
+def _our_volumes_at(
     row: Mapping[Any, Any], lanes: pd.DataFrame, sections: pd.DataFrame | None, what: str
 ) -> tuple[str, pd.DataFrame]:
     """Return the name of a counted place, and our rows of it."""

@@ -255,10 +255,10 @@ def opened_session(url: str, schema: str, srid: int = 0) -> Iterator[Session]:
             yield Session(cursor=connection.cursor(), schema=schema, place=place, srid=srid)
     except psycopg.Error as error:
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise OutputError("{}: {}", place, reason, hint=_hint(reason)) from error
+        raise OutputError("{}: {}", place, reason, hint=_hint_for(reason)) from error
 
 
-def _hint(reason: str) -> Text:
+def _hint_for(reason: str) -> Text:
     if 'extension "postgis"' in reason:
         return Text("install PostGIS, and CREATE EXTENSION postgis in the database as its owner")
     return Text("the database is as it was")

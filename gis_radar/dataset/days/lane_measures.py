@@ -140,8 +140,8 @@ class LaneTraffic(DayTables):
         rows = np.flatnonzero(sums["observed_steps"])
         place, interval = np.divmod(rows, len(begins))
         counts = [sums[name][rows] for name in _TILE_COLUMNS]
-        found = self._measured(record, steps, tiles[place], interval, counts)
-        return _tables(found, 0)
+        found = self._measure(record, steps, tiles[place], interval, counts)
+        return _arrow_tables(found, 0)
 
     def make(self, record: HourRecord) -> tuple[pa.Table, pa.Table]:
         """Return the rows of an hour by quarters: lane measures, turns."""
@@ -150,8 +150,8 @@ class LaneTraffic(DayTables):
         counts = TileCounts(folder=self.folder, fingerprint=self.fingerprint)
         (rows,) = counts.read(TILE_COUNTS, {record.hour: record}, None, columns)
         tile, interval, *steps = (each.to_numpy() for each in rows.columns)
-        found = self._measured(record, STEPS_PER_QUARTER, tile, interval - first, steps)
-        return _tables(found, first)
+        found = self._measure(record, STEPS_PER_QUARTER, tile, interval - first, steps)
+        return _arrow_tables(found, first)
 
     def courses(
         self, records: Mapping[int, HourRecord], lane: int, span: Span
@@ -205,7 +205,7 @@ class LaneTraffic(DayTables):
             )
         return self._states(record), self._vehicles(record), self._visible(record)
 
-    def _measured(
+    def _measure(
         self, record: HourRecord, steps: int, tile: Integers, interval: Integers,
         counts: Sequence[Any],
     ) -> Measured:  # fmt: skip
@@ -262,7 +262,7 @@ def _with_tracks(records: Mapping[int, HourRecord]) -> dict[int, HourRecord]:
     return {hour: each for hour, each in records.items() if TRACKS.name in each.parts}
 
 
-def _tables(found: Measured, first: int) -> tuple[pa.Table, pa.Table]:
+def _arrow_tables(found: Measured, first: int) -> tuple[pa.Table, pa.Table]:
     lanes, turns = (
         table.to_arrow(values | {"interval": values["interval"] + first})
         for table, values in zip(LaneTraffic.tables, found, strict=True)

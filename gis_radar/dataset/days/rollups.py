@@ -133,14 +133,14 @@ class Sums:
             "weekday": cell // HOURS_PER_DAY, "hour": cell % HOURS_PER_DAY,
         }  # fmt: skip
         columns_of_row |= {name: each[row] for name, each in self._values.items()}
-        columns = [_typed(columns_of_row[field.name], field.type) for field in schema]
+        columns = [_arrow_array(columns_of_row[field.name], field.type) for field in schema]
         return pa.Table.from_arrays(columns, schema=schema)
 
 
 _WEIGHTS = {"quarters", "visible_s", "visible_km_h", "observed_steps"}
 
 
-def _typed(values: Floats, kind: pa.DataType) -> Any:
+def _arrow_array(values: Floats, kind: pa.DataType) -> Any:
     if pa.types.is_list(kind):
         whole = pa.array(values.astype(np.int64).ravel())
         return pa.FixedSizeListArray.from_arrays(whole, values.shape[1]).cast(kind)
@@ -278,7 +278,7 @@ class RollUps:
         checked_at, stale = self.checked.get((table.name, month), ([], None))
         if written_at and checked_at == written_at:
             return stale
-        records = self._records(self.days(month))
+        records = self._records_of_dates(self.days(month))
         keys = self._keys(table, month, records)
         stale = None if keys and self._is_made_of(table, month, keys) else (keys, records)
         if written_at:
@@ -306,7 +306,7 @@ class RollUps:
                 yield month, self.read(table, month, columns)
                 continue
             masks, sums = asked.masks(month), Sums(table, columns)
-            records = self._records(list(masks))
+            records = self._records_of_dates(list(masks))
             for day, quarters in masks.items():
                 self._add_day(sums, day, records, quarters)
             yield month, sums.rows().select(list(columns))
@@ -363,7 +363,7 @@ class RollUps:
         begins = day * 3600.0 + QUARTER_S * np.arange(HOURS_PER_DAY * QUARTERS)
         return (begins >= first) & (begins < after)
 
-    def _records(self, days: Sequence[int]) -> dict[int, HourRecord]:
+    def _records_of_dates(self, days: Sequence[int]) -> dict[int, HourRecord]:
         """Read the records of the complete hours from a UTC date to another."""
         records = read_hours(self.folder, days[0], days[-1] + HOURS_PER_DAY - 1)
         self.traffic.remember(records)
@@ -388,7 +388,7 @@ class RollUps:
         """
         keys_by_day: dict[int, list[str | int]] = {}
         for day in self.days(month):
-            hours = self._hours(day, self._in_month(day, month), records)
+            hours = self._records_of_date(day, self._in_month(day, month), records)
             if table is TILE_MONTHS:
                 keys, method = count_keys(hours), 0
             else:
@@ -406,7 +406,7 @@ class RollUps:
         made = self.file(table, month).keys()
         return made.keys() == keys.keys() and all(map(_is_same_key, made.values(), keys.values()))
 
-    def _hours(
+    def _records_of_date(
         self, day: int, wanted: Booleans, records: Mapping[int, HourRecord]
     ) -> dict[int, HourRecord]:
         """Return the records of the hours of a UTC date of which some quarters are wanted."""
@@ -433,7 +433,7 @@ class RollUps:
         self, sums: Sums, day: int, records: Mapping[int, HourRecord], wanted: Booleans
     ) -> None:
         """Add the wanted quarters of a UTC date."""
-        hours, clock = self._hours(day, wanted, records), self.clock(day)
+        hours, clock = self._records_of_date(day, wanted, records), self.clock(day)
         if not hours:
             return
         id_name = sums.table.order[0]

@@ -262,10 +262,10 @@ def update_days(folder: Path, reporter: Reporter) -> None:
     """
     with locked_for_writing(folder, reporter):
         records = read_hours(folder)
-        _update_tables(folder, {*records, *_dates_counted(folder)}, records)
+        _update_tables(folder, {*records, *_counted_dates(folder)}, records)
 
 
-def _dates_counted(folder: Path) -> set[int]:
+def _counted_dates(folder: Path) -> set[int]:
     """Return the first hours of the dates that have tables, also where all hours are gone."""
     dates = {
         path.parent.name.removeprefix("date=")

@@ -78,7 +78,7 @@ def run_query(
     InputError
         If a part is not the one of its hour's record, or hours were made again meanwhile.
     """
-    with closing(_connected(memory)) as connection:
+    with closing(_connect(memory)) as connection:
         names = tables_of(connection, sql)
         before = [_states(each.folder) for each in sites.values()]
         zones = {each.manifest.timezone for each in sites.values()}
@@ -133,7 +133,7 @@ class _InterruptibleQuery:
         return is_late
 
 
-def _connected(memory: str) -> duckdb.DuckDBPyConnection:
+def _connect(memory: str) -> duckdb.DuckDBPyConnection:
     try:
         return duckdb.connect(":memory:", config={**_CONFIG, "memory_limit": memory})
     except duckdb.Error as error:

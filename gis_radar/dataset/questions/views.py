@@ -158,7 +158,7 @@ class _Views:
             record.check_bytes(folder, table)  # DuckDB, unlike Arrow, checks no checksums
             paths.append(part_path(folder, table, hour))
         if paths:
-            self._view(table.name, table.names, f"read_parquet([{_list(paths)}])")
+            self._view(table.name, table.names, f"read_parquet([{_file_list(paths)}])")
         else:
             self.view_of_rows(table, table.empty())
         return paths
@@ -203,7 +203,7 @@ class _Views:
         self._connection.register(table_name, pa.concat_tables([empty, *made]))
         source = _select(names, table_name)
         if paths:
-            files = f"read_parquet([{_list(paths)}], hive_types = {types})"
+            files = f"read_parquet([{_file_list(paths)}], hive_types = {types})"
             source = f"{source} UNION ALL {_select([*table.names, column], files)}"
         self._view(table.name, names, f"({source})")
 
@@ -226,7 +226,7 @@ def _select(columns: Iterable[str], source: str) -> str:
     return f"SELECT {', '.join(columns)} FROM {source}"  # noqa: S608 - names and files of ours
 
 
-def _list(paths: Iterable[Path]) -> str:
+def _file_list(paths: Iterable[Path]) -> str:
     return ", ".join(quoted(path.resolve().as_posix()) for path in paths)
 
 

@@ -58,7 +58,7 @@ def add_headways(
 ) -> gpd.GeoDataFrame:
     """Add headways and gaps to the traffic of lanes; see :meth:`gis_radar.Dataset.traffic`."""
     steps = interval_steps(interval)
-    network, hours = _exact(dataset, span)
+    network, hours = _exact_hours(dataset, span)
     parts = [headways(network, *each) for each in hours]
     pairs = Headways._make(map(np.concatenate, zip(*parts, strict=True))) if parts else None
     table = pd.DataFrame(pairs._asdict() if pairs else {name: [] for name in Headways._fields})
@@ -67,7 +67,7 @@ def add_headways(
     low, high = span or (first.min(), first.max())
     table = table[(first >= low) & (first <= high)]
     zone = zone_of(dataset.timezone)
-    times = _times(table["step"] // part * part)
+    times = _utc_times(table["step"] // part * part)
     table = table.assign(
         lane=network.lane[table["lane"].astype(np.int64)],
         begin=interval_edges(times, steps, zone)["begin"].dt.tz_convert(zone),
@@ -129,7 +129,7 @@ def signal_cycles(
         are not what they should be or of a lane without a stop line.
     """
     require_vehicles(dataset)
-    network, hours = _exact(dataset, dataset.span(begin, end))
+    network, hours = _exact_hours(dataset, dataset.span(begin, end))
     with speaking(language):
         names = np.array(lane_names(dataset.layer(LANES_LAYER), network), object)
     place_of = {
@@ -145,7 +145,7 @@ def signal_cycles(
         reason = [tr(each.reason) if each.reason else "" for each in rows]
     table = pd.DataFrame(rows, columns=list(Cycle._fields))
     place, zone = table["lane"].to_numpy(np.int64), zone_of(dataset.timezone)
-    times = {"begin": _times(table["first"]), "end": _times(table["after"])}
+    times = {"begin": _utc_times(table["first"]), "end": _utc_times(table["after"])}
     table = table.assign(lane=network.lane[place], counted=table["counted"].astype("Int64"))
     table = table.drop(columns=["first", "after", "reason"]).astype(dict.fromkeys(_LENGTHS, float))
     for column, (name, values) in enumerate(times.items(), start=1):
@@ -156,11 +156,11 @@ def signal_cycles(
     )
 
 
-def _times(steps: pd.Series) -> pd.Series:
+def _utc_times(steps: pd.Series) -> pd.Series:
     return pd.to_datetime(steps.astype(np.int64) * STEP_US, unit="us", utc=True)
 
 
-def _exact(dataset: Source, span: Span | None) -> tuple[LaneNetwork, Iterator[_Hour]]:
+def _exact_hours(dataset: Source, span: Span | None) -> tuple[LaneNetwork, Iterator[_Hour]]:
     """Return the network, and of each hour its grid, states, vehicles and visible runs."""
     traffic = LaneTraffic.of(dataset)
     records = [each for each in dataset.records(span).values() if TRACKS.name in each.parts]

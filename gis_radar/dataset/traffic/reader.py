@@ -144,12 +144,12 @@ class TrafficReader:
         return self.dataset.layer(TILES_LAYER).sort_values("tile_id", ignore_index=True)
 
     @cached_property
-    def _others(self) -> OtherLanes:
+    def _other_lanes(self) -> OtherLanes:
         shifts = shifts_of(self.dataset.poses(), self.dataset.sights(), self._tiles)
         return OtherLanes.of(shifts, self._tiles, self.traffic.network)
 
     @cached_property
-    def _across(self) -> Booleans:
+    def _looked_across(self) -> Booleans:
         poses, sights = self.dataset.poses(), self.dataset.sights()
         return lanes_across(poses, sights, self._tiles, self.traffic.network)
 
@@ -162,9 +162,11 @@ class TrafficReader:
         network = self.traffic.network
         sums = table.groupby([lane, "begin"], as_index=False)[name].sum(min_count=1)
         wide = sums.pivot_table(name, lane, "begin", dropna=False).reindex(network.lane)
-        variance = self._others.variance(wide.to_numpy(np.float64))
+        variance = self._other_lanes.variance(wide.to_numpy(np.float64))
         if name == "volume":
-            variance[self._across] += (MISSED_ACROSS * wide.to_numpy(np.float64)[self._across]) ** 2
+            variance[self._looked_across] += (
+                MISSED_ACROSS * wide.to_numpy(np.float64)[self._looked_across]
+            ) ** 2
         row = np.searchsorted(network.lane, table[lane].to_numpy(np.int64))
         return np.asarray(variance[row, wide.columns.get_indexer(table["begin"])])
 

@@ -266,7 +266,7 @@ def lane_sights(dataset: Dataset, rows: pd.DataFrame) -> LaneSights:
         sees_row & active[interval_place],
         (sees_row & partly[interval_place]).any(axis=1),
     )
-    names = [_joined(sensors, row) for row in watching]
+    names = [_joined_names(sensors, row) for row in watching]
     watchers = pd.Series(names, rows.index, dtype=object).mask(np.asarray(doubtful))
     return LaneSights(rows=rows.assign(watchers=watchers), tiles=tiles)
 
@@ -277,7 +277,7 @@ def _seconds(times: pd.Series) -> Floats:
     return np.asarray(since.dt.total_seconds(), np.float64)
 
 
-def _joined(sensors: Sequence[str], row: Booleans) -> str | None:
+def _joined_names(sensors: Sequence[str], row: Booleans) -> str | None:
     return (
         SEPARATOR.join(name for name, is_there in zip(sensors, row, strict=True) if is_there)
         or None

@@ -67,13 +67,13 @@ def table_by_lane(
     index = pd.Index([lane.number for lane in tiled], name=LANE_COLUMN)
     chosen = tally.chosen(interval, begin=begin, end=end)
     if not each:
-        table = _sums(tally, chosen, lane_of_tile, index)
+        table = _table_of_interval(tally, chosen, lane_of_tile, index)
     else:
         picked = slice(None) if chosen is None else chosen
         rows = range(len(tally.timeline))[picked] if isinstance(picked, slice) else [picked]
         shown = list(rows) or [0]  # without intervals, an empty table with the columns
         table = pd.concat(
-            [_sums(tally, row, lane_of_tile, index) for row in shown],
+            [_table_of_interval(tally, row, lane_of_tile, index) for row in shown],
             keys=tally.times[shown],
             names=[BEGIN],
         ).iloc[: len(rows) * len(index)]
@@ -86,7 +86,7 @@ def table_by_lane(
     )
 
 
-def _sums(
+def _table_of_interval(
     tally: Tally, interval: int | slice | None, lane_of_tile: Integers, index: pd.Index
 ) -> pd.DataFrame:
     """Return one row for each lane."""

@@ -179,7 +179,7 @@ def intervals_at(
     moment = moment_in(interval, zone, what="interval")
     number_at = int(timeline.find(step_of(np.array([moment.timestamp()])))[0])
     if number_at < 0:
-        raise _none_there(timeline, zone, Text("no interval holds {}", moment.astimezone(zone)))
+        raise _no_interval(timeline, zone, Text("no interval holds {}", moment.astimezone(zone)))
     return number_at
 
 
@@ -198,11 +198,11 @@ def _between(timeline: Timeline, zone: ZoneInfo, begin: Any, end: Any) -> slice:
         last = int(np.searchsorted(timeline.end, step, side="right"))
     if first >= last:
         since, until = (each.astimezone(zone) if each else "..." for each in (low, high))
-        raise _none_there(timeline, zone, Text("no interval lies between {} and {}", since, until))
+        raise _no_interval(timeline, zone, Text("no interval lies between {} and {}", since, until))
     return slice(first, last)
 
 
-def _none_there(timeline: Timeline, zone: ZoneInfo, what: str) -> UsageError:
+def _no_interval(timeline: Timeline, zone: ZoneInfo, what: str) -> UsageError:
     first, last = (each.astimezone(zone) for each in (timeline.span(0)[0], timeline.span(-1)[1]))
     return UsageError(what, hint=Text("they go from {} to {} ({})", first, last, zone))
 

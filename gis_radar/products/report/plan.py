@@ -82,7 +82,7 @@ def draw_plan(tiles: gpd.GeoDataFrame, picture: MapPicture, table: pd.DataFrame)
         for lane in shown
         if lane.number in known
     }
-    ground = _tinted(picture, len(tiles), lanes)
+    ground = _lanes_in_tints(picture, len(tiles), lanes)
     tips = [centres[lane.rows] for lane in shown if inside[lane.rows[-1]]]
     drawn = {
         width_in: _overlay(picture, width_in, [centres[lane.rows] for lane in shown], tips, middles)
@@ -217,7 +217,7 @@ def _add_number(ax: Axes, number: int, placed: PlacedNumber) -> None:
     )  # fmt: skip
 
 
-def _tinted(picture: MapPicture, tiles: int, lanes: Sequence[Lane]) -> Image.Image:
+def _lanes_in_tints(picture: MapPicture, tiles: int, lanes: Sequence[Lane]) -> Image.Image:
     """Return the lanes in tints; where they overlap, the shortest is on top."""
     longest_first = sorted(lanes, key=lambda each: -len(each.rows))
     place = np.zeros(tiles, np.int64)

@@ -196,7 +196,7 @@ def _lanes_with_stop_lines(traffic: ReportedTraffic) -> set[int]:
     return set(network.lane[network.has_stop_line].tolist())
 
 
-def _roads(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
+def _lanes_by_name(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
     """Return the lanes over the whole time: those with stop lines by name, then the others.
 
     Lanes within the junction are left out: they are turns.
@@ -209,7 +209,7 @@ def _roads(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
     return rows.sort_values(["later", "order"], ignore_index=True)
 
 
-def _estimated(row: pd.Series) -> str:
+def _volume_text(row: pd.Series) -> str:
     """Return a volume an hour with its standard error, or why there is none."""
     if pd.isna(row["volume"]):
         return tr(TOO_LITTLE if row["visible_share"] > 0.0 else NOT_SEEN)
@@ -218,7 +218,7 @@ def _estimated(row: pd.Series) -> str:
 
 def _volume_table(traffic: ReportedTraffic) -> Table:
     """Return volumes, speeds and queues, a row a lane."""
-    rows = _roads(traffic).assign(hours=traffic.hours)
+    rows = _lanes_by_name(traffic).assign(hours=traffic.hours)
     shown = rows.head(MOST_LANES)
     columns = _volume_columns(_lanes_with_stop_lines(traffic))
     return Table(
@@ -240,13 +240,13 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
     def queue(row: pd.Series) -> str:
         if row["lane"] not in before_lines:
             return NO_FIGURE
-        return tr(NOT_SEEN) if pd.isna(row["queue_max_m"]) else _longest(row)
+        return tr(NOT_SEEN) if pd.isna(row["queue_max_m"]) else _queue_text(row)
 
     return [
         Column(tr("Lane"), "", lambda row: str(row["name"]), False),
         Column(tr("No."), tr("on the plan"), lambda row: str(row["lane"])),
         Column(tr("Counted"), tr("vehicles"), counted),
-        Column(tr("Volume"), tr("veh/h"), _estimated),
+        Column(tr("Volume"), tr("veh/h"), _volume_text),
         Column(tr("Heavy"), tr("of those counted"), heavy),
         Column(tr("Mean speed"), tr("km/h, waiting included"),
                lambda row: figure_text(row["speed_kmh"])),
@@ -254,7 +254,7 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
     ]  # fmt: skip
 
 
-def _longest(row: pd.Series) -> str:
+def _queue_text(row: pd.Series) -> str:
     """Return the longest queue of a lane, m; `at least` where it reaches the end of sight."""
     text = figure_text(float(row["queue_max_m"]))
     ends_in_sight = row["queue_max_m"] < row["sight_m"] - JOINED_M
@@ -285,7 +285,7 @@ def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> l
 
 def _volume_charts(traffic: ReportedTraffic, clock: Clock) -> list[Chart]:
     """Draw the volume of lanes before stop lines by interval, of others where there are none."""
-    rows = _roads(traffic)
+    rows = _lanes_by_name(traffic)
     rows = rows[rows["volume"].notna()]
     before = rows["lane"].isin(_lanes_with_stop_lines(traffic))
     return _charts(traffic, rows[before] if before.any() else rows, _VOLUMES, clock)
@@ -403,7 +403,7 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
         return with_error(mine["volume"].sum() / hours, error / hours)
 
     titles = [Column(tr("From lane"), "", str, False), Column(tr("No."), tr("on the plan"), str)]
-    titles += [Column(_capital(tr(TURN_WORDS[way])), tr("veh/h"), str) for way in ways]
+    titles += [Column(_capitalised(tr(TURN_WORDS[way])), tr("veh/h"), str) for way in ways]
     return Table(
         name="turns", caption=tr("Turns over the whole time"), columns=titles,
         rows=[
@@ -416,7 +416,7 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
     )  # fmt: skip
 
 
-def _capital(text: str) -> str:
+def _capitalised(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
@@ -455,7 +455,9 @@ def _queue_table(
         title, unit = _OF_QUEUES[name]
         longest = name == "queue_max_m"
         return Column(
-            tr(title), tr(unit), _longest if longest else lambda row: figure_text(float(row[name]))
+            tr(title),
+            tr(unit),
+            _queue_text if longest else lambda row: figure_text(float(row[name])),
         )
 
     several = len(set(traffic.lanes["begin"])) > 1
