@@ -16,12 +16,12 @@ from gis_radar.products import NOT_OBSERVED, colour_classes
 WIDTH, MARGIN = 1000.0, 70.0  # units of the map, some pixels on a wide page
 TALLEST, FLATTEST = 0.9, 0.35  # height as a share of the width
 RADIUS = (9.0, 24.0)  # of the mark without vehicles, and of the site with most
-UNKNOWN_RADIUS = 9.0
+UNKNOWN_RADIUS = 9.0  # of the mark of a site of unknown volume
 LETTER, LINE = 8.2, 17.0  # width of a letter of a label, height of its line
 MOST_LABEL = 26  # letters of a label
 DEEP_FROM = 0.02  # occupancy from which its class has a deep colour
 FINEST = 1.0  # tolerance, in units of the map, by which lanes are simplified
-METRES_PER_DEGREE = 111_195.0
+METRES_PER_DEGREE = 111_195.0  # of latitude, on a sphere of the Earth's mean radius
 BAR_X, BAR_ROOM = 20.0, 30.0  # of the scale bar from the edge; below the marks, for its text
 BAR_SHARE = 0.25  # longest scale bar, of the width
 

@@ -65,7 +65,7 @@ MONTH_PAGE = "month.html"
 PROFILES = 12  # sites whose profiles are drawn
 HOURS = 24
 MANY_SITES = 6  # from so many sites on, processes save more time than their start takes
-TOPS = (50, 100, 200, 300, 500, 750, 1000, 1500, 2000, 3000, 5000, 7500, 10_000)
+TOPS = (50, 100, 200, 300, 500, 750, 1000, 1500, 2000, 3000, 5000, 7500, 10_000)  # veh/h
 
 
 class Profile(NamedTuple):

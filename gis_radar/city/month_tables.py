@@ -29,8 +29,8 @@ from gis_radar.products import (
     with_verdicts,
 )
 
-WORST_LANES = 20
-MOST_CHANGES = 30
+WORST_LANES = 20  # rows of the table
+MOST_CHANGES = 30  # rows of the table
 MOST_NAMED = 6  # sensors of a state in a sentence
 LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it
 

@@ -55,7 +55,7 @@ from gis_radar.dataset.traffic.stated_lanes import stated_lanes
 from gis_radar.dataset.vehicles import footprints, trajectories
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER, fingerprint, read_tiles
 
-_LAST_STEP = 1 << 62
+_LAST_STEP = 1 << 62  # of a span without an end
 # Steps of 1985 to 2128; UNIX seconds, given in place of steps, are smaller numbers.
 _STEPS_TODAY = range(10_000_000_000, 100_000_000_000)
 

@@ -80,11 +80,9 @@ class _Inputs:
         """Return a manifest with the findings added; earlier ones of other recordings stay."""
         own_digests = {each.digest for each in self.entries}
         other_sensors = {each.sensor for each in registry.entries if each.digest not in own_digests}
-        earlier_findings = {
-            name: each for name, each in before.findings.items() if name in other_sensors
-        }
+        earlier = {name: each for name, each in before.findings.items() if name in other_sensors}
         records = {
-            each.sensor: each.joined(earlier_findings.get(each.sensor, each)).record
+            each.sensor: each.joined(earlier.get(each.sensor, each)).record
             for each in self.findings
         }
         return replace(before, checks=before.checks | records)
@@ -431,9 +429,8 @@ def _remark_on_changes(
     """Report recordings placed or timed otherwise than before, and a time zone that is kept."""
     by_digest = {each.digest: each for each in before.entries}
     for entry in given.entries:
-        if (earlier := by_digest.get(entry.digest)) is not None and not earlier.has_same_inputs(
-            entry
-        ):
+        earlier = by_digest.get(entry.digest)
+        if earlier is not None and not earlier.has_same_inputs(entry):
             reporter.log(
                 Text("{}: is placed or timed otherwise than before: made again", entry.path)
             )

@@ -252,8 +252,8 @@ def _write_tiles_hit(  # pragma: no cover - compiled
         hits &= not has_least or _passes(rates, strengths, row, limits)
         moves = counts_moves and abs(rates[row]) >= MOVEMENT_MPS
         if not moves and not has_clearance:
-            for at in range(begin, end if hits else begin):
-                tile = tiles[at]
+            for nth_tile in range(begin, end if hits else begin):
+                tile = tiles[nth_tile]
                 stamp, is_hit = of_frame[tile], is_inside(edges, tile, east[k], north[k])
                 hit[count] = tile
                 count += is_hit * (stamp != number)
@@ -265,8 +265,8 @@ def _write_tiles_hit(  # pragma: no cover - compiled
             _count_movement(inside, around, height, road_m, moved, number, movement)
         if hits and has_clearance:
             around = _keep_fitting_height(inside, around, height, range_m[k], limits, road_m)
-        for at in range(around if hits else 0):
-            count = _append_if_new(inside[at], number, of_frame, hit, count)
+        for nth_tile in range(around if hits else 0):
+            count = _append_if_new(inside[nth_tile], number, of_frame, hit, count)
     return count
 
 

@@ -17,7 +17,7 @@ from gis_radar.measures.pose_sights import PoseSight
 from gis_radar.measures.sensor_reading import SensorHour
 from gis_radar.measures.validity import Runs, union_of_runs
 
-NEVER = np.iinfo(np.int64).min // 2
+NEVER = np.iinfo(np.int64).min // 2  # a number below all steps
 BATCH_PAIRS = 1 << 19  # pairs in a batch, 8 MiB; more than a tile can have
 RUN_BASE = LONGEST_VALID_STEPS  # a run is packed as offset x RUN_BASE + number of steps after it
 _WORDS = STEPS_PER_HOUR // 64 + 1  # of 64 bits, one for each step of an hour
@@ -25,7 +25,7 @@ _WORDS = STEPS_PER_HOUR // 64 + 1  # of 64 bits, one for each step of an hour
 # `PLACE_OF` gives.
 DE_BRUIJN, SHIFT, ONE = np.uint64(0x03F79D71B4CB0A89), np.uint64(58), np.uint64(1)
 PLACE_OF = np.argsort([(0x03F79D71B4CB0A89 << k) % 2**64 >> 58 for k in range(64)])
-CHECKSUM_BITS = np.uint64(0xFFFF)
+CHECKSUM_BITS = np.uint64(0xFFFF)  # bits of the hash that the table `frames` keeps
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,7 @@ from gis_radar.measures.lane_fronts import (
 from gis_radar.measures.lane_network import LaneNetwork
 from gis_radar.measures.queues import QUEUE_EVERY_STEPS, queue_backs, standing_states
 
-SPEED_CLASS_KMH = 5.0
+SPEED_CLASS_KMH = 5.0  # width of a class of speeds
 SPEED_CLASSES = 40  # up to 200 km/h; the last one is open
 # Share of an interval that must be visible for an estimate of the whole: with less, the error is
 # that of a guess.

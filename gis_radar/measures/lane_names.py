@@ -25,7 +25,7 @@ BEFORE_M = 5.0  # before the stop line, where direction and number of a lane are
 DIRECT_M = 15.0  # length of the exit in the line of a turn without connectors: a short connector's
 BESIDE_M = 5.5  # largest distance between the middles of lanes side by side
 ABREAST_M = 30.0  # width over which lanes of one direction are searched
-PARALLEL = math.cos(math.radians(30.0))
+PARALLEL = math.cos(math.radians(30.0))  # least cosine between parallel lanes
 _BOUND = {
     "north": Text("northbound"), "north-east": Text("north-eastbound"),
     "east": Text("eastbound"), "south-east": Text("south-eastbound"),

@@ -20,7 +20,7 @@ from gis_radar.measures.validity import FrameTimes
 from gis_radar.recordings import RangeCounts, RawRows, read_raw
 from gis_radar.scans import SightTiles
 
-NEVER_US = -(2**62)
+NEVER_US = -(2**62)  # a time before all others
 
 
 @dataclass(frozen=True, kw_only=True)

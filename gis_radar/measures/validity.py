@@ -26,7 +26,7 @@ VALIDITY_S = 0.1
 # without frames is not observed.
 CYCLES_VALID = 1.5
 GAP_US = 100  # resolution of the histogram of gaps: finer than jitter
-MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US
+MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US  # classes of the histogram
 
 
 def validity_of(cycles: Mapping[str, float] | None, sensors: Sequence[str]) -> dict[str, float]:

@@ -14,7 +14,7 @@ import shapely
 from gis_radar.base import Clock, picture_file, tr, with_error, zone_of
 from gis_radar.products.heatmap.picture import INK, SOFT
 
-WIDTH_IN, DPI = 10.0, 160
+WIDTH_IN, DPI = 10.0, 160  # width of the picture, and dots an inch
 AROUND_M = 45.0  # length of road shown around the turns, for the numbers
 VEH_H_PER_POINT = 40.0  # a line of 10 points is 400 veh/h
 HEAD = (4.0, 1.2)  # size of an arrow's head: points, and those of its line's width

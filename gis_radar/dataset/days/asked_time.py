@@ -30,7 +30,7 @@ DAY_NAMES = ("Mo", "Tu", "We", "Th", "Fr", "Sa", "Su")  # as in opening hours of
 QUARTERS_PER_DAY = HOURS_PER_DAY * QUARTERS
 QUARTER_S = STEPS_PER_QUARTER * STEP_S
 _GERMAN = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})")  # 12.10.2026
-_LONGEST_YEARS = 100
+_LONGEST_YEARS = 100  # of a period of holidays: a longer one is a mistake
 _NO_HOLIDAYS = Text("is no table of holidays: has no column date, nor begin and end")
 
 Holidays: TypeAlias = str | Path | Sequence[str | date] | None

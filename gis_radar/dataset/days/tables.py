@@ -77,7 +77,7 @@ class DayTables:
         metadata = whole_metadata(table, self.fingerprint) | {"hour": hour_text(day)}
         return TableFile(table=table, path=path, metadata=metadata, keyed="hours")
 
-    def update(self, hour: int, known: Mapping[int, HourRecord] | None = None) -> None:
+    def update(self, hour: int, all_records: Mapping[int, HourRecord] | None = None) -> None:
         """Bring the tables of the date of an hour up to date; the caller is its only writer.
 
         Rows of hours that were not made again are carried over.
@@ -86,7 +86,7 @@ class DayTables:
         ----------
         hour : int
             Any hour of the date, since 1970.
-        known : mapping, optional
+        all_records : mapping, optional
             The records of all complete hours; by default they are read.
 
         Raises
@@ -97,10 +97,13 @@ class DayTables:
             If a table cannot be written.
         """
         (day,) = days_of([hour])
-        if known is None:
-            known = read_hours(self.folder, day - 1, day + HOURS_PER_DAY - 1)
-        records = records_of(day, known)
-        self.remember(records | {before: known[before] for before in (day - 1,) if before in known})
+        if all_records is None:
+            all_records = read_hours(self.folder, day - 1, day + HOURS_PER_DAY - 1)
+        records = records_of(day, all_records)
+        self.remember(
+            records
+            | {before: all_records[before] for before in (day - 1,) if before in all_records}
+        )
         keys = self.keys(day, records)
         files = [self.file(table, day) for table in self.tables]
         if not keys:

@@ -29,7 +29,7 @@ from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import SCHEMA
 
 HOURS_PER_DAY = 24
-ROWS_IN_GROUP = 131_072
+ROWS_IN_GROUP = 131_072  # rows of a row group (the contract)
 MEASURE_AGAIN = Text("remove its hour's file in hours/ and measure again; the hour is made anew")
 Values: TypeAlias = Mapping[str, Any] | pd.DataFrame | pa.Table
 """Arrays by column."""

@@ -23,7 +23,7 @@ from gis_radar.dataset.questions.views import quoted, views_of_sites
 Answer: TypeAlias = tuple[pa.Schema, Iterator[pa.RecordBatch]]
 """The columns of an answer, and its rows in batches."""
 PROPOSAL = ("Candidate bindings:", "Did you mean")
-_ROWS_AT_ONCE = 1 << 17
+_ROWS_AT_ONCE = 1 << 17  # rows of a batch of an answer
 _CONFIG = {
     "autoinstall_known_extensions": "false",
     "autoload_known_extensions": "false",

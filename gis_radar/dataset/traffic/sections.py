@@ -30,7 +30,7 @@ from gis_radar.measures import LaneNetwork, bound_name, place_on
 
 NAME_FIELDS = ("name", "section", "id")  # columns that may hold a section's name, in this order
 ALONG = math.sin(math.radians(30.0))  # sine of the angle below which a section runs along a lane
-HALF_LANE_M = 1.75
+HALF_LANE_M = 1.75  # half of the usual width of a lane
 _FIGURES = ["visible_share", "counted", "volume", "volume_se", "heavy", "speed_time_mean_kmh"]
 
 

@@ -207,7 +207,7 @@ def _no_interval(timeline: Timeline, zone: ZoneInfo, what: str) -> UsageError:
     return UsageError(what, hint=Text("they go from {} to {} ({})", first, last, zone))
 
 
-QUARTER = 900 * STEPS_PER_SECOND
+QUARTER = 900 * STEPS_PER_SECOND  # of an hour, in steps, as the two below
 HOUR = 4 * QUARTER
 DAY = 24 * HOUR
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

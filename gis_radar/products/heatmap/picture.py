@@ -31,7 +31,7 @@ from gis_radar.products.heatmap.raster import Cover, PixelGrid, cover
 
 INK, SOFT, SENSOR = "#1d2126", "#59616a", "#00519e"
 PAPER, STRIPE = "#ffffff", "#5c6268"
-HALO = [withStroke(linewidth=2.6, foreground="white")]
+HALO = [withStroke(linewidth=2.6, foreground="white")]  # white outline of letters on the map
 
 LEAST_MARGIN_M = 12.0  # around what was observed: sensors stand beside the road
 MARGIN = 0.05  # margin as a share of the longer side, where that is more

@@ -47,7 +47,7 @@ LEAST_ABOVE_M = 2.0  # shown beyond a stop line at the end of its lane
 AROUND = 1.5  # shown before the line, as a multiple of the longest queue
 BROKEN_STEPS = 3 * TRACK_EVERY_STEPS  # without a state, after which a line ends
 QUEUE, UNSEEN = "#ba1c4d", "#d5dade"
-LETTERS_PT, NARROW_PT = 8.0, 6.5
+LETTERS_PT, NARROW_PT = 8.0, 6.5  # size of letters; on a phone
 TITLE_LETTERS = 95.0  # of a title, by inches of width and points of its letters
 
 

@@ -33,8 +33,8 @@ from gis_radar.products.heatmap.picture import (
 from gis_radar.products.report.content import Figure
 
 PLAN_IN = 6.0  # width of the figure of lanes: the narrower, the larger its words
-MOST_LABELS = 60
-LETTERS_PT = 7.5
+MOST_LABELS = 60  # numbers on the plan: more are illegible
+LETTERS_PT = 7.5  # size of the numbers
 GLYPH = (0.68, 1.25)  # width of a bold figure and height of its line, of the size of the letters
 # Places to try for the number of a lane: on it, as shares of its length;
 TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)
