@@ -21,10 +21,12 @@ from gis_radar.base import (
 from gis_radar.city.health import WORKS
 from gis_radar.city.site_month import SiteMonth
 from gis_radar.products import (
+    LEAST_QUEUE_M,
     NOT_TOLD,
     Column,
     Table,
     change_rows,
+    longest_queue_text,
     text_rows,
     with_verdicts,
 )
@@ -32,7 +34,6 @@ from gis_radar.products import (
 WORST_LANES = 20  # rows of the table
 MOST_CHANGES = 30  # rows of the table
 MOST_NAMED = 6  # sensors of a state in a sentence
-LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it
 
 
 def site_table(sites: Sequence[SiteMonth], health: pd.DataFrame) -> Table:
@@ -162,11 +163,7 @@ def share_with_error(share: float, error: float) -> str:
 
 
 def _queue_text(row: pd.Series) -> str:
-    if pd.isna(row["queue_max_m"]):
-        return NO_FIGURE
-    text = figure_text(float(row["queue_max_m"]))
-    at_the_end = row["queue_max_m"] >= row["sight_m"] - 10.0 and row["queue_max_m"] > 0.0
-    return tr("at least {m}", m=text) if at_the_end else text
+    return NO_FIGURE if pd.isna(row["queue_max_m"]) else longest_queue_text(row)
 
 
 def _volume_text(row: pd.Series) -> str:

@@ -45,7 +45,7 @@ from gis_radar.dataset.files.records import (
 )
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Moment
-from gis_radar.dataset.files.units import for_people
+from gis_radar.dataset.files.units import convert_units
 from gis_radar.dataset.hours import changes
 from gis_radar.dataset.questions import profiles
 from gis_radar.dataset.questions.sql import SqlQueries
@@ -397,10 +397,10 @@ class Dataset(SqlQueries):
     def _read(self, table: TableSchema, begin: Moment, end: Moment) -> pd.DataFrame:
         parts = list(self.batches(table, self.span(begin, end)))
         rows = pa.concat_tables(parts) if parts else table.empty()
-        return for_people(rows, self.manifest.origin)
+        return convert_units(rows, self.manifest.origin)
 
     def _read_whole(self, table: TableSchema) -> pd.DataFrame:
-        return for_people(self.whole(table), self.manifest.origin)
+        return convert_units(self.whole(table), self.manifest.origin)
 
     def whole(self, table: TableSchema) -> pa.Table:
         """Read a table that is one file, with its columns: recordings, poses or sights."""

@@ -65,9 +65,9 @@ def match_lanes(
     """Match the lanes of an old map to those of a new one, by where they lie and lead.
 
     Two lanes follow each other where they lie within 1.5 m and lead the same way, to 30 degrees.
-    They are the same where 90 % of both do; each lane is the same as one at most. Lanes without
-    such a partner are listed with all that they share a tenth or more with: parts, where a lane was
-    split, wholes, where lanes were merged.
+    They are the same where 90 % of both do; each lane is the same as one at most. A lane without
+    such a partner has a row for each lane with which it shares a tenth or more: its parts, where it
+    was split, or the lane that it was merged into.
 
     Parameters
     ----------

@@ -322,7 +322,7 @@ class Session:
         self.is_new = not comment
         if comment != expected and (comment or (exists and self._holds_anything())):
             hint = Text("name another --schema")
-            if comment and comment.startswith(MARK):  # what others keep is not ours to have dropped
+            if comment and comment.startswith(MARK):  # never propose to drop what others made
                 hint = Text("name another --schema, or drop {} and publish again", self.schema)
             raise OutputError(
                 "{}: schema {} holds something else ({})", self.place, self.schema,

@@ -211,7 +211,7 @@ class Traffic:
         shown_by_sheet = {}
         for sheet, table in sheets.items():
             zone = str(table["begin"].dt.tz)
-            shown = _for_people(table)
+            shown = _readable_table(table)
             if "turn" in shown:
                 shown["turn"] = [tr(TURN_WORDS[each]) for each in shown["turn"]]
             for name in _TIMES:  # spreadsheets know no zones
@@ -321,7 +321,7 @@ def make_traffic(
     )  # fmt: skip
 
 
-def _for_people(table: pd.DataFrame) -> pd.DataFrame:
+def _readable_table(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table without geometry: ids as text, numbers rounded."""
     shown = pd.DataFrame(table.drop(columns="geometry", errors="ignore"))
     for name in shown:
@@ -342,7 +342,7 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
     path : Path
         The file.
     """
-    shown = _for_people(table)
+    shown = _readable_table(table)
     for name in _TIMES:
         shown[name] = [each.isoformat() for each in shown[name]]
     rows = shown.astype(object).where(shown.notna(), None).itertuples(index=False)

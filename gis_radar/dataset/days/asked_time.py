@@ -230,8 +230,8 @@ class AskedTime:
     def months(self) -> Iterator[tuple[str, bool]]:
         """Yield the months with an asked quarter, and whether they are whole.
 
-        Of a whole month all that was measured on the days of the week is asked for: it is the sum
-        of its roll-up over these days.
+        A month is whole if all that was measured in it on the asked days of the week is asked for:
+        its sums are then those of its roll-up over these days.
         """
         for number in np.unique(self.month[self.asked]).tolist():
             in_month = self.month == number

@@ -78,10 +78,10 @@ UNITS: dict[str, Timestamp | Hundredths] = {
     "heading_cdeg": Hundredths("heading"),
     "speed_cms": Hundredths("speed"),
 }
-"""What the columns of the files become, by their names."""
+"""Conversion of columns of the files, by their names."""
 
 
-def for_people(table: pa.Table, origin: tuple[int, int]) -> pd.DataFrame:
+def convert_units(table: pa.Table, origin: tuple[int, int]) -> pd.DataFrame:
     """Convert a table to metres, degrees, m/s and UTC timestamps.
 
     Parameters

@@ -16,7 +16,7 @@ from gis_radar.dataset.files.records import Span, hour_bounds
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Moment, Source, require_vehicles
 from gis_radar.dataset.files.tables import LANE_MONTHS, TILE_MONTHS
-from gis_radar.dataset.files.units import for_people
+from gis_radar.dataset.files.units import convert_units
 from gis_radar.dataset.questions.street_profile import SUMMED, By, StreetLanes, street_profile
 from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 
@@ -186,8 +186,8 @@ def _read_months(dataset: Source, table: TableSchema, month: str | None) -> pd.D
         month_edges(month, dataset.timezone)  # refuses what is none
         asked = [month]
     parts = [rolled.read(table, each) for each in asked]
-    whole = pa.concat_tables([table.empty(), *parts])
-    found = for_people(whole, dataset.manifest.origin)
+    rows = pa.concat_tables([table.empty(), *parts])
+    converted = convert_units(rows, dataset.manifest.origin)
     lengths = [len(each) for each in parts]
-    found.insert(0, "month", pd.Series(asked, dtype=object).repeat(lengths).to_list())
-    return found
+    converted.insert(0, "month", pd.Series(asked, dtype=object).repeat(lengths).to_list())
+    return converted

@@ -369,6 +369,9 @@ def _lanes(data: ReportData, *, intervals: bool) -> Table:
     if measure == "occupancy":
         notes.append(tr("± is the standard error."))
     notes.append(tr("Where lanes cross, their tiles overlap, and a vehicle there counts on each."))
+    csv_files = [(names.LANES, tr("all lanes"))]
+    if intervals:
+        csv_files.append((names.LANES_BY_INTERVAL, tr("each lane in each interval")))
     return Table(
         name="lanes",
         caption=tr("Lanes by occupancy")
@@ -377,15 +380,8 @@ def _lanes(data: ReportData, *, intervals: bool) -> Table:
         columns=columns,
         rows=text_rows((row for _, row in shown.iterrows()), columns),
         note=" ".join(notes),
-        files=_translated_files((names.LANES, "all lanes"), *([_BY_INTERVAL] if intervals else [])),
+        files=csv_files,
     )
-
-
-_BY_INTERVAL = (names.LANES_BY_INTERVAL, "each lane in each interval")
-
-
-def _translated_files(*given: tuple[str, str]) -> list[tuple[str, str]]:
-    return [(name, tr(text)) for name, text in given]
 
 
 def _ranking(table: pd.DataFrame) -> str:

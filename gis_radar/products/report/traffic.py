@@ -240,7 +240,7 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
     def queue(row: pd.Series) -> str:
         if row["lane"] not in before_lines:
             return NO_FIGURE
-        return tr(NOT_SEEN) if pd.isna(row["queue_max_m"]) else _queue_text(row)
+        return tr(NOT_SEEN) if pd.isna(row["queue_max_m"]) else longest_queue_text(row)
 
     return [
         Column(tr("Lane"), "", lambda row: str(row["name"]), False),
@@ -254,8 +254,14 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
     ]  # fmt: skip
 
 
-def _queue_text(row: pd.Series) -> str:
-    """Return the longest queue of a lane, m; `at least` where it reaches the end of sight."""
+def longest_queue_text(row: pd.Series) -> str:
+    """Return the longest queue of a lane, m; `at least` where it reaches the end of sight.
+
+    Parameters
+    ----------
+    row : Series
+        Row of :meth:`gis_radar.Dataset.traffic`, whose `queue_max_m` is known.
+    """
     text = figure_text(float(row["queue_max_m"]))
     ends_in_sight = row["queue_max_m"] < row["sight_m"] - JOINED_M
     return text if ends_in_sight or row["queue_max_m"] == 0.0 else tr("at least {m}", m=text)
@@ -457,7 +463,7 @@ def _queue_table(
         return Column(
             tr(title),
             tr(unit),
-            _queue_text if longest else lambda row: figure_text(float(row[name])),
+            longest_queue_text if longest else lambda row: figure_text(float(row[name])),
         )
 
     several = len(set(traffic.lanes["begin"])) > 1
