@@ -298,11 +298,7 @@ def _volume_charts(traffic: ReportedTraffic, clock: Clock) -> list[Chart]:
 
 
 class _Profile(NamedTuple):
-    """Content of strips over time.
-
-    Columns of a value and its error, highest values that scales may have, whether values are
-    divided by the hours of an interval, heading and caption.
-    """
+    """Content of strips: columns of value and error, tops of scales, whether per hour, words."""
 
     columns: Sequence[str]
     tops: Sequence[float]
@@ -409,7 +405,8 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
         return with_error(mine["volume"].sum() / hours, error / hours)
 
     titles = [Column(tr("From lane"), "", str, False), Column(tr("No."), tr("on the plan"), str)]
-    titles += [Column(_capitalised(tr(TURN_WORDS[way])), tr("veh/h"), str) for way in ways]
+    words = [tr(TURN_WORDS[way]) for way in ways]
+    titles += [Column(word[:1].upper() + word[1:], tr("veh/h"), str) for word in words]
     return Table(
         name="turns", caption=tr("Turns over the whole time"), columns=titles,
         rows=[
@@ -420,10 +417,6 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
                 "where vehicles come from or go to beyond the junction is not known."),
         files=[(names.TURNS, tr("each turn in each interval"))],
     )  # fmt: skip
-
-
-def _capitalised(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def _queues(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Table | Figure | Chart]:
