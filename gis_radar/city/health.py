@@ -206,7 +206,7 @@ def _silence(
 
 
 def _poses(dataset: Dataset, recordings: pd.DataFrame) -> pd.DataFrame:
-    """Return the poses with `begin_s`, from when on each holds; single ones from their data on."""
+    """Return the poses with `begin_s`, from when each holds: single ones from their first frame."""
     poses = dataset.whole(POSES).to_pandas()
     first = recordings.groupby("pose")["first_time"].min()
     begin = poses["since"].astype(float).fillna(poses["track"].map(first))
@@ -216,7 +216,7 @@ def _poses(dataset: Dataset, recordings: pd.DataFrame) -> pd.DataFrame:
 
 
 def _moves(poses: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:
-    """Yield where a pose track says so, or a pose is another one than before."""
+    """Yield the moves: events of pose tracks, and poses that differ from the one before."""
     place, angles = (poses[list(names)].to_numpy(np.float64) for names in (POSITION, ANGLES))
     begin = poses["begin_s"].to_numpy(np.float64)
     step_m = np.linalg.norm(np.diff(place, axis=0), axis=1)
@@ -229,7 +229,7 @@ def _moves(poses: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reaso
 
 
 def _doubts(dataset: Dataset, sensor: str, end_s: float) -> Iterator[_Reason]:
-    """Yield what the check of pose and recordings found, unless in later ones."""
+    """Yield the doubt of the check of pose and recordings, unless it rests on later recordings."""
     finding = dataset.manifest.findings.get(sensor)
     if finding is None or not finding.doubt:
         return
@@ -241,7 +241,7 @@ def _doubts(dataset: Dataset, sensor: str, end_s: float) -> Iterator[_Reason]:
 
 
 def _clocks(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:
-    """Yield the clock that its recordings were corrected by."""
+    """Yield the largest clock offset that recordings of the month were corrected by."""
     inside = (recordings["last_time"] >= begin_s) & (recordings["first_time"] < end_s)
     off = recordings[inside & (recordings["clock_offset"].abs() > CLOCK_S)]
     if len(off):

@@ -161,7 +161,7 @@ def _labels(
     height: float,
     bar: tuple[float, float, str],
 ) -> list[tuple[float, float, str, str] | None]:
-    """Return where names stand: beside their marks, none over another; None without room."""
+    """Return places of names beside their marks, without overlaps; None where there is no room."""
     bounds = shapely.box(0.0, 0.0, WIDTH, height)
     taken = [shapely.Point(*p).buffer(r) for p, r in zip(centres, radius, strict=True)]
     taken += [_box_of_bar(bar[0], bar[1], height), shapely.box(WIDTH - 50.0, 0.0, WIDTH, 80.0)]

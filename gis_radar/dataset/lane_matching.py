@@ -146,7 +146,7 @@ def _lanes(source: Any) -> gpd.GeoDataFrame:
 
 
 def _near_pairs(old: _Points, new: _Points, olds: int, news: int) -> pd.DataFrame:
-    """Return how much of two lanes follows the other, for all that lie near each other."""
+    """Return, for all pairs of lanes near each other, the share of each that follows the other."""
     reach = math.hypot(MOST_OFFSET_M, SPACING_M)
     near = cKDTree(old.xy).sparse_distance_matrix(cKDTree(new.xy), reach, output_type="ndarray")
     old_point, new_point = near["i"], near["j"]
@@ -168,7 +168,7 @@ def _near_pairs(old: _Points, new: _Points, olds: int, news: int) -> pd.DataFram
 
 
 def _identical_lanes(pairs: pd.DataFrame, old: Integers, new: Integers) -> pd.Series:
-    """Return which pairs are one lane: the nearest first, each lane once."""
+    """Return which pairs are the same lane: nearest pairs first, each lane in one at most."""
     alike = pairs[pairs[["share_of_old", "share_of_new"]].min(axis=1) >= SAME_SHARE]
     # of two lanes at one place, that with the same number comes first
     other_number = old[alike["old"]] != new[alike["new"]]

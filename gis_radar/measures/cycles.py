@@ -174,8 +174,8 @@ def cycles(
     length_m = vehicles.length_m[vehicles.of(states.vehicle)]
     filled: list[Cycle] = []
     for lane in np.flatnonzero(network.has_stop_line).tolist():
-        crossings_here = crossed.taken(crossed.lane == lane)
-        crossings_here = crossings_here.taken(
+        crossings_here = crossed.take(crossed.lane == lane)
+        crossings_here = crossings_here.take(
             np.asarray(np.argsort(crossings_here.step, kind="stable"), np.int64)
         )
         if (stated := greens.get(lane)) is not None:

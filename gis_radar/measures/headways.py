@@ -54,12 +54,12 @@ def headways(
     """
     crossed = crossings(states, states.moves(network), network, grid)
     line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
-    crossed = crossed.taken(visible.at(line[crossed.lane], crossed.step))
-    crossed = crossed.taken(np.asarray(np.lexsort((crossed.step, crossed.lane)), np.int64))
-    leader, follower = (crossed.taken(each) for each in (slice(None, -1), slice(1, None)))
+    crossed = crossed.take(visible.at(line[crossed.lane], crossed.step))
+    crossed = crossed.take(np.asarray(np.lexsort((crossed.step, crossed.lane)), np.int64))
+    leader, follower = (crossed.take(each) for each in (slice(None, -1), slice(1, None)))
     pairs = leader.lane == follower.lane
     pairs &= visible.throughout(line[follower.lane], leader.step, follower.step)
-    leader, follower = leader.taken(pairs), follower.taken(pairs)
+    leader, follower = leader.take(pairs), follower.take(pairs)
     headway = np.asarray((follower.step - leader.step) * STEP_S, np.float64)
     length = vehicles.length_m[vehicles.of(leader.vehicle)]
     passing_s = np.where(

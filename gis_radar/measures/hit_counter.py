@@ -130,15 +130,15 @@ class HitCounter:
             )
             if begin == end:
                 return
-            yield self._taken()
+            yield self._emptied_buffers()
 
     def end(self) -> Counted:
         """Close the open frame; return the frames that :meth:`add` has not yielded."""
         end_frame(self._sums, self._buffer)
-        return self._taken()
+        return self._emptied_buffers()
 
-    def _taken(self) -> Counted:
-        """Return the frames in the buffers, and empty these."""
+    def _emptied_buffers(self) -> Counted:
+        """Return a copy of the frames in the buffers, and empty the buffers."""
         frames, hits = self._sums.counts[[FILLED_FRAMES, FILLED_HITS]].tolist()
         self._sums.counts[[FILLED_FRAMES, FILLED_HITS]] = 0
         return Counted(

@@ -195,7 +195,7 @@ class Crossings(NamedTuple):
     speed: Floats
     seen: Booleans
 
-    def taken(self, which: Booleans | Integers | slice) -> Crossings:
+    def take(self, which: Booleans | Integers | slice) -> Crossings:
         """Return the crossings that a mask, their positions or a slice choose."""
         return Crossings._make(each[which] for each in self)
 
@@ -230,7 +230,7 @@ def crossings(states: FrontStates, moves: Moves, network: LaneNetwork, grid: Ste
     new[1:] = (np.diff(states.vehicle[row]) != 0) | (np.diff(lane) != 0)
     step = np.clip(np.floor(time).astype(np.int64), grid.begin, np.maximum(last - 1, grid.begin))
     all_crossings = Crossings(row, states.vehicle[row], lane, step, speed, states.seen[row + 1])
-    return all_crossings.taken(new & (last >= grid.begin) & (step < grid.end))
+    return all_crossings.take(new & (last >= grid.begin) & (step < grid.end))
 
 
 def driven(

@@ -125,7 +125,7 @@ def measure_lanes(
     moves = states.moves(network)
     crossed = crossings(states, moves, network, grid)
     line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
-    crossed = crossed.taken(visible.at(line[crossed.lane], crossed.step))
+    crossed = crossed.take(visible.at(line[crossed.lane], crossed.step))
     areas = _areas(network, grid, tiles)
     share = _share_at(line, grid, tiles)
     counts = _Counts.of(crossed, vehicles, network, grid)

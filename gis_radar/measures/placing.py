@@ -120,7 +120,7 @@ def fill_places(  # pragma: no cover - compiled
         cell[k] = cell_at(east[k], north[k], cells.width, cells.height, per_m, cells.columns)
         has_nan |= math.isnan(range_m[k])
     if has_nan:
-        _place_level(xs, ys, zs, pose, cells, last_m, places)
+        _place_without_elevation(xs, ys, zs, pose, cells, last_m, places)
     over, first, count = places.over, cells.first, 0
     for k in range(len(xs)):
         over[count] = k
@@ -129,7 +129,7 @@ def fill_places(  # pragma: no cover - compiled
 
 
 @compiled
-def _place_level(  # pragma: no cover - compiled
+def _place_without_elevation(  # pragma: no cover - compiled
     xs: Floats, ys: Floats, zs: Floats, pose: PoseNumbers, cells: TileCells, last_m: float,
     places: Places,
 ) -> None:  # fmt: skip

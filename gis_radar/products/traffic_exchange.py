@@ -212,7 +212,7 @@ def _quantities(row: dict[Any, Any]) -> Iterator[tuple[int, str, list[Element]]]
 
 
 def _accuracy(row: dict[Any, Any], name: str) -> str | None:
-    """Return by how many percent a value is free from standard error; None where not known."""
+    """Return the accuracy that DATEX II asks for: 100 % less the relative standard error."""
     value, error = row[name], row[f"{name}_se"]
     known = pd.notna(error) and value > 0.0
     return f"{max(0.0, 100.0 * (1.0 - error / value)):.1f}" if known else None

@@ -149,7 +149,7 @@ def rename_whole(path: Path) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give the name under which a file is written; after the block it is whole in its place.
+    """Yield the temporary name of a file to write; after the block it is moved to its place.
 
     Parameters
     ----------

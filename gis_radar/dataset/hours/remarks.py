@@ -1,4 +1,4 @@
-"""Remarks on recordings, once a run, about odd views, cycles, clocks, heights and sights."""
+"""Warn once a run about views, cycles, clocks, heights and sights that do not fit recordings."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def _cycle_warnings(examined: Examined) -> Iterator[str]:
 
 
 def _placing_warnings(examined: Examined) -> Iterator[str]:
-    """Yield warnings about odd heights and clocks."""
+    """Yield warnings where a sensor measures no elevation, or its clock was not set."""
     file, sensor = examined.source.recording.path.name, examined.entry.sensor
     evidence = examined.evidence
     if evidence.level:

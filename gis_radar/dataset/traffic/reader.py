@@ -156,8 +156,9 @@ class TrafficReader:
     def _lasting_variance(self, table: pd.DataFrame, lane: str, name: str) -> Floats:
         """Return for each row the variance of a measure that no time averages out.
 
-        It is by errors of poses, and of a volume where all sensors look straight across the lane.
-        It is the same in all intervals, so it is added after quarters are summed.
+        It comes from errors of poses, and for a volume also from vehicles that are missed where all
+        sensors look straight across the lane. Its cause is the same in all intervals, so it is
+        added after quarters are summed.
         """
         network = self.traffic.network
         sums = table.groupby([lane, "begin"], as_index=False)[name].sum(min_count=1)

@@ -64,7 +64,7 @@ LEAST_TOGETHER = 2  # from so many on, stop lines are compared together, too
 
 
 class AlikeRows(NamedTuple):
-    """Traffic of a lane, in the intervals that compare.
+    """Traffic of a lane, in the intervals that are compared.
 
     Parameters
     ----------

@@ -232,7 +232,7 @@ def _tracked_rows(data: ReportData) -> list[list[str]]:
 
 
 def _counted_rows(data: ReportData) -> list[list[str]]:
-    """Return that volumes, speeds, turns and queues are not in the report, where that is so."""
+    """Return a row with the reason if volumes, speeds, turns and queues are not in the report."""
     if data.traffic is not None:
         return []
     name = tr("Volumes, speeds, turns, queues")
@@ -255,7 +255,7 @@ def _ranked_rows(data: ReportData) -> list[list[str]]:
 
 
 def _placed_row(results: Results) -> list[str]:
-    """Return how well it is known where the sensors stand."""
+    """Return the standard deviations of the sensors' places and yaws."""
     texts = []
     for pose in results.poses:
         sigma = pose.parsed_evidence().sigma
@@ -269,7 +269,7 @@ def _placed_row(results: Results) -> list[str]:
 
 
 def _hidden_row(results: Results) -> list[str]:
-    """Return whether what stands beside the road is known to hide it."""
+    """Return whether an airborne scan tells what hides the road."""
     if results.dataset is None:
         return [tr("What hides road"), tr(NOT_KNOWN), ""]
     if results.dataset.manifest.settings["sight"] == VIEW_ONLY:
@@ -280,7 +280,7 @@ def _hidden_row(results: Results) -> list[str]:
 
 
 def _delivered_row(data: ReportData) -> list[str]:
-    """Return in how much of what sensors delivered no test found a fault."""
+    """Return in how many hours of sensors the tests of data quality found faults."""
     name = tr("What sensors delivered")
     if data.quality is None:
         return [name, tr(NOT_KNOWN), ""]

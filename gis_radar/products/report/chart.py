@@ -202,7 +202,7 @@ def times_below(
 
 
 def _round_times(edges: Sequence[datetime], seconds: Floats, clock: Clock) -> list[int]:
-    """Return the edges at round times of the day, as few as have room; none where none are."""
+    """Return the edges at round times of the day, at most `MOST_TICKS`; none if there are none."""
     local = [each.astimezone(clock.zone) for each in edges]
     of_day = [(each.hour * 60 + each.minute) * 60 + each.second for each in local]
     for apart in ROUND_S:

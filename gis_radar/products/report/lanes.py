@@ -183,7 +183,7 @@ def _why_not(row: pd.Series, measure: str) -> str:
 
 
 def _busiest(heat: HeatMap, rows: pd.DataFrame) -> dict[str, object]:
-    """Return the busiest interval of a lane; nothing where there is but one, or nothing in any."""
+    """Return the busiest interval of a lane; missing values for a single one, or shares of 0."""
     base = rows["base_s"].to_numpy(np.float64)
     is_fair = (base > 0) & (base >= 0.5 * base.max(initial=0.0))
     share = np.where(is_fair, rows["share"], -1.0)
