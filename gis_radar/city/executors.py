@@ -80,7 +80,7 @@ class Workers(ABC):
         self._reporter = reporter
         self._executor: Executor | None = None
 
-    def share(self, tasks: int) -> int:  # noqa: ARG002 - others share
+    def share(self, tasks: int) -> int:  # noqa: ARG002 - of `Processes`
         """Return how many processes each of some tasks may use."""
         return 1
 
@@ -142,7 +142,7 @@ class Workers(ABC):
                 if alone:  # it was the only task at work
                     del pending[attempted[0]]
                     yield attempted[0], GisRadarError("its workers were lost", hint=MEMORY)
-                for key in list(pending)[: self.count]:  # whichever ended its worker is tried last
+                for key in list(pending)[: self.count]:  # those that may have ended workers go last
                     pending[key] = pending.pop(key)
 
     def _replace(self, times: int, error: Exception) -> None:

@@ -187,7 +187,7 @@ def _observed_s(dataset: Dataset, span: tuple[int, int]) -> dict[str, float]:
     counts_of_sensor = (
         seen_alone[["sensor", "tile_id"]].drop_duplicates().merge(counts, on="tile_id", how="left")
     )
-    # A sensor that was moved has a tile of each pose, and is in one of them at a time.
+    # A sensor that was moved has a tile for each pose, and observes one of them at a time.
     longest = counts_of_sensor.groupby(["sensor", "first_step"], dropna=False)[
         "observed_steps"
     ].max()
@@ -201,7 +201,7 @@ def _silence(
     if end_s - last_s > SILENT_S:
         text = tr("silent all month") if last_s < begin_s else tr("silent up to the end")
         yield _Reason(SILENT, last_s, f"{text} ({seconds_text(end_s - max(last_s, begin_s))})")
-        if why is not None:  # what came was refused
+        if why is not None:  # recordings came, but were refused
             yield _Reason(SILENT, last_s, tr(why))
 
 

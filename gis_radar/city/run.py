@@ -192,7 +192,7 @@ def run_city(
         run = CitySteps(city=city, root=root, sites=sites, workers=workers, reporter=reporter)
         run.update(run.make_hours(run.register()))
         _write_record(run)
-        run.write_page()  # it says what failed
+        run.write_page()  # last: it states failures from the record
     return CityRun(city=city, root=Path(root), sites=sites)
 
 
@@ -257,7 +257,7 @@ class CitySteps:
                     if time.monotonic() - written_at[name] > REGISTRY_EVERY_S:
                         opened[name].note()
                         written_at[name] = time.monotonic()
-            finally:  # also of a broken run
+            finally:  # also after an error
                 for each in opened.values():
                     if each.made:
                         each.note()
@@ -283,7 +283,7 @@ class CitySteps:
                 self.root, f"{begin:%Y-%m}", title=self.city.title, timezone=self.city.timezone,
                 language=self.city.language, workers=self.workers, reporter=self.reporter,
             )  # fmt: skip
-        except (InputError, NoAnswerError) as error:  # its site has a line, too
+        except (InputError, NoAnswerError) as error:  # the error of its site was reported
             self.reporter.warn("there is no page of the month: {}", error.message)
 
     def _dataset(self, name: str) -> Path:

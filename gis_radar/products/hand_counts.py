@@ -16,7 +16,7 @@ from gis_radar.base import InputError, Text, csv_rows, listed, stated_moment, te
 AGREE = 2.0  # standard errors of the difference within which two counts agree: 95 % of cases
 _PLACES = ("section", "lane")
 _NEEDED = ("begin", "end", "volume")
-_THOUSANDS = re.compile(r"[1-9]\d{0,2}(\.\d{3})+")  # once commas are points
+_THOUSANDS = re.compile(r"[1-9]\d{0,2}(\.\d{3})+")  # after commas were replaced by points
 
 
 def beside_hand_counts(

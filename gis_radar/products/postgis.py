@@ -314,7 +314,7 @@ class Session:
     def prepare_schema(self, expected: str) -> None:
         """Make the schema if it is missing, with a comment; refuse one with another comment."""
         exists = self.ask("SELECT to_regnamespace(%s) IS NOT NULL", self.schema)
-        if not exists:  # else no right to make one is needed
+        if not exists:  # where it exists, no right to create it is needed
             self.run("CREATE SCHEMA {schema}")
         comment = self.ask(
             "SELECT obj_description(to_regnamespace(%s), 'pg_namespace')", self.schema
@@ -373,7 +373,7 @@ class Session:
         if dataset.has_vehicles:
             network = LaneTraffic.of(dataset).network
             names = dict(zip(network.lane.tolist(), lane_names(lanes, network), strict=True))
-        lanes = lanes.drop(columns="name", errors="ignore")  # names of their own are in `names`
+        lanes = lanes.drop(columns="name", errors="ignore")  # `names` includes lanes' own names
         lanes.insert(1, "name", lanes["lane"].map(names).astype("string"))
         layers = {"lanes": lanes, "sensors": _last_poses(dataset)}
         if self.is_new:

@@ -119,7 +119,7 @@ def publish_city(
     with opened_session(url, schema) as session:
         _make_views(session, schemas)
         session.grant(reader)
-        session.notify(schema)  # first, as QGIS takes in one message a second
+        session.notify(schema)  # first: QGIS takes one message a second
         for name, sent in published.items():
             if sent.sent or sent.removed:
                 session.notify(schemas[name])
@@ -165,7 +165,7 @@ def _make_views(session: Session, schemas: Mapping[str, str]) -> None:
         try:
             with session.cursor.connection.transaction():
                 session.run(statement, view=view)
-        except errors.InvalidTableDefinition:  # a version had other columns
+        except errors.InvalidTableDefinition:  # an earlier version had other columns
             session.run("DROP VIEW {schema}.{view}", view=view)
             session.run(statement, view=view)
         session.run("COMMENT ON VIEW {schema}.{view} IS {text}", text=comment, view=view)

@@ -72,7 +72,7 @@ TITLES = {
     "agrees": Text("Within both errors"),
 }  # fmt: skip
 """Titles of all columns, with units."""
-_LAYER_METADATA = {"shows": VOLUMES}  # GDAL then makes the tables of metadata, which titles need
+_LAYER_METADATA = {"shows": VOLUMES}  # makes GDAL create the metadata tables, which titles need
 _IDS = ("lane", "from_lane", "to_lane")  # up to 9e18: as numbers, xlsx and JSON would round them
 _TIMES = ("begin", "end")
 # What files of an earlier result begin with, also of one with other options.

@@ -17,10 +17,10 @@ from gis_radar.products.heatmap.picture import INK, SOFT
 WIDTH_IN, DPI = 10.0, 160  # width of the picture, and dots an inch
 AROUND_M = 45.0  # length of road shown around the turns, for the numbers
 VEH_H_PER_POINT = 40.0  # a line of 10 points is 400 veh/h
-HEAD = (4.0, 1.2)  # size of an arrow's head: points, and those of its line's width
+HEAD = (4.0, 1.2)  # size of an arrow's head: points, and a multiple of its line's width
 _BEFORE_M = 2.0  # distance of the numbers before the turn, and more where others stand there
 _LETTERS, _TRIES = 8.0, 30  # size of the numbers, points; how often they are moved by as much
-ROAD, FLOW = "#d5d8db", "#ba1c4d"  # differ in grey and for the colour-blind
+ROAD, FLOW = "#d5d8db", "#ba1c4d"  # distinct in grey and for colour-blind eyes
 _ARROWS = {"left": "\u21b0", "straight": "\u2191", "right": "\u21b1", "back": "\u21b6"}
 
 

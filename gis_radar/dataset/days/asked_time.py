@@ -95,7 +95,7 @@ def holiday_dates(holidays: Holidays) -> Integers:
         [_day_numbers_of(*each) for each in _stated_periods(holidays)], np.int64
     ).reshape(-1, 2)
     low = int(periods.min(initial=0))
-    change = np.zeros(int(periods.max(initial=0)) - low + 2, np.int64)  # periods that hold a day
+    change = np.zeros(int(periods.max(initial=0)) - low + 2, np.int64)  # by day, of periods
     np.add.at(change, periods[:, 0] - low, 1)
     np.add.at(change, periods[:, 1] + 1 - low, -1)
     return low + np.flatnonzero(np.cumsum(change))

@@ -225,7 +225,7 @@ def require_same_settings(folder: Path, present: Manifest, wanted: Manifest) -> 
 
 def _difference(name: str, was: Any, now: Any) -> str:
     """Return the first setting that differs, with both values, as text; empty where none does."""
-    if isinstance(was, Mapping) or isinstance(now, Mapping):  # of another version, one may be None
+    if isinstance(was, Mapping) or isinstance(now, Mapping):  # one is None if a version lacks it
         was, now = (each if isinstance(each, Mapping) else {} for each in (was, now))
         keys = sorted(was.keys() | now.keys())
         found = (_difference(f"{name}.{key}", was.get(key), now.get(key)) for key in keys)

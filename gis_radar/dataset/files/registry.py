@@ -205,7 +205,7 @@ class Registry:
             if hour is not None:
                 entries = [each for each in entries if hour in each.reached_hours(margin)]
             book = _poses_from(poses, sights, folder)
-            book.of(each.pose for each in entries)  # all are there
+            book.of(each.pose for each in entries)  # raises KeyError if one is missing
         except (ValueError, KeyError, TypeError) as error:
             raise InputError("{}: damaged: {}", folder, f"{error!r:.200}") from error
         entries.sort(key=attrgetter("key"))

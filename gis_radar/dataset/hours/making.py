@@ -130,7 +130,7 @@ def update_dataset(
     reaching = after.by_hour(margin)
     placings = {hour: [after.placing(each) for each in reaching[hour]] for hour in missing}
     present = (records[hour] for hour in missing if hour in records)
-    if any(is_complete(site.folder, each) for each in present):  # they stay if one is refused
+    if any(is_complete(site.folder, each) for each in present):  # whole hours stay on a refusal
         for hour in touched_hours(missing, added, margin):
             _check_recordings(site, hour, placings[hour])
     after = after.without_hours(missing)

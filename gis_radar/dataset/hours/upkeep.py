@@ -199,7 +199,7 @@ def keep(folder: Path, days: float, fingerprint: str, *, reporter: Reporter) -> 
                 path = part_path(folder, TABLES[name], hour)
                 with output_errors(path):
                     path.unlink(missing_ok=True)
-                with suppress(OSError):  # other hours of the date
+                with suppress(OSError):  # it holds other hours of the date
                     path.parent.rmdir()
             reporter.progress("deleting exact tables", done + 1, len(dropped))
     return [hour_text(hour) for hour in fresh]

@@ -15,7 +15,8 @@ import pyarrow.parquet as pq
 
 from gis_radar.base import UsageError, atomic_write
 
-# Ids of the map reach 9e18, exact numbers of JSON's readers 9e15: text, however few digits one has.
+# Columns of map ids, which reach 9e18; JSON readers hold integers up to 9e15 exactly, so that all
+# ids are text.
 MAP_IDS = frozenset({"lanelet_id", "lanelets", "lane", "from_lane", "to_lane", "stop_line"})
 
 

@@ -183,7 +183,7 @@ def _read_months(dataset: Source, table: TableSchema, month: str | None) -> pd.D
     rolled, bounds = roll_ups(dataset), hour_bounds(dataset.folder)
     asked = [] if bounds is None else rolled.months(range(bounds[0], bounds[1] + 1))
     if month is not None:
-        month_edges(month, dataset.timezone)  # refuses what is none
+        month_edges(month, dataset.timezone)  # refuses a text that is no month
         asked = [month]
     parts = [rolled.read(table, each) for each in asked]
     rows = pa.concat_tables([table.empty(), *parts])

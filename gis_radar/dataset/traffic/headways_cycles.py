@@ -227,6 +227,6 @@ def _greens(ends: Mapping[int, int], path: str | Path) -> Greens:
     after = np.append(begin[1:], np.iinfo(np.int64).max)
     if (stated & ((end <= begin) | (end > after))).any():
         raise InputError("{}: a green ends before it begins, or after the next one begins", path)
-    if (np.diff(begin) < STEPS_PER_SECOND).any():  # queues are looked at each second
+    if (np.diff(begin) < STEPS_PER_SECOND).any():  # queues are measured each second
         raise InputError("{}: two greens begin within a second", path)
     return Greens(begin, end)

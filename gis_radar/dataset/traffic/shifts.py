@@ -36,7 +36,8 @@ MOST_SCALE = 0.01  # largest error of a scale of range that passes a localizatio
 # Cosine between lane and line of sight up to which a sensor looks straight across: a vehicle that
 # sets off at 1.5 m/s then has a range rate under 0.15 m/s, like one that stands.
 ACROSS = 0.1
-# Share of the vehicles that are missed where all sensors do: 30 of 90 on three simulated sites.
+# Share of the vehicles that are missed where all sensors look straight across: 30 of 90 on three
+# simulated sites.
 MISSED_ACROSS = 0.33
 
 

@@ -179,7 +179,8 @@ def _strip(prints: Footprints, row: int) -> Any:
         to_point = prints.points[point] - line[-1]
         whole_m = float(np.hypot(*to_point))
         backward = to_point / whole_m if whole_m > 0.0 else backward
-        part_m = left_m if prints.begins[point] else min(whole_m, left_m)  # straight on before it
+        # before its first point the path is taken as straight
+        part_m = left_m if prints.begins[point] else min(whole_m, left_m)
         line.append(line[-1] + part_m * backward)
         if prints.begins[point]:
             break

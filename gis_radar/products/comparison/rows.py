@@ -216,7 +216,7 @@ def _lost_time(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
     )
     time_per_vehicle = (travel_s * flow / density)[flow > 0.0].median()
     hidden = travel_s.isna() & (flow > 0.0)
-    if hidden.sum() > (1.0 - LEAST_SEEN) * (flow > 0.0).sum():  # nor is it known while all stand
+    if hidden.sum() > (1.0 - LEAST_SEEN) * (flow > 0.0).sum():  # unknown while all stand, too
         time_per_vehicle = np.nan
     lost = (delay_s * flow).where(flow > 0.0, time_per_vehicle * density)
     return lost if np.isfinite(time_per_vehicle) else lost * np.nan, flow

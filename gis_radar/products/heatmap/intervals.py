@@ -303,7 +303,7 @@ def intervals_of(
         local = local_intervals(first, last, steps, zone)
         has_frame = local.counts(runs) > 0
         every, filled = len(local), int(has_frame.sum())
-    # An outage is kept, a week between two hours is not.
+    # Empty intervals of an outage are kept, those of a week between two hours are not.
     if every <= MOST_BANDS and every <= MOST_EMPTY * filled:
         return aligned(first, last, steps) if local is None else local
     if filled * tiles > MOST_ROWS:

@@ -183,7 +183,7 @@ class _PointStream:
         kept = [pa.field(self.names[field.name], _value_type(field.type)) for field in further]
         self.schema: pa.Schema = pa.schema([*OWN, *kept, pa.field(GEOMETRY, pa.binary())])
         self.pose: Pose = track.poses[0]
-        for pose in track.poses:  # in degrees, in millimetres, with its axes swapped
+        for pose in track.poses:  # refuse degrees, millimetres, swapped axes
             whose = Text("pose of {}", pose.sensor)
             require_true_scale(pose.crs, pose.easting, pose.northing, what=whose)
         self.rows = 0
@@ -349,7 +349,7 @@ class _Dimension:
         if self.kind is np.int64:
             column = pc.fill_null(pc.cast(column, pa.int64()), MISSING)
         elif not pa.types.is_floating(column.type):
-            column = pc.cast(column, pa.float64(), safe=False)  # whole ones of 64 bits lose digits
+            column = pc.cast(column, pa.float64(), safe=False)  # 64-bit integers lose digits
         return np.asarray(column.to_numpy(zero_copy_only=False), dtype=self.kind)
 
 

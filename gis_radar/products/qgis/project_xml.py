@@ -18,7 +18,7 @@ from pyproj import CRS
 from gis_radar.base import Box, class_label, name_of, translated, utc_offsets, zone_of
 from gis_radar.products.heatmap import style
 
-_FRAMES_A_SECOND = "2"  # vehicles move as fast as they drove
+_FRAMES_A_SECOND = "2"  # steps of 0.5 s: vehicles move in real time
 _DATE = {"en": "yyyy-MM-dd", "de": "dd.MM.yyyy"}
 _LEGEND_WIDTH = 28  # letters that fit beside the map
 _LIMITS = ("xmin", "ymin", "xmax", "ymax")

@@ -256,7 +256,7 @@ def measure_quality(
         reporter.warn("{}: {}, and are not judged", dataset.folder, hint)
     counts = count_frames(dataset, times, zone, reporter)
     poses = _poses_by_sensor(dataset.poses())
-    # A sensor that came later lacks nothing before it.
+    # Hours before the first frame of a sensor have no row.
     since_first_frame = counts["frames"].gt(0).groupby(counts["number"]).cummax()
     sensors = dataset.sensors
     rows = [_row(each, sensors, poses, zone) for each in counts[since_first_frame].itertuples()]

@@ -22,13 +22,13 @@ from gis_radar.base import (
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.report.content import Chart, Strip
 
-STRIPS, MOST_CHARTS = 14, 4  # lanes of a chart, which fills a page; as many charts
+STRIPS, MOST_CHARTS = 14, 4  # lanes of a chart, which fills a page; most charts
 TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # highest values that the scale may have
 MOST_TICKS = 7  # times below a chart
 ROUND_S = (
     *(5, 10, 20, 30, 60, 120, 300, 600, 900, 1800),
     *(hours * 3600 for hours in (1, 2, 3, 4, 6, 12, 24)),
-)  # between the times below a chart
+)  # distances between the times below a chart
 STREET_LETTERS = 20  # most letters of a street beside a strip
 ACROSS, UP = 1000, 100  # units of a strip on the page, to the right and upwards
 

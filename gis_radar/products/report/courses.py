@@ -48,7 +48,7 @@ AROUND = 1.5  # shown before the line, as a multiple of the longest queue
 BROKEN_STEPS = 3 * TRACK_EVERY_STEPS  # without a state, after which a line ends
 QUEUE, UNSEEN = "#ba1c4d", "#d5dade"
 LETTERS_PT, NARROW_PT = 8.0, 6.5  # size of letters; on a phone
-TITLE_LETTERS = 95.0  # of a title, by inches of width and points of its letters
+TITLE_LETTERS = 95.0  # letters in a title x points of a letter / inches of width
 
 
 class LongQueue(NamedTuple):

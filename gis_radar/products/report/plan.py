@@ -41,7 +41,7 @@ TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)
 ASIDE_PT = (14.0, 22.0, 32.0, 46.0, 64.0, 90.0)  # beside it, at the end of a line, points;
 AROUND_PT, AROUND = (46.0, 64.0, 90.0, 125.0, 175.0), 24  # around its middle, in 24 directions.
 SCALE_IN = (2.2, 0.75)  # size of the corner with the scale bar
-# Four tints that neighbours can take in turn, told apart without colour by their numbers.
+# Tints that lanes take in turn; where two look alike, their numbers distinguish them.
 TINTS = ("#cfe3f5", "#f7dfb2", "#d8ead0", "#ead6ea")
 
 

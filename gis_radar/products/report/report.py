@@ -240,7 +240,7 @@ def _write(place: Path, data: ReportData, content: Content, reporter: Reporter) 
                 places[private / name] = place / name
             reporter.progress("writing the report", done, len(writers))
     written = list(places.values())
-    for path in before:  # what the last report had and this one has not
+    for path in before:  # files that only the earlier report had
         if path not in written:
             path.unlink(missing_ok=True)
     if place / names.PDF not in written:
@@ -434,7 +434,7 @@ def lane_columns(clock: Clock, measure: str) -> list[Column]:
         place = f"{figure_text(row['busiest_spot_m'])}{THIN_SPACE}m"
         share = percent(row["busiest_spot"], 0, off=row["busiest_spot_se"])
         text = tr("{share} at {place}", share=share, place=place)
-        return text.replace(f" {place}", f"{THIN_SPACE}{place}")  # no line ends before it
+        return text.replace(f" {place}", f"{THIN_SPACE}{place}")  # so that no line breaks before it
 
     def leads_to(row: pd.Series) -> str:
         street = street_label(row["street"], row["street_part"])

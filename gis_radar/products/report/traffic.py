@@ -56,11 +56,11 @@ from gis_radar.products.traffic_picture import draw_turning_diagram
 # Lengths of intervals, each with the longest time (s) that it is used for: some 30 points a strip,
 # then 96 a day.
 INTERVALS = (("1min", 1800.0), ("5min", 10_800.0), ("15min", np.inf))
-STRIPS, MOST_CHARTS = 12, 2  # lanes of a chart, which fills a page; as many charts
+STRIPS, MOST_CHARTS = 12, 2  # lanes of a chart, which fills a page; most charts
 LEAST_INTERVALS = 3  # for a chart over time: of two values the table has the mean
 MOST_LANES = 60  # rows of the table as read; the CSV file holds all
 MOST_QUEUES = 6  # lanes of the table of queues
-LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it: less is no queue to speak of
+LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it
 TURNS_IN, TURNS_DPI = 7.2, 150  # width of the turning diagram
 LEVEL = Text("Level of service")
 NOT_SEEN, TOO_LITTLE = "not seen", "too little seen"
@@ -435,7 +435,7 @@ def _queues(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Table
         for _, row in queues.head(MOST_COURSES).iterrows()
     ]  # fmt: skip
     span = (traffic.begin, traffic.end)
-    long = int((traffic.end - traffic.begin).total_seconds() > WINDOW_S)  # more than diagrams show
+    long = int((traffic.end - traffic.begin).total_seconds() > WINDOW_S)  # diagrams show a part
     return [
         *draw_courses(traffic.dataset, longest, span, replace(clock, to_seconds=True), ways=ways),
         _queue_table(traffic, queues, longest_by_lane, clock),
