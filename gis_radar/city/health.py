@@ -110,7 +110,7 @@ def _site_rows(site: str, month: CityMonth) -> Iterator[dict[str, Any]]:
     first, last = month.span(dataset)
     last = min(last, month.last_step)
     begin_s, end_s = first * STEP_S, (last + 1) * STEP_S
-    recordings = dataset.whole(RECORDINGS).to_pandas()
+    recordings = dataset.single_table(RECORDINGS).to_pandas()
     poses = _poses(dataset, recordings)
     observed = _observed_s(dataset, (first, last))
     earlier_s = month.before.span(dataset)[0] * STEP_S
@@ -169,7 +169,7 @@ def _gaps(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Floats:
 
 def _observed_s(dataset: Dataset, span: tuple[int, int]) -> dict[str, float]:
     """Return by sensor how long a tile was observed that no other sensor sees."""
-    poses = dataset.whole(POSES).to_pandas()[["sensor", "sight"]].drop_duplicates()
+    poses = dataset.single_table(POSES).to_pandas()[["sensor", "sight"]].drop_duplicates()
     pairs = poses.merge(dataset.sights(), left_on="sight", right_on="pose")
     watchers = pairs.groupby("tile_id")["sensor"].transform("nunique")
     seen_alone = (
@@ -207,7 +207,7 @@ def _silence(
 
 def _poses(dataset: Dataset, recordings: pd.DataFrame) -> pd.DataFrame:
     """Return the poses with `begin_s`, from when each holds: single ones from their first frame."""
-    poses = dataset.whole(POSES).to_pandas()
+    poses = dataset.single_table(POSES).to_pandas()
     first = recordings.groupby("pose")["first_time"].min()
     begin = poses["since"].astype(float).fillna(poses["track"].map(first))
     event = [json.loads(each).get("event", "") for each in poses["document"]]

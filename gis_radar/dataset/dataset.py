@@ -33,7 +33,7 @@ from gis_radar.dataset.files.parts import (
     hour_begin,
     hour_of_step,
     hour_text,
-    whole_file,
+    single_file,
 )
 from gis_radar.dataset.files.records import (
     HourRecord,
@@ -116,7 +116,7 @@ class Dataset(SqlQueries):
     @property
     def sensors(self) -> list[str]:
         """Names of the sensors with recordings."""
-        return sorted(set(self.whole(tables.RECORDINGS)["sensor"].to_pylist()))
+        return sorted(set(self.single_table(tables.RECORDINGS)["sensor"].to_pylist()))
 
     @property
     def doubts(self) -> list[str]:
@@ -211,22 +211,22 @@ class Dataset(SqlQueries):
 
     def recordings(self) -> pd.DataFrame:
         """Read the table of recordings from which it was made."""
-        return self._read_whole(tables.RECORDINGS)
+        return self._read_single(tables.RECORDINGS)
 
     def poses(self) -> gpd.GeoDataFrame:
         """Read the poses of the sensors."""
-        table = self._read_whole(tables.POSES)
+        table = self._read_single(tables.POSES)
         places = gpd.points_from_xy(table["easting"], table["northing"], table["height"])
         return gpd.GeoDataFrame(table, geometry=places, crs=self.crs)
 
     def sights(self) -> pd.DataFrame:
         """Read the tiles in sight of each pose."""
-        return self._read_whole(tables.SIGHTS)
+        return self._read_single(tables.SIGHTS)
 
     def sight_of(self, sensor: str) -> Integers:
         """Return the ids of the tiles in sight of the last pose of a sensor."""
         recordings, poses, sights = (
-            self.whole(table).to_pandas()
+            self.single_table(table).to_pandas()
             for table in (tables.RECORDINGS, tables.POSES, tables.SIGHTS)
         )
         if not (isinstance(sensor, str) and sensor in self.sensors):
@@ -399,12 +399,12 @@ class Dataset(SqlQueries):
         rows = pa.concat_tables(parts) if parts else table.empty()
         return convert_units(rows, self.manifest.origin)
 
-    def _read_whole(self, table: TableSchema) -> pd.DataFrame:
-        return convert_units(self.whole(table), self.manifest.origin)
+    def _read_single(self, table: TableSchema) -> pd.DataFrame:
+        return convert_units(self.single_table(table), self.manifest.origin)
 
-    def whole(self, table: TableSchema) -> pa.Table:
+    def single_table(self, table: TableSchema) -> pa.Table:
         """Read a table that is one file, with its columns: recordings, poses or sights."""
-        return whole_file(table, self.folder, self.manifest.fingerprint).read()
+        return single_file(table, self.folder, self.manifest.fingerprint).read()
 
     def _step(self, value: Moment, what: str) -> int | None:
         if isinstance(value, int) and value not in _STEPS_TODAY:

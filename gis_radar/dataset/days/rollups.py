@@ -30,8 +30,8 @@ from gis_radar.dataset.files.parts import (
     HOURS_PER_DAY,
     Keys,
     TableFile,
+    common_metadata,
     days_of,
-    whole_metadata,
 )
 from gis_radar.dataset.files.records import HourRecord, read_hours, record_path
 from gis_radar.dataset.files.schema import TableSchema
@@ -342,7 +342,7 @@ class RollUps:
         """Return the file of a roll-up."""
         path = self.folder / table.name / f"month={month}" / "month.parquet"
         clocks = {"month": month, "timezone": self.timezone}
-        metadata = whole_metadata(table, self.fingerprint) | clocks
+        metadata = common_metadata(table, self.fingerprint) | clocks
         return TableFile(table=table, path=path, metadata=metadata, keyed="dates")
 
     def check(self) -> None:

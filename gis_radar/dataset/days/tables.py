@@ -21,10 +21,10 @@ from gis_radar.dataset.files.parts import (
     HOURS_PER_DAY,
     Keys,
     TableFile,
+    common_metadata,
     days_of,
     hour_text,
     part_path,
-    whole_metadata,
 )
 from gis_radar.dataset.files.records import HourRecord, Span, read_hours
 from gis_radar.dataset.files.schema import TableSchema
@@ -74,7 +74,7 @@ class DayTables:
     def file(self, table: TableSchema, day: int) -> TableFile:
         """Return the file of a table of a date."""
         path = part_path(self.folder, table, day)
-        metadata = whole_metadata(table, self.fingerprint) | {"hour": hour_text(day)}
+        metadata = common_metadata(table, self.fingerprint) | {"hour": hour_text(day)}
         return TableFile(table=table, path=path, metadata=metadata, keyed="hours")
 
     def update(self, hour: int, all_records: Mapping[int, HourRecord] | None = None) -> None:

@@ -68,7 +68,7 @@ def _recorded(
     dataset: Source, hours: Iterable[int], sensor: str | None, *, valid: bool
 ) -> Iterator[Runs]:
     """Yield the steps of recordings in hours without frames: from their first to their last."""
-    rows = dataset.whole(RECORDINGS)
+    rows = dataset.single_table(RECORDINGS)
     if sensor is not None:
         rows = rows.filter(pc.equal(rows["sensor"], sensor))
     first, last = (step_of(rows[name].to_numpy()) for name in ("first_time", "last_time"))

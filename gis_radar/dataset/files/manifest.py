@@ -20,7 +20,7 @@ from gis_radar.base import (
     with_texts,
 )
 from gis_radar.calibration import Finding, is_record
-from gis_radar.dataset.files.parts import replacing, write_whole
+from gis_radar.dataset.files.parts import replacing, write_single_file
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
 from gis_radar.hdmap import write_tiles
 
@@ -161,7 +161,7 @@ def create_dataset(
             fresh.write_bytes(Path(map_file).read_bytes())
     write_tiles(tiles, folder / TILES, problems=problems, lanes=lanes, stop_lines=stop_lines)
     for table in (RECORDINGS, POSES, SIGHTS):
-        write_whole(table, folder, table.empty(), manifest.fingerprint)
+        write_single_file(table, folder, table.empty(), manifest.fingerprint)
     manifest.write(folder)
 
 

@@ -58,7 +58,7 @@ class Origin:
     def metadata(self, table: TableSchema, hour: int) -> dict[str, str]:
         """Return the metadata of the part of a table in an hour since 1970."""
         return {
-            **whole_metadata(table, self.fingerprint),
+            **common_metadata(table, self.fingerprint),
             "hour": hour_text(hour),
             "method": str(self.method),
             "inputs": self.inputs,
@@ -132,7 +132,7 @@ def clear_unfinished(folder: Path) -> None:
             left.unlink()
 
 
-def rename_whole(path: Path) -> None:
+def move_to_place(path: Path) -> None:
     """Move a file that was written as :func:`unfinished` to its place, to survive a power failure.
 
     Parameters
@@ -165,7 +165,7 @@ def replacing(path: Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
     with writing_errors(path):
         yield unfinished(path)
-    rename_whole(path)
+    move_to_place(path)
 
 
 def sync_folder(folder: Path) -> None:
@@ -254,7 +254,7 @@ def _encoding(table: TableSchema) -> dict[str, Any]:
 def write_part(
     table: TableSchema, path: Path, batches: Values | Iterable[Values], metadata: dict[str, str]
 ) -> PartDigest:
-    """Write a part under the name of :func:`unfinished`; :func:`rename_whole` ends it.
+    """Write a part under the name of :func:`unfinished`; :func:`move_to_place` ends it.
 
     Parameters
     ----------
@@ -333,21 +333,21 @@ class TableFile:
         """Replace the file by rows, and state the keys that they were made from."""
         stated = {} if keys is None else {self.keyed: json.dumps(dict(sorted(keys.items())))}
         write_part(self.table, self.path, rows, self.metadata | stated)
-        rename_whole(self.path)
+        move_to_place(self.path)
 
 
-def whole_file(table: TableSchema, folder: Path, fingerprint: str) -> TableFile:
+def single_file(table: TableSchema, folder: Path, fingerprint: str) -> TableFile:
     """Return the file of a table that is one file in the dataset."""
-    metadata = whole_metadata(table, fingerprint)
+    metadata = common_metadata(table, fingerprint)
     return TableFile(table=table, path=part_path(folder, table), metadata=metadata)
 
 
-def write_whole(table: TableSchema, folder: Path, values: Values, fingerprint: str) -> None:
+def write_single_file(table: TableSchema, folder: Path, values: Values, fingerprint: str) -> None:
     """Write a table that is one file in the dataset, replacing the present one."""
-    whole_file(table, folder, fingerprint).write(values)
+    single_file(table, folder, fingerprint).write(values)
 
 
-def whole_metadata(table: TableSchema, fingerprint: str) -> dict[str, str]:
+def common_metadata(table: TableSchema, fingerprint: str) -> dict[str, str]:
     """Return the metadata that all files of a table of a dataset have."""
     return {"table": table.name, "schema": str(SCHEMA), "fingerprint": fingerprint}
 

@@ -28,9 +28,9 @@ from gis_radar.dataset.files.parts import (
     digest_of,
     hour_begin,
     hour_text,
+    move_to_place,
     opened_part,
     part_path,
-    rename_whole,
     replacing,
     sync_folder,
     unfinished,
@@ -321,7 +321,7 @@ class HourWriter:
         remove_record(self.folder, self.hour)
         for name, path in places.items():
             if name in self._parts:
-                rename_whole(path)
+                move_to_place(path)
             else:
                 path.unlink(missing_ok=True)
         write_record(self.folder, HourRecord(hour=self.hour, origin=self.origin, parts=self._parts))

@@ -30,7 +30,7 @@ from gis_radar.base import (
     step_of,
 )
 from gis_radar.calibration import SensorClock
-from gis_radar.dataset.files.parts import digest_of, hour_of_step, whole_file, write_whole
+from gis_radar.dataset.files.parts import digest_of, hour_of_step, single_file, write_single_file
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SIGHTS
 from gis_radar.measures import PlacedRecording, PoseSight, pose_names
 from gis_radar.poses import ANGLES, POSITION, PoseTrack, pose_from_dict
@@ -193,7 +193,7 @@ class Registry:
             If a table is damaged, or of another dataset.
         """
         recordings, poses, sights = (
-            whole_file(table, folder, fingerprint).read() for table in (RECORDINGS, POSES, SIGHTS)
+            single_file(table, folder, fingerprint).read() for table in (RECORDINGS, POSES, SIGHTS)
         )
         if hour is not None:  # a year's recordings as Python objects take seconds
             recordings = recordings.filter(_near_hour(recordings, hour, margin))
@@ -213,15 +213,15 @@ class Registry:
 
     def write_poses(self, poses: PoseBook) -> None:
         """Write poses and their sights, replacing the present tables."""
-        write_whole(SIGHTS, self.folder, _sights_table(poses), self.fingerprint)
-        write_whole(POSES, self.folder, _poses_table(poses), self.fingerprint)
+        write_single_file(SIGHTS, self.folder, _sights_table(poses), self.fingerprint)
+        write_single_file(POSES, self.folder, _poses_table(poses), self.fingerprint)
 
     def write_recordings(self) -> None:
         """Write the table of recordings, with the hours that were made with each."""
         entries = sorted(self.entries, key=attrgetter("key"))
         table = {name: list(map(attrgetter(name), entries)) for name in RECORDINGS.names}
         table["hours"] = list(map(sorted, table["hours"]))
-        write_whole(RECORDINGS, self.folder, table, self.fingerprint)
+        write_single_file(RECORDINGS, self.folder, table, self.fingerprint)
 
     @property
     def hours(self) -> list[int]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gis_radar.base import InputError, Reporter, is_folder_name
 from gis_radar.dataset.files.manifest import Manifest
-from gis_radar.dataset.files.parts import whole_file
+from gis_radar.dataset.files.parts import single_file
 from gis_radar.dataset.files.tables import RECORDINGS
 
 SITE = "site="  # with which the names of a city's datasets begin
@@ -52,7 +52,7 @@ def warn_of_copies(folders: Mapping[str, Path], reporter: Reporter) -> None:
     for name, folder in folders.items():
         try:
             manifest = Manifest.read(folder)
-            recordings = whole_file(RECORDINGS, folder, manifest.fingerprint).read()
+            recordings = single_file(RECORDINGS, folder, manifest.fingerprint).read()
         except InputError:  # raised when this site is read
             continue
         digests = recordings["digest"].to_pylist()

@@ -53,7 +53,7 @@ class Source(Protocol):
     def records(self, span: Span | None = None) -> dict[int, HourRecord]:
         """Return the records of its complete hours."""
 
-    def whole(self, table: TableSchema) -> pa.Table:
+    def single_table(self, table: TableSchema) -> pa.Table:
         """Read a table that is one file."""
 
     def layer(self, name: str) -> gpd.GeoDataFrame:

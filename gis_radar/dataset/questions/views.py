@@ -106,7 +106,7 @@ def make_views(
                 paths += view(table, records)
     for table in (RECORDINGS, POSES, SIGHTS):
         if table.name in names:
-            views.view_of_rows(table, dataset.whole(table))
+            views.view_of_rows(table, dataset.single_table(table))
     for layer in names.intersection(LAYERS):
         rows = dataset.layer(layer).drop(columns="geometry")
         connection.register(f"{prefix}{layer}", pa.Table.from_pandas(rows, preserve_index=False))

@@ -120,7 +120,7 @@ def signal_cycles(
         A row a stop line and cycle, from a begin of green to the next: `lane`, `name`, `begin`,
         `end`, `cycle_s` and `cycle_se_s` (of the hour), `counted`, `queue_max_m`,
         `queue_mean_m`, `queue_end_m` (at the end of green), `reason` (why figures are missing).
-        Where no cycle can be told in an hour, one row that says why.
+        Where no cycle can be inferred in an hour, one row with the reason.
 
     Raises
     ------
