@@ -62,7 +62,7 @@ class City(SqlQueries):
     root: Path
     sites: Mapping[str, Dataset]
 
-    def asked_sites(self) -> tuple[Path, Mapping[str, Dataset]]:
+    def queried_sites(self) -> tuple[Path, Mapping[str, Dataset]]:
         """Return folder and sites, which SQL queries are asked of; see :meth:`query`."""
         return self.root, self.sites
 

@@ -129,7 +129,7 @@ class Dataset(SqlQueries):
         """Methods by which its hours were made; results of different methods do not compare."""
         return sorted({each.origin.method for each in self.records().values()})
 
-    def asked_sites(self) -> tuple[Path, Mapping[str, Dataset]]:
+    def queried_sites(self) -> tuple[Path, Mapping[str, Dataset]]:
         """Return the folder, and the dataset under an empty name."""
         return self.folder, {"": self}
 

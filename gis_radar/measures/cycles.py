@@ -190,14 +190,14 @@ def cycles(
         seconds = (grid.end - grid.begin) // STEPS_PER_SECOND
         by_second = StepGrid(begin=grid.begin, steps=STEPS_PER_SECOND, count=seconds)
         course = queue_course(lane, states, length_m, network, visible, by_second)
-        waiting = _Waiting.at(lane, states, stands, length_m, network)
+        queue_states = _QueueStates.at(lane, states, stands, length_m, network)
         line = network.tile_id[network.tile_at(np.array([lane]), network.line_m[[lane]])]
         ends = {} if stated is None else dict(zip(*(n.tolist() for n in stated), strict=True))
         for each in of_lane:
             if visible.throughout(line, np.array([each.first]), np.array([each.after - 1]))[0]:
                 end = ends.get(each.first, -1)
                 filled.append(
-                    _with_figures(each, crossings_here, course, waiting, end, network, visible)
+                    _with_figures(each, crossings_here, course, queue_states, end, network, visible)
                 )
             else:
                 filled.append(each._replace(reason=HIDDEN))
@@ -244,7 +244,7 @@ def _cycle_begins(begins: Integers, period: Period, grid: StepGrid) -> Integers:
     return np.asarray(grid.begin + np.rint(even / STEP_S), np.int64)
 
 
-class _Waiting(NamedTuple):
+class _QueueStates(NamedTuple):
     """States of vehicles that may queue at a stop line, those ahead first in each step.
 
     Parameters
@@ -268,7 +268,7 @@ class _Waiting(NamedTuple):
     def at(
         cls, stop: int, states: FrontStates, stands: Booleans, length_m: Floats,
         network: LaneNetwork,
-    ) -> _Waiting:  # fmt: skip
+    ) -> _QueueStates:  # fmt: skip
         """Return those at the stop line of a lane."""
         strips, strip_of = network.queue_strips, np.full(len(network.lane) + 1, -1)
         mine = strips.of_stop(stop)
@@ -310,7 +310,7 @@ class _Waiting(NamedTuple):
 
 
 def _with_figures(
-    cycle: Cycle, crossed: Crossings, course: QueueCourse, waiting: _Waiting, end: int,
+    cycle: Cycle, crossed: Crossings, course: QueueCourse, queue_states: _QueueStates, end: int,
     network: LaneNetwork, visible: VisibleRuns,
 ) -> Cycle:  # fmt: skip
     """Return a cycle with its figures; an `end` of green that is -1 is when the last one leaves."""
@@ -321,5 +321,5 @@ def _with_figures(
     return cycle._replace(
         counted=len(leaving), queue_max_m=float(np.nanmax(back_m)),
         queue_mean_m=float(np.nanmean(back_m)),
-        queue_end_m=waiting.farthest_left_over(departed, cycle.first, end, network, visible),
+        queue_end_m=queue_states.farthest_left_over(departed, cycle.first, end, network, visible),
     )  # fmt: skip

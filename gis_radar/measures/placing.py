@@ -155,8 +155,8 @@ def in_view(  # pragma: no cover - compiled
 ) -> bool:
     """Return whether a detection is within a pose's view, as :meth:`View.sees` does."""
     flat_m = math.sqrt(x * x + y * y)
-    level = math.isnan(z) or abs(z) <= flat_m * pose.tan_elevation
-    return level and x >= flat_m * pose.cos_azimuth and pose.near_m <= range_m <= pose.far_m
+    in_elevation = math.isnan(z) or abs(z) <= flat_m * pose.tan_elevation
+    return in_elevation and x >= flat_m * pose.cos_azimuth and pose.near_m <= range_m <= pose.far_m
 
 
 @compiled

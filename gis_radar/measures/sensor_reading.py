@@ -57,7 +57,7 @@ class RecordingCounts:
         First and last frame, and the gaps between frames.
     ranges : (r,) int64 array
         Number of detections by range, as in :class:`RangeCounts`.
-    level : bool
+    lacks_elevation : bool
         Whether the sensor measures no elevation.
     movement : dict
         Number of frames with movement on each tile, by the name of the first sight since the sensor
@@ -70,7 +70,7 @@ class RecordingCounts:
     hits: int = 0
     times: FrameTimes = field(default_factory=FrameTimes)
     ranges: Integers = field(default_factory=lambda: RangeCounts().counts)
-    level: bool = False
+    lacks_elevation: bool = False
     movement: dict[str, Integers] = field(default_factory=dict)
     frames: dict[str, int] = field(default_factory=dict)
 
@@ -79,7 +79,7 @@ class RecordingCounts:
         self.rows, self.hits = self.rows + counts.rows, self.hits + counts.hits
         self.times.join(counts.times)
         self.ranges = self.ranges + counts.ranges
-        self.level |= counts.level
+        self.lacks_elevation |= counts.lacks_elevation
         for sight, count in counts.movement.items():
             self.movement[sight] = self.movement.get(sight, 0) + count
         for sight, frames in counts.frames.items():
@@ -266,7 +266,7 @@ class _Counter:
             first, last = low + begin, low + end
             for counted in self._counter.add(rows, first, last, placing, movement=counter):
                 self._take(counted)
-        evidence.level |= raw.level
+        evidence.lacks_elevation |= raw.level
         evidence.rows += high - low
 
     def _placing(self, index: int) -> PoseNumbers:

@@ -178,7 +178,7 @@ def _placing_warnings(examined: Examined) -> Iterator[str]:
     """Yield warnings where a sensor measures no elevation, or its clock was not set."""
     file, sensor = examined.source.recording.path.name, examined.entry.sensor
     evidence = examined.evidence
-    if evidence.level:
+    if evidence.lacks_elevation:
         heights = sorted({f"{sight.road_m:.1f}" for sight in examined.source.sights})
         yield Text(
             "{}: {} measures no elevation: its detections are placed at the height of "
