@@ -411,7 +411,7 @@ def _add(
         doubted.write(folder)  # before the hours that are doubted
     try:
         made = update_dataset(
-            site, before, registry, known=given.entries, before_hour=before_hour,
+            site, before, registry, just_read=given.entries, before_hour=before_hour,
             processes=processes, reporter=reporter,
         )  # fmt: skip
     except InputError:

@@ -115,15 +115,15 @@ def period_of(begins_s: Floats) -> Period | str:
     ]
     chance, share_on, period = min(fits, key=lambda each: each[0])
     # number of periods that differ by more than `EVEN_S` in begin or length
-    resolved = (period.length_s / (2.0 * EVEN_S)) ** 2
-    lines = resolved * span * (1.0 / CYCLE_S[0] - 1.0 / CYCLE_S[1])
+    resolution = (period.length_s / (2.0 * EVEN_S)) ** 2
+    period_count = resolution * span * (1.0 / CYCLE_S[0] - 1.0 / CYCLE_S[1])
     in_range = CYCLE_S[0] <= period.length_s <= CYCLE_S[1]
-    is_even = share_on >= LEAST_ON and chance * lines < MOST_CHANCE
+    is_even = share_on >= LEAST_ON and chance * period_count < MOST_CHANCE
     return period if in_range and is_even else UNEVEN
 
 
 def _fitted_cycles(begins_s: Floats, length_s: float) -> tuple[float, float, Period]:
-    """Fit cycles of about a length.
+    """Fit cycles of about a length, s, to begins of green, by least squares.
 
     Returns
     -------

@@ -83,7 +83,7 @@ def update_dataset(
     before: Registry,
     after: Registry,
     *,
-    known: Iterable[RecordingEntry] = (),
+    just_read: Iterable[RecordingEntry] = (),
     before_hour: int | None = None,
     processes: int = 1,
     reporter: Reporter,
@@ -96,8 +96,8 @@ def update_dataset(
         Inputs that all hours have in common.
     before, after : Registry
         Registry before and after; `after` omits the hours to make again.
-    known : iterable of RecordingEntry
-        Recordings whose files were read just now, and need not be looked at again.
+    just_read : iterable of RecordingEntry
+        Recordings whose files were read just now, and need not be checked again.
     before_hour : int, optional
         Only hours before this one (since 1970) are made: for later ones recordings are expected.
     processes : int
@@ -117,16 +117,16 @@ def update_dataset(
     """
     margin = site.settings.margin
     records = read_hours(site.folder)
-    known = list(known)
+    just_read = list(just_read)
     validity_s = validity_by_sensor(after.entries)
     known_before = {(each.key, each.pose) for each in before.entries}
     added = [each for each in after.entries if (each.key, each.pose) not in known_before]
     for each in added:
         _refuse_dropped(each.path, each.reached_hours(margin), records)
-    missing = hours_to_make(after, records, margin, touched_hours(after.hours, known, margin))
+    missing = hours_to_make(after, records, margin, touched_hours(after.hours, just_read, margin))
     missing = [hour for hour in missing if before_hour is None or hour < before_hour]
     _refuse_dropped(site.folder, missing, records)
-    _require_recordings(after, missing, margin, {each.path for each in known})
+    _require_recordings(after, missing, margin, {each.path for each in just_read})
     reaching = after.by_hour(margin)
     placings = {hour: [after.placing(each) for each in reaching[hour]] for hour in missing}
     present = (records[hour] for hour in missing if hour in records)
