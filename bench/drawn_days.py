@@ -29,10 +29,10 @@ from gis_radar.dataset import (
     part_path,
     read_hours,
     write_record,
-    write_whole,
+    write_single_file,
 )
 from gis_radar.dataset.days.lane_measures import METHOD
-from gis_radar.dataset.files.parts import PartDigest, rename_whole, whole_metadata, write_part
+from gis_radar.dataset.files.parts import PartDigest, common_metadata, move_to_place, write_part
 from gis_radar.dataset.files.tables import HOUR_TABLES, LANE_MEASURES, SIGHTS, TURNS
 from gis_radar.hdmap import fingerprint
 
@@ -80,7 +80,7 @@ def write_days(
     lanes = _lanes_of(table)
     create_dataset(folder, manifest, table, lanes=lanes)
     sights = {"pose": np.full(len(seen), "a"), "tile_id": seen}
-    write_whole(SIGHTS, folder, sights, manifest.fingerprint)
+    write_single_file(SIGHTS, folder, sights, manifest.fingerprint)
     origin = Origin(fingerprint=manifest.fingerprint, method=DRAWN_METHOD, inputs=DRAWN)
     for hour in range(FIRST_HOUR, FIRST_HOUR + HOURS * days):
         if dropped:
@@ -124,10 +124,10 @@ def _write(
     keys = dict.fromkeys(range(day, day + HOURS), own)
     if table is not TILE_COUNTS:  # what lanes measure follows from the hour before, too
         keys = {hour: [METHOD, *own, *(own if hour > FIRST_HOUR else [0, ""])] for hour in keys}
-    metadata = whole_metadata(table, known) | {"hour": hour_text(day), "hours": json.dumps(keys)}
+    metadata = common_metadata(table, known) | {"hour": hour_text(day), "hours": json.dumps(keys)}
     path = part_path(folder, table, day)
     write_part(table, path, rows, metadata)
-    rename_whole(path)
+    move_to_place(path)
 
 
 def _lanes_of(tiles: gpd.GeoDataFrame) -> gpd.GeoDataFrame:

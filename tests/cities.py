@@ -26,7 +26,7 @@ from gis_radar.dataset import (
     open_dataset,
     part_path,
     read_hour,
-    write_whole,
+    write_single_file,
 )
 from gis_radar.dataset.files.tables import HOUR_TABLES, SIGHTS
 
@@ -102,15 +102,15 @@ def write_site(root, name, source, hours, *, sensors=None, clock_offset=0.0):
            "digest": f"{sensor}-{first}", "clock_offset": clock_offset}
         for sensor, spans in sorted(sensors.items()) for first, after in spans
     ]  # fmt: skip
-    write_whole(
+    write_single_file(
         RECORDINGS, folder, {n: [r[n] for r in rows] for n in RECORDINGS.names}, fingerprint
     )
     poses = [pose(sensor=sensor) for sensor in sorted(sensors)]
-    write_whole(POSES, folder, pose_rows(poses), fingerprint)
+    write_single_file(POSES, folder, pose_rows(poses), fingerprint)
     tiles = source.tiles()["tile_id"].to_numpy()
     parts = np.array_split(tiles, len(sensors))  # each sees tiles of its own
     sights = {"pose": np.repeat(sorted(sensors), [len(each) for each in parts]), "tile_id": tiles}
-    write_whole(SIGHTS, folder, sights, fingerprint)
+    write_single_file(SIGHTS, folder, sights, fingerprint)
     return open_dataset(folder)
 
 

@@ -21,7 +21,7 @@ from gis_radar.dataset import (
     hour_of_step,
     measure,
     open_dataset,
-    write_whole,
+    write_single_file,
 )
 from gis_radar.dataset.files.tables import HIT_TABLES, HOUR_TABLES, SIGHTS
 from gis_radar.hdmap import fingerprint
@@ -70,11 +70,11 @@ def write_dataset(
         lanes = lanes.assign(lanelets=[[number] for number in lanes["lane"]])
     create_dataset(folder, manifest, tiles, lanes=lanes, stop_lines=stop_lines)
     if recordings is not None:
-        write_whole(RECORDINGS, folder, recordings, manifest.fingerprint)
+        write_single_file(RECORDINGS, folder, recordings, manifest.fingerprint)
     if poses:
-        write_whole(POSES, folder, pose_rows(poses), manifest.fingerprint)
+        write_single_file(POSES, folder, pose_rows(poses), manifest.fingerprint)
     if sights is not None:
-        write_whole(SIGHTS, folder, sights, manifest.fingerprint)
+        write_single_file(SIGHTS, folder, sights, manifest.fingerprint)
     kinds = {table.name: table for table in (HOUR_TABLES if vehicles else HIT_TABLES)}
     place = {
         name: np.asarray(rows["next"]) // 1_000_000 if name == "continued"

@@ -18,7 +18,7 @@ from sites import pose
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR, InputError, NoAnswerError, UsageError
-from gis_radar.dataset import POSES, RECORDINGS, write_whole
+from gis_radar.dataset import POSES, RECORDINGS, write_single_file
 from gis_radar.dataset.files.tables import SIGHTS
 from gis_radar.measures import compare_values, holm_corrected
 from gis_radar.products.comparison.rows import AlikeRows, compared_rows
@@ -62,7 +62,7 @@ def seen_by(dataset, spans, tiles=TILES["tile_id"]):
     }  # fmt: skip
     fingerprint = dataset.manifest.fingerprint
     for table, content in ((RECORDINGS, rows), (POSES, poses), (SIGHTS, sights)):
-        write_whole(table, dataset.folder, content, fingerprint)
+        write_single_file(table, dataset.folder, content, fingerprint)
     return gr.open_dataset(dataset.folder)
 
 

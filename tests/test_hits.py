@@ -11,7 +11,7 @@ from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, til
 import gis_radar as gr
 from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError
 from gis_radar.hdmap import fingerprint
-from gis_radar.measures import Filters, standing_for
+from gis_radar.measures import Filters, sight_owners
 from gis_radar.poses import PoseTrack, View
 from gis_radar.scans import SightTiles, find_sight
 
@@ -134,11 +134,11 @@ def test_a_pose_shares_a_view_with_near_ones_only():
         return [pose(easting=EAST + place, **fields) for place in places]
 
     moved = pose(evidence={"event": "moved"})
-    assert standing_for(track(0.0, 0.15, 0.3, 0.1, 0.4, -0.1)).tolist() == [0, 0, 2, 2, 2, 0]
-    assert standing_for([*track(0.0, 0.0), moved, *track(0.0)]).tolist() == [0, 0, 2, 2]
+    assert sight_owners(track(0.0, 0.15, 0.3, 0.1, 0.4, -0.1)).tolist() == [0, 0, 2, 2, 2, 0]
+    assert sight_owners([*track(0.0, 0.0), moved, *track(0.0)]).tolist() == [0, 0, 2, 2]
     turned = [pose(yaw=10.0), pose(yaw=10.15), pose(yaw=10.25), pose(yaw=10.25, pitch=0.15)]
-    assert standing_for(turned).tolist() == [0, 0, 2, 2]
-    assert standing_for([pose(), pose(view=View(max_range_m=9.0))]).tolist() == [0, 1]
+    assert sight_owners(turned).tolist() == [0, 0, 2, 2]
+    assert sight_owners([pose(), pose(view=View(max_range_m=9.0))]).tolist() == [0, 1]
 
 
 def test_a_track_gives_the_same_hour_to_parts_of_a_recording(tmp_path):

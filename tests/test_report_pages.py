@@ -17,7 +17,7 @@ import gis_radar as gr
 from gis_radar.base import Clock, OutputError, speaking
 from gis_radar.products import Fact, Table
 from gis_radar.products.report.content import Chapter, Content, Figure, MapSeries
-from gis_radar.products.report.pages import bound, write_pdf
+from gis_radar.products.report.pages import bound_percents, write_pdf
 from gis_radar.products.report.report import lane_columns
 
 MOMENT = datetime(2025, 6, 12, tzinfo=UTC)
@@ -102,7 +102,7 @@ def test_heads_and_numbers_of_lanes_are_not_broken(tmp_path):
     *narrow, full = words_of(tmp_path, [*tables, (columns, cells)])
     for (columns, (lane, *_)), found in zip(tables, narrow, strict=True):
         for column in columns:
-            assert set(bound(f"{column.title} {column.unit}").split()) <= set(found)
+            assert set(bound_percents(f"{column.title} {column.unit}").split()) <= set(found)
         assert lane in found
     assert {"einsehbar", "Bahnhofsvorplatz"} <= set(full)
 
@@ -112,8 +112,8 @@ def test_what_a_figure_rests_on_stands_in_its_field(tmp_path):
     facts = [Fact("Aufgezeichnet", "40 s", "in 40 s"), Fact("Sensoren", "3", "R1"),
              Fact("Höchster Fahrstreifen", "17863: 28 %", rests), Fact("Vierte", "4")]  # fmt: skip
     places = places_on(pages_of(tmp_path, content_of(facts=facts))[0])
-    assert bound(rests) not in places  # on one line it would be too small to read
-    last = max(top for text, (_, top) in places.items() if text in bound(rests))
+    assert bound_percents(rests) not in places  # on one line it would be too small to read
+    last = max(top for text, (_, top) in places.items() if text in bound_percents(rests))
     assert last < places["Vierte"][1] - 10
     assert places["Vierte"][0] == pytest.approx(places["Aufgezeichnet"][0], abs=0.5)
 
@@ -161,5 +161,7 @@ def test_a_library_that_fails_is_one_line(tmp_path, monkeypatch, fails, reason):
 
 
 def test_no_line_ends_between_a_number_and_its_percent_sign():
-    assert bound("it is not 0 %, nor 20 % or more") == ("it is not 0\u202f%, nor 20\u202f% or more")
-    assert bound(None) is None
+    assert bound_percents("it is not 0 %, nor 20 % or more") == (
+        "it is not 0\u202f%, nor 20\u202f% or more"
+    )
+    assert bound_percents(None) is None

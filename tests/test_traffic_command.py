@@ -23,7 +23,7 @@ from sites import pose
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
-from gis_radar.dataset.hours.remarks import remark_on_lines
+from gis_radar.dataset.hours.remarks import remark_on_counting_lines
 from gis_radar.products import Traffic, publisher_of
 from gis_radar.products import traffic as traffic_module
 from gis_radar.products.traffic_picture import draw_turning_diagram, mean_turns
@@ -269,7 +269,7 @@ def test_a_line_that_is_seen_straight_across_has_a_larger_error(tmp_path):
     ]
     listener = Listener()
     for each in datasets:
-        remark_on_lines(each, listener)
+        remark_on_counting_lines(each, listener)
     (said,) = listener.lines
     assert said.startswith(f"lane {APPROACH}: every sensor looks straight across")
     across, along = (each.traffic() for each in datasets)

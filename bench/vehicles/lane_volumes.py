@@ -176,7 +176,7 @@ def true_standing(
     lanes, strips = lanes_of(site.tiles(), gr.read_map(site.map)), network.queue_strips
     places: dict[int, list[tuple[int, float]]] = {}
     for end in np.setdiff1d(np.arange(len(strips.lane)), strips.ahead).tolist():
-        for each in strips.way(end):
+        for each in strips.path_to(end):
             places.setdefault(int(strips.lane[each]), []).append((end, strips.to_line_m[each]))
     tree, truth = cKDTree(lanes.middle), site.truth()
     last = truth.first_step + truth.occupied.shape[1] - 1

@@ -62,7 +62,7 @@ class City(SqlQueries):
     root: Path
     sites: Mapping[str, Dataset]
 
-    def asked_sites(self) -> tuple[Path, Mapping[str, Dataset]]:
+    def queried_sites(self) -> tuple[Path, Mapping[str, Dataset]]:
         """Return folder and sites, which SQL queries are asked of; see :meth:`query`."""
         return self.root, self.sites
 
@@ -153,9 +153,10 @@ class City(SqlQueries):
     def _maps(self, month: str, crs: Any) -> dict[str, HeatMap]:
         systems = {dataset.crs: name for name, dataset in self.sites.items()}
         if crs is None and len(systems) > 1:
-            (one, here), (other, there), *_ = systems.items()
+            (site, crs_here), (other_site, crs_there), *_ = systems.items()
             raise CrsError(
-                "{}: site {} lies in {}, site {} in {}", self.root, here, one, there, other,
+                "{}: site {} lies in {}, site {} in {}",
+                self.root, crs_here, site, crs_there, other_site,
                 hint="name one for all sites, in Python: city.write_map(month, folder, crs=...)",
             )  # fmt: skip
         return self._of_sites(lambda dataset: make_heatmap(dataset, month=month))
@@ -181,21 +182,21 @@ class City(SqlQueries):
         Raises
         ------
         NoAnswerError, InputError
-            That of the first site, if none can be compared.
+            The error of the first site, if none can be compared.
         """
-        found: dict[str, Comparison] = {}
+        compared: dict[str, Comparison] = {}
         refused: list[NoAnswerError | InputError] = []
         for name, dataset in self.sites.items():
             try:
-                found[name] = compare(
+                compared[name] = compare(
                     dataset, before=before, after=after, days=days, language=language
                 )
             except (NoAnswerError, InputError) as error:
                 refused.append(error)
                 reporter.warn("{} is left out: {}", name, error.message)
-        if not found:
+        if not compared:
             raise refused[0]
-        return found
+        return compared
 
     def write_catalogue(self, path: str | Path, *, root: str | None = None) -> None:
         """Write an SQL file that makes views of the tables of all sites in DuckDB.
@@ -231,7 +232,7 @@ class City(SqlQueries):
                 answers[name] = ask(dataset)
             except (NotMeasuredError, UnknownStreetError, NoVehiclesError) as error:
                 refused.append(error)
-        if not answers:  # a street that some site has is told from one that none has
+        if not answers:  # "nothing measured" comes before "no such street": some site may have it
             raise next((each for each in refused if isinstance(each, NotMeasuredError)), refused[0])
         return answers
 

@@ -47,7 +47,7 @@ Call = Sequence[Any]
 
 MOST_LOST = 3  # times in a row that workers are lost before a task is left out
 SCHEDULER_S = 600.0  # wait for a scheduler that is restarted, seconds
-TRY_S = 5.0  # for one try to reach it, seconds
+TRY_S = 5.0  # time limit of one attempt to reach it, seconds
 SAME = Text("install the same packages for all workers: results depend on them")
 FEWER = Text("if memory ran out, use fewer at once: --jobs 1")
 MEMORY = Text("memory may have run out")
@@ -58,7 +58,7 @@ EQUAL = Text("install the same packages for scheduler and workers: results depen
 LOST = (BrokenExecutor, CancelledError, OSError, RuntimeError)
 """Errors of an executor whose workers or scheduler are gone; those of tasks are never these."""
 
-_one_at_a_time = threading.Lock()  # a worker of a cluster may have several threads
+_one_at_a_time = threading.Lock()  # for tasks: a worker of a cluster may have several threads
 
 
 class OtherSoftwareError(InputError):
@@ -80,7 +80,7 @@ class Workers(ABC):
         self._reporter = reporter
         self._executor: Executor | None = None
 
-    def share(self, tasks: int) -> int:  # noqa: ARG002 - others share
+    def share(self, tasks: int) -> int:  # noqa: ARG002 - of `Processes`
         """Return how many processes each of some tasks may use."""
         return 1
 
@@ -120,29 +120,30 @@ class Workers(ABC):
         OutputError
             If workers are lost again and again, whatever they do.
         """
-        left, lost = dict(calls), 0
-        while left:
+        pending, lost = dict(calls), 0
+        while pending:
             if self._executor is None:
                 self._executor = self.begin()
-            before, alone = len(left), lost >= MOST_LOST - 1
-            tried = list(left)[: 1 if alone else None]
+            before, alone = len(pending), lost >= MOST_LOST - 1
+            attempted = list(pending)[: 1 if alone else None]
             try:
                 running = {
-                    self._executor.submit(run_task, software(), *left[key]): key for key in tried
+                    self._executor.submit(run_task, software(), *pending[key]): key
+                    for key in attempted
                 }
                 for future in as_completed(running):
-                    found, key = _result(future), running[future]
-                    del left[key]
-                    yield key, found
+                    result, key = _result(future), running[future]
+                    del pending[key]
+                    yield key, result
                 lost = 0
             except LOST as error:
-                lost = 1 if len(left) < before else lost + 1
+                lost = 1 if len(pending) < before else lost + 1
                 self._replace(lost, error)
                 if alone:  # it was the only task at work
-                    del left[tried[0]]
-                    yield tried[0], GisRadarError("its workers were lost", hint=MEMORY)
-                for key in list(left)[: self.count]:  # whichever ended its worker is tried last
-                    left[key] = left.pop(key)
+                    del pending[attempted[0]]
+                    yield attempted[0], GisRadarError("its workers were lost", hint=MEMORY)
+                for key in list(pending)[: self.count]:  # those that may have ended workers go last
+                    pending[key] = pending.pop(key)
 
     def _replace(self, times: int, error: Exception) -> None:
         """Stop lost workers, so that new ones begin; give up where all are lost."""
@@ -177,7 +178,7 @@ def run_task(expected: Mapping[str, str], work: Callable[..., Any], *arguments: 
     Parameters
     ----------
     expected : mapping
-        The software of the run, as of :func:`gis_radar.site.software`.
+        The software of the run, from :func:`gis_radar.site.software`.
     work : callable
         A function of a module.
     *arguments
@@ -221,9 +222,9 @@ class Processes(Workers):
     Parameters
     ----------
     jobs : int, optional
-        How many; by default as many as the machine has cores and memory for.
+        Number of processes; by default as many as the machine has cores and memory for.
     reporter : Reporter
-        As of :class:`Workers`.
+        As for :class:`Workers`.
     """
 
     def __init__(self, jobs: int | None, reporter: Reporter) -> None:
@@ -237,7 +238,9 @@ class Processes(Workers):
     def begin(self) -> Executor:
         """Return a pool of new processes: copies of this one would inherit locks of libraries."""
         self._context = WorkerContext()
-        return ProcessPoolExecutor(self.count, mp_context=self._context, initializer=_begin)
+        return ProcessPoolExecutor(
+            self.count, mp_context=self._context, initializer=_prepare_worker
+        )
 
     def end(self, executor: Executor) -> None:
         """Stop the pool at once."""
@@ -245,7 +248,7 @@ class Processes(Workers):
         executor.shutdown(cancel_futures=True)
 
 
-def _begin() -> None:
+def _prepare_worker() -> None:
     """Prepare a worker process: it ends with the run, and SIGTERM ends it without a word."""
     watch_parent()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -259,7 +262,7 @@ class Cluster(Workers):
     address : str
         Address of its scheduler, such as `tcp://10.0.0.5:8786`.
     reporter : Reporter
-        As of :class:`Workers`; it also receives the address of Dask's dashboard.
+        As for :class:`Workers`; it also receives the address of Dask's dashboard.
 
     Raises
     ------
@@ -289,7 +292,7 @@ class Cluster(Workers):
         self._describe()
 
     def _describe(self) -> None:
-        """Tell where the dashboard is, and what is odd about the workers."""
+        """Report where the dashboard is, and warn of missing workers and of several threads."""
         address, reporter = self._address, self._reporter
         known = self._client.scheduler_info(n_workers=-1)["workers"].values()
         self.count = max(sum(each["nthreads"] for each in known), 1)
@@ -316,7 +319,7 @@ class Cluster(Workers):
         while True:
             try:
                 self._client = self._dask.Client(self._address, timeout=TRY_S, set_as_default=False)
-                found: Executor = self._client.get_executor(pure=False)
+                executor: Executor = self._client.get_executor(pure=False)
             except OSError as error:
                 if time.monotonic() > end:
                     raise OutputError(
@@ -325,7 +328,7 @@ class Cluster(Workers):
                     ) from error  # fmt: skip
                 time.sleep(1.0)
             else:
-                return found
+                return executor
 
 
 @contextmanager
@@ -337,7 +340,7 @@ def workers_of(address: str | None, jobs: int | None, reporter: Reporter) -> Ite
     address : str, optional
         Address of a Dask scheduler; without one, processes of this machine work.
     jobs : int, optional
-        How many processes.
+        Number of processes.
     reporter : Reporter
         Receives remarks on the workers.
 

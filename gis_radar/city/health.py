@@ -36,7 +36,7 @@ SILENT_S = 3600.0  # without data, after which a sensor counts as silent, or as 
 LEAST_SHARE_SEEN = 0.95  # least share of the month with data of a sensor that works
 CLOCK_S = 0.025  # half of a step: a clock that is off by more is wrong
 MOVED_M, MOVED_DEG = 0.5, 1.0  # a pose that changes by more is that of a sensor that was moved
-LEAST_TOLD_M = 0.05  # moves that are told, not only the turn
+LEAST_STATED_M = 0.05  # a smaller move is left out of the text, which then states the turn alone
 STATES = (
     Text("no data"), Text("silent"), Text("moved"), Text("pose doubtful"), Text("clock off"),
     Text("gaps"), Text("pose not confirmed"), Text("works"),
@@ -110,23 +110,24 @@ def _site_rows(site: str, month: CityMonth) -> Iterator[dict[str, Any]]:
     first, last = month.span(dataset)
     last = min(last, month.last_step)
     begin_s, end_s = first * STEP_S, (last + 1) * STEP_S
-    recordings = dataset.whole(RECORDINGS).to_pandas()
+    recordings = dataset.single_table(RECORDINGS).to_pandas()
     poses = _poses(dataset, recordings)
     observed = _observed_s(dataset, (first, last))
     earlier_s = month.before.span(dataset)[0] * STEP_S
-    for sensor, mine in recordings.groupby("sensor"):
+    for sensor, of_sensor in recordings.groupby("sensor"):
         name = str(sensor)
-        if not ((mine["last_time"] >= earlier_s) & (mine["first_time"] < end_s)).any():
+        if not ((of_sensor["last_time"] >= earlier_s) & (of_sensor["first_time"] < end_s)).any():
             continue  # taken down long ago, or put up later
-        gaps = _gaps(mine, begin_s, end_s)
+        gaps = _gaps(of_sensor, begin_s, end_s)
         recorded_s = end_s - begin_s - gaps[:, 1].sum()
         share = min(observed.get(name, recorded_s) / (end_s - begin_s), 1.0)
-        its_poses = poses[poses["sensor"] == name]
+        own_poses = poses[poses["sensor"] == name]
         reasons = [
-            *_silence(mine, begin_s, end_s, lost.get(name)), *_moves(its_poses, begin_s, end_s),
-            *_doubts(dataset, name, end_s), *_clocks(mine, begin_s, end_s), *_missing(gaps, share),
+            *_silence(of_sensor, begin_s, end_s, lost.get(name)),
+            *_moves(own_poses, begin_s, end_s), *_doubts(dataset, name, end_s),
+            *_clocks(of_sensor, begin_s, end_s), *_missing(gaps, share),
         ]  # fmt: skip
-        yield _row(site, name, reasons, share=share, gaps=gaps, recordings=mine)
+        yield _row(site, name, reasons, share=share, gaps=gaps, recordings=of_sensor)
     for name in sorted(lost.keys() - set(recordings["sensor"])):
         yield _row(site, name, [_Reason(NO_DATA, np.nan, tr(lost[name]))], share=0.0)
 
@@ -137,8 +138,8 @@ def _lost(root: Path, site: str) -> dict[str, str]:
     city = (read_run(root).get("sites") or {}).get(site) or {}
     failed = {each["what"]: each["message"] for each in city.get("failures") or []}
     named = {str(each["name"]) for each in (run.get("site") or {}).get("sensor") or []}
-    told = {name: Text(failed[name]).removeprefix(f"{name}: ") for name in named & failed.keys()}
-    return told | lost_sensors(run)
+    refused = {name: Text(failed[name]).removeprefix(f"{name}: ") for name in named & failed.keys()}
+    return refused | lost_sensors(run)
 
 
 def _row(
@@ -160,31 +161,37 @@ def _gaps(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Floats:
     """Return begin and length of the gaps between recordings, within a time."""
     runs = recordings[["first_time", "last_time"]].clip(begin_s, end_s).to_numpy(np.float64)
     runs = runs[runs[:, 0].argsort()]
-    known = np.maximum.accumulate(np.concatenate([[begin_s], runs[:, 1]]))
-    length = np.concatenate([runs[:, 0], [end_s]]) - known
-    gaps = np.column_stack([known, length])
+    reached = np.maximum.accumulate(np.concatenate([[begin_s], runs[:, 1]]))
+    length = np.concatenate([runs[:, 0], [end_s]]) - reached
+    gaps = np.column_stack([reached, length])
     return np.asarray(gaps[length > 1.0], np.float64)
 
 
 def _observed_s(dataset: Dataset, span: tuple[int, int]) -> dict[str, float]:
     """Return by sensor how long a tile was observed that no other sensor sees."""
-    poses = dataset.whole(POSES).to_pandas()[["sensor", "sight"]].drop_duplicates()
+    poses = dataset.single_table(POSES).to_pandas()[["sensor", "sight"]].drop_duplicates()
     pairs = poses.merge(dataset.sights(), left_on="sight", right_on="pose")
     watchers = pairs.groupby("tile_id")["sensor"].transform("nunique")
-    own = pairs[watchers == 1].groupby(["sensor", "sight"], as_index=False)["tile_id"].first()
-    if own.empty:
+    seen_alone = (
+        pairs[watchers == 1].groupby(["sensor", "sight"], as_index=False)["tile_id"].first()
+    )
+    if seen_alone.empty:
         return {}
-    wanted = pa.array(own["tile_id"].unique())
+    wanted = pa.array(seen_alone["tile_id"].unique())
     columns = ["tile_id", "first_step", "observed_steps"]
     parts = [
         rows.filter(pc.is_in(rows["tile_id"], wanted)).to_pandas()
         for rows in dataset.batches(TILE_COUNTS, span, columns)
     ]
     counts = pd.concat([pd.DataFrame(columns=columns), *parts]).astype(np.int64)
-    of_sensor = own[["sensor", "tile_id"]].drop_duplicates().merge(counts, on="tile_id", how="left")
-    # A sensor that was moved has a tile of each pose, and is in one of them at a time.
-    most = of_sensor.groupby(["sensor", "first_step"], dropna=False)["observed_steps"].max()
-    return {str(n): float(v) for n, v in (most.groupby("sensor").sum() * STEP_S).items()}
+    counts_of_sensor = (
+        seen_alone[["sensor", "tile_id"]].drop_duplicates().merge(counts, on="tile_id", how="left")
+    )
+    # A sensor that was moved has a tile for each pose, and observes one of them at a time.
+    longest = counts_of_sensor.groupby(["sensor", "first_step"], dropna=False)[
+        "observed_steps"
+    ].max()
+    return {str(n): float(v) for n, v in (longest.groupby("sensor").sum() * STEP_S).items()}
 
 
 def _silence(
@@ -194,13 +201,13 @@ def _silence(
     if end_s - last_s > SILENT_S:
         text = tr("silent all month") if last_s < begin_s else tr("silent up to the end")
         yield _Reason(SILENT, last_s, f"{text} ({seconds_text(end_s - max(last_s, begin_s))})")
-        if why is not None:  # what came was refused
+        if why is not None:  # recordings came, but were refused
             yield _Reason(SILENT, last_s, tr(why))
 
 
 def _poses(dataset: Dataset, recordings: pd.DataFrame) -> pd.DataFrame:
-    """Return the poses with `begin_s`, from when on each holds; single ones from their data on."""
-    poses = dataset.whole(POSES).to_pandas()
+    """Return the poses with `begin_s`, from when each holds: single ones from their first frame."""
+    poses = dataset.single_table(POSES).to_pandas()
     first = recordings.groupby("pose")["first_time"].min()
     begin = poses["since"].astype(float).fillna(poses["track"].map(first))
     event = [json.loads(each).get("event", "") for each in poses["document"]]
@@ -209,32 +216,32 @@ def _poses(dataset: Dataset, recordings: pd.DataFrame) -> pd.DataFrame:
 
 
 def _moves(poses: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:
-    """Yield where a pose track says so, or a pose is another one than before."""
+    """Yield the moves: events of pose tracks, and poses that differ from the one before."""
     place, angles = (poses[list(names)].to_numpy(np.float64) for names in (POSITION, ANGLES))
     begin = poses["begin_s"].to_numpy(np.float64)
     step_m = np.linalg.norm(np.diff(place, axis=0), axis=1)
     turn_deg = np.abs((np.diff(angles, axis=0) + 180.0) % 360.0 - 180.0).max(axis=1)
     moved = (poses["event"].to_numpy()[1:] == "moved") | (step_m > MOVED_M) | (turn_deg > MOVED_DEG)
     for k in np.flatnonzero(moved & (begin[1:] > begin_s) & (begin[1:] < end_s)):
-        text = "moved by {m} m and {deg}°" if step_m[k] >= LEAST_TOLD_M else "turned by {deg}°"
+        text = "moved by {m} m and {deg}°" if step_m[k] >= LEAST_STATED_M else "turned by {deg}°"
         words = tr(text, m=figure_text(step_m[k], 1), deg=figure_text(turn_deg[k], 1))
         yield _Reason(MOVED, float(begin[k + 1]), words)
 
 
 def _doubts(dataset: Dataset, sensor: str, end_s: float) -> Iterator[_Reason]:
-    """Yield what the check of pose and recordings found, unless in later ones."""
-    found = dataset.manifest.findings.get(sensor)
-    if found is None or not found.doubt:
+    """Yield the doubt of the check of pose and recordings, unless it rests on later recordings."""
+    finding = dataset.manifest.findings.get(sensor)
+    if finding is None or not finding.doubt:
         return
-    since = pd.to_datetime(found.since, utc=True, errors="coerce")
+    since = pd.to_datetime(finding.since, utc=True, errors="coerce")
     since_s = np.nan if pd.isna(since) else since.timestamp()
     if not since_s >= end_s:
-        state = DOUBTFUL if found.verdict in (WRONG, FITS) else NOT_CONFIRMED
-        yield _Reason(CLOCK_OFF if found.is_of_clocks else state, since_s, tr(found.text))
+        state = DOUBTFUL if finding.verdict in (WRONG, FITS) else NOT_CONFIRMED
+        yield _Reason(CLOCK_OFF if finding.is_of_clocks else state, since_s, tr(finding.text))
 
 
 def _clocks(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:
-    """Yield the clock that its recordings were corrected by."""
+    """Yield the largest clock offset that recordings of the month were corrected by."""
     inside = (recordings["last_time"] >= begin_s) & (recordings["first_time"] < end_s)
     off = recordings[inside & (recordings["clock_offset"].abs() > CLOCK_S)]
     if len(off):

@@ -102,8 +102,8 @@ def month_of(city: City, month: str | None) -> CityMonth:
 
 def _hours_by_month(dataset: Dataset) -> dict[str, list[int]]:
     zone = zone_of(dataset.timezone)
-    found: dict[str, list[int]] = {}
+    by_month: dict[str, list[int]] = {}
     for hour in listed_hours(dataset.folder):
         begin = step_begin(hour * STEPS_PER_HOUR).astimezone(zone)
-        found.setdefault(f"{begin:%Y-%m}", []).append(hour)
-    return found
+        by_month.setdefault(f"{begin:%Y-%m}", []).append(hour)
+    return by_month

@@ -9,19 +9,19 @@ import numpy as np
 import shapely
 
 from gis_radar.base import Floats, tr
-from gis_radar.city.month_tables import off_by, share_off
+from gis_radar.city.month_tables import share_with_error, value_with_error
 from gis_radar.city.site_month import SiteMonth
 from gis_radar.products import NOT_OBSERVED, colour_classes
 
 WIDTH, MARGIN = 1000.0, 70.0  # units of the map, some pixels on a wide page
 TALLEST, FLATTEST = 0.9, 0.35  # height as a share of the width
 RADIUS = (9.0, 24.0)  # of the mark without vehicles, and of the site with most
-UNKNOWN_RADIUS = 9.0
+UNKNOWN_RADIUS = 9.0  # of the mark of a site of unknown volume
 LETTER, LINE = 8.2, 17.0  # width of a letter of a label, height of its line
-MOST_LABEL = 26  # letters
+MOST_LABEL = 26  # letters of a label
 DEEP_FROM = 0.02  # occupancy from which its class has a deep colour
-FINEST = 1.0  # lanes are drawn so fine
-METRES_PER_DEGREE = 111_195.0
+FINEST = 1.0  # tolerance, in units of the map, by which lanes are simplified
+METRES_PER_DEGREE = 111_195.0  # of latitude, on a sphere of the Earth's mean radius
 BAR_X, BAR_ROOM = 20.0, 30.0  # of the scale bar from the edge; below the marks, for its text
 BAR_SHARE = 0.25  # longest scale bar, of the width
 
@@ -36,7 +36,7 @@ class SiteMark(NamedTuple):
     x, y, radius : float
         Its place and size, units of the map, y downwards.
     colour : str
-        Of its class of occupancy; empty where none is known.
+        Colour of its class of occupancy; empty where none is known.
     is_deep : bool
         Whether its colour is deep, so that the number on it is white.
     label : (x, y, anchor, text) or None
@@ -45,8 +45,8 @@ class SiteMark(NamedTuple):
         What is known of it, in a line.
     link : str
         Its report; empty where there is none.
-    is_ill : bool
-        Whether one of its sensors is not well.
+    has_fault : bool
+        Whether one of its sensors does not work.
     """
 
     number: int
@@ -58,7 +58,7 @@ class SiteMark(NamedTuple):
     label: tuple[float, float, str, str] | None
     title: str
     link: str
-    is_ill: bool
+    has_fault: bool
 
 
 class CityMap(NamedTuple):
@@ -87,7 +87,7 @@ class CityMap(NamedTuple):
 
 
 def draw_city(
-    sites: Sequence[SiteMonth], ill: Mapping[str, int], legend: Sequence[tuple[str, str]]
+    sites: Sequence[SiteMonth], faulty: Mapping[str, int], legend: Sequence[tuple[str, str]]
 ) -> CityMap:
     """Draw the sites of a city.
 
@@ -95,8 +95,8 @@ def draw_city(
     ----------
     sites : sequence of SiteMonth
         All sites.
-    ill : mapping
-        By site, how many of its sensors are not well.
+    faulty : mapping
+        By site, how many of its sensors do not work; sites without such ones are left out.
     legend : sequence of (colour, text)
         Classes of occupancy.
     """
@@ -108,7 +108,7 @@ def draw_city(
     scale = min(inner / size[0], (WIDTH * TALLEST - 2 * MARGIN) / size[1])
     height = max(size[1] * scale + 2 * MARGIN, WIDTH * FLATTEST)
     corner = (places.min(axis=0) + places.max(axis=0)) / 2.0 - np.array([WIDTH, height]) / 2 / scale
-    at, height = (places - corner) * scale, height + BAR_ROOM
+    centres, height = (places - corner) * scale, height + BAR_ROOM
     volumes = np.array([each.volume[0] for each in sites])
     most = np.nanmax(volumes, initial=1.0)
     radius = np.where(
@@ -116,22 +116,23 @@ def draw_city(
         RADIUS[0] + (RADIUS[1] - RADIUS[0]) * np.sqrt(np.nan_to_num(volumes) / most),
         UNKNOWN_RADIUS,
     )
-    bar = _bar(scale, at, height)
-    labels = _labels([each.title for each in sites], at, radius, height, bar)
+    bar = _bar(scale, centres, height)
+    labels = _labels([each.title for each in sites], centres, radius, height, bar)
     marks = [
         SiteMark(
-            number=k + 1, x=round(float(at[k, 0]), 1), y=round(float(at[k, 1]), 1),
+            number=k + 1, x=round(float(centres[k, 0]), 1), y=round(float(centres[k, 1]), 1),
             radius=round(float(radius[k]), 1), colour=_colour(site),
             is_deep=site.occupancy[0] > DEEP_FROM, label=labels[k],
-            title=_words(site, ill.get(site.name, 0)), link=site.link, is_ill=site.name in ill,
+            title=_description(site, faulty.get(site.name, 0)), link=site.link,
+            has_fault=site.name in faulty,
         )
         for k, site in enumerate(sites)
     ]  # fmt: skip
     lanes = "".join(
         _path(((way - middle) * metres * [1.0, -1.0] - corner) * scale)
-        for each in sites for way in each.ways
+        for each in sites for way in each.lines
     )  # fmt: skip
-    return CityMap(WIDTH, round(float(height)), lanes, marks, bar, _classes(legend))
+    return CityMap(WIDTH, round(float(height)), lanes, marks, bar, _legend_classes(legend))
 
 
 def _colour(site: SiteMonth) -> str:
@@ -141,27 +142,31 @@ def _colour(site: SiteMonth) -> str:
     return next(each.colour for each in colour_classes("occupancy") if share <= each.upper)
 
 
-def _words(site: SiteMonth, ill: int) -> str:
+def _description(site: SiteMonth, faulty: int) -> str:
     if site.lanes is None:
         known = tr("no data in this month")
     else:
         (share, off), (volume, error) = site.occupancy, site.volume
-        known = tr("mean occupancy {share}", share=share_off(share, off))
+        known = tr("mean occupancy {share}", share=share_with_error(share, off))
         if np.isfinite(volume):
-            known += ", " + tr("{n} vehicles an hour", n=off_by(volume, error))
-    fault = "; " + tr("sensors not well: {n}", n=ill) if ill else ""
+            known += ", " + tr("{n} vehicles an hour", n=value_with_error(volume, error))
+    fault = "; " + tr("sensors not well: {n}", n=faulty) if faulty else ""
     return f"{site.title}: {known}{fault}"
 
 
 def _labels(
-    names: Sequence[str], at: Floats, radius: Floats, height: float, bar: tuple[float, float, str]
+    names: Sequence[str],
+    centres: Floats,
+    radius: Floats,
+    height: float,
+    bar: tuple[float, float, str],
 ) -> list[tuple[float, float, str, str] | None]:
-    """Return where names stand: beside their marks, none over another; None without room."""
+    """Return places of names beside their marks, without overlaps; None where there is no room."""
     bounds = shapely.box(0.0, 0.0, WIDTH, height)
-    taken = [shapely.Point(*p).buffer(r) for p, r in zip(at, radius, strict=True)]
+    taken = [shapely.Point(*p).buffer(r) for p, r in zip(centres, radius, strict=True)]
     taken += [_box_of_bar(bar[0], bar[1], height), shapely.box(WIDTH - 50.0, 0.0, WIDTH, 80.0)]
-    found: list[tuple[float, float, str, str] | None] = []
-    for name, (x, y), r in zip(names, at, radius, strict=True):
+    labels: list[tuple[float, float, str, str] | None] = []
+    for name, (x, y), r in zip(names, centres, radius, strict=True):
         text = name if len(name) <= MOST_LABEL else name[: MOST_LABEL - 1] + "\u2026"
         wide, best = LETTER * len(text), None
         for dx, dy, anchor in (
@@ -174,8 +179,8 @@ def _labels(
                 best = round(float(x + dx), 1), round(float(y + dy + LINE * 0.3), 1), anchor, text
                 taken.append(box)
                 break
-        found.append(best)
-    return found
+        labels.append(best)
+    return labels
 
 
 def _path(points: Floats) -> str:
@@ -184,12 +189,12 @@ def _path(points: Floats) -> str:
     return "M" + " ".join(f"{x:.0f} {y:.0f}" for x, y in kept)
 
 
-def _bar(scale: float, at: Floats, height: float) -> tuple[float, float, str]:
+def _bar(scale: float, centres: Floats, height: float) -> tuple[float, float, str]:
     longest = WIDTH * BAR_SHARE / scale
     power = 10.0 ** np.floor(np.log10(longest))
     metres = max(each for each in (power, 2 * power, 5 * power) if each <= longest)
     text = f"{metres / 1000:g} km" if metres >= 1000 else f"{metres:g} m"
-    length, marks = round(float(metres * scale), 1), shapely.MultiPoint(at)
+    length, marks = round(float(metres * scale), 1), shapely.MultiPoint(centres)
     x = max(
         BAR_X, WIDTH - BAR_X - length, key=lambda x: _box_of_bar(x, length, height).distance(marks)
     )
@@ -200,7 +205,7 @@ def _box_of_bar(x: float, length: float, height: float) -> shapely.Polygon:
     return shapely.box(x - 5.0, height - 60.0, x + length + 5.0, height)
 
 
-def _classes(legend: Sequence[tuple[str, str]]) -> list[tuple[str, str, str]]:
+def _legend_classes(legend: Sequence[tuple[str, str]]) -> list[tuple[str, str, str]]:
     return [
         ("unseen" if colour == NOT_OBSERVED else f"class-{colour[1:]}", colour, text)
         for colour, text in legend

@@ -44,7 +44,7 @@ from gis_radar.city.month_tables import (
     health_table,
     lane_rows,
     sensor_faults,
-    share_off,
+    share_with_error,
     site_table,
     worst_lanes,
 )
@@ -64,8 +64,8 @@ from gis_radar.products import (
 MONTH_PAGE = "month.html"
 PROFILES = 12  # sites whose profiles are drawn
 HOURS = 24
-MANY_SITES = 6  # from which on new processes pay
-TOPS = (50, 100, 200, 300, 500, 750, 1000, 1500, 2000, 3000, 5000, 7500, 10_000)
+MANY_SITES = 6  # from so many sites on, processes save more time than their start takes
+TOPS = (50, 100, 200, 300, 500, 750, 1000, 1500, 2000, 3000, 5000, 7500, 10_000)  # veh/h
 
 
 class Profile(NamedTuple):
@@ -80,7 +80,7 @@ class Profile(NamedTuple):
     weekdays, weekend : Strip
         Lines and bands.
     words : str
-        The same in words.
+        Description of both, for screen readers.
     """
 
     name: str
@@ -114,11 +114,12 @@ def write_month_page(
     title : str, optional
         Name of the city; by default that of its run, else of its folder.
     timezone : str, optional
-        Whose clocks the page's times follow; by default those of its run, else of most sites.
+        Time zone of the page's times; by default that of its run, else that of most sites.
     language : str, optional
         `en` or `de`; by default that of its run, else of most sites' results, else `en`.
     workers : Workers, optional
-        Who read the sites; by default processes of this machine, for a few sites this one.
+        Workers that read the sites; by default processes of this machine, or this process where
+        there are few sites.
     reporter : Reporter
         Receives progress, and a warning for each site that is left out.
 
@@ -140,18 +141,18 @@ def write_month_page(
     chosen = month_of(city, month)
     if title is not None and not title.strip():
         raise UsageError("the title is empty", hint="leave it out, or give the name of the city")
-    noted = read_run(city.root)  # of the city's run, as its city file stated
+    run = read_run(city.root)  # of the city's run, as its city file stated
     zones = Counter(each.timezone for each in city.sites.values())
-    zone = timezone or noted.get("timezone") or zones.most_common(1)[0][0]
+    zone = timezone or run.get("timezone") or zones.most_common(1)[0][0]
     place = city.root if output is None else Path(output)
-    with speaking(known_language(language or noted.get("language") or _language_of(city))):
+    with speaking(known_language(language or run.get("language") or _language_of(city))):
         first, last = chosen.span(next(iter(city.sites.values())))
         end = min(last, chosen.last_step) + 1
         clock = Clock(
             zone=zone_of(zone), first=step_begin(first), last=step_begin(end), to_seconds=False
         )
         sites, health, left_out = _sites(chosen, place.absolute(), workers, reporter)
-        name = title or noted.get("title") or city.root.resolve().name
+        name = title or run.get("title") or city.root.resolve().name
         page, summary = _page(chosen, sites, health, clock, name, left_out)
     with folder_to_fill(place), atomic_write(place / MONTH_PAGE) as private:
         private.write_text(page, encoding="utf-8", newline="\n")
@@ -172,7 +173,7 @@ def _sites(
     month: CityMonth, place: Path, workers: Workers | None, reporter: Reporter
 ) -> tuple[list[SiteMonth], pd.DataFrame, dict[str, str]]:
     """Gather the sites and the health of the fleet; a site that cannot be read is left out."""
-    names, found = list(month.city.sites), dict[str, tuple[SiteMonth, pd.DataFrame]]()
+    names, read = list(month.city.sites), dict[str, tuple[SiteMonth, pd.DataFrame]]()
     left_out = dict[str, str]()
     tasks = {name: (_site, month.of_site(name), name, place, current_language()) for name in names}
     for done, (name, site) in enumerate(_read(tasks, workers, reporter), start=1):
@@ -180,19 +181,19 @@ def _sites(
             left_out[name] = str(site)
             reporter.warn("site {} is left out: {}", name, site)
         else:
-            found[name] = site
+            read[name] = site
         reporter.progress("reading the sites", done, len(names))
-    if not found:
+    if not read:
         why = next(iter(left_out.values()))
         raise InputError("{}: no site can be read: {}", month.city.root, why)
-    sites, health = zip(*(found[name] for name in names if name in found), strict=True)
+    sites, health = zip(*(read[name] for name in names if name in read), strict=True)
     return list(sites), worst_first(pd.concat(health, ignore_index=True)), left_out
 
 
 def _read(
     tasks: Mapping[str, Sequence[Any]], workers: Workers | None, reporter: Reporter
 ) -> Iterator[tuple[str, Any]]:
-    """Yield what is read of each site, or the error, as it comes."""
+    """Yield the result of each site's task, or its error, in the order in which they end."""
     if workers is not None:
         yield from workers.results(tasks)
     elif len(tasks) >= MANY_SITES:
@@ -220,8 +221,8 @@ def _page(
 ) -> tuple[str, dict[str, Any]]:  # fmt: skip
     """Return the page, and its figures for the command line."""
     worst, changes = worst_lanes(sites), changes_of(sites)
-    counted = health[health["state"] != WORKS].groupby("site").size()
-    ill = {str(name): int(number) for name, number in counted.items()}
+    fault_counts = health[health["state"] != WORKS].groupby("site").size()
+    faulty = {str(name): int(number) for name, number in fault_counts.items()}
     facts = _facts(sites, health, worst)
     legend = [(each.colour, class_label(each.label, current_language()))
               for each in colour_classes("occupancy")]  # fmt: skip
@@ -231,7 +232,7 @@ def _page(
         *_ends_early(month, sites, clock), *sensor_faults(health, sites, clock),
     ]  # fmt: skip
     text = files("gis_radar.city").joinpath("month_page.html.jinja").read_text(encoding="utf-8")
-    city_map = draw_city(sites, ill, legend)
+    city_map = draw_city(sites, faulty, legend)
     css = _rules(legend)
     page = render_page(
         text, css=css, title=title, subtitle=clock.whole(clock.first, clock.last),
@@ -240,13 +241,13 @@ def _page(
         profiles=_profiles(sites), changes=change_table(changes, sites),
         health=health_table(health, sites, clock), made_by=made_by(),
     )  # fmt: skip
-    told = changes[changes["verdict"] != NOT_TOLD] if len(changes) else changes
+    significant = changes[changes["verdict"] != NOT_TOLD] if len(changes) else changes
     return page, {
         "title": title, "month": month.month, "timezone": str(clock.zone),
         "sites": len(sites), "sites_without_data": sum(each.lanes is None for each in sites),
         "sites_left_out": left_out, "sensors": len(health),
         "sensors_by_state": {str(n): int(v) for n, v in health["state"].value_counts().items()},
-        "lanes_with_a_change": int(told["lane"].notna().sum()) if len(told) else 0,
+        "lanes_with_a_change": int(significant["lane"].notna().sum()) if len(significant) else 0,
         "facts": {fact.name: f"{fact.value} ({fact.rests})" for fact in facts},
         "remarks": remarks,
     }  # fmt: skip
@@ -268,8 +269,8 @@ def _facts(sites: Sequence[SiteMonth], health: pd.DataFrame, worst: pd.DataFrame
     """Return the figures at the top."""
     with_data = sum(each.lanes is not None for each in sites)
     works = int((health["state"] == WORKS).sum())
-    known = [each.lanes for each in sites if each.lanes is not None]
-    lanes = sum(int((each["volume"].notna() & ~each["is_inside"]).sum()) for each in known)
+    tables = [each.lanes for each in sites if each.lanes is not None]
+    lanes = sum(int((each["volume"].notna() & ~each["is_inside"]).sum()) for each in tables)
     facts = [
         Fact(tr("Sites with data"), tr("{n} of {all}", n=with_data, all=len(sites)),
              tr("{n} lanes with a volume", n=figure_text(lanes))),
@@ -277,10 +278,10 @@ def _facts(sites: Sequence[SiteMonth], health: pd.DataFrame, worst: pd.DataFrame
              tr("with data for {share} of the month on average",
                 share=percent(float(health["share"].mean()), 0))),
     ]  # fmt: skip
-    mean = occupancy_of_lanes(pd.concat(known)) if known else (np.nan, np.nan)
+    mean = occupancy_of_lanes(pd.concat(tables)) if tables else (np.nan, np.nan)
     if np.isfinite(mean[0]):
         text = tr("mean of the sites' lanes, by time and length visible")
-        facts.append(Fact(tr("Mean occupancy"), share_off(*mean), text))
+        facts.append(Fact(tr("Mean occupancy"), share_with_error(*mean), text))
     if len(worst):
         row = worst.iloc[0]
         lane = f"{row['site']}: {row['name']}"
@@ -296,24 +297,24 @@ def _facts(sites: Sequence[SiteMonth], health: pd.DataFrame, worst: pd.DataFrame
 
 def _profiles(sites: Sequence[SiteMonth]) -> list[Profile]:
     """Return the profiles of the sites with most vehicles, all on one scale."""
-    known = [each for each in sites if each.profile is not None
+    with_profile = [each for each in sites if each.profile is not None
              and each.profile["volume"].notna().any()]  # fmt: skip
-    known = sorted(known, key=lambda each: -np.nan_to_num(each.volume[0]))[:PROFILES]
-    tables = [each.profile for each in known if each.profile is not None]
+    with_profile = sorted(with_profile, key=lambda each: -np.nan_to_num(each.volume[0]))[:PROFILES]
+    tables = [each.profile for each in with_profile if each.profile is not None]
     high = max((float((t["volume"] + t["volume_se"]).max()) for t in tables), default=0.0)
     top = next((each for each in TOPS if each >= high), high)
     edges = np.linspace(0.0, 1.0, HOURS + 1)
-    found = []
-    for site, table in zip(known, tables, strict=True):
+    profiles = []
+    for site, table in zip(with_profile, tables, strict=True):
         strips, words = [], []
         for is_weekend, name in ((False, tr("Monday to Friday")), (True, tr("Saturday, Sunday"))):
-            mine = table[table["is_weekend"] == is_weekend].sort_values("hour")
-            volume, error = (mine[n].to_numpy(np.float64) for n in ("volume", "volume_se"))
+            of_days = table[table["is_weekend"] == is_weekend].sort_values("hour")
+            volume, error = (of_days[n].to_numpy(np.float64) for n in ("volume", "volume_se"))
             strips.append(strip_of(name, edges, volume / top, error / top))
             words.append(f"{name}: {_peak(volume)}")
         words_of_all = f"{site.title}; " + "; ".join(words)
-        found.append(Profile(site.title, figure_text(top), strips[0], strips[1], words_of_all))
-    return found
+        profiles.append(Profile(site.title, figure_text(top), strips[0], strips[1], words_of_all))
+    return profiles
 
 
 def _peak(volume: Floats) -> str:

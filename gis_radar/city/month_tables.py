@@ -21,18 +21,19 @@ from gis_radar.base import (
 from gis_radar.city.health import WORKS
 from gis_radar.city.site_month import SiteMonth
 from gis_radar.products import (
+    LEAST_QUEUE_M,
     NOT_TOLD,
     Column,
     Table,
     change_rows,
+    longest_queue_text,
     text_rows,
     with_verdicts,
 )
 
-WORST_LANES = 20
-MOST_CHANGES = 30
+WORST_LANES = 20  # rows of the table
+MOST_CHANGES = 30  # rows of the table
 MOST_NAMED = 6  # sensors of a state in a sentence
-LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it
 
 
 def site_table(sites: Sequence[SiteMonth], health: pd.DataFrame) -> Table:
@@ -40,19 +41,19 @@ def site_table(sites: Sequence[SiteMonth], health: pd.DataFrame) -> Table:
     seen = health.groupby("site")["share"].min()
     ordered = sorted(sites, key=lambda each: (seen.get(each.name, 0.0), each.name))
     number = {each.name: place for place, each in enumerate(sites, start=1)}
-    ill = health[health["state"] != WORKS].groupby("site").size()
+    faulty = health[health["state"] != WORKS].groupby("site").size()
     count = health.groupby("site").size()
 
     def sensors(site: SiteMonth) -> str:
-        bad, of = int(ill.get(site.name, 0)), int(count.get(site.name, 0))
+        bad, of = int(faulty.get(site.name, 0)), int(count.get(site.name, 0))
         return tr("{n} of {all}", n=of - bad, all=of)
 
     def day(site: SiteMonth, *, is_weekend: bool) -> str:
         volume, error = site.day_volume(is_weekend=is_weekend)
-        return off_by(volume, error)
+        return value_with_error(volume, error)
 
     def hourly(site: SiteMonth) -> str:
-        return off_by(*site.volume)
+        return value_with_error(*site.volume)
 
     columns = [
         Column(tr("Site"), "", _site_link, False),
@@ -62,7 +63,7 @@ def site_table(sites: Sequence[SiteMonth], health: pd.DataFrame) -> Table:
         Column(tr("Sensors"), tr("that work"), sensors),
         Column(tr("Lanes"), tr("visible"), _lanes_seen),
         Column(tr("Mean occupancy"), tr("of visible time"),
-               lambda site: share_off(*site.occupancy)),
+               lambda site: share_with_error(*site.occupancy)),
         Column(tr("Volume"), tr("veh/h, time with data"), hourly),
         Column(tr("Monday to Friday"), tr("veh a day"), lambda site: day(site, is_weekend=False)),
         Column(tr("Saturday, Sunday"), tr("veh a day"), lambda site: day(site, is_weekend=True)),
@@ -109,10 +110,10 @@ def worst_lanes(sites: Sequence[SiteMonth]) -> pd.DataFrame:
 
 
 def lane_rows(worst: pd.DataFrame) -> Table:
-    """Return the worst lanes as they are read."""
+    """Return the table of the worst lanes for the page."""
 
     def off(name: str, error: str, digits: int) -> Callable[[pd.Series], str]:
-        return lambda row: off_by(float(row[name]), float(row[error]), digits)
+        return lambda row: value_with_error(float(row[name]), float(row[error]), digits)
 
     columns = [
         Column(tr("Lane"), "", lambda row: f"{row['site']}: {row['name']}", False),
@@ -123,10 +124,10 @@ def lane_rows(worst: pd.DataFrame) -> Table:
                lambda row: row["level"] if isinstance(row["level"], str) else NO_FIGURE),
         Column(tr("Worst hour"), tr("Monday to Friday; delay"), _worst_hour),
         Column(tr("Mean queue"), "m", off("queue_mean_m", "queue_se", 1)),
-        Column(tr("Longest queue"), "m", _longest),
+        Column(tr("Longest queue"), "m", _queue_text),
         Column(tr("Mean occupancy"), tr("of visible time"),
-               lambda row: share_off(row["occupancy"], row["occupancy_se"])),
-        Column(tr("Volume"), tr("veh/h"), _volume),
+               lambda row: share_with_error(row["occupancy"], row["occupancy_se"])),
+        Column(tr("Volume"), tr("veh/h"), _volume_text),
     ]  # fmt: skip
     return Table(
         name="worst", caption=tr("Lanes on which most time is lost"), columns=columns,
@@ -147,8 +148,8 @@ def _worst_hour(row: pd.Series) -> str:
     return tr("{begin} to {end} h: {delay} s", begin=hour, end=hour + 1, delay=delay_s)
 
 
-def off_by(value: float, error: float, digits: int = 0) -> str:
-    """Return a value with its standard error, rounded up: none is shown as 0 that is not."""
+def value_with_error(value: float, error: float, digits: int = 0) -> str:
+    """Return a value with its standard error, rounded up, so that only an error of 0 reads as 0."""
     text = figure_text(value, digits)
     if not (np.isfinite(value) and np.isfinite(error)):
         return text
@@ -156,24 +157,20 @@ def off_by(value: float, error: float, digits: int = 0) -> str:
     return f"{text}{THIN_SPACE}±{THIN_SPACE}{figure_text(np.ceil(error / unit) * unit, digits)}"
 
 
-def share_off(share: float, error: float) -> str:
-    """Return a share as percent with its standard error, rounded up as by :func:`off_by`."""
+def share_with_error(share: float, error: float) -> str:
+    """Return a share as percent with its standard error, rounded up as well."""
     return percent(share, off=np.ceil(error * 1000.0) / 1000.0)
 
 
-def _longest(row: pd.Series) -> str:
-    if pd.isna(row["queue_max_m"]):
-        return NO_FIGURE
-    text = figure_text(float(row["queue_max_m"]))
-    at_the_end = row["queue_max_m"] >= row["sight_m"] - 10.0 and row["queue_max_m"] > 0.0
-    return tr("at least {m}", m=text) if at_the_end else text
+def _queue_text(row: pd.Series) -> str:
+    return NO_FIGURE if pd.isna(row["queue_max_m"]) else longest_queue_text(row)
 
 
-def _volume(row: pd.Series) -> str:
+def _volume_text(row: pd.Series) -> str:
     if pd.isna(row["volume_veh_h"]):
         return NO_FIGURE
     relative = row["volume_se"] / row["volume"] if row["volume"] > 0.0 else 0.0
-    return off_by(row["volume_veh_h"], row["volume_veh_h"] * relative)
+    return value_with_error(row["volume_veh_h"], row["volume_veh_h"] * relative)
 
 
 def changes_of(sites: Sequence[SiteMonth]) -> pd.DataFrame:
@@ -185,14 +182,18 @@ def changes_of(sites: Sequence[SiteMonth]) -> pd.DataFrame:
 def change_table(changes: pd.DataFrame, sites: Sequence[SiteMonth]) -> Table:
     """Return what changed against the month before: whole sites first, then by certainty."""
     titles = {each.name: each.title for each in sites}
-    told = changes[changes["verdict"] != NOT_TOLD] if len(changes) else changes
+    significant = changes[changes["verdict"] != NOT_TOLD] if len(changes) else changes
     rows = []
-    if len(told):
-        told = told.assign(
-            name=told["site"].map(titles) + ": " + told["name"], is_lane=told["lane"].notna()
+    if len(significant):
+        significant = significant.assign(
+            name=significant["site"].map(titles) + ": " + significant["name"],
+            is_lane=significant["lane"].notna(),
         )
-        told = told.sort_values(["is_lane", "p_corrected"], kind="stable")
-        rows = [*change_rows(told[~told["is_lane"]]), *change_rows(told[told["is_lane"]])]
+        significant = significant.sort_values(["is_lane", "p_corrected"], kind="stable")
+        rows = [
+            *change_rows(significant[~significant["is_lane"]]),
+            *change_rows(significant[significant["is_lane"]]),
+        ]
     columns = [
         Column(tr("Lane"), "", lambda row: row["name"], False),
         Column(tr("Measure"), "", lambda row: row["measure"], False),
@@ -209,7 +210,7 @@ def change_table(changes: pd.DataFrame, sites: Sequence[SiteMonth]) -> Table:
     )  # fmt: skip
 
 
-def _change_notes(changes: pd.DataFrame, sites: Sequence[SiteMonth], told: int) -> list[str]:
+def _change_notes(changes: pd.DataFrame, sites: Sequence[SiteMonth], differences: int) -> list[str]:
     with_both = sum(each.changes is not None for each in sites)
     if not with_both:
         return [tr("No site has enough data in both months that the same sensors saw alike.")]
@@ -219,10 +220,12 @@ def _change_notes(changes: pd.DataFrame, sites: Sequence[SiteMonth], told: int) 
            "difference is told where chance gives one in the whole city in less than 5 % of "
            "months.", lanes=figure_text(len(lanes)), sites=figure_text(with_both)),
     ]  # fmt: skip
-    if not told:
+    if not differences:
         notes.insert(0, tr("No difference is told."))
-    if told > MOST_CHANGES:
-        notes.append(tr("Here are {part} of {all} differences.", part=MOST_CHANGES, all=told))
+    if differences > MOST_CHANGES:
+        notes.append(
+            tr("Here are {part} of {all} differences.", part=MOST_CHANGES, all=differences)
+        )
     if left_out := sum(each.not_alike for each in sites):
         notes.append(
             plural(left_out, "{n} lane was not seen alike.", "{n} lanes were not seen alike.")
@@ -231,7 +234,7 @@ def _change_notes(changes: pd.DataFrame, sites: Sequence[SiteMonth], told: int) 
 
 
 def health_table(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock) -> Table:
-    """Return the sensors as they are read, worst first."""
+    """Return the table of sensors for the page, worst first."""
     titles = {each.name: each.title for each in sites}
 
     def when(moment: pd.Timestamp) -> str:
@@ -265,9 +268,9 @@ def health_table(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock)
 
 
 def sensor_faults(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock) -> list[str]:
-    """Return in a sentence a state which sensors are not well and since when, worst first."""
+    """Return a sentence for each faulty state with its sensors and since when, worst first."""
     titles = {each.name: each.title for each in sites}
-    found = []
+    sentences = []
     for state, rows in health[health["state"] != WORKS].groupby("state", sort=False):
         names = []
         for _, row in rows.head(MOST_NAMED).iterrows():
@@ -277,5 +280,5 @@ def sensor_faults(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock
                 name = tr("{sensor} (since {time})", sensor=name, time=time)
             names.append(name)
         more = tr(" and {n} more", n=len(rows) - MOST_NAMED) if len(rows) > MOST_NAMED else ""
-        found.append(f"{tr('Sensors')}, {tr(str(state))}: {', '.join(names)}{more}")
-    return found
+        sentences.append(f"{tr('Sensors')}, {tr(str(state))}: {', '.join(names)}{more}")
+    return sentences

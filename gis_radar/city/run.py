@@ -54,7 +54,7 @@ from gis_radar.site import software
 
 STATE = ".gis-radar"
 OWNED = (STATE, "site=", "results", "poses", "recordings", "run.json", MONTH_PAGE)
-NOTED_EVERY_S = 10.0  # seconds between writes of a site's registry
+REGISTRY_EVERY_S = 10.0  # seconds between writes of a site's registry
 HOURS = Text("hours")
 
 
@@ -67,7 +67,7 @@ class SiteOutcome:
     hours : int
         Number of hours made.
     failures : list of Failure
-        What has no result, and why.
+        Names of what has no result, with the errors.
     warnings : list of str
         Warnings.
     """
@@ -192,7 +192,7 @@ def run_city(
         run = CitySteps(city=city, root=root, sites=sites, workers=workers, reporter=reporter)
         run.update(run.make_hours(run.register()))
         _write_record(run)
-        run.write_page()  # it says what failed
+        run.write_page()  # last: it states failures from the record
     return CityRun(city=city, root=Path(root), sites=sites)
 
 
@@ -222,7 +222,7 @@ class CitySteps:
     def register(self) -> list[str]:
         """Register the new recordings of all sites; return the sites with a dataset."""
         tasks = {name: (add_recordings, _task(self.root, self.city, name)) for name in self.sites}
-        self._each(tasks, Text("registering recordings"))
+        self._carry_out(tasks, Text("registering recordings"))
         there = [name for name in self.sites if Manifest.is_there(self._dataset(name))]
         for name in self.sites.keys() - {*there}:
             if not self.sites[name].failures:
@@ -249,15 +249,15 @@ class CitySteps:
                 (name, hour): (make_site_hour, self._dataset(name), hour, share)
                 for _, name, hour in sorted(order)
             }
-            noted = dict.fromkeys(opened, time.monotonic())
+            written_at = dict.fromkeys(opened, time.monotonic())
             try:  # which hours are made is recorded from time to time, and at the end
-                for name, hour in self._made(calls):
+                for name, hour in self._make_hours(calls):
                     opened[name].made.append(hour)
                     self.sites[name].hours += 1
-                    if time.monotonic() - noted[name] > NOTED_EVERY_S:
+                    if time.monotonic() - written_at[name] > REGISTRY_EVERY_S:
                         opened[name].note()
-                        noted[name] = time.monotonic()
-            finally:  # also of a broken run
+                        written_at[name] = time.monotonic()
+            finally:  # also after an error
                 for each in opened.values():
                     if each.made:
                         each.note()
@@ -268,7 +268,7 @@ class CitySteps:
         tasks = {
             name: (update_site, _task(self.root, self.city, name), self.city) for name in names
         }
-        self._each(tasks, Text("updating tables and reports"))
+        self._carry_out(tasks, Text("updating tables and reports"))
 
     def write_page(self) -> None:
         """Write the page of the city's last month with measured hours."""
@@ -283,13 +283,13 @@ class CitySteps:
                 self.root, f"{begin:%Y-%m}", title=self.city.title, timezone=self.city.timezone,
                 language=self.city.language, workers=self.workers, reporter=self.reporter,
             )  # fmt: skip
-        except (InputError, NoAnswerError) as error:  # its site has a line, too
+        except (InputError, NoAnswerError) as error:  # the error of its site was reported
             self.reporter.warn("there is no page of the month: {}", error.message)
 
     def _dataset(self, name: str) -> Path:
         return _task(self.root, self.city, name).dataset
 
-    def _each(self, tasks: Mapping[str, Sequence[Any]], stage: Text) -> None:
+    def _carry_out(self, tasks: Mapping[str, Sequence[Any]], stage: Text) -> None:
         """Carry out a task a site, and keep what it says."""
         self.reporter.progress(stage, 0, len(tasks))
         for done, (name, found) in enumerate(self.workers.results(tasks), start=1):
@@ -303,7 +303,9 @@ class CitySteps:
                     self.reporter.warn("{}: {}", name, message)
             self.reporter.progress(stage, done, len(tasks))
 
-    def _made(self, calls: Mapping[tuple[str, int], Sequence[Any]]) -> Iterator[tuple[str, int]]:
+    def _make_hours(
+        self, calls: Mapping[tuple[str, int], Sequence[Any]]
+    ) -> Iterator[tuple[str, int]]:
         self.reporter.progress(HOURS, 0, len(calls))
         for done, ((name, hour), found) in enumerate(self.workers.results(calls), start=1):
             if isinstance(found, OutputError):
@@ -315,7 +317,7 @@ class CitySteps:
             self.reporter.progress(HOURS, done, len(calls))
 
     def _fail(self, name: str, what: str, error: GisRadarError) -> None:
-        """Keep a failure and tell it, once: a broken file stops several steps."""
+        """Keep a failure and warn of it once, though a broken file stops several steps."""
         if any(known.message == error.message for _, known in self.sites[name].failures):
             return
         self.sites[name].failures.append((what, error))

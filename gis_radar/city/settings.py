@@ -22,7 +22,6 @@ from gis_radar.site import (
     Zone,
     key,
     read_toml,
-    toml_reference,
     toml_template,
 )
 
@@ -125,8 +124,3 @@ def is_city_file(path: str | Path) -> bool:
 def city_template() -> str:
     """Return a commented city file to fill in."""
     return toml_template(CityFile, _HEAD)
-
-
-def city_reference() -> str:
-    """Return the reference of all keys as Markdown."""
-    return toml_reference(CityFile)

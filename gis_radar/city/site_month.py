@@ -38,12 +38,12 @@ class SiteMonth:
         Its name in the city, and that of its site file, else the same.
     link : str
         Its report, from the folder of the page; empty where there is none.
-    ways : sequence of (n, 2) arrays
+    lines : sequence of (n, 2) arrays
         Its lanes, degrees east and north.
     hours : int
         Complete hours in the month.
     lanes : DataFrame or None
-        Its lanes over the month, as of :meth:`gis_radar.Dataset.traffic`, with `delay_se`,
+        Its lanes over the month, from :meth:`gis_radar.Dataset.traffic`, with `delay_se`,
         `queue_se` (from day to day), `worst_hour` and `worst_delay_s`, `level`, `length_m`,
         `is_inside` (a turn in the junction) and `is_entry` (where the site's vehicles are
         counted, once each); None where nothing is known.
@@ -60,7 +60,7 @@ class SiteMonth:
     name: str
     title: str
     link: str
-    ways: Sequence[Floats]
+    lines: Sequence[Floats]
     hours: int
     lanes: pd.DataFrame | None = None
     profile: pd.DataFrame | None = None
@@ -70,7 +70,7 @@ class SiteMonth:
     @property
     def place(self) -> Floats:
         """Middle of the site, degrees east and north."""
-        return np.asarray(np.concatenate(self.ways).mean(axis=0), np.float64)
+        return np.asarray(np.concatenate(self.lines).mean(axis=0), np.float64)
 
     @property
     def occupancy(self) -> tuple[float, float]:
@@ -122,27 +122,27 @@ def site_month(month: CityMonth, name: str, folder: Path) -> SiteMonth:
     folder : Path
         Where the page goes, from which its links lead.
     """
-    known_as, place = month.city.sites[name], month.city.root / RESULTS / name
+    opened, place = month.city.sites[name], month.city.root / RESULTS / name
     # The layers that it reads go with it: those of hundreds of sites would fill the memory.
-    dataset = Dataset(folder=known_as.folder, manifest=known_as.manifest)
+    dataset = Dataset(folder=opened.folder, manifest=opened.manifest)
     site = read_run(place).get("site") or {}
     if dataset.has_vehicles:
         dataset, _ = as_stated(dataset, site)
-    known: dict[str, Any] = {
-        "name": name, "title": str(site.get("title") or name), "ways": _ways(dataset),
+    fields: dict[str, Any] = {
+        "name": name, "title": str(site.get("title") or name), "lines": _lane_lines(dataset),
         "link": _link(place / PAGE, folder), "hours": len(month.hours[name].get(month.month, [])),
     }  # fmt: skip
     if not (dataset.has_vehicles and month.has_data(name)):
-        return SiteMonth(**known)
+        return SiteMonth(**fields)
     network = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint).network
     lanes = _lanes(dataset, month, network)
     if lanes.empty:
-        return SiteMonth(**known)
+        return SiteMonth(**fields)
     sums = dataset.lane_months(month=month.month)
     lanes = lanes.join(_worst_hours(sums), on="lane")
     changes, not_alike = _changes(dataset, name, month)
     return SiteMonth(
-        **known, lanes=lanes, profile=_profile(sums, lanes), changes=changes,
+        **fields, lanes=lanes, profile=_profile(sums, lanes), changes=changes,
         not_alike=not_alike,
     )  # fmt: skip
 
@@ -156,7 +156,7 @@ def _link(page: Path, folder: Path) -> str:
         return page.resolve().as_uri()
 
 
-def _ways(dataset: Dataset) -> list[Floats]:
+def _lane_lines(dataset: Dataset) -> list[Floats]:
     """Return the lanes, degrees; of datasets without lanes the tiles' box."""
     if dataset.has_vehicles:
         lines = list(dataset.layer(LANES_LAYER).geometry)
@@ -172,21 +172,21 @@ def _lanes(dataset: Dataset, month: CityMonth, network: LaneNetwork) -> pd.DataF
     lanes = dataset.traffic(begin=begin, end=end, whole=True)
     days = dataset.traffic("24h", begin=begin, end=end).groupby("lane")
     at = np.searchsorted(network.lane, lanes["lane"].to_numpy(np.int64))
-    entry = network.has_stop_line if network.has_stop_line.any() else _begins(network)
+    entry = network.has_stop_line if network.has_stop_line.any() else _is_first(network)
     found: gpd.GeoDataFrame = lanes.assign(
         level=service_levels(lanes, "hcm"), length_m=network.length_m[at],
         is_inside=network.connector[at], is_entry=entry[at],
-        **{name: lanes["lane"].map(_error(days[of]))
+        **{name: lanes["lane"].map(_error_over_days(days[of]))
            for name, of in (("delay_se", "delay_s"), ("queue_se", "queue_mean_m"))},
     )  # fmt: skip
     return pd.DataFrame(found.drop(columns="geometry"))
 
 
-def _begins(network: LaneNetwork) -> Any:
+def _is_first(network: LaneNetwork) -> Any:
     return np.array([not each for each in network.before], np.bool_)
 
 
-def _error(days: Any) -> pd.Series:
+def _error_over_days(days: Any) -> pd.Series:
     """Return the standard error of a mean over days, by lane; null of too few."""
     count = days.count()
     error: pd.Series = (days.std() / np.sqrt(count)).where(count >= LEAST_DAYS)
@@ -210,10 +210,10 @@ def _profile(sums: pd.DataFrame, lanes: pd.DataFrame) -> pd.DataFrame:
     )
     by_lane["variance"] /= by_lane["days"] ** 2
     groups = by_lane.groupby(level=[0, 1])
-    found = groups[["volume", "variance"]].sum().assign(known=groups.size() == len(entries))
+    profile = groups[["volume", "variance"]].sum().assign(known=groups.size() == len(entries))
     index = pd.MultiIndex.from_product([[False, True], range(24)], names=["is_weekend", "hour"])
-    found = found[found["known"]].reindex(index)
-    return found.assign(volume_se=np.sqrt(found["variance"].astype(np.float64))).reset_index()
+    profile = profile[profile["known"]].reindex(index)
+    return profile.assign(volume_se=np.sqrt(profile["variance"].astype(np.float64))).reset_index()
 
 
 def _worst_hours(sums: pd.DataFrame) -> pd.DataFrame:
@@ -238,8 +238,8 @@ def _changes(dataset: Dataset, name: str, month: CityMonth) -> tuple[pd.DataFram
     if not month.before.has_data(name):
         return None, 0
     try:
-        found = compare(dataset, before=month.before.period, after=month.period)
+        comparison = compare(dataset, before=month.before.period, after=month.period)
     except (InputError, NoAnswerError):  # of other methods, or nothing was seen alike
         return None, 0
-    table = pd.DataFrame(found.table.drop(columns="geometry")).assign(site=name)
-    return table, len(found.left_out)
+    table = pd.DataFrame(comparison.table.drop(columns="geometry")).assign(site=name)
+    return table, len(comparison.left_out)

@@ -42,18 +42,18 @@ from gis_radar.site import (
 
 POSES = "poses"  # folder of a city with the poses that were found
 BASIS = ".basis"  # beside such a pose: what it was found from
-KNOWN = {"guess": None, "view": None}  # not needed where a pose is known
+NOT_NEEDED = {"guess": None, "view": None}  # not needed where a pose is known
 CONVERTED = "recordings"  # folder of a city with the recordings that were converted
 OPTIONS = "options.json"  # beside a converted recording: how it was converted
-SEEN = ".gis-radar/recordings.json"  # what was registered, below the results of a site
+REGISTERED = ".gis-radar/recordings.json"  # what was registered, below the results of a site
 
 Failure = tuple[str, GisRadarError]
-"""What has no result, and why."""
+"""Name of what has no result (site, sensor or hour), and the error."""
 
 
 @dataclass(kw_only=True)
 class SiteTask(Reporter):
-    """A site of a city, as its tasks see it, and what they say.
+    """A site of a city for its tasks, whose failures and warnings it collects.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class SiteTask(Reporter):
     file : Path
         The site file.
     failures : list of Failure
-        What has no result, and why.
+        Names of what has no result, with the errors.
     warnings : list of str
         Warnings.
     """
@@ -107,16 +107,18 @@ def add_recordings(task: SiteTask) -> SiteTask:
     if not site.sensor:
         return task
     outcomes = prepare_site(site, task.results, reporter=task)
-    lost = {each.stage.sensor: each.error for each in outcomes if each.stage.sensor and each.error}
-    task.failures += [(name, error) for name, error in lost.items() if error is not None]
+    errors = {
+        each.stage.sensor: each.error for each in outcomes if each.stage.sensor and each.error
+    }
+    task.failures += [(name, error) for name, error in errors.items() if error is not None]
     for sensor in site.sensor:
-        if sensor.pose is None and sensor.name not in lost:
-            _keep_pose(sensor, site, task)
-    found = {path: _state_of(path) for each in site.sensor for path in each.recordings}
-    seen = seen_recordings(task)
+        if sensor.pose is None and sensor.name not in errors:
+            _store_pose(sensor, site, task)
+    states = {path: _state_of(path) for each in site.sensor for path in each.recordings}
+    before = registered_recordings(task)
     new = {
-        each.name: [path for path in each.recordings if seen.get(_name_of(path)) != found[path]]
-        for each in site.sensor if each.name not in lost
+        each.name: [path for path in each.recordings if before.get(_name_of(path)) != states[path]]
+        for each in site.sensor if each.name not in errors
     }  # fmt: skip
     sensors = [
         each.model_copy(update={"recordings": tuple(new[each.name])})
@@ -124,7 +126,7 @@ def add_recordings(task: SiteTask) -> SiteTask:
     ]  # fmt: skip
     if sensors:
         register_checked(site.model_copy(update={"sensor": tuple(sensors)}), task)
-        keep_seen(task, seen | {_name_of(path): state for path, state in found.items()})
+        store_registered(task, before | {_name_of(path): state for path, state in states.items()})
     return task
 
 
@@ -137,29 +139,31 @@ def _converted(site: Site, task: SiteTask) -> Site:
         stated = json_text(options)
         for path in sensor.foreign:
             place = hashlib.sha256(os.fsencode(path.absolute())).hexdigest()[:12]
-            made = task.root / CONVERTED / task.name / sensor.name / place / f"{path.stem}.parquet"
-            if not _is_converted(path, made, stated):
-                made.with_name(OPTIONS).unlink(missing_ok=True)  # it is of the file before
+            converted = (
+                task.root / CONVERTED / task.name / sensor.name / place / f"{path.stem}.parquet"
+            )
+            if not _is_converted(path, converted, stated):
+                converted.with_name(OPTIONS).unlink(missing_ok=True)  # those of the earlier file
                 try:
-                    convert_stage(recordings=[path], outputs=[made], reporter=task, **options)
+                    convert_stage(recordings=[path], outputs=[converted], reporter=task, **options)
                 except GisRadarError as error:
                     task.failures.append((sensor.name, error))
                     continue
-                made.with_name(OPTIONS).write_text(stated, encoding="utf-8")
-            paths.append(made)
+                converted.with_name(OPTIONS).write_text(stated, encoding="utf-8")
+            paths.append(converted)
         if paths:
-            found = {"recordings": tuple(paths), "convert": None}
-            sensors.append(sensor.model_copy(update=found))
+            changed = {"recordings": tuple(paths), "convert": None}
+            sensors.append(sensor.model_copy(update=changed))
     return site.model_copy(update={"sensor": tuple(sensors)})
 
 
-def _is_converted(path: Path, made: Path, stated: str) -> bool:
-    """Return whether a recording was converted as it is now, by the options as stated."""
-    made.parent.mkdir(parents=True, exist_ok=True)
-    if not made.exists() or made.stat().st_mtime < path.stat().st_mtime:
+def _is_converted(path: Path, converted: Path, stated: str) -> bool:
+    """Return whether a recording was converted since it was written, by the stated options."""
+    converted.parent.mkdir(parents=True, exist_ok=True)
+    if not converted.exists() or converted.stat().st_mtime < path.stat().st_mtime:
         return False
-    noted = made.with_name(OPTIONS)
-    return noted.exists() and noted.read_text(encoding="utf-8") == stated
+    options_file = converted.with_name(OPTIONS)
+    return options_file.exists() and options_file.read_text(encoding="utf-8") == stated
 
 
 def _pose_path(sensor: Sensor, task: SiteTask) -> Path:
@@ -172,16 +176,20 @@ def _with_known_poses(site: Site, task: SiteTask) -> Site:
     Where guess, heading or map were changed, the pose is found again, from the recordings that the
     dataset does not have: those that it has keep theirs.
     """
-    sensors, seen = [], seen_recordings(task)
-    for each in site.sensor:
-        path = _pose_path(each, task)
-        found: dict[str, Any] = {}
-        if each.pose is None and path.is_file():
-            new = tuple(p for p in each.recordings if seen.get(_name_of(p)) != _state_of(p))
+    sensors, registered = [], registered_recordings(task)
+    for sensor in site.sensor:
+        path = _pose_path(sensor, task)
+        changed: dict[str, Any] = {}
+        if sensor.pose is None and path.is_file():
+            new = tuple(p for p in sensor.recordings if registered.get(_name_of(p)) != _state_of(p))
             basis = path.with_suffix(BASIS)
-            same = not basis.is_file() or basis.read_text(encoding="utf-8") == _basis(each, site)
-            found = {"recordings": new} if new and not same else KNOWN | {"pose": path}
-        sensors.append(each.model_copy(update=found))
+            is_same_basis = not basis.is_file() or basis.read_text(encoding="utf-8") == _basis(
+                sensor, site
+            )
+            changed = (
+                {"recordings": new} if new and not is_same_basis else NOT_NEEDED | {"pose": path}
+            )
+        sensors.append(sensor.model_copy(update=changed))
     return site.model_copy(update={"sensor": tuple(sensors)})
 
 
@@ -191,7 +199,7 @@ def _basis(sensor: Sensor, site: Site) -> str:
     return json_text({**stated, "map": hashlib.sha256(site.map.file.read_bytes()).hexdigest()})
 
 
-def _keep_pose(sensor: Sensor, site: Site, task: SiteTask) -> None:
+def _store_pose(sensor: Sensor, site: Site, task: SiteTask) -> None:
     path = _pose_path(sensor, task)
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as part:
@@ -205,29 +213,29 @@ def _name_of(recording: Path) -> str:
 
 
 def _state_of(recording: Path) -> list[int]:
-    """Return what changes when a file is written: its time and size."""
+    """Return time of writing and size of a file, which change when it is written."""
     state = recording.stat()
     return [state.st_mtime_ns, state.st_size]
 
 
-def seen_recordings(task: SiteTask) -> dict[str, list[int]]:
+def registered_recordings(task: SiteTask) -> dict[str, list[int]]:
     """Return the recordings of the dataset, each as its file was when it was read."""
     if not Manifest.is_there(task.dataset):
         return {}
     try:
-        seen = read_json(task.results / SEEN, what="a list of recordings")
+        seen = read_json(task.results / REGISTERED, what="a list of recordings")
         return {path: seen[path] for path in open_dataset(task.dataset).recordings()["path"]
                 if path in seen}  # fmt: skip
     except InputError:
         return {}  # all are looked at again: those that are the same change no hour
 
 
-def keep_seen(task: SiteTask, states: Mapping[str, list[int]]) -> None:
+def store_registered(task: SiteTask, states: Mapping[str, list[int]]) -> None:
     """Write which recordings the dataset has, and as they were when they were read."""
-    known = {*open_dataset(task.dataset).recordings()["path"]}
-    kept = {path: state for path, state in sorted(states.items()) if path in known}
-    with atomic_write(task.results / SEEN) as part:
-        part.write_text(json_text(kept, indent=1) + "\n", encoding="utf-8")
+    paths = {*open_dataset(task.dataset).recordings()["path"]}
+    in_dataset = {path: state for path, state in sorted(states.items()) if path in paths}
+    with atomic_write(task.results / REGISTERED) as part:
+        part.write_text(json_text(in_dataset, indent=1) + "\n", encoding="utf-8")
 
 
 def register_checked(site: Site, task: SiteTask) -> None:
@@ -235,26 +243,26 @@ def register_checked(site: Site, task: SiteTask) -> None:
 
     A damaged recording is named and left out; what was refused with it is tried again.
     """
-    left = {each.name: each for each in site.sensor}
-    while left:
+    pending = {each.name: each for each in site.sensor}
+    while pending:
         try:
-            refused = _measured(site.model_copy(update={"sensor": tuple(left.values())}), task)
-            again = {name: left[name] for name in refused}
+            refused = _register(site.model_copy(update={"sensor": tuple(pending.values())}), task)
+            again = {name: pending[name] for name in refused}
         except InputError as error:
-            refused = {name: error for name, each in left.items() if _damaged(each, error)}
-            again = left
+            refused = {name: error for name, each in pending.items() if _damaged(each, error)}
+            again = pending
             if not refused:
                 raise
         task.failures += refused.items()
-        left = {}
+        pending = {}
         for name, sensor in again.items():
             damaged = _damaged(sensor, refused[name]) if name in refused else []
             paths = tuple(path for path in sensor.recordings if path not in damaged)
             if paths and (damaged or name not in refused):
-                left[name] = sensor.model_copy(update={"recordings": paths})
+                pending[name] = sensor.model_copy(update={"recordings": paths})
 
 
-def _measured(site: Site, task: SiteTask) -> dict[str, GisRadarError]:
+def _register(site: Site, task: SiteTask) -> dict[str, GisRadarError]:
     """Register recordings; return the error of each sensor that was left out."""
     stage = next(s for s in stages_of(site, task.results) if s.work is measure_stage)
     figures = measure_stage(

@@ -19,7 +19,7 @@ from .files.parts import (
     part_path,
     replacing,
     sync_folder,
-    write_whole,
+    write_single_file,
 )
 from .files.records import (
     HourRecord,
@@ -115,5 +115,5 @@ __all__ = [
     "warn_of_copies",
     "write_lane_matches",
     "write_record",
-    "write_whole",
+    "write_single_file",
 ]

@@ -33,7 +33,7 @@ from gis_radar.dataset.files.parts import (
     hour_begin,
     hour_of_step,
     hour_text,
-    whole_file,
+    single_file,
 )
 from gis_radar.dataset.files.records import (
     HourRecord,
@@ -45,7 +45,7 @@ from gis_radar.dataset.files.records import (
 )
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Moment
-from gis_radar.dataset.files.units import for_people
+from gis_radar.dataset.files.units import convert_units
 from gis_radar.dataset.hours import changes
 from gis_radar.dataset.questions import profiles
 from gis_radar.dataset.questions.sql import SqlQueries
@@ -55,8 +55,9 @@ from gis_radar.dataset.traffic.stated_lanes import stated_lanes
 from gis_radar.dataset.vehicles import footprints, trajectories
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER, fingerprint, read_tiles
 
-_LAST_STEP = 1 << 62
-_STEPS_TODAY = range(10_000_000_000, 100_000_000_000)  # 1985 to 2128: seconds are far fewer
+_LAST_STEP = 1 << 62  # of a span without an end
+# Steps of 1985 to 2128; UNIX seconds, given in place of steps, are smaller numbers.
+_STEPS_TODAY = range(10_000_000_000, 100_000_000_000)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,13 +73,13 @@ class Dataset(SqlQueries):
         The dataset's folder.
     manifest : Manifest
         Its map, tiles, coordinate system and settings.
-    found : dict
-        Filled with what questions found and need again.
+    cache : dict
+        Results that several questions need, by key; filled by them.
     """
 
     folder: Path
     manifest: Manifest
-    found: dict[Any, Any] = field(default_factory=dict, repr=False)
+    cache: dict[Any, Any] = field(default_factory=dict, repr=False)
     _layers: dict[str, gpd.GeoDataFrame] = field(default_factory=dict, repr=False)
 
     lane_months = profiles.lane_months
@@ -115,11 +116,11 @@ class Dataset(SqlQueries):
     @property
     def sensors(self) -> list[str]:
         """Names of the sensors with recordings."""
-        return sorted(set(self.whole(tables.RECORDINGS)["sensor"].to_pylist()))
+        return sorted(set(self.single_table(tables.RECORDINGS)["sensor"].to_pylist()))
 
     @property
     def doubts(self) -> list[str]:
-        """Lines on the sensors whose pose and recordings are not known to fit."""
+        """One line for each sensor whose pose and recordings are not known to fit."""
         known = self.manifest.doubts
         return [known[sensor] for sensor in self.sensors if sensor in known]
 
@@ -128,8 +129,8 @@ class Dataset(SqlQueries):
         """Methods by which its hours were made; results of different methods do not compare."""
         return sorted({each.origin.method for each in self.records().values()})
 
-    def asked_sites(self) -> tuple[Path, Mapping[str, Dataset]]:
-        """Return folder and dataset, under no name."""
+    def queried_sites(self) -> tuple[Path, Mapping[str, Dataset]]:
+        """Return the folder, and the dataset under an empty name."""
         return self.folder, {"": self}
 
     def records(self, span: Span | None = None) -> dict[int, HourRecord]:
@@ -141,8 +142,8 @@ class Dataset(SqlQueries):
             If an hour was made from other tiles.
         """
         first, last = (None, None) if span is None else map(hour_of_step, span)
-        found = read_hours(self.folder, first, last)
-        for record in found.values():
+        records = read_hours(self.folder, first, last)
+        for record in records.values():
             if record.origin.fingerprint != self.manifest.fingerprint:
                 raise InputError(
                     "{}: {} was made from other tiles",
@@ -150,7 +151,7 @@ class Dataset(SqlQueries):
                     hour_text(record.hour),
                     hint=MEASURE_AGAIN,
                 )
-        return found
+        return records
 
     def span(self, begin: Moment = None, end: Moment = None) -> Span | None:
         """Return the first and the last step from `begin` up to `end`; None for all.
@@ -210,30 +211,30 @@ class Dataset(SqlQueries):
 
     def recordings(self) -> pd.DataFrame:
         """Read the table of recordings from which it was made."""
-        return self._read_whole(tables.RECORDINGS)
+        return self._read_single(tables.RECORDINGS)
 
     def poses(self) -> gpd.GeoDataFrame:
         """Read the poses of the sensors."""
-        table = self._read_whole(tables.POSES)
+        table = self._read_single(tables.POSES)
         places = gpd.points_from_xy(table["easting"], table["northing"], table["height"])
         return gpd.GeoDataFrame(table, geometry=places, crs=self.crs)
 
     def sights(self) -> pd.DataFrame:
         """Read the tiles in sight of each pose."""
-        return self._read_whole(tables.SIGHTS)
+        return self._read_single(tables.SIGHTS)
 
     def sight_of(self, sensor: str) -> Integers:
         """Return the ids of the tiles in sight of the last pose of a sensor."""
         recordings, poses, sights = (
-            self.whole(table).to_pandas()
+            self.single_table(table).to_pandas()
             for table in (tables.RECORDINGS, tables.POSES, tables.SIGHTS)
         )
         if not (isinstance(sensor, str) and sensor in self.sensors):
             raise UsageError("{}: has no sensor {}", self.folder, repr(sensor),
                              hint=Text("it has {}", ", ".join(self.sensors)))  # fmt: skip
-        mine = recordings[recordings["sensor"] == sensor].sort_values("last_time")
-        head = poses.loc[poses["track"] == mine["pose"].iloc[-1], "sight"].iloc[-1]
-        return np.asarray(sights.loc[sights["pose"] == head, "tile_id"], np.int64)
+        of_sensor = recordings[recordings["sensor"] == sensor].sort_values("last_time")
+        sight_name = poses.loc[poses["track"] == of_sensor["pose"].iloc[-1], "sight"].iloc[-1]
+        return np.asarray(sights.loc[sights["pose"] == sight_name, "tile_id"], np.int64)
 
     def hours(self) -> pd.DataFrame:
         """Return the complete hours, with the number of rows of each table."""
@@ -313,35 +314,35 @@ class Dataset(SqlQueries):
         """Return sensors, recordings, time span, hours and numbers of rows of the tables."""
         records = self.records()
         recordings = sorted({Path(path).name for path in self.recordings()["path"]})
-        known: dict[str, Any] = {
+        figures: dict[str, Any] = {
             "sensors": self.sensors, "recordings": recordings, "hours": len(records)
         }  # fmt: skip
         if records:
-            known |= {"begin": hour_text(min(records)), "end": hour_text(max(records) + 1)}
+            figures |= {"begin": hour_text(min(records)), "end": hour_text(max(records) + 1)}
         for table in tables.HOUR_TABLES:
             parts = [r.parts[table.name] for r in records.values() if table.name in r.parts]
             if parts:
-                known[table.name] = sum(part.rows for part in parts)
-        if gone := [hour for hour, each in records.items() if each.dropped]:
-            known["hours_without_exact_tables"] = len(gone)
-            known["exact_tables_from"] = hour_text(max(gone) + 1)
+                figures[table.name] = sum(part.rows for part in parts)
+        if dropped_hours := [hour for hour, each in records.items() if each.dropped]:
+            figures["hours_without_exact_tables"] = len(dropped_hours)
+            figures["exact_tables_from"] = hour_text(max(dropped_hours) + 1)
         if len(self.methods) > 1:
-            known["methods"] = self.methods
+            figures["methods"] = self.methods
         if self.doubts:
-            known["not_known_to_fit"] = self.doubts
-        return known
+            figures["not_known_to_fit"] = self.doubts
+        return figures
 
     def __repr__(self) -> str:
-        known = self.figures()
-        names = ", ".join(known["sensors"]) or "no sensors"
-        hours = f"{known['hours']} hour{'s' if known['hours'] != 1 else ''}"
-        when = f", {known['begin']} to {known['end']}" if known["hours"] else ""
+        figures = self.figures()
+        names = ", ".join(figures["sensors"]) or "no sensors"
+        hours = f"{figures['hours']} hour{'s' if figures['hours'] != 1 else ''}"
+        when = f", {figures['begin']} to {figures['end']}" if figures["hours"] else ""
         counted = (
             table.name
             for table in (tables.HITS, tables.VEHICLES, tables.PASSAGES)
-            if table.name in known
+            if table.name in figures
         )
-        rows = "".join(f", {known[name]} {name}" for name in counted)
+        rows = "".join(f", {figures[name]} {name}" for name in counted)
         return f"Dataset({str(self.folder)!r}: {names}, {hours}{when}{rows})"
 
     def _repr_html_(self) -> str:
@@ -362,7 +363,8 @@ class Dataset(SqlQueries):
         Parameters
         ----------
         lanes : sequence of mapping
-            Of each lane its number `id`, and `name` and `speed_kmh`, each None where not stated.
+            For each lane its number `id`, `name` and `speed_kmh`; the last two are None if not
+            stated.
         speed_kmh : float, optional
             Free speed of lanes that have none by the map.
 
@@ -374,7 +376,7 @@ class Dataset(SqlQueries):
         if not lanes and speed_kmh is None:
             return self
         layer = stated_lanes(self.layer(LANES_LAYER), lanes, speed_kmh, self.folder)
-        return replace(self, found={}, _layers={**self._layers, LANES_LAYER: layer})
+        return replace(self, cache={}, _layers={**self._layers, LANES_LAYER: layer})
 
     def _tiles(self) -> gpd.GeoDataFrame:
         tiles = read_tiles(self.folder / TILES)
@@ -394,15 +396,15 @@ class Dataset(SqlQueries):
 
     def _read(self, table: TableSchema, begin: Moment, end: Moment) -> pd.DataFrame:
         parts = list(self.batches(table, self.span(begin, end)))
-        whole = pa.concat_tables(parts) if parts else table.empty()
-        return for_people(whole, self.manifest.origin)
+        rows = pa.concat_tables(parts) if parts else table.empty()
+        return convert_units(rows, self.manifest.origin)
 
-    def _read_whole(self, table: TableSchema) -> pd.DataFrame:
-        return for_people(self.whole(table), self.manifest.origin)
+    def _read_single(self, table: TableSchema) -> pd.DataFrame:
+        return convert_units(self.single_table(table), self.manifest.origin)
 
-    def whole(self, table: TableSchema) -> pa.Table:
+    def single_table(self, table: TableSchema) -> pa.Table:
         """Read a table that is one file, with its columns: recordings, poses or sights."""
-        return whole_file(table, self.folder, self.manifest.fingerprint).read()
+        return single_file(table, self.folder, self.manifest.fingerprint).read()
 
     def _step(self, value: Moment, what: str) -> int | None:
         if isinstance(value, int) and value not in _STEPS_TODAY:
@@ -435,7 +437,7 @@ def open_dataset(path: str | Path | Dataset, *, reporter: Reporter = QUIET) -> D
     dataset = Dataset(folder=Path(path), manifest=Manifest.read(path))
     ends = (read_hour(dataset.folder, hour) for hour in hour_bounds(dataset.folder) or ())
     methods = sorted({each.origin.method for each in ends if each is not None})
-    if len(methods) > 1:  # those of all hours are read where these are
+    if len(methods) > 1:  # of the first and the last hour: reading all records takes long
         reporter.warn(
             "{}: its hours were made by methods {}, whose results do not compare; "
             "measure the older hours again",

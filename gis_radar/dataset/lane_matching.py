@@ -1,4 +1,4 @@
-"""Lanes of an old map matched to those of a new one, so that their series can go on."""
+"""Match the lanes of an old map to those of a new one, so that time series can be continued."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from gis_radar.base import Floats, InputError, Integers, atomic_write, opened_pa
 from gis_radar.dataset.dataset import Dataset, open_dataset
 from gis_radar.hdmap import LANES_LAYER
 
-SPACING_M = 0.5  # between the points at which lanes are compared
-ASIDE_M = 1.5  # largest offset: maps are drawn anew to some decimetres, lanes are 2.5 m and wider
-TURNED_RAD = math.radians(30.0)  # largest angle between two lanes
-SAME_SHARE = 0.9  # of both lanes that follows the other, where they are the same
-LEAST_SHARE = 0.1  # of either that is worth a row
+SPACING_M = 0.5  # distance between the points at which lanes are compared
+MOST_OFFSET_M = 1.5  # maps are drawn anew to some decimetres, lanes are 2.5 m and wider
+MOST_TURN_RAD = math.radians(30.0)  # largest angle between two lanes
+SAME_SHARE = 0.9  # least share of both lanes that follows the other where they are the same
+LEAST_SHARE = 0.1  # least share of either lane for a row of the table
 COLUMNS = ("old_lane", "new_lane", "share_of_old", "share_of_new", "offset_m", "same")
 
 
@@ -65,9 +65,9 @@ def match_lanes(
     """Match the lanes of an old map to those of a new one, by where they lie and lead.
 
     Two lanes follow each other where they lie within 1.5 m and lead the same way, to 30 degrees.
-    They are the same where 90 % of both do; each lane is the same as one at most. Lanes without
-    such a partner are listed with all that they share a tenth or more with: parts, where a lane was
-    split, wholes, where lanes were merged.
+    They are the same where 90 % of both do; each lane is the same as one at most. A lane without
+    such a partner has a row for each lane with which it shares a tenth or more: its parts, where it
+    was split, or the lane that it was merged into.
 
     Parameters
     ----------
@@ -96,18 +96,18 @@ def match_lanes(
     before, after = _lanes(old), _lanes(new)
     if before.crs != after.crs:
         after = after.to_crs(before.crs)
-    pairs = _pairs(_Points.of(before), _Points.of(after), len(before), len(after))
+    pairs = _near_pairs(_Points.of(before), _Points.of(after), len(before), len(after))
     numbers = [np.asarray(each["lane"], np.int64) for each in (before, after)]
-    same = _same(pairs, *numbers)
-    taken = pairs[same]
-    free = ~(pairs["old"].isin(taken["old"]) | pairs["new"].isin(taken["new"]))
-    worth = pairs[["share_of_old", "share_of_new"]].max(axis=1) >= LEAST_SHARE
-    rows = pairs.assign(same=same)[same | (free & worth)]
-    whole = [
+    identical = _identical_lanes(pairs, *numbers)
+    matched = pairs[identical]
+    is_free = ~(pairs["old"].isin(matched["old"]) | pairs["new"].isin(matched["new"]))
+    is_worth = pairs[["share_of_old", "share_of_new"]].max(axis=1) >= LEAST_SHARE
+    rows = pairs.assign(same=identical)[identical | (is_free & is_worth)]
+    unmatched = [
         pd.DataFrame({side: np.setdiff1d(np.arange(len(ids)), rows[side])})
         for side, ids in zip(("old", "new"), numbers, strict=True)
     ]
-    rows = pd.concat([rows, *whole], ignore_index=True).sort_values(["old", "new"])
+    rows = pd.concat([rows, *unmatched], ignore_index=True).sort_values(["old", "new"])
     for side, ids in zip(("old", "new"), numbers, strict=True):
         at = rows[side].astype("Int64")
         rows[f"{side}_lane"] = at.map(dict(enumerate(ids.tolist()))).astype("Int64")
@@ -145,19 +145,21 @@ def _lanes(source: Any) -> gpd.GeoDataFrame:
     return lanes
 
 
-def _pairs(old: _Points, new: _Points, olds: int, news: int) -> pd.DataFrame:
-    """Return how much of two lanes follows the other, for all that lie near each other."""
-    reach = math.hypot(ASIDE_M, SPACING_M)
+def _near_pairs(old: _Points, new: _Points, olds: int, news: int) -> pd.DataFrame:
+    """Return, for all pairs of lanes near each other, the share of each that follows the other."""
+    reach = math.hypot(MOST_OFFSET_M, SPACING_M)
     near = cKDTree(old.xy).sparse_distance_matrix(cKDTree(new.xy), reach, output_type="ndarray")
-    i, j = near["i"], near["j"]
-    along = np.einsum("ij,ij->i", old.along[i], new.along[j])
-    across = new.xy[j] - old.xy[i]
-    offset = np.abs(across[:, 0] * old.along[i, 1] - across[:, 1] * old.along[i, 0])
-    kept = (along >= math.cos(TURNED_RAD)) & (offset <= ASIDE_M)
-    i, j, offset = i[kept], j[kept], offset[kept]
-    pair = old.lane[i] * news + new.lane[j]
-    found = pd.DataFrame({"pair": pair, "i": i, "j": j, "offset_m": offset}).groupby("pair")
-    rows = found.agg(i=("i", "nunique"), j=("j", "nunique"), offset_m=("offset_m", "mean"))
+    old_point, new_point = near["i"], near["j"]
+    along = np.einsum("ij,ij->i", old.along[old_point], new.along[new_point])
+    across = new.xy[new_point] - old.xy[old_point]
+    offset = np.abs(across[:, 0] * old.along[old_point, 1] - across[:, 1] * old.along[old_point, 0])
+    follows = (along >= math.cos(MOST_TURN_RAD)) & (offset <= MOST_OFFSET_M)
+    old_point, new_point, offset = old_point[follows], new_point[follows], offset[follows]
+    pair_key = old.lane[old_point] * news + new.lane[new_point]
+    groups = pd.DataFrame(
+        {"pair": pair_key, "i": old_point, "j": new_point, "offset_m": offset}
+    ).groupby("pair")
+    rows = groups.agg(i=("i", "nunique"), j=("j", "nunique"), offset_m=("offset_m", "mean"))
     rows = rows.reset_index()
     rows["old"], rows["new"] = rows["pair"] // news, rows["pair"] % news
     rows["share_of_old"] = rows["i"] / np.bincount(old.lane, minlength=olds)[rows["old"]]
@@ -165,17 +167,18 @@ def _pairs(old: _Points, new: _Points, olds: int, news: int) -> pd.DataFrame:
     return rows
 
 
-def _same(pairs: pd.DataFrame, old: Integers, new: Integers) -> pd.Series:
-    """Return which pairs are one lane: the nearest first, each lane once."""
+def _identical_lanes(pairs: pd.DataFrame, old: Integers, new: Integers) -> pd.Series:
+    """Return which pairs are the same lane: nearest pairs first, each lane in one at most."""
     alike = pairs[pairs[["share_of_old", "share_of_new"]].min(axis=1) >= SAME_SHARE]
-    other = old[alike["old"]] != new[alike["new"]]  # of two on one place the one of that number
-    order = alike.assign(offset=alike["offset_m"].round(1), other=other)
+    # of two lanes at one place, that with the same number comes first
+    other_number = old[alike["old"]] != new[alike["new"]]
+    order = alike.assign(offset=alike["offset_m"].round(1), other=other_number)
     order = order.sort_values(["offset", "other", "old", "new"])
-    taken: tuple[set[int], set[int]] = (set(), set())
-    same = pd.Series(False, pairs.index)
+    matched: tuple[set[int], set[int]] = (set(), set())
+    identical = pd.Series(False, pairs.index)
     for row, before, after in order[["old", "new"]].itertuples():
-        if before not in taken[0] and after not in taken[1]:
-            taken[0].add(before)
-            taken[1].add(after)
-            same[row] = True
-    return same
+        if before not in matched[0] and after not in matched[1]:
+            matched[0].add(before)
+            matched[1].add(after)
+            identical[row] = True
+    return identical

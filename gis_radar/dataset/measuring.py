@@ -51,7 +51,7 @@ from gis_radar.dataset.files.registry import (
 )
 from gis_radar.dataset.hours import remarks
 from gis_radar.dataset.hours.job import HourSite, MadeHour, MeasureSettings
-from gis_radar.dataset.hours.making import change, writing
+from gis_radar.dataset.hours.making import locked_for_writing, update_dataset
 from gis_radar.hdmap import LaneGraph, LaneletMap, fingerprint, lane_graph, require_tiles
 from gis_radar.measures import Filters, PlacedRecording, RecordingCounts, SightBook, validity_of
 from gis_radar.poses import Pose, PoseTrack, as_tracks
@@ -61,7 +61,7 @@ from gis_radar.tracking import map_of_tiles
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Given:
+class _Inputs:
     """Checked arguments of a call of `measure`: the site, and the recordings to add."""
 
     map_file: str | Path | None
@@ -76,16 +76,16 @@ class _Given:
     book: SightBook
     findings: tuple[Finding, ...] = ()
 
-    def checked(self, before: Manifest, registry: Registry) -> Manifest:
-        """Add the findings to a manifest; earlier ones stay while recordings rest on them."""
-        mine = {each.digest for each in self.entries}
-        other = {each.sensor for each in registry.entries if each.digest not in mine}
-        earlier = {name: each for name, each in before.findings.items() if name in other}
-        found = {
+    def manifest_with_findings(self, before: Manifest, registry: Registry) -> Manifest:
+        """Return a manifest with the findings added; earlier ones of other recordings stay."""
+        own_digests = {each.digest for each in self.entries}
+        other_sensors = {each.sensor for each in registry.entries if each.digest not in own_digests}
+        earlier = {name: each for name, each in before.findings.items() if name in other_sensors}
+        records = {
             each.sensor: each.joined(earlier.get(each.sensor, each)).record
             for each in self.findings
         }
-        return replace(before, checks=before.checks | found)
+        return replace(before, checks=before.checks | records)
 
 
 def measure(
@@ -123,7 +123,7 @@ def measure(
     poses : one or a sequence of Pose, PoseTrack or their files
         As many as recordings, in order. A pose without a view gets the default one.
     tiles : GeoDataFrame
-        As from :func:`gis_radar.read_tiles`.
+        From :func:`gis_radar.read_tiles`.
     map : str or Path, optional
         The Lanelet2 map from which the tiles were made; CRS and origin are taken from the tiles.
         Hits alone need none.
@@ -209,31 +209,31 @@ def measure(
     book = SightBook(road=road, scan=scan)
     refuse_swapped(opened, tracks)
     sources = book.place(opened, tracks, clocks, reporter)
-    given = _given(sources, book, tiles, map, cycles, settings, timezone, reporter)
+    given = _checked_inputs(sources, book, tiles, map, cycles, settings, timezone, reporter)
     if check:
-        given = _checked(given, accept, reporter)
+        given = _with_findings(given, accept, reporter)
     for each in given.entries:
         for line in given.sources[each.path].track.vague(each.first_time, each.last_time):
             reporter.warn(line)
     folder = Path(folder)
-    with writing(folder, reporter):
+    with locked_for_writing(folder, reporter):
         if only and Manifest.is_there(folder) and Manifest.read(folder) != given.manifest:
             made = _replace(given, folder, processes, reporter, before_hour=before_hour)
         else:
             made = _add(given, folder, processes, reporter, only=only, before_hour=before_hour)
     dataset = open_dataset(folder, reporter=reporter)
     if made:
-        _report(given, made, reporter)
+        _remark_on_recordings(given, made, reporter)
         if dataset.has_vehicles:
-            remarks.remark_on_lines(dataset, reporter)
+            remarks.remark_on_counting_lines(dataset, reporter)
     return dataset
 
 
-def _given(
+def _checked_inputs(
     sources: Sequence[PlacedRecording], book: SightBook, tiles: gpd.GeoDataFrame,
     map_path: str | Path | None, cycles: Mapping[str, float] | None, settings: MeasureSettings,
     timezone: str, reporter: Reporter,
-) -> _Given:  # fmt: skip
+) -> _Inputs:  # fmt: skip
     """Check all arguments before anything is written."""
     roads, digest = None, ""
     if map_path is not None:
@@ -249,18 +249,18 @@ def _given(
         entry = entry_of(source.recording, sensor, name, source.clock, validity_s[sensor])
         entries.append(entry)
         placed[entry.path] = source
-    entries = _each_once(entries, reporter)
+    entries = _without_duplicates(entries, reporter)
     _refuse_clearance(settings.filters, book.road, entries)
-    graph, settings = _lanes(roads, settings, entries, reporter)
+    graph, settings = _lane_graph(roads, settings, entries, reporter)
     manifest = manifest_of(tiles, digest, book.scan, settings, timezone)
-    return _Given(
+    return _Inputs(
         map_file=map_path, roads=roads, manifest=manifest, tiles=tiles, graph=graph,
         settings=settings,
         sources=placed, entries=entries, poses=poses, book=book,
     )  # fmt: skip
 
 
-def _checked(given: _Given, accept: Collection[str], reporter: Reporter) -> _Given:
+def _with_findings(given: _Inputs, accept: Collection[str], reporter: Reporter) -> _Inputs:
     """Check whether poses, recordings and map fit; keep the findings for the manifest."""
     by_sensor: dict[str, list[PlacedRecording]] = {}
     for _, source in sorted(given.sources.items()):
@@ -322,26 +322,28 @@ def _refuse_clearance(
             )
 
 
-def _each_once(entries: Sequence[RecordingEntry], reporter: Reporter) -> list[RecordingEntry]:
+def _without_duplicates(
+    entries: Sequence[RecordingEntry], reporter: Reporter
+) -> list[RecordingEntry]:
     """Return each recording once; refuse one that is given for two sensors."""
-    known: dict[str, RecordingEntry] = {}
-    for each in entries:
-        other = known.setdefault(each.digest, each)
-        if other.sensor != each.sensor:
-            refuse_two_sensors(each, other)
-        if other is not each:
-            if not other.made_alike(each):
+    by_digest: dict[str, RecordingEntry] = {}
+    for entry in entries:
+        first = by_digest.setdefault(entry.digest, entry)
+        if first.sensor != entry.sensor:
+            refuse_two_sensors(entry, first)
+        if first is not entry:
+            if not first.has_same_inputs(entry):
                 raise InputError(
                     "{}: is given twice for {}, with different poses",
-                    each.path,
-                    each.sensor,
+                    entry.path,
+                    entry.sensor,
                     hint="give it once",
                 )
-            reporter.warn("{}: is the same as {}: it counts once", each.path, other.path)
-    return list(known.values())
+            reporter.warn("{}: is the same as {}: it counts once", entry.path, first.path)
+    return list(by_digest.values())
 
 
-def _lanes(
+def _lane_graph(
     roads: LaneletMap | None, settings: MeasureSettings, entries: Sequence[RecordingEntry],
     reporter: Reporter,
 ) -> tuple[LaneGraph | None, MeasureSettings]:  # fmt: skip
@@ -353,9 +355,9 @@ def _lanes(
         graph = lane_graph(roads.lanelets)
     except NoAnswerError as error:
         reason = error.message
-    without = [each.path for each in entries if not each.has_rates]
-    if without:
-        reason = Text("{}: has no range rates, by which vehicles are found", without[0])
+    without_rates = [each.path for each in entries if not each.has_rates]
+    if without_rates:
+        reason = Text("{}: has no range rates, by which vehicles are found", without_rates[0])
     if not reason:
         return graph, settings
     reporter.warn("{}: only hits are measured", reason)
@@ -363,7 +365,7 @@ def _lanes(
 
 
 def _replace(
-    given: _Given, folder: Path, processes: int, reporter: Reporter, *, before_hour: int | None
+    given: _Inputs, folder: Path, processes: int, reporter: Reporter, *, before_hour: int | None
 ) -> list[MadeHour]:
     """Make a dataset beside one with other tiles or settings, and replace that when complete."""
     fresh = folder.with_name(f".{folder.name}.next")
@@ -377,22 +379,22 @@ def _replace(
 
 
 def _add(
-    given: _Given, folder: Path, processes: int, reporter: Reporter, *, only: bool,
+    given: _Inputs, folder: Path, processes: int, reporter: Reporter, *, only: bool,
     before_hour: int | None,
 ) -> list[MadeHour]:  # fmt: skip
     """Add recordings to a dataset; the caller is its only writer."""
     is_new = not Manifest.is_there(folder)
     manifest = given.manifest if is_new else Manifest.read(folder)
     if not is_new:
-        given = _as_before(given, manifest)
+        given = _without_vehicles_as_before(given, manifest)
         require_same_settings(folder, manifest, given.manifest)
     before = Registry(folder=folder, fingerprint=manifest.fingerprint)
     before = before if is_new else Registry.read(folder, manifest.fingerprint)
     _remark_on_changes(before, given, manifest, reporter)
-    registry = _joined(before, given, only=only)
-    checked = given.checked(manifest, registry)
-    odd = {name: checked.checks[name] for name in checked.doubts}
-    doubted = replace(manifest, checks=manifest.checks | odd)
+    registry = _merged_registry(before, given, only=only)
+    with_findings = given.manifest_with_findings(manifest, registry)
+    new_doubts = {name: with_findings.checks[name] for name in with_findings.doubts}
+    doubted = replace(manifest, checks=manifest.checks | new_doubts)
     site = HourSite(
         folder=folder, tiles=given.tiles, graph=given.graph, origin=manifest.origin,
         settings=given.settings,
@@ -402,34 +404,35 @@ def _add(
             create_dataset(
                 folder, doubted, given.tiles, map_file=given.map_file, **_layers(given.roads)
             )
-        except OutputError:  # without its manifest it is nothing
+        except OutputError:  # a folder without a manifest is no dataset
             shutil.rmtree(folder, ignore_errors=True)
             raise
     elif doubted.checks != manifest.checks:
-        doubted.write(folder)  # before what it doubts
+        doubted.write(folder)  # before the hours that are doubted
     try:
-        made = change(
-            site, before, registry, known=given.entries, before_hour=before_hour,
+        made = update_dataset(
+            site, before, registry, just_read=given.entries, before_hour=before_hour,
             processes=processes, reporter=reporter,
         )  # fmt: skip
     except InputError:
-        if is_new:  # nothing was there: nothing stays
+        if is_new:  # leave no new folder behind
             shutil.rmtree(folder, ignore_errors=True)
         raise
-    if checked.checks != doubted.checks:
-        checked.write(folder)
+    if with_findings.checks != doubted.checks:
+        with_findings.write(folder)
     return made
 
 
 def _remark_on_changes(
-    before: Registry, given: _Given, manifest: Manifest, reporter: Reporter
+    before: Registry, given: _Inputs, manifest: Manifest, reporter: Reporter
 ) -> None:
     """Report recordings placed or timed otherwise than before, and a time zone that is kept."""
-    known = {each.digest: each for each in before.entries}
-    for each in given.entries:
-        if (earlier := known.get(each.digest)) is not None and not earlier.made_alike(each):
+    by_digest = {each.digest: each for each in before.entries}
+    for entry in given.entries:
+        earlier = by_digest.get(entry.digest)
+        if earlier is not None and not earlier.has_same_inputs(entry):
             reporter.log(
-                Text("{}: is placed or timed otherwise than before: made again", each.path)
+                Text("{}: is placed or timed otherwise than before: made again", entry.path)
             )
     if given.manifest.timezone not in {manifest.timezone, "UTC"}:
         reporter.warn("the dataset stays in the time zone {}", manifest.timezone)
@@ -442,52 +445,52 @@ def _layers(roads: LaneletMap | None) -> dict[str, gpd.GeoDataFrame]:
     return {"problems": roads.problems, "lanes": roads.lanes(), "stop_lines": roads.stop_lines()}
 
 
-def _as_before(given: _Given, found: Manifest) -> _Given:
+def _without_vehicles_as_before(given: _Inputs, before: Manifest) -> _Inputs:
     """Leave out vehicles if the dataset was made without them."""
-    if not given.settings.vehicles or found.settings.get("vehicles"):
+    if not given.settings.vehicles or before.settings.get("vehicles"):
         return given
     settings = replace(given.settings, vehicles=False)
     manifest = replace(given.manifest, settings=given.manifest.settings | {"vehicles": False})
     return replace(given, settings=settings, manifest=manifest, graph=None)
 
 
-def _joined(before: Registry, given: _Given, *, only: bool) -> Registry:
+def _merged_registry(before: Registry, given: _Inputs, *, only: bool) -> Registry:
     """Add what is given to the registry, and remove the hours that it touches."""
     margin = given.settings.margin
     paths = {each.path for each in given.entries}
     digests = {each.digest: each for each in given.entries}
-    kept, gone = list[RecordingEntry](), list[RecordingEntry]()
-    fresh = list(given.entries)
-    for each in before.entries:
-        same = digests.get(each.digest)
-        if same is not None and same.sensor != each.sensor:
-            refuse_two_sensors(same, each)
-        if same is not None and same.made_alike(each):
-            fresh.remove(same)
-            kept.append(replace(each, path=same.path))
-        elif only or same is not None or each.path in paths:
-            gone.append(each)
+    kept, replaced = list[RecordingEntry](), list[RecordingEntry]()
+    added = list(given.entries)
+    for entry in before.entries:
+        given_entry = digests.get(entry.digest)
+        if given_entry is not None and given_entry.sensor != entry.sensor:
+            refuse_two_sensors(given_entry, entry)
+        if given_entry is not None and given_entry.has_same_inputs(entry):
+            added.remove(given_entry)
+            kept.append(replace(entry, path=given_entry.path))
+        elif only or given_entry is not None or entry.path in paths:
+            replaced.append(entry)
         else:
-            kept.append(each)
-    entries = tuple(sorted([*kept, *fresh], key=lambda each: each.key))
+            kept.append(entry)
+    entries = tuple(sorted([*kept, *added], key=lambda each: each.key))
     poses = before.poses.joined(given.poses).of(each.pose for each in entries)
     joined = replace(before, entries=entries, poses=poses)
-    hours = touched_hours({*before.hours, *joined.hours}, [*gone, *fresh], margin)
+    hours = touched_hours({*before.hours, *joined.hours}, [*replaced, *added], margin)
     return joined.without_hours(hours)
 
 
-def _report(given: _Given, made: Sequence[MadeHour], reporter: Reporter) -> None:
+def _remark_on_recordings(given: _Inputs, made: Sequence[MadeHour], reporter: Reporter) -> None:
     """Warn about inconsistencies in given recordings all of whose hours were made."""
     examined = []
     hours = {hour.hour for hour in made}
-    for each in given.entries:
-        if not hours.issuperset(each.own_hours):
+    for entry in given.entries:
+        if not hours.issuperset(entry.own_hours):
             continue
         evidence = RecordingCounts()
         for hour in made:
-            evidence.add(hour.evidence.get(each.path, RecordingCounts()))
-        source = given.sources[each.path]
-        examined.append(remarks.Examined(entry=each, source=source, evidence=evidence))
+            evidence.add(hour.evidence.get(entry.path, RecordingCounts()))
+        source = given.sources[entry.path]
+        examined.append(remarks.Examined(entry=entry, source=source, evidence=evidence))
     given.book.report(reporter)
     remarks.remark_on_recordings(examined, given.book, reporter)
     if given.settings.vehicles:

@@ -27,7 +27,7 @@ from .pose_sights import (
     pose_names,
     road_near,
     sight_of_tiles,
-    standing_for,
+    sight_owners,
 )
 from .queues import JOINED_M, QueueCourse, queue_course
 from .sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
@@ -87,8 +87,8 @@ __all__ = [
     "road_near",
     "rows_of",
     "sight_of_tiles",
+    "sight_owners",
     "sorted_hits",
-    "standing_for",
     "turn_lines",
     "union_of_runs",
     "valid_runs",

@@ -215,11 +215,11 @@ def _count_frame(  # pragma: no cover - compiled
                 present += 1
         sums.frame[DETECTIONS] += present
         hit = buffer.tile[sums.counts[FILLED_HITS] + sums.frame[TILES_HIT] :]
-        sums.frame[TILES_HIT] += _hit_by(rows, low, over, pose, limits, index, sums, hit)
+        sums.frame[TILES_HIT] += _write_tiles_hit(rows, low, over, pose, limits, index, sums, hit)
 
 
 @compiled
-def _hit_by(  # pragma: no cover - compiled
+def _write_tiles_hit(  # pragma: no cover - compiled
     rows: RowColumns,
     low: int,
     over: int,
@@ -233,7 +233,8 @@ def _hit_by(  # pragma: no cover - compiled
 
     `low` is the row of the first placed detection, `over` how many are over cells with tiles.
     """
-    # Taken out of their tuples before the loop: that counts references, slower than a test.
+    # Taken out of their tuples before the loop: in it, counting references would take longer than
+    # the tests of tiles.
     xs, ys, zs, rates, strengths = rows.x, rows.y, rows.z, rows.range_rate, rows.rcs
     first, tiles, edges = index.cells.first, index.cells.tiles, index.cells.edges
     east, north, range_m, cell, _, nth_over = sums.places
@@ -251,26 +252,26 @@ def _hit_by(  # pragma: no cover - compiled
         hits &= not has_least or _passes(rates, strengths, row, limits)
         moves = counts_moves and abs(rates[row]) >= MOVEMENT_MPS
         if not moves and not has_clearance:
-            for at in range(begin, end if hits else begin):
-                tile = tiles[at]
+            for nth_tile in range(begin, end if hits else begin):
+                tile = tiles[nth_tile]
                 stamp, is_hit = of_frame[tile], is_inside(edges, tile, east[k], north[k])
                 hit[count] = tile
                 count += is_hit * (stamp != number)
                 of_frame[tile] = number if is_hit else stamp
             continue
-        around = _inside(tiles, edges, begin, end, east[k], north[k], inside)
+        around = _fill_tiles_under(tiles, edges, begin, end, east[k], north[k], inside)
         height = height_of(x, y, z, pose)
         if moves:
             _count_movement(inside, around, height, road_m, moved, number, movement)
         if hits and has_clearance:
-            around = _fitting(inside, around, height, range_m[k], limits, road_m)
-        for at in range(around if hits else 0):
-            count = _list(inside[at], number, of_frame, hit, count)
+            around = _keep_fitting_height(inside, around, height, range_m[k], limits, road_m)
+        for nth_tile in range(around if hits else 0):
+            count = _append_if_new(inside[nth_tile], number, of_frame, hit, count)
     return count
 
 
 @compiled
-def _list(  # pragma: no cover - compiled
+def _append_if_new(  # pragma: no cover - compiled
     tile: int, number: int, of_frame: Integers, hit: Numbers, count: int
 ) -> int:
     """Write a tile to `hit` if the frame has not hit it yet; return the number of tiles there."""
@@ -290,7 +291,7 @@ def _passes(  # pragma: no cover - compiled
 
 
 @compiled
-def _inside(  # pragma: no cover - compiled
+def _fill_tiles_under(  # pragma: no cover - compiled
     tiles: Numbers, edges: Floats, begin: int, end: int, x: float, y: float,
     inside: Integers,
 ) -> int:  # fmt: skip
@@ -303,7 +304,7 @@ def _inside(  # pragma: no cover - compiled
 
 
 @compiled
-def _fitting(  # pragma: no cover - compiled
+def _keep_fitting_height(  # pragma: no cover - compiled
     inside: Integers, around: int, height: float, range_m: float, limits: Limits, road_m: Floats
 ) -> int:
     """Keep the tiles that a detection fits in height, at the begin of `inside`; return how many.
@@ -321,13 +322,13 @@ def _fitting(  # pragma: no cover - compiled
         misfit = outside_m + 1e-3 * abs(over_m - middle_m)
         if outside_m <= widened_m and misfit <= least:
             least, level_m = misfit, road_m[inside[k]]
-    kept = 0
+    count = 0
     for k in range(around):
         over_m = height - road_m[inside[k]]
         outside_m = max(limits.lowest_m - over_m, over_m - limits.highest_m, 0.0)
-        inside[kept] = inside[k]
-        kept += outside_m <= widened_m and abs(road_m[inside[k]] - level_m) < limits.level_m
-    return kept
+        inside[count] = inside[k]
+        count += outside_m <= widened_m and abs(road_m[inside[k]] - level_m) < limits.level_m
+    return count
 
 
 @compiled

@@ -35,13 +35,15 @@ from gis_radar.measures.queues import (
     to_stop_line,
 )
 
-LEAST_RED_S = 8.0  # without a crossing before green: queues discharge every 2 to 4 s
+LEAST_RED_S = 8.0  # without a crossing before green: vehicles of a queue follow every 2 to 4 s
 CYCLE_S = (30.0, 240.0)  # lengths of cycles: those of RiLSA (30 to 120 s), and longer ones abroad
 LEAST_GREENS = 4  # begins of green from which a cycle is inferred
-EVEN_S = 3.0  # between a begin and its cycle's, at most: who starts first takes 1 to 2 s, +- 1 s
-MOST_CHANCE = 0.05  # that begins which are not periodic lie so on the line of any cycle
-LEAST_ON = 0.6  # share of the cycles with a begin whose first lies on the line: demand drifts off
-FINE, TRIED, FITS = 32, 20, 3  # rates per resolved one, those that are fitted, and rounds of that
+EVEN_S = 3.0  # most time between a seen and a fitted begin: first drivers react in 1 to 2 s, +- 1 s
+MOST_CHANCE = 0.05  # most probability that begins at random lie so well on cycles of any length
+# Least share of the cycles with a seen begin whose first is at the fitted time; signals that follow
+# demand have fewer.
+LEAST_ON = 0.6
+FINE, TRIED, FITS = 32, 20, 3  # trial rates per resolved one; how many are fitted; rounds of a fit
 FEW = Text("fewer than {} begins of green seen", LEAST_GREENS)
 UNEVEN = Text("vehicles do not leave periodically")
 UNSTATED = Text("no two begins of green stated")
@@ -64,8 +66,8 @@ class Cycle(NamedTuple):
     queue_max_m, queue_mean_m : float
         Back of the queue from the line: farthest, and mean over the cycle.
     queue_end_m : float
-        The same at the end of green, when the last vehicle leaves, of those that stood before and
-        have not left.
+        The same at the end of green, when the last vehicle leaves: of vehicles that have stood and
+        not left.
     reason : str
         Why figures are missing, else empty.
     """
@@ -100,56 +102,58 @@ class Period(NamedTuple):
 def period_of(begins_s: Floats) -> Period | str:
     """Return the period of begins of green (ascending, s), or why there is none.
 
-    The line is that on which begins lie least by chance. Who starts late within a green seems to
-    begin another one: of each cycle the first counts.
+    The period is that on whose cycles the begins are least likely to lie by chance. A vehicle that
+    starts late within a green looks like another begin: only the first of each cycle counts.
     """
     if len(begins_s) < LEAST_GREENS:
         return FEW
     span = float(np.ptp(begins_s))
     rate = np.arange(1.0 / CYCLE_S[1], 1.0 / CYCLE_S[0], 1.0 / (FINE * max(span, CYCLE_S[1])))
     power = np.abs(np.exp(2j * np.pi * np.outer(rate, begins_s)).sum(axis=1))
-    found = [_line(begins_s, float(1.0 / each)) for each in rate[np.argsort(-power)[:TRIED]]]
-    chance, on, period = min(found, key=lambda each: each[0])
-    # number of lines that differ by more than `EVEN_S` in begin or length
-    apart = (period.length_s / (2.0 * EVEN_S)) ** 2
-    lines = apart * span * (1.0 / CYCLE_S[0] - 1.0 / CYCLE_S[1])
+    fits = [
+        _fitted_cycles(begins_s, float(1.0 / each)) for each in rate[np.argsort(-power)[:TRIED]]
+    ]
+    chance, share_on, period = min(fits, key=lambda each: each[0])
+    # number of periods that differ by more than `EVEN_S` in begin or length
+    resolution = (period.length_s / (2.0 * EVEN_S)) ** 2
+    period_count = resolution * span * (1.0 / CYCLE_S[0] - 1.0 / CYCLE_S[1])
     in_range = CYCLE_S[0] <= period.length_s <= CYCLE_S[1]
-    is_even = on >= LEAST_ON and chance * lines < MOST_CHANCE
+    is_even = share_on >= LEAST_ON and chance * period_count < MOST_CHANCE
     return period if in_range and is_even else UNEVEN
 
 
-def _line(begins_s: Floats, length_s: float) -> tuple[float, float, Period]:
-    """Fit cycles of about a length.
+def _fitted_cycles(begins_s: Floats, length_s: float) -> tuple[float, float, Period]:
+    """Fit cycles of about a length, s, to begins of green, by least squares.
 
     Returns
     -------
     chance : float
-        That as many begins lie on them.
-    on : float
+        Probability that as many begins lie on them by chance.
+    share_on : float
         Share of the cycles with a begin whose first lies on them.
     period : Period
         The cycles.
     """
-    apart = (begins_s - begins_s[:, None] + length_s / 2.0) % length_s - length_s / 2.0
-    begin = float(begins_s[(np.abs(apart) <= EVEN_S).sum(axis=1).argmax()])
+    distance = (begins_s - begins_s[:, None] + length_s / 2.0) % length_s - length_s / 2.0
+    begin = float(begins_s[(np.abs(distance) <= EVEN_S).sum(axis=1).argmax()])
     period = Period(length_s, np.nan, begin)
     for _ in range(FITS):
         number = np.floor((begins_s - period.begin_s + EVEN_S) / period.length_s)
         first = np.diff(number, prepend=-np.inf) > 0
-        number, seen = number[first], begins_s[first]
-        on = np.abs(seen - period.begin_s - number * period.length_s) <= EVEN_S
-        if on.sum() < LEAST_GREENS:
+        number, first_begins = number[first], begins_s[first]
+        is_on = np.abs(first_begins - period.begin_s - number * period.length_s) <= EVEN_S
+        if is_on.sum() < LEAST_GREENS:
             return 1.0, 0.0, period
-        number, fitted = number[on] - number[on][0], seen[on]
+        number, fitted = number[is_on] - number[is_on][0], first_begins[is_on]
         slope, begin = np.polyfit(number, fitted, 1)
-        spread = float(np.sqrt(((fitted - begin - slope * number) ** 2).sum() / (on.sum() - 2)))
-        error = spread / float(np.std(number) * np.sqrt(on.sum()))
+        spread = float(np.sqrt(((fitted - begin - slope * number) ** 2).sum() / (is_on.sum() - 2)))
+        error = spread / float(np.std(number) * np.sqrt(is_on.sum()))
         period = Period(float(slope), error, float(begin))
-    # of several begins in a cycle the first is the more likely to lie on the line
-    each = len(begins_s) / len(on)
-    share = 1.0 - max(1.0 - 2.0 * EVEN_S / period.length_s, 0.0) ** each
-    chance = float(scipy.stats.binom.sf(on.sum() - 1, len(on), share))
-    return chance, float(on.mean()), period
+    # the first of several begins in a cycle is more likely to be near the fitted one
+    begins_per_cycle = len(begins_s) / len(is_on)
+    share = 1.0 - max(1.0 - 2.0 * EVEN_S / period.length_s, 0.0) ** begins_per_cycle
+    chance = float(scipy.stats.binom.sf(is_on.sum() - 1, len(is_on), share))
+    return chance, float(is_on.mean()), period
 
 
 def cycles(
@@ -168,42 +172,48 @@ def cycles(
     crossed, greens = crossings(states, states.moves(network), network, grid), known or {}
     stands = standing_states(states)[0]
     length_m = vehicles.length_m[vehicles.of(states.vehicle)]
-    found: list[Cycle] = []
+    filled: list[Cycle] = []
     for lane in np.flatnonzero(network.has_stop_line).tolist():
-        mine = crossed.taken(crossed.lane == lane)
-        mine = mine.taken(np.asarray(np.argsort(mine.step, kind="stable"), np.int64))
+        crossings_here = crossed.take(crossed.lane == lane)
+        crossings_here = crossings_here.take(
+            np.asarray(np.argsort(crossings_here.step, kind="stable"), np.int64)
+        )
         if (stated := greens.get(lane)) is not None:
-            mine_cycles = _stated(lane, stated, grid)
+            of_lane = _stated_cycles(lane, stated, grid)
         else:
-            mine_cycles = _inferred(lane, _begins(lane, mine, states, stands, network, grid), grid)
-        if mine_cycles[0].reason:
-            found += mine_cycles
+            of_lane = _inferred_cycles(
+                lane, _seen_begins(lane, crossings_here, states, stands, network, grid), grid
+            )
+        if of_lane[0].reason:
+            filled += of_lane
             continue
         seconds = (grid.end - grid.begin) // STEPS_PER_SECOND
         by_second = StepGrid(begin=grid.begin, steps=STEPS_PER_SECOND, count=seconds)
         course = queue_course(lane, states, length_m, network, visible, by_second)
-        waiting = _Waiting.at(lane, states, stands, length_m, network)
+        queue_states = _QueueStates.at(lane, states, stands, length_m, network)
         line = network.tile_id[network.tile_at(np.array([lane]), network.line_m[[lane]])]
         ends = {} if stated is None else dict(zip(*(n.tolist() for n in stated), strict=True))
-        for each in mine_cycles:
+        for each in of_lane:
             if visible.throughout(line, np.array([each.first]), np.array([each.after - 1]))[0]:
                 end = ends.get(each.first, -1)
-                found.append(_filled(each, mine, course, waiting, end, network, visible))
+                filled.append(
+                    _with_figures(each, crossings_here, course, queue_states, end, network, visible)
+                )
             else:
-                found.append(each._replace(reason=HIDDEN))
-    return found
+                filled.append(each._replace(reason=HIDDEN))
+    return filled
 
 
-def _inferred(lane: int, begins: Integers, grid: StepGrid) -> list[Cycle]:
+def _inferred_cycles(lane: int, begins: Integers, grid: StepGrid) -> list[Cycle]:
     """Return the cycles of begins of green that are seen, without figures."""
     period = period_of(np.asarray((begins - grid.begin) * STEP_S, np.float64))
     if isinstance(period, str):
         return [Cycle(lane, grid.begin, grid.end, reason=period)]
-    edges = _edges(begins, period, grid).tolist()
+    edges = _cycle_begins(begins, period, grid).tolist()
     return [Cycle(lane, *each, period.length_s, period.error_s) for each in pairwise(edges)]
 
 
-def _stated(lane: int, greens: Greens, grid: StepGrid) -> list[Cycle]:
+def _stated_cycles(lane: int, greens: Greens, grid: StepGrid) -> list[Cycle]:
     """Return the cycles of green times that are known, without figures."""
     inside = (greens.begin >= grid.begin) & (greens.begin < grid.end)
     edges = greens.begin[inside].tolist()
@@ -211,20 +221,20 @@ def _stated(lane: int, greens: Greens, grid: StepGrid) -> list[Cycle]:
     return known or [Cycle(lane, grid.begin, grid.end, reason=UNSTATED)]
 
 
-def _begins(
+def _seen_begins(
     lane: int, crossed: Crossings, states: FrontStates, stands: Booleans, network: LaneNetwork,
     grid: StepGrid,
 ) -> Integers:  # fmt: skip
     """Return the steps of the begins of green that are seen, of crossings in order of time."""
-    here = np.flatnonzero(stands & (states.lane == lane))
-    to_line = network.line_m[lane] - states.along_m[here]
-    here = here[(to_line >= -OVER_LINE_M) & (to_line <= JOINED_M)]
+    standing = np.flatnonzero(stands & (states.lane == lane))
+    to_line = network.line_m[lane] - states.along_m[standing]
+    standing = standing[(to_line >= -OVER_LINE_M) & (to_line <= JOINED_M)]
     before_s = np.diff(crossed.step, prepend=grid.begin) * STEP_S
-    first = np.isin(crossed.vehicle, states.vehicle[here]) & (before_s >= LEAST_RED_S)
+    first = np.isin(crossed.vehicle, states.vehicle[standing]) & (before_s >= LEAST_RED_S)
     return crossed.step[first]
 
 
-def _edges(begins: Integers, period: Period, grid: StepGrid) -> Integers:
+def _cycle_begins(begins: Integers, period: Period, grid: StepGrid) -> Integers:
     """Return the begins of all cycles from the first to the last: where none is seen, fitted."""
     seen_s = (begins - grid.begin) * STEP_S
     count = round((float(seen_s[-1]) - period.begin_s) / period.length_s)
@@ -234,8 +244,8 @@ def _edges(begins: Integers, period: Period, grid: StepGrid) -> Integers:
     return np.asarray(grid.begin + np.rint(even / STEP_S), np.int64)
 
 
-class _Waiting(NamedTuple):
-    """States of who may queue at a stop line, those ahead first in each step.
+class _QueueStates(NamedTuple):
+    """States of vehicles that may queue at a stop line, those ahead first in each step.
 
     Parameters
     ----------
@@ -258,7 +268,7 @@ class _Waiting(NamedTuple):
     def at(
         cls, stop: int, states: FrontStates, stands: Booleans, length_m: Floats,
         network: LaneNetwork,
-    ) -> _Waiting:  # fmt: skip
+    ) -> _QueueStates:  # fmt: skip
         """Return those at the stop line of a lane."""
         strips, strip_of = network.queue_strips, np.full(len(network.lane) + 1, -1)
         mine = strips.of_stop(stop)
@@ -271,43 +281,45 @@ class _Waiting(NamedTuple):
             length_m[row], stands[row],
         )  # fmt: skip
 
-    def left_over(
-        self, gone: Integers, first: int, end: int, network: LaneNetwork, visible: VisibleRuns
+    def farthest_left_over(
+        self, departed: Integers, first: int, end: int, network: LaneNetwork, visible: VisibleRuns
     ) -> float:
-        """Return the farthest rear, at a step, of who stood in the queue since `first` and is here.
+        """Return how far back, m, those reach at `end` that queued since `first` and did not leave.
 
-        Those ahead may have left when those behind still stand: the queue reaches as far as it has
-        since `first`.
+        Those behind may still stand when those ahead have left: the queue keeps the length that it
+        has had since `first`.
         """
-        here = slice(*np.searchsorted(self.step, [first, end + 1]))
-        low = int(here.start)
+        in_cycle = slice(*np.searchsorted(self.step, [first, end + 1]))
+        low = int(in_cycle.start)
         reached, queued = dict[int, float](), set[int]()
-        for row in (low + np.flatnonzero(self.stands[here])).tolist():
+        for row in (low + np.flatnonzero(self.stands[in_cycle])).tolist():
             strip, vehicle = int(self.strip[row]), int(self.vehicle[row])
-            way = network.queue_strips.way(strip).tolist()
-            reach = max(reached.get(each, 0.0) for each in way)
+            path = network.queue_strips.path_to(strip).tolist()
+            reach = max(reached.get(each, 0.0) for each in path)
             place = self.step[[row]], np.array([reach]), self.to_line_m[[row]]
             if vehicle in queued or joins(strip, *place, network, visible)[0]:
                 queued.add(vehicle)
                 reached[strip] = max(reach, float(self.to_line_m[row] + self.length_m[row]))
-        staying = np.setdiff1d(np.array(sorted(queued), np.int64), gone)
-        lately = np.isin(self.vehicle[here], staying) & (self.step[here] > end - STEPS_PER_SECOND)
-        latest = (low + np.flatnonzero(lately))[::-1]
+        staying = np.setdiff1d(np.array(sorted(queued), np.int64), departed)
+        is_latest = np.isin(self.vehicle[in_cycle], staying) & (
+            self.step[in_cycle] > end - STEPS_PER_SECOND
+        )
+        latest = (low + np.flatnonzero(is_latest))[::-1]
         latest = latest[np.unique(self.vehicle[latest], return_index=True)[1]]
         return float((self.to_line_m + self.length_m)[latest].max(initial=0.0))
 
 
-def _filled(
-    cycle: Cycle, crossed: Crossings, course: QueueCourse, waiting: _Waiting, end: int,
+def _with_figures(
+    cycle: Cycle, crossed: Crossings, course: QueueCourse, queue_states: _QueueStates, end: int,
     network: LaneNetwork, visible: VisibleRuns,
 ) -> Cycle:  # fmt: skip
     """Return a cycle with its figures; an `end` of green that is -1 is when the last one leaves."""
-    left = crossed.step[(crossed.step >= cycle.first) & (crossed.step < cycle.after)]
-    end = int(left.max(initial=cycle.first)) if end < 0 else end
+    leaving = crossed.step[(crossed.step >= cycle.first) & (crossed.step < cycle.after)]
+    end = int(leaving.max(initial=cycle.first)) if end < 0 else end
     back_m = course.back_m[(course.back_step >= cycle.first) & (course.back_step < cycle.after)]
-    gone = crossed.vehicle[crossed.step <= end]
+    departed = crossed.vehicle[crossed.step <= end]
     return cycle._replace(
-        counted=len(left), queue_max_m=float(np.nanmax(back_m)),
+        counted=len(leaving), queue_max_m=float(np.nanmax(back_m)),
         queue_mean_m=float(np.nanmean(back_m)),
-        queue_end_m=waiting.left_over(gone, cycle.first, end, network, visible),
+        queue_end_m=queue_states.farthest_left_over(departed, cycle.first, end, network, visible),
     )  # fmt: skip

@@ -73,8 +73,8 @@ class Difference:
 
     def half_width(self, level: float) -> float:
         """Return half of the confidence interval that misses the difference at a chance `level`."""
-        found = float(scipy.stats.t.isf(level / 2.0, self.freedom) * self.se)
-        return found if found > 0.0 or self.difference == 0.0 else float("nan")
+        half = float(scipy.stats.t.isf(level / 2.0, self.freedom) * self.se)
+        return half if half > 0.0 or self.difference == 0.0 else float("nan")
 
     @property
     def p(self) -> float:
@@ -107,12 +107,12 @@ def compare_values(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
     if several and len(shared):
         days = [_day_means(each, before, after) for each in (before, after)]
         if min(map(len, days)) >= LEAST_UNITS:
-            return _welch(_of_days(days[0]), _of_days(days[1]), DAYS)
+            return _welch(_mean_of_days(days[0]), _mean_of_days(days[1]), DAYS)
     alike = len(shared) >= LEAST_UNITS
     if alike and np.ptp(shared) >= PROFILE_MIN:
         return _paired(before, after)
     units = TIMES if alike else INTERVALS
-    return _welch(_of_intervals(before), _of_intervals(after), units)
+    return _welch(_mean_of_intervals(before), _mean_of_intervals(after), units)
 
 
 class _Mean(NamedTuple):
@@ -137,30 +137,30 @@ def _day_means(table: pd.DataFrame, before: pd.DataFrame, after: pd.DataFrame) -
         for each in (before, after, table)
     )
     usual = 0.5 * (before.groupby("time")["value"].mean() + after.groupby("time")["value"].mean())
-    beyond = table["value"] - table["time"].map(usual)
-    found = usual.mean() + beyond.groupby(table["day"]).mean()
-    return np.asarray(found.to_numpy(np.float64))
+    deviation = table["value"] - table["time"].map(usual)
+    means = usual.mean() + deviation.groupby(table["day"]).mean()
+    return np.asarray(means.to_numpy(np.float64))
 
 
-def _of_days(values: Floats) -> _Mean:
+def _mean_of_days(values: Floats) -> _Mean:
     freedom = len(values) - 1
     return _Mean(
         float(values.mean()), float(values.var(ddof=1)) / len(values), freedom, len(values)
     )
 
 
-def _of_intervals(table: pd.DataFrame) -> _Mean:
-    mean, part, worth = _quotient(table)
-    return _Mean(mean, *_variance(part, worth), len(table))
+def _mean_of_intervals(table: pd.DataFrame) -> _Mean:
+    mean, deviations, size = _quotient(table)
+    return _Mean(mean, *_variance(deviations, size), len(table))
 
 
 def _paired(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
     sums = [
         each.groupby("time")[["value", "weight"]].sum().sort_index() for each in (before, after)
     ]
-    (first, part, worth), (second, other, other_worth) = map(_quotient, sums)
-    variance, freedom = _variance(other - part, min(worth, other_worth))
-    return Difference(first, second, float(np.sqrt(variance)), freedom, TIMES, len(part))
+    (first, deviations, size), (second, other_deviations, other_size) = map(_quotient, sums)
+    variance, freedom = _variance(other_deviations - deviations, min(size, other_size))
+    return Difference(first, second, float(np.sqrt(variance)), freedom, TIMES, len(deviations))
 
 
 def _welch(before: _Mean, after: _Mean, units: str) -> Difference:
@@ -173,32 +173,32 @@ def _welch(before: _Mean, after: _Mean, units: str) -> Difference:
 
 
 def _quotient(sums: pd.DataFrame) -> tuple[float, Floats, float]:
-    """Return a quotient of sums, what each interval adds to its error, and how many count."""
+    """Return a quotient of sums, deviations of the intervals, and their effective number (Kish)."""
     value, weight = (sums[name].to_numpy(np.float64) for name in ("value", "weight"))
     if not weight.sum() > 0.0:
         return np.nan, np.full(len(sums), np.nan), 0.0
     mean = float(value.sum() / weight.sum())
-    worth = float(weight.sum() ** 2 / (weight**2).sum())
-    return mean, np.asarray((value - mean * weight) / weight.mean()), worth
+    size = float(weight.sum() ** 2 / (weight**2).sum())
+    return mean, np.asarray((value - mean * weight) / weight.mean()), size
 
 
-def _variance(part: Floats, worth: float) -> tuple[float, float]:
-    """Return the variance of a mean, by how slow waves of its parts vary, and its freedom.
+def _variance(deviations: Floats, size: float) -> tuple[float, float]:
+    """Return the variance of a mean, from its first cosine coefficients, and degrees of freedom.
 
     Parameters
     ----------
-    part : (n,) array
+    deviations : (n,) array
         Deviations from the mean in the order of time.
-    worth : float
-        How many values they are worth.
+    size : float
+        Effective number of values: less than n where some weigh more than others.
     """
-    count = len(part)
-    if min(worth, count) < LEAST_UNITS - 1e-6:
+    count = len(deviations)
+    if min(size, count) < LEAST_UNITS - 1e-6:
         return np.nan, np.nan
     waves = np.arange(1, max(min(2 * count // LEAST_WAVE, MOST_WAVES), 1) + 1)
     phase = np.pi * np.outer(waves, np.arange(count) + 0.5) / count
-    powers = 2.0 / count * (np.cos(phase) @ part) ** 2
-    return float(powers.mean() / count * worth / (worth - 1.0)), min(len(waves), worth - 1.0)
+    powers = 2.0 / count * (np.cos(phase) @ deviations) ** 2
+    return float(powers.mean() / count * size / (size - 1.0)), min(len(waves), size - 1.0)
 
 
 def holm_corrected(p: Floats) -> Floats:
@@ -211,7 +211,7 @@ def holm_corrected(p: Floats) -> Floats:
     """
     known = np.flatnonzero(~np.isnan(p))
     order = known[np.argsort(p[known], kind="stable")]
-    found: Floats = np.full(len(p), np.nan)
+    corrected: Floats = np.full(len(p), np.nan)
     steps = p[order] * np.arange(len(order), 0, -1)
-    found[order] = np.minimum(np.maximum.accumulate(steps), 1.0)
-    return found
+    corrected[order] = np.minimum(np.maximum.accumulate(steps), 1.0)
+    return corrected

@@ -18,9 +18,9 @@ Bits: TypeAlias = NDArray[np.uint32]
 _FIRST, _SECOND, _TURN = (
     np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(31),
 )  # fmt: skip
-_HALF = np.uint64(32)
-_STEP = np.uint64(0xD1342543DE82EF95)
-_HASH, _DETECTIONS, _ROWS = 0, 1, 2
+_HALF = np.uint64(32)  # bits of half of a word
+_STEP = np.uint64(0xD1342543DE82EF95)  # added for each row, so that the order of rows counts
+_HASH, _DETECTIONS, _ROWS = 0, 1, 2  # entries of the state of the open frame
 
 
 @dataclass(frozen=True, kw_only=True)

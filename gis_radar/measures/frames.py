@@ -27,14 +27,14 @@ def whole_frames(batches: Iterator[Detections]) -> Iterator[Detections]:
         yield waiting
 
 
-def _joined(one: Detections, other: Detections) -> Detections:
-    columns = {n: np.concatenate([getattr(one, n), getattr(other, n)]) for n in OWN_COLUMNS}
+def _joined(first: Detections, second: Detections) -> Detections:
+    columns = {n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in OWN_COLUMNS}
     return Detections(**columns, further=NO_FURTHER)
 
 
-def rows_of(rows: Detections, part: slice | Booleans) -> Detections:
+def rows_of(rows: Detections, which: slice | Booleans) -> Detections:
     """Return some of the rows, without further columns."""
-    columns = {name: getattr(rows, name)[part] for name in OWN_COLUMNS}
+    columns = {name: getattr(rows, name)[which] for name in OWN_COLUMNS}
     return Detections(**columns, further=NO_FURTHER)
 
 
@@ -59,7 +59,7 @@ class FrameIndex:
     @classmethod
     def of(cls, time: Floats) -> FrameIndex:
         """Return the frames of rows with these times, which ascend."""
-        new = fresh(time)
+        new = differs_from_previous(time)
         begins = np.flatnonzero(new)
         return cls(time=time[begins], begins=begins, of_row=np.cumsum(new) - 1)
 
@@ -73,7 +73,7 @@ class FrameIndex:
         return np.add.reduceat(flags.astype(np.int64), self.begins)
 
 
-def fresh(values: Integers | Floats) -> Booleans:
+def differs_from_previous(values: Integers | Floats) -> Booleans:
     """Return which values differ from the one before; True for the first one."""
     differs = np.ones(len(values), dtype=np.bool_)
     np.not_equal(values[1:], values[:-1], out=differs[1:])

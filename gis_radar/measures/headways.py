@@ -52,17 +52,19 @@ def headways(
     network, grid, states, vehicles, visible
         As for :func:`gis_radar.measures.measure_lanes`.
     """
-    found = crossings(states, states.moves(network), network, grid)
+    crossed = crossings(states, states.moves(network), network, grid)
     line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
-    found = found.taken(visible.at(line[found.lane], found.step))
-    found = found.taken(np.asarray(np.lexsort((found.step, found.lane)), np.int64))
-    one, other = (found.taken(each) for each in (slice(None, -1), slice(1, None)))
-    pairs = one.lane == other.lane
-    pairs &= visible.throughout(line[other.lane], one.step, other.step)
-    one, other = one.taken(pairs), other.taken(pairs)
-    headway = np.asarray((other.step - one.step) * STEP_S, np.float64)
-    length = vehicles.length_m[vehicles.of(one.vehicle)]
-    over = np.where(one.speed >= SLOW_MPS, length / np.maximum(one.speed, SLOW_MPS), np.nan)
-    error = np.where(other.seen, COUNTING_SEEN, COUNTING_INFERRED)
-    gap = np.asarray(np.maximum(headway - over, 0.0), np.float64)
-    return Headways(other.lane, other.step, headway, gap, np.asarray(error**2, np.float64))
+    crossed = crossed.take(visible.at(line[crossed.lane], crossed.step))
+    crossed = crossed.take(np.asarray(np.lexsort((crossed.step, crossed.lane)), np.int64))
+    leader, follower = (crossed.take(each) for each in (slice(None, -1), slice(1, None)))
+    pairs = leader.lane == follower.lane
+    pairs &= visible.throughout(line[follower.lane], leader.step, follower.step)
+    leader, follower = leader.take(pairs), follower.take(pairs)
+    headway = np.asarray((follower.step - leader.step) * STEP_S, np.float64)
+    length = vehicles.length_m[vehicles.of(leader.vehicle)]
+    passing_s = np.where(
+        leader.speed >= SLOW_MPS, length / np.maximum(leader.speed, SLOW_MPS), np.nan
+    )
+    error = np.where(follower.seen, COUNTING_SEEN, COUNTING_INFERRED)
+    gap = np.asarray(np.maximum(headway - passing_s, 0.0), np.float64)
+    return Headways(follower.lane, follower.step, headway, gap, np.asarray(error**2, np.float64))

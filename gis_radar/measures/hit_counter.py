@@ -130,15 +130,15 @@ class HitCounter:
             )
             if begin == end:
                 return
-            yield self._taken()
+            yield self._emptied_buffers()
 
     def end(self) -> Counted:
         """Close the open frame; return the frames that :meth:`add` has not yielded."""
         end_frame(self._sums, self._buffer)
-        return self._taken()
+        return self._emptied_buffers()
 
-    def _taken(self) -> Counted:
-        """Return the frames in the buffers, and empty these."""
+    def _emptied_buffers(self) -> Counted:
+        """Return a copy of the frames in the buffers, and empty the buffers."""
         frames, hits = self._sums.counts[[FILLED_FRAMES, FILLED_HITS]].tolist()
         self._sums.counts[[FILLED_FRAMES, FILLED_HITS]] = 0
         return Counted(
@@ -210,19 +210,19 @@ class FrameCounter:
             raise InputError("times of frames are not finite, or go back")
         rows = rows_of_detections(detections)
         numbers = PoseNumbers.of(pose) if isinstance(pose, Pose) else pose
-        found: list[CountedFrame] = []
+        frames: list[CountedFrame] = []
         for counted in (*self._counter.add(rows, 0, len(time), numbers), self._counter.end()):
             begin = 0
             for frame in counted.frames.tolist():
                 end = begin + frame[TILES_HIT]
-                found.append(
+                frames.append(
                     CountedFrame(
                         time_us=frame[TIME_US], detections=frame[DETECTIONS], moving=frame[MOVING],
                         wild=frame[WILD], tiles=np.sort(counted.tile[begin:end].astype(np.int64)),
                     )
                 )  # fmt: skip
                 begin = end
-        return found
+        return frames
 
 
 def limits_of(filters: Filters) -> Limits:

@@ -17,14 +17,15 @@ from gis_radar.measures.pose_sights import PoseSight
 from gis_radar.measures.sensor_reading import SensorHour
 from gis_radar.measures.validity import Runs, union_of_runs
 
-NEVER = np.iinfo(np.int64).min // 2
-ROOM = 1 << 19  # pairs in a batch, 8 MiB; more than a tile can have
-LENGTHS = LONGEST_VALID_STEPS
+NEVER = np.iinfo(np.int64).min // 2  # a number below all steps
+BATCH_PAIRS = 1 << 19  # pairs in a batch, 8 MiB; more than a tile can have
+RUN_BASE = LONGEST_VALID_STEPS  # a run is packed as offset x RUN_BASE + number of steps after it
 _WORDS = STEPS_PER_HOUR // 64 + 1  # of 64 bits, one for each step of an hour
-# A power of two times this number has six first bits of its own, from which follows its exponent.
+# A de Bruijn sequence: the first six bits of its product with 2^k differ for each k, which
+# `PLACE_OF` gives.
 DE_BRUIJN, SHIFT, ONE = np.uint64(0x03F79D71B4CB0A89), np.uint64(58), np.uint64(1)
 PLACE_OF = np.argsort([(0x03F79D71B4CB0A89 << k) % 2**64 >> 58 for k in range(64)])
-CHECKSUM_BITS = np.uint64(0xFFFF)
+CHECKSUM_BITS = np.uint64(0xFFFF)  # bits of the hash that the table `frames` keeps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +46,7 @@ class ValidFrames:
     @classmethod
     def of(cls, sensor: SensorHour, most: int) -> ValidFrames:
         """Return the valid frames of a sensor; each is valid for `most` steps after its own."""
-        step = each_once(sensor.frames.time_us // STEP_US)
+        step = distinct(sensor.frames.time_us // STEP_US)
         return cls(step=step, until=valid_until(step, most))
 
     def until_of(self, step: Integers) -> Integers:
@@ -59,7 +60,7 @@ def valid_until(step: Integers, most: int) -> Integers:
     return np.asarray(np.minimum(step + most, before_next))
 
 
-def each_once(ascending: Integers) -> Integers:
+def distinct(ascending: Integers) -> Integers:
     """Return each of some ascending numbers once, in one pass; `np.unique` would sort."""
     return ascending[np.diff(ascending, prepend=NEVER) > 0]
 
@@ -77,23 +78,23 @@ def frame_columns(sensor: SensorHour, valid: ValidFrames, window: HourWindow) ->
         The hour.
     """
     time_us = sensor.counted[:, TIME_US]
-    mine = time_us >= window.begin * STEP_US
-    mine[:-1] &= time_us[1:] != time_us[:-1]  # frames of the same microsecond count as one
-    rows = sensor.counted[mine]
+    is_of_hour = time_us >= window.begin * STEP_US
+    is_of_hour[:-1] &= time_us[1:] != time_us[:-1]  # frames of the same microsecond count as one
+    rows = sensor.counted[is_of_hour]
     step = rows[:, TIME_US] // STEP_US
     place = np.searchsorted(sensor.frames.time_us, rows[:, TIME_US])
     pose = sensor.place[place]
     names = [name for source in sensor.sources for name in source.pose_names]
-    heads = [each.name for each in sensor.sights]
-    seen = [len(each.tile_id) for each in sensor.sights]
+    sight_names = [each.name for each in sensor.sights]
+    tiles_in_sight = [len(each.tile_id) for each in sensor.sights]
     checksum = (sensor.frames.hash[place] & CHECKSUM_BITS).astype(np.int64)
     return {
         "sensor": np.full(len(rows), sensor.sensor, object), "time_us": rows[:, TIME_US],
         "first_step": step, "last_step": valid.until_of(step),
         "detections": rows[:, DETECTIONS], "moving": rows[:, MOVING],
-        "pose": np.array(heads, object)[pose],
+        "pose": np.array(sight_names, object)[pose],
         "wild": rows[:, WILD], "tiles_hit": rows[:, TILES_HIT],
-        "tiles_seen": np.array(seen, np.int64)[pose],
+        "tiles_seen": np.array(tiles_in_sight, np.int64)[pose],
         "checksum": checksum, "shift_us": rows[:, SHIFT_US],
         "pose_in_force": np.array(names, object)[pose],
     }  # fmt: skip
@@ -111,22 +112,22 @@ def valid_runs(
         step = sensor.frames.time_us // STEP_US
         name = np.array([each.name for each in sensor.sights], object)[sensor.place]
         for sight in sorted(set(name.tolist())):
-            mine = each_once(step[name == sight])
-            runs = union_of_runs([Runs(first=mine, last=frames.until_of(mine))])
+            of_sight = distinct(step[name == sight])
+            runs = union_of_runs([Runs(first=of_sight, last=frames.until_of(of_sight))])
             first, last = runs.first, np.minimum(runs.last, window.span[1] - 1)
             tables.append(pd.DataFrame({"sight": sight, "first_step": first, "last_step": last}))
-    whole = pd.concat(tables, ignore_index=True)
-    return whole.astype({"first_step": np.int64, "last_step": np.int64})
+    runs_of_sights = pd.concat(tables, ignore_index=True)
+    return runs_of_sights.astype({"first_step": np.int64, "last_step": np.int64})
 
 
 def observed_runs(
-    held: pd.DataFrame, sights: Mapping[str, PoseSight], tile_id: Integers, window: HourWindow
+    sight_runs: pd.DataFrame, sights: Mapping[str, PoseSight], tile_id: Integers, window: HourWindow
 ) -> tuple[Integers, Integers, Integers]:
     """Return the runs of steps in which each tile is observed in the hour.
 
     Parameters
     ----------
-    held : DataFrame
+    sight_runs : DataFrame
         Table from :func:`valid_runs`.
     sights : mapping
         Sights by name.
@@ -140,21 +141,23 @@ def observed_runs(
     tile, first, last : (n,) int64 arrays
         Positions of tiles, first and last steps of runs, sorted by tile and step.
     """
-    names = sorted(set(held["sight"]))
+    names = sorted(set(sight_runs["sight"]))
     seen = np.zeros((len(tile_id), len(names)), np.bool_)
     for k, name in enumerate(names):
         seen[np.searchsorted(tile_id, sights[name].tile_id), k] = True
-    kinds, kind = np.unique(seen, axis=0, return_inverse=True)
+    combinations, combination = np.unique(seen, axis=0, return_inverse=True)
     parts = []
-    for number, row in enumerate(kinds):
-        rows = held[held["sight"].isin([name for name, on in zip(names, row, strict=True) if on])]
+    for number, row in enumerate(combinations):
+        rows = sight_runs[
+            sight_runs["sight"].isin([name for name, on in zip(names, row, strict=True) if on])
+        ]
         if rows.empty:
             continue
         first, last = (rows[name].to_numpy(np.int64) for name in ("first_step", "last_step"))
         runs = union_of_runs([Runs(first=first, last=last)]).within(window.begin, window.end - 1)
-        mine = np.flatnonzero(kind.ravel() == number)
-        tile = np.repeat(mine, len(runs))
-        parts.append((tile, np.tile(runs.first, len(mine)), np.tile(runs.last, len(mine))))
+        of_kind = np.flatnonzero(combination.ravel() == number)
+        tile = np.repeat(of_kind, len(runs))
+        parts.append((tile, np.tile(runs.first, len(of_kind)), np.tile(runs.last, len(of_kind))))
     none = np.empty(0, np.int64)
     tile, first, last = map(np.concatenate, zip((none, none, none), *parts, strict=True))
     order = np.lexsort((first, tile))
@@ -185,10 +188,12 @@ def sorted_hits(
     for sensor, frames in zip(sensors, valid, strict=True):
         frame, run = 0, _packed_runs(sensor, frames, window)
         for tile in sensor.tile:
-            frame = _place_runs(run, sensor.counted[:, TILES_HIT], frame, tile, place, packed)
+            frame = _sort_runs_by_tile(
+                run, sensor.counted[:, TILES_HIT], frame, tile, place, packed
+            )
     state, words = np.zeros(2, np.int64), np.zeros(_WORDS, np.uint64)
     while state[0] < len(tile_id):
-        tiles, steps = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+        tiles, steps = np.empty(BATCH_PAIRS, np.int64), np.empty(BATCH_PAIRS, np.int64)
         _fill_pairs(packed, first, tile_id, window.begin, words, state, tiles, steps)
         if state[1]:
             yield {"tile_id": tiles[: state[1]], "step": steps[: state[1]]}
@@ -196,10 +201,10 @@ def sorted_hits(
 
 
 def _packed_runs(sensor: SensorHour, frames: ValidFrames, window: HourWindow) -> Numbers:
-    """Return each frame's step, from `LENGTHS` before the hour on, packed with its validity."""
+    """Return each frame's step, from `RUN_BASE` before the hour on, packed with its validity."""
     step = sensor.counted[:, TIME_US] // STEP_US
     valid = frames.until_of(step) - step
-    return ((step - window.begin + LENGTHS) * LENGTHS + valid).astype(np.int32)
+    return ((step - window.begin + RUN_BASE) * RUN_BASE + valid).astype(np.int32)
 
 
 @compiled
@@ -209,7 +214,7 @@ def _count_tiles(tile: Numbers, counts: Integers) -> None:  # pragma: no cover -
 
 
 @compiled
-def _place_runs(  # pragma: no cover - compiled
+def _sort_runs_by_tile(  # pragma: no cover - compiled
     run: Numbers, hits: Integers, frame: int, tile: Numbers, place: Integers, packed: Numbers
 ) -> int:
     """Store the runs of frames from `frame` on by the tiles they hit; return the next frame."""
@@ -237,13 +242,13 @@ def _fill_pairs(
         least, most = _WORDS, 0
         room = 0
         for k in range(first[tile], first[tile + 1]):
-            room += packed[k] % LENGTHS + 1
+            room += packed[k] % RUN_BASE + 1
         if filled + min(room, STEPS_PER_HOUR) > len(tiles):
             break
         for k in range(first[tile], first[tile + 1]):
-            offset = packed[k] // LENGTHS - LENGTHS
+            offset = packed[k] // RUN_BASE - RUN_BASE
             for step in range(
-                max(offset, 0), min(offset + packed[k] % LENGTHS + 1, STEPS_PER_HOUR)
+                max(offset, 0), min(offset + packed[k] % RUN_BASE + 1, STEPS_PER_HOUR)
             ):
                 words[step >> 6] |= ONE << np.uint64(step & 63)
                 least, most = min(least, step >> 6), max(most, step >> 6)

@@ -18,7 +18,8 @@ import numpy as np
 from gis_radar.base import STEP_S, Booleans, Floats, Integers
 from gis_radar.measures.lane_network import LaneNetwork
 
-FOLLOWS_M = 2.0  # tolerance, over the distance driven, of the way left on a lane and on the next
+# By how much the rest of a lane, or the place on the next one, may exceed the distance driven.
+FOLLOWS_M = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,9 +86,11 @@ class VisibleRuns:
         """Return whether each tile is visible in all steps from a first to a last one."""
         _, begins, ends = self._axis
         stretch = np.cumsum(np.append(True, begins[1:] != ends[:-1] + 1)[: len(begins)])
-        one, other = self._run(tile_id, first), self._run(tile_id, last)
-        known = (one >= 0) & (other >= 0)
-        return np.asarray(known & (np.append(stretch, 0)[one] == np.append(stretch, 0)[other]))
+        first_run, last_run = self._run(tile_id, first), self._run(tile_id, last)
+        known = (first_run >= 0) & (last_run >= 0)
+        return np.asarray(
+            known & (np.append(stretch, 0)[first_run] == np.append(stretch, 0)[last_run])
+        )
 
     def _run(self, tile_id: Integers, step: Integers) -> Integers:
         """Return the run of each tile that holds a step; -1 where it is not visible."""
@@ -136,12 +139,12 @@ class FrontStates:
     def moves(self, network: LaneNetwork) -> Moves:
         """Return the moves of vehicles between consecutive states."""
         i, j = self.pairs, self.pairs + 1
-        one, other = self.lane[i], self.lane[j]
+        lane_before, lane_after = self.lane[i], self.lane[j]
         driven = (self.speed[i] + self.speed[j]) / 2.0 * (self.step[j] - self.step[i]) * STEP_S
-        same = (one == other) & (one >= 0)
-        left = network.length_m[one] - self.along_m[i]
+        same = (lane_before == lane_after) & (lane_before >= 0)
+        left = network.length_m[lane_before] - self.along_m[i]
         with np.errstate(invalid="ignore"):
-            follows = (one != other) & (one >= 0) & (other >= 0)
+            follows = (lane_before != lane_after) & (lane_before >= 0) & (lane_after >= 0)
             follows &= (left <= driven + FOLLOWS_M) & (self.along_m[j] <= driven + FOLLOWS_M)
         before = np.where(same, self.along_m[i], self.along_m[j] - driven)
         return Moves(same, follows, np.where(follows, -left, before), left, driven)
@@ -192,7 +195,7 @@ class Crossings(NamedTuple):
     speed: Floats
     seen: Booleans
 
-    def taken(self, which: Booleans | Integers | slice) -> Crossings:
+    def take(self, which: Booleans | Integers | slice) -> Crossings:
         """Return the crossings that a mask, their positions or a slice choose."""
         return Crossings._make(each[which] for each in self)
 
@@ -205,29 +208,29 @@ def crossings(states: FrontStates, moves: Moves, network: LaneNetwork, grid: Ste
     these states and the grid's first step counts in that step.
     """
     i = states.pairs
-    one, other = states.lane[i], states.lane[i + 1]
-    line_one, line_other = network.line_m[one], network.line_m[other]
+    lane_before, lane_after = states.lane[i], states.lane[i + 1]
+    line_before, line_after = network.line_m[lane_before], network.line_m[lane_after]
     reached = states.along_m[i + 1]
     with np.errstate(invalid="ignore"):
-        left = moves.follows & (states.along_m[i] < line_one)
-        came = (other >= 0) & (moves.before_m < line_other) & (line_other <= reached)
-        of_left = (line_one - states.along_m[i]) / np.maximum(moves.left_m + reached, 1e-9)
-        of_came = (line_other - moves.before_m) / np.maximum(reached - moves.before_m, 1e-9)
-    parts = ((left, one, of_left), (came, other, of_came))
+        crosses_before = moves.follows & (states.along_m[i] < line_before)
+        crosses_after = (lane_after >= 0) & (moves.before_m < line_after) & (line_after <= reached)
+        share_before = (line_before - states.along_m[i]) / np.maximum(moves.left_m + reached, 1e-9)
+        share_after = (line_after - moves.before_m) / np.maximum(reached - moves.before_m, 1e-9)
+    parts = ((crosses_before, lane_before, share_before), (crosses_after, lane_after, share_after))
     k = np.concatenate([np.flatnonzero(flag) for flag, _, _ in parts])
     lane = np.concatenate([of[flag] for flag, of, _ in parts])
-    part = np.concatenate([share[flag] for flag, _, share in parts])
+    between = np.concatenate([share[flag] for flag, _, share in parts])
     first, last = states.step[i[k]], states.step[i[k] + 1]
-    time = first + part * (last - first)
+    time = first + between * (last - first)
     order = np.lexsort((time, lane, states.vehicle[i[k]]))
-    k, lane, part, time, last = k[order], lane[order], part[order], time[order], last[order]
+    k, lane, between, time, last = (each[order] for each in (k, lane, between, time, last))
     row = i[k]
-    speed = states.speed[row] + part * (states.speed[row + 1] - states.speed[row])
+    speed = states.speed[row] + between * (states.speed[row + 1] - states.speed[row])
     new = np.ones(len(k), np.bool_)
     new[1:] = (np.diff(states.vehicle[row]) != 0) | (np.diff(lane) != 0)
     step = np.clip(np.floor(time).astype(np.int64), grid.begin, np.maximum(last - 1, grid.begin))
-    found = Crossings(row, states.vehicle[row], lane, step, speed, states.seen[row + 1])
-    return found.taken(new & (last >= grid.begin) & (step < grid.end))
+    all_crossings = Crossings(row, states.vehicle[row], lane, step, speed, states.seen[row + 1])
+    return all_crossings.take(new & (last >= grid.begin) & (step < grid.end))
 
 
 def driven(
@@ -235,8 +238,8 @@ def driven(
 ) -> tuple[Floats, Floats]:
     """Sum the times and distances of all vehicles, for Edie's definitions.
 
-    The way between two states belongs to the lane of the first; where the vehicle drives on to a
-    following lane, it is split where that begins. A vehicle's last state lasts one step.
+    The distance between two states belongs to the lane of the first; where the vehicle drives on to
+    a following lane, it is split where that begins. A vehicle's last state lasts one step.
 
     Returns
     -------
@@ -247,23 +250,25 @@ def driven(
     last[states.pairs] = False
     last[states.pairs] |= states.step[states.pairs + 1] >= grid.end
     i, end = states.pairs, np.flatnonzero(last)
-    kept = ~last[i]
-    i, moves = i[kept], Moves._make(each[kept] for each in moves)
+    goes_on = ~last[i]
+    i, moves = i[goes_on], Moves._make(each[goes_on] for each in moves)
     share = moves.left_m / np.maximum(moves.left_m + states.along_m[i + 1], 1e-9)
     share = np.where(moves.follows, np.nan_to_num(share), 1.0)
     steps = (states.step[i + 1] - states.step[i]).astype(np.float64)
     metres = np.where(moves.same, states.along_m[i + 1] - states.along_m[i], moves.driven_m)
     metres = np.where(moves.follows, moves.left_m, metres)
-    on = moves.follows
-    lane = np.concatenate([states.lane[i], states.lane[i + 1][on], states.lane[end]])
-    along = np.concatenate([states.along_m[i], np.zeros(on.sum()), states.along_m[end]])
-    step = np.concatenate([states.step[i], states.step[i + 1][on] - 1, states.step[end]])
-    lasts = np.concatenate([steps * share, (steps * (1.0 - share))[on], np.ones(len(end))])
-    far = np.concatenate([metres, states.along_m[i + 1][on], states.speed[end] * STEP_S])
-    mine = (lane >= 0) & (step >= grid.begin) & (step < grid.end)
-    lane, along, step, lasts, far = (each[mine] for each in (lane, along, step, lasts, far))
+    follows = moves.follows
+    lane = np.concatenate([states.lane[i], states.lane[i + 1][follows], states.lane[end]])
+    along = np.concatenate([states.along_m[i], np.zeros(follows.sum()), states.along_m[end]])
+    step = np.concatenate([states.step[i], states.step[i + 1][follows] - 1, states.step[end]])
+    duration = np.concatenate([steps * share, (steps * (1.0 - share))[follows], np.ones(len(end))])
+    distance = np.concatenate([metres, states.along_m[i + 1][follows], states.speed[end] * STEP_S])
+    in_grid = (lane >= 0) & (step >= grid.begin) & (step < grid.end)
+    lane, along, step, duration, distance = (
+        each[in_grid] for each in (lane, along, step, duration, distance)
+    )
     tile = network.tile_at(lane, along)
     seen = visible.at(network.tile_id[tile], step)
     cell, size = (lane * grid.count + grid.of(step))[seen], len(network.lane) * grid.count
-    seconds = np.bincount(cell, lasts[seen] * STEP_S, size).astype(np.float64)
-    return seconds, np.bincount(cell, far[seen], size).astype(np.float64)
+    seconds = np.bincount(cell, duration[seen] * STEP_S, size).astype(np.float64)
+    return seconds, np.bincount(cell, distance[seen], size).astype(np.float64)

@@ -33,9 +33,9 @@ from gis_radar.measures.lane_fronts import (
     driven,
 )
 from gis_radar.measures.lane_network import LaneNetwork
-from gis_radar.measures.queues import LOOK_STEPS, queue_backs, standing_states
+from gis_radar.measures.queues import QUEUE_EVERY_STEPS, queue_backs, standing_states
 
-SPEED_CLASS_KMH = 5.0
+SPEED_CLASS_KMH = 5.0  # width of a class of speeds
 SPEED_CLASSES = 40  # up to 200 km/h; the last one is open
 # Share of an interval that must be visible for an estimate of the whole: with less, the error is
 # that of a guess.
@@ -125,7 +125,7 @@ def measure_lanes(
     moves = states.moves(network)
     crossed = crossings(states, moves, network, grid)
     line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
-    crossed = crossed.taken(visible.at(line[crossed.lane], crossed.step))
+    crossed = crossed.take(visible.at(line[crossed.lane], crossed.step))
     areas = _areas(network, grid, tiles)
     share = _share_at(line, grid, tiles)
     counts = _Counts.of(crossed, vehicles, network, grid)
@@ -137,7 +137,7 @@ def measure_lanes(
     columns |= _speeds(counts, seconds, metres, share)
     columns |= _occupancies(areas)
     columns |= _flows(network, grid, areas, seconds, metres)
-    looks = share * grid.steps / LOOK_STEPS
+    looks = share * grid.steps / QUEUE_EVERY_STEPS
     stop = np.repeat(network.has_stop_line, grid.count) & (share > 0.0)
     columns["queue_max_m"] = np.where(stop, most_m, np.nan)
     columns["queue_mean_m"] = np.where(stop, _quotient(sum_m, looks), np.nan)
@@ -169,13 +169,16 @@ class _Areas(NamedTuple):
 
 def _areas(network: LaneNetwork, grid: StepGrid, tiles: TileSteps) -> _Areas:
     order = np.argsort(network.tile_id, kind="stable")
-    at = order[np.searchsorted(network.tile_id, tiles.tile_id, sorter=order)]
-    cell, size = network.tile_lane[at] * grid.count + tiles.interval, len(network.lane) * grid.count
+    tile = order[np.searchsorted(network.tile_id, tiles.tile_id, sorter=order)]
+    cell, size = (
+        network.tile_lane[tile] * grid.count + tiles.interval,
+        len(network.lane) * grid.count,
+    )
     share = _quotient(tiles.occupied, tiles.visible)
     hidden = (COUNTING_INFERRED * tiles.inferred) ** 2 * np.nan_to_num(share * (1 - share))
     least = LEAST_OCCUPIED_S * STEPS_PER_SECOND
     error = np.where(tiles.visible > 0, np.maximum(np.sqrt(tiles.variance + hidden), least), 0.0)
-    metre_hours = tiles.visible * network.tile_length_m[at] / STEPS_PER_SECOND / 3.6e6
+    metre_hours = tiles.visible * network.tile_length_m[tile] / STEPS_PER_SECOND / 3.6e6
     sums = (
         np.bincount(cell, values, size).astype(np.float64)
         for values in (tiles.visible, tiles.occupied, error, metre_hours)
@@ -186,11 +189,13 @@ def _areas(network: LaneNetwork, grid: StepGrid, tiles: TileSteps) -> _Areas:
 def _share_at(tile_id: Integers, grid: StepGrid, tiles: TileSteps) -> Floats:
     """Return the visible share of each interval, for each of some tiles, (tiles * intervals,)."""
     wanted, place = np.unique(tile_id, return_inverse=True)
-    found = np.zeros(len(wanted) * grid.count)
-    at = np.minimum(np.searchsorted(wanted, tiles.tile_id), max(len(wanted) - 1, 0))
-    mine = wanted[at] == tiles.tile_id if len(wanted) else np.zeros(len(at), np.bool_)
-    found[at[mine] * grid.count + tiles.interval[mine]] = tiles.visible[mine] / grid.steps
-    return np.asarray(found.reshape(-1, grid.count)[place].ravel(), np.float64)
+    shares = np.zeros(len(wanted) * grid.count)
+    index = np.minimum(np.searchsorted(wanted, tiles.tile_id), max(len(wanted) - 1, 0))
+    is_wanted = wanted[index] == tiles.tile_id if len(wanted) else np.zeros(len(index), np.bool_)
+    shares[index[is_wanted] * grid.count + tiles.interval[is_wanted]] = (
+        tiles.visible[is_wanted] / grid.steps
+    )
+    return np.asarray(shares.reshape(-1, grid.count)[place].ravel(), np.float64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -295,32 +300,32 @@ def _turns(
     Vehicles without a known exit may have taken one that is not visible: then the other exits only
     get the share of the volume that is known for them.
     """
-    ways = _ways(network)
-    known = _known_turns(states, crossed, ways, grid, len(network.lane))
+    ways = _turn_rows(network)
+    followed = _known_turns(states, crossed, ways, grid, len(network.lane))
     by_lane = {n: lanes[n].reshape(-1, grid.count)[ways[:, 0]].ravel() for n in _OF_APPROACH}
     exits = network.tile_id[np.searchsorted(network.tile_lane, ways[:, 1])]
     lines = network.tile_id[network.tile_at(ways[:, 2], network.line_m[ways[:, 2]])]
-    visible, passed = _share_at(exits, grid, tiles), _share_at(lines, grid, tiles)
+    visible, line_share = _share_at(exits, grid, tiles), _share_at(lines, grid, tiles)
     connects = np.repeat(ways[:, 2] >= 0, grid.count)
-    visible = np.where(connects, np.maximum(visible, passed), visible)
+    visible = np.where(connects, np.maximum(visible, line_share), visible)
     share = np.minimum(by_lane["visible_share"], visible)
     start = np.repeat(ways[:, 0], grid.count) * grid.count + np.tile(
         np.arange(grid.count), len(ways)
     )
     size, seen = len(network.lane) * grid.count, share >= LEAST_SHARE
-    total = np.bincount(start, known * seen, size)[start]
-    blind = np.bincount(start, ~seen, size)[start] > 0
+    total = np.bincount(start, followed * seen, size)[start]
+    has_hidden_exit = np.bincount(start, ~seen, size)[start] > 0
     counted = np.ma.filled(by_lane["counted"].astype(np.float64), 0.0)
-    base = np.where(blind, np.maximum(counted, total), total)
-    part = np.where(counted + total > 0.0, _quotient(known, base), 0.0)
-    part = np.where(seen, part, np.nan)
+    divisor = np.where(has_hidden_exit, np.maximum(counted, total), total)
+    split = np.where(counted + total > 0.0, _quotient(followed, divisor), 0.0)
+    split = np.where(seen, split, np.nan)
     volume, error = by_lane["volume"], by_lane["volume_se"]
-    unknown = np.maximum(volume - known, 0.0) * (base < volume)
+    unknown = np.maximum(volume - followed, 0.0) * (divisor < volume)
     rows = np.flatnonzero(areas.known[start])
     columns = {
         "visible_share": share,
-        "volume": volume * part,
-        "volume_se": np.sqrt(error**2 * part + unknown * part * (1.0 - part)),
+        "volume": volume * split,
+        "volume_se": np.sqrt(error**2 * split + unknown * split * (1.0 - split)),
     }
     return {
         "from_lane": network.lane[start[rows] // grid.count],
@@ -332,7 +337,7 @@ def _turns(
 _OF_APPROACH = ("visible_share", "counted", "volume", "volume_se")
 
 
-def _ways(network: LaneNetwork) -> Integers:
+def _turn_rows(network: LaneNetwork) -> Integers:
     """Return rows of start, end, and last connector of turns; -1 if that leads elsewhere, too."""
     rows = [
         (each.start, each.end, each.via[-1])
@@ -352,7 +357,7 @@ def _known_turns(
     whose middle it passes.
     """
     changes = np.flatnonzero(np.diff(states.lane, prepend=-2) != 0)
-    came = pd.DataFrame(
+    ends = pd.DataFrame(
         {
             "vehicle": np.append(states.vehicle[changes], crossed.vehicle),
             "row": np.append(changes, crossed.row),
@@ -360,7 +365,7 @@ def _known_turns(
             "end": np.append(states.lane[changes], lanes + crossed.lane),
         }
     )
-    left = pd.DataFrame(
+    starts = pd.DataFrame(
         {
             "vehicle": crossed.vehicle, "row": crossed.row, "start": crossed.lane,
             "interval": grid.of(crossed.step),
@@ -372,7 +377,9 @@ def _known_turns(
         .rename_axis("way").reset_index()[connector >= (0 if passed else -1)]
         for reached, passed in ((end, False), (lanes + connector, True))
     )  # fmt: skip
-    pairs = left.merge(came, on="vehicle", suffixes=("", "_end")).merge(exits, on=["start", "end"])
+    pairs = starts.merge(ends, on="vehicle", suffixes=("", "_end")).merge(
+        exits, on=["start", "end"]
+    )
     pairs = pairs[pairs["row_end"] > pairs["row"]]
     pairs = pairs.sort_values(["vehicle", "start", "only_passed", "row_end"])
     pairs = pairs.drop_duplicates(["vehicle", "start"])
@@ -382,8 +389,8 @@ def _known_turns(
 
 def _quotient(part: Floats, whole: Floats) -> Floats:
     """Return quotients, NaN where the divisor is not positive."""
-    found: Floats = np.full(len(whole), np.nan)
-    return np.divide(part, whole, out=found, where=whole > 0.0)
+    quotients: Floats = np.full(len(whole), np.nan)
+    return np.divide(part, whole, out=quotients, where=whole > 0.0)
 
 
 def _masked(values: Floats, missing: Booleans) -> Any:

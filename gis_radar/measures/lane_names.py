@@ -22,10 +22,10 @@ from gis_radar.hdmap import turn_word
 from gis_radar.measures.lane_network import LaneNetwork, Turn
 
 BEFORE_M = 5.0  # before the stop line, where direction and number of a lane are determined
-DIRECT_M = 15.0  # of the exit, in the line of a turn without connectors: as long as a short one
-BESIDE_M = 5.5  # between the middles of lanes side by side, at most
+DIRECT_M = 15.0  # length of the exit in the line of a turn without connectors: a short connector's
+BESIDE_M = 5.5  # largest distance between the middles of lanes side by side
 ABREAST_M = 30.0  # width over which lanes of one direction are searched
-PARALLEL = math.cos(math.radians(30.0))
+PARALLEL = math.cos(math.radians(30.0))  # least cosine between parallel lanes
 _BOUND = {
     "north": Text("northbound"), "north-east": Text("north-eastbound"),
     "east": Text("eastbound"), "south-east": Text("south-eastbound"),
@@ -49,26 +49,26 @@ def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
     network : LaneNetwork
         Network of the site.
     """
-    known, points, ways = _counting_places(lanes, network)
-    lines, connector = list(known.geometry.array), network.connector
-    beside = [line for line, inside in zip(lines, connector, strict=True) if not inside]
-    kerb = _kerb_side(points[~connector], ways[~connector], beside)
+    rows, points, directions = _places_of_lanes(lanes, network)
+    lines, connector = list(rows.geometry.array), network.connector
+    lines_of_lanes = [line for line, inside in zip(lines, connector, strict=True) if not inside]
+    kerb = _kerb_side(points[~connector], directions[~connector], lines_of_lanes)
     names = []
-    for k, (_, row) in enumerate(known.iterrows()):
+    for k, (_, row) in enumerate(rows.iterrows()):
         if isinstance(own := row.get("name"), str) and own:
             names.append(own)
             continue
         if connector[k]:
-            way, place = place_on(lines[k], 0.0)[1], tr("in the junction")
+            direction, place = place_on(lines[k], 0.0)[1], tr("in the junction")
         else:
-            way = ways[k]
-            place = tr("lane {number}", number=_number(points[k], way, beside, kerb))
-        name = f"{_direction(row, way)}, {place}"
+            direction = directions[k]
+            place = tr("lane {number}", number=_number(points[k], direction, lines_of_lanes, kerb))
+        name = f"{_direction(row, direction)}, {place}"
         leads = connector[k] or network.has_stop_line[k] or connector[[*network.after[k]]].any()
         turns = str(row["turn"]).split(";") if leads and isinstance(row["turn"], str) else []
         words = listed([tr(TURN_WORDS[each]) for each in turns if each in TURN_WORDS])
         names.append(f"{name} ({words})" if words else name)
-    return _made_unique(names, points, ways)
+    return _made_unique(names, points, directions)
 
 
 def lane_directions(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
@@ -81,85 +81,95 @@ def lane_directions(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
     lanes, network
         As for :func:`lane_names`.
     """
-    known, _, ways = _counting_places(lanes, network)
+    rows, _, directions = _places_of_lanes(lanes, network)
     return [
         "" if inside else _direction(row, way)
-        for (_, row), way, inside in zip(known.iterrows(), ways, network.connector, strict=True)
+        for (_, row), way, inside in zip(
+            rows.iterrows(), directions, network.connector, strict=True
+        )
     ]
 
 
-def _counting_places(
+def _places_of_lanes(
     lanes: gpd.GeoDataFrame, network: LaneNetwork
 ) -> tuple[gpd.GeoDataFrame, Floats, Floats]:
     """Return the rows of lanes, the places at which they are named, and the directions there."""
-    known = lanes.set_index("lane").loc[network.lane.tolist()]
-    lines = list(known.geometry.array)
+    rows = lanes.set_index("lane").loc[network.lane.tolist()]
+    lines = list(rows.geometry.array)
     stop = np.where(network.has_stop_line, network.line_m - BEFORE_M, network.line_m)
-    at = [float(np.clip(m, 0.0, line.length)) for m, line in zip(stop, lines, strict=True)]
-    points, ways = (np.array(each) for each in zip(*map(place_on, lines, at), strict=True))
-    return known, points, ways
+    along_m = [float(np.clip(m, 0.0, line.length)) for m, line in zip(stop, lines, strict=True)]
+    points, directions = (
+        np.array(each) for each in zip(*map(place_on, lines, along_m), strict=True)
+    )
+    return rows, points, directions
 
 
-def _direction(row: pd.Series, way: Floats) -> str:
+def _direction(row: pd.Series, direction: Floats) -> str:
     street = street_label(row["street"], row.get("street_part")) or tr("Road")
-    return f"{street} {bound_name(way)}"
+    return f"{street} {bound_name(direction)}"
 
 
-def bound_name(way: Floats) -> str:
+def bound_name(direction: Floats) -> str:
     """Return the word for traffic in a direction, such as `northbound`."""
-    return tr(_BOUND[wind_of(*way) or "north"])
+    return tr(_BOUND[wind_of(*direction) or "north"])
 
 
 def place_on(line: shapely.LineString, along_m: float) -> tuple[Floats, Floats]:
     """Return a point (m) of a line, and the unit vector of its direction there."""
     low, high = max(along_m - 1.0, 0.0), min(along_m + 1.0, line.length)
     before, point, after = (line.interpolate(m).coords[0][:2] for m in (low, along_m, high))
-    way = np.subtract(after, before)
-    return np.array(point), way / max(float(np.hypot(*way)), 1e-9)
+    direction = np.subtract(after, before)
+    return np.array(point), direction / max(float(np.hypot(*direction)), 1e-9)
 
 
-def _kerb_side(points: Floats, ways: Floats, lines: Sequence[shapely.LineString]) -> float:
+def _kerb_side(points: Floats, directions: Floats, lines: Sequence[shapely.LineString]) -> float:
     """Return where the kerb is: 1 on the right, -1 on the left, as most opposite lanes say."""
     votes = 0.0
-    for point, way in zip(points, ways, strict=True):
-        opposite = [off for off, along in _abreast(point, way, lines) if along < -PARALLEL]
+    for point, direction in zip(points, directions, strict=True):
+        opposite = [
+            off for off, along in _lines_abreast(point, direction, lines) if along < -PARALLEL
+        ]
         votes += np.sign(min(opposite, key=abs)) if opposite else 0.0
     return -1.0 if votes > 0.0 else 1.0
 
 
-def _abreast(
-    point: Floats, way: Floats, lines: Sequence[shapely.LineString]
+def _lines_abreast(
+    point: Floats, direction: Floats, lines: Sequence[shapely.LineString]
 ) -> list[tuple[float, float]]:
     """Return how far lines lie to the right of a place, m, and the cosines of their directions."""
-    right = np.array([way[1], -way[0]])
+    right = np.array([direction[1], -direction[0]])
     across = shapely.LineString([point - ABREAST_M * right, point + ABREAST_M * right])
-    found = []
+    offsets = []
     for k in np.flatnonzero(shapely.intersects(lines, across)).tolist():
         for met in shapely.get_coordinates(shapely.intersection(lines[k], across)):
             toward = place_on(lines[k], lines[k].project(shapely.Point(met)))[1]
-            found.append((float((met - point) @ right), float(toward @ way)))
-    return found
+            offsets.append((float((met - point) @ right), float(toward @ direction)))
+    return offsets
 
 
-def _number(point: Floats, way: Floats, lines: Sequence[shapely.LineString], kerb: float) -> int:
+def _number(
+    point: Floats, direction: Floats, lines: Sequence[shapely.LineString], kerb: float
+) -> int:
     """Return the number of a lane, from the kerb, among lanes side by side."""
-    beside = (kerb * off for off, along in _abreast(point, way, lines) if along > PARALLEL)
+    offsets = (
+        kerb * off for off, along in _lines_abreast(point, direction, lines) if along > PARALLEL
+    )
     number, reached = 1, 0.0
-    for away in sorted(each for each in beside if each > 0.0):
-        if away - reached > BESIDE_M:
+    for offset_m in sorted(each for each in offsets if each > 0.0):
+        if offset_m - reached > BESIDE_M:
             break
-        if away - reached > 1.0:  # leaves out the lane itself and one that merges into it
-            number, reached = number + 1, away
+        if offset_m - reached > 1.0:  # leaves out the lane itself and one that merges into it
+            number, reached = number + 1, offset_m
     return number
 
 
-def _made_unique(names: list[str], points: Floats, ways: Floats) -> list[str]:
+def _made_unique(names: list[str], points: Floats, directions: Floats) -> list[str]:
     """Return names of which equal ones get the number of a section, in driving order."""
     unique = list(names)
     for name in sorted({each for each in names if names.count(each) > 1}):
-        mine = [k for k, each in enumerate(names) if each == name]
-        way = ways[mine].sum(axis=0)
-        order = sorted(mine, key=lambda k: (float(points[k] @ way), k))
+        same_name = [k for k, each in enumerate(names) if each == name]
+        direction = directions[same_name].sum(axis=0)
+        order = sorted(same_name, key=lambda k: (float(points[k] @ direction), k))
         for section, k in enumerate(order, start=1):
             unique[k] = tr("{name}, section {section}", name=name, section=section)
     return unique
@@ -174,7 +184,7 @@ def turn_lines(
     some metres on where no connector lies between.
     """
     lines = lanes.set_index("lane").geometry
-    found = []
+    drawn = []
     for turn in turns:
         start, end, *via = (lines[network.lane[k]] for k in (turn.start, turn.end, *turn.via))
         stop = network.has_stop_line[turn.start]
@@ -183,7 +193,9 @@ def turn_lines(
         entry = shapely.ops.substring(end, 0.0, min(1.0 if via else DIRECT_M, end.length))
         points = np.concatenate([shapely.get_coordinates(each) for each in (rest, *via, entry)])
         new = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-3)
-        way, toward = place_on(start, max(line_m - BEFORE_M, 0.0))[1], place_on(end, 0.0)[1]
-        turned = math.atan2(way[0] * toward[1] - way[1] * toward[0], float(way @ toward))
-        found.append((turn_word(turned), shapely.LineString(points[new])))
-    return [each for each, _ in found], [line for _, line in found]
+        start_way, end_way = place_on(start, max(line_m - BEFORE_M, 0.0))[1], place_on(end, 0.0)[1]
+        turned = math.atan2(
+            start_way[0] * end_way[1] - start_way[1] * end_way[0], float(start_way @ end_way)
+        )
+        drawn.append((turn_word(turned), shapely.LineString(points[new])))
+    return [each for each, _ in drawn], [line for _, line in drawn]

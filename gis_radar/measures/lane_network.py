@@ -23,8 +23,8 @@ import pandas as pd
 from gis_radar.base import Booleans, Floats, Integers, ranges
 from gis_radar.hdmap import joining, lanes_of, quads
 
-JOIN_M = 0.5  # between the middles of ends that follow each other: a tenth of a lane's width
-QUEUE_REACH_M = 500.0  # from the stop line, up to which queues are followed into earlier lanes
+JOIN_M = 0.5  # largest distance from the middle of a lane's end to that of the next one's begin
+QUEUE_REACH_M = 500.0  # distance from the stop line up to which queues are followed
 
 
 class Turn(NamedTuple):
@@ -57,12 +57,12 @@ class QueueStrips(NamedTuple):
         """Return the strips of a stop line."""
         return range(*np.searchsorted(self.stop_lane, [stop, stop + 1]).tolist())
 
-    def way(self, strip: int) -> Integers:
-        """Return the strips from the line back to one."""
-        found = [strip]
-        while found[-1] >= 0:
-            found.append(int(self.ahead[found[-1]]))
-        return np.array(found[-2::-1], np.int64)
+    def path_to(self, strip: int) -> Integers:
+        """Return the strips from the stop line back to a strip, both included."""
+        strips = [strip]
+        while strips[-1] >= 0:
+            strips.append(int(self.ahead[strips[-1]]))
+        return np.array(strips[-2::-1], np.int64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,26 +125,26 @@ class LaneNetwork:
             traffic, km/h; NaN or missing where there is none.
         """
         lanes = lanes_of(tiles)
-        s_m, long = (tiles[name].to_numpy(np.float64) for name in ("s_m", "length_m"))
+        s_m, tile_length = (tiles[name].to_numpy(np.float64) for name in ("s_m", "length_m"))
         lanelet = tiles["lanelet_id"].to_numpy(np.int64)
         rows = np.concatenate([each.rows for each in lanes])
-        of = np.repeat(np.arange(len(lanes)), [len(each.rows) for each in lanes])
-        ends = pd.Series((s_m + long)[rows]).groupby(lanelet[rows]).max()
+        lane_of_row = np.repeat(np.arange(len(lanes)), [len(each.rows) for each in lanes])
+        ends = pd.Series((s_m + tile_length)[rows]).groupby(lanelet[rows]).max()
         offset = _offsets([each.lanelets for each in lanes], ends)
         length = np.array([sum(ends[ref] for ref in each.lanelets) for each in lanes], np.float64)
         number = np.array([each.number for each in lanes], np.int64)
-        stop = _known(number, stop_line_m)
+        stop = _values_by_lane(number, stop_line_m)
         ids = np.array(sorted(offset), np.int64)
-        lane_of = dict(zip(lanelet[rows].tolist(), of.tolist(), strict=True))
+        lane_of = dict(zip(lanelet[rows].tolist(), lane_of_row.tolist(), strict=True))
         return cls(
             lane=number, length_m=length, has_stop_line=np.isfinite(stop),
             line_m=np.clip(np.where(np.isfinite(stop), stop, length / 2.0), 0.0, length),
-            free_speed=_known(number, free_speed_kmh) / 3.6,
+            free_speed=_values_by_lane(number, free_speed_kmh) / 3.6,
             lanelet_id=ids, lanelet_lane=np.array([lane_of[ref] for ref in ids.tolist()], np.int64),
             offset_m=np.array([offset[ref] for ref in ids.tolist()], np.float64),
-            tile_id=tiles["tile_id"].to_numpy(np.int64)[rows], tile_lane=of,
+            tile_id=tiles["tile_id"].to_numpy(np.int64)[rows], tile_lane=lane_of_row,
             tile_m=s_m[rows] + np.array([offset[ref] for ref in lanelet[rows].tolist()]),
-            tile_length_m=long[rows], after=_after(tiles, [each.rows for each in lanes]),
+            tile_length_m=tile_length[rows], after=_after(tiles, [each.rows for each in lanes]),
         )  # fmt: skip
 
     def place(self, lanelet_id: Integers, s_m: Floats) -> tuple[Integers, Floats]:
@@ -163,9 +163,9 @@ class LaneNetwork:
         room = float(self.length_m.max()) + 1.0
         inside = np.nan_to_num(along_m)
         keys = self.tile_lane * room + self.tile_m
-        found = np.searchsorted(keys, np.maximum(lane, 0) * room + inside, side="right") - 1
+        tile = np.searchsorted(keys, np.maximum(lane, 0) * room + inside, side="right") - 1
         first = np.searchsorted(self.tile_lane, np.maximum(lane, 0))
-        return np.where(lane >= 0, np.maximum(found, first), -1)
+        return np.where(lane >= 0, np.maximum(tile, first), -1)
 
     @property
     def connector(self) -> Booleans:
@@ -184,28 +184,28 @@ class LaneNetwork:
     @property
     def before(self) -> list[list[int]]:
         """Positions of the lanes that lead to each."""
-        found: list[list[int]] = [[] for _ in self.lane]
+        leading: list[list[int]] = [[] for _ in self.lane]
         for k, following in enumerate(self.after):
             for each in following:
-                found[each].append(k)
-        return found
+                leading[each].append(k)
+        return leading
 
     def turns(self) -> list[Turn]:
         """Return the turns, by start and end."""
-        connector, found = self.connector, list[Turn]()
+        connector, turns = self.connector, list[Turn]()
         for start in np.flatnonzero(~connector).tolist():
-            ways: list[tuple[int, tuple[int, ...]]] = [(each, ()) for each in self.after[start]]
+            paths: list[tuple[int, tuple[int, ...]]] = [(each, ()) for each in self.after[start]]
             seen, ends = {start}, dict[int, Turn]()
-            while ways:
-                at, via = ways.pop(0)
-                if connector[at] and at not in seen:
-                    seen.add(at)
-                    ways += [(each, (*via, at)) for each in self.after[at]]
-                elif not connector[at] and (at not in ends or (via and not ends[at].via)):
-                    ends[at] = Turn(start, at, via)
+            while paths:
+                lane, via = paths.pop(0)
+                if connector[lane] and lane not in seen:
+                    seen.add(lane)
+                    paths += [(each, (*via, lane)) for each in self.after[lane]]
+                elif not connector[lane] and (lane not in ends or (via and not ends[lane].via)):
+                    ends[lane] = Turn(start, lane, via)
             if any(each.via or self._is_turn(start, each.end) for each in ends.values()):
-                found += [ends[end] for end in sorted(ends)]
-        return found
+                turns += [ends[end] for end in sorted(ends)]
+        return turns
 
     def _is_turn(self, start: int, end: int) -> bool:
         """Return whether a lane that follows without connector is a turn, not one fanning out."""
@@ -218,13 +218,13 @@ class LaneNetwork:
         for stop in np.flatnonzero(self.has_stop_line).tolist():
             waiting, seen = [(float(self.line_m[stop]), stop, -1)], set[int]()
             while waiting:
-                to_line, at, ahead = heappop(waiting)
-                if at in seen:
+                to_line, lane_at, ahead = heappop(waiting)
+                if lane_at in seen:
                     continue
-                seen.add(at)
-                rows.append((at, stop, ahead, to_line))
+                seen.add(lane_at)
+                rows.append((lane_at, stop, ahead, to_line))
                 if to_line < QUEUE_REACH_M:
-                    for k in before[at]:
+                    for k in before[lane_at]:
                         if not self.has_stop_line[k]:
                             further = to_line + float(self.length_m[k])
                             heappush(waiting, (further, k, len(rows) - 1))
@@ -261,16 +261,16 @@ class LaneNetwork:
 
 def _offsets(chains: Sequence[Sequence[int]], ends: pd.Series) -> dict[int, float]:
     """Return, by lanelet, the metres along its lane at which it begins."""
-    found = {}
+    offsets = {}
     for chain in chains:
-        gone = 0.0
+        begin_m = 0.0
         for ref in chain:
-            found[ref] = gone
-            gone += float(ends[ref])
-    return found
+            offsets[ref] = begin_m
+            begin_m += float(ends[ref])
+    return offsets
 
 
-def _known(lane: Integers, values: Mapping[int, float] | None) -> Floats:
+def _values_by_lane(lane: Integers, values: Mapping[int, float] | None) -> Floats:
     known = values or {}
     return np.array([known.get(each, math.nan) for each in lane.tolist()], np.float64)
 

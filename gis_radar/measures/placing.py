@@ -110,7 +110,7 @@ def fill_places(  # pragma: no cover - compiled
     Ranges over `last_m` metres count as `last_m`.
     """
     east, north, range_m, metres = places.east, places.north, places.range_m, places.metres
-    cell, per_m, odd = places.cell, 1.0 / cells.cell_m, False
+    cell, per_m, has_nan = places.cell, 1.0 / cells.cell_m, False
     for k in range(len(xs)):
         x, y, z = np.float64(xs[k]), np.float64(ys[k]), np.float64(zs[k])
         east[k] = ((x * pose.xx + z * pose.xz) + y * pose.xy) + pose.easting - cells.west
@@ -118,9 +118,9 @@ def fill_places(  # pragma: no cover - compiled
         range_m[k] = math.sqrt(x * x + y * y + z * z)
         metres[k] = np.int32(min(last_m, range_m[k]))
         cell[k] = cell_at(east[k], north[k], cells.width, cells.height, per_m, cells.columns)
-        odd |= math.isnan(range_m[k])
-    if odd:
-        _place_level(xs, ys, zs, pose, cells, last_m, places)
+        has_nan |= math.isnan(range_m[k])
+    if has_nan:
+        _place_without_elevation(xs, ys, zs, pose, cells, last_m, places)
     over, first, count = places.over, cells.first, 0
     for k in range(len(xs)):
         over[count] = k
@@ -129,7 +129,7 @@ def fill_places(  # pragma: no cover - compiled
 
 
 @compiled
-def _place_level(  # pragma: no cover - compiled
+def _place_without_elevation(  # pragma: no cover - compiled
     xs: Floats, ys: Floats, zs: Floats, pose: PoseNumbers, cells: TileCells, last_m: float,
     places: Places,
 ) -> None:  # fmt: skip
@@ -155,8 +155,8 @@ def in_view(  # pragma: no cover - compiled
 ) -> bool:
     """Return whether a detection is within a pose's view, as :meth:`View.sees` does."""
     flat_m = math.sqrt(x * x + y * y)
-    level = math.isnan(z) or abs(z) <= flat_m * pose.tan_elevation
-    return level and x >= flat_m * pose.cos_azimuth and pose.near_m <= range_m <= pose.far_m
+    in_elevation = math.isnan(z) or abs(z) <= flat_m * pose.tan_elevation
+    return in_elevation and x >= flat_m * pose.cos_azimuth and pose.near_m <= range_m <= pose.far_m
 
 
 @compiled

@@ -156,7 +156,7 @@ class SightBook:
         for track in tracks:
             what = Text("the pose of {}", track.sensor)
             require_same(track.poses[0].crs, self.road.crs, what=what, other_what="the tiles")
-        seen = self._see({name_of_track(track): track for track in tracks})
+        seen = self._sights_of_tracks({name_of_track(track): track for track in tracks})
         self._report_blind(seen, reporter)
         return [
             PlacedRecording(
@@ -166,26 +166,30 @@ class SightBook:
             for recording, track in zip(recordings, tracks, strict=True)
         ]  # fmt: skip
 
-    def _see(self, tracks: Mapping[str, PoseTrack]) -> dict[str, tuple[PoseSight, ...]]:
-        """Return, by the name of each track, the sights of its poses."""
-        standing = {name: standing_for(each.poses) for name, each in tracks.items()}
-        looks = {
-            name: {k: track.poses[k] for k in np.unique(standing[name]).tolist()}
+    def _sights_of_tracks(
+        self, tracks: Mapping[str, PoseTrack]
+    ) -> dict[str, tuple[PoseSight, ...]]:
+        """Find the sights of the poses of each track; return them by the track's name."""
+        owner_of = {name: sight_owners(each.poses) for name, each in tracks.items()}
+        own_poses = {
+            name: {k: track.poses[k] for k in np.unique(owner_of[name]).tolist()}
             for name, track in tracks.items()
         }
-        every = [pose for poses in looks.values() for pose in poses.values()]
-        if self.scan is not None and len(every) <= WINDOWS_KEPT:
-            self.scan.read(every)  # in one pass
-        found = {}
+        all_own = [pose for poses in own_poses.values() for pose in poses.values()]
+        if self.scan is not None and len(all_own) <= WINDOWS_KEPT:
+            self.scan.read(all_own)  # in one pass
+        sights = {}
         for name, track in tracks.items():
             if self.scan is not None:
-                self.scan.read([*looks[name].values()])
+                self.scan.read([*own_poses[name].values()])
             names = pose_names(name, len(track.poses))
-            heads = {k: self._look(names[k], pose) for k, pose in looks[name].items()}
-            found[name] = tuple(heads[k] for k in standing[name].tolist())
-        return found
+            own_sights = {
+                k: self._find_sight(names[k], pose) for k, pose in own_poses[name].items()
+            }
+            sights[name] = tuple(own_sights[k] for k in owner_of[name].tolist())
+        return sights
 
-    def _look(self, name: str, pose: Pose) -> PoseSight:
+    def _find_sight(self, name: str, pose: Pose) -> PoseSight:
         self.sights[name] = find_sight(pose, self.road, self.scan)
         return PoseSight.of(self.sights[name], self.road, name=name)
 
@@ -205,15 +209,15 @@ class SightBook:
 
     def _why_blind(self, pose: Pose) -> Text:
         """Return what to check of a pose that has no tile in sight."""
-        apart = self.road.centres - pose.position
-        beside = np.hypot(apart[:, 0], apart[:, 1])
-        far = Text("{} stands {:,.0f} m from the nearest tile", pose.sensor, beside.min())
-        if np.isfinite(over := -apart[np.argmin(beside), 2]):
-            under = Text("{}, {:,.0f} m under it", far, -over)
-            far = under if over < 0.0 else Text("{}, {:,.0f} m over it", far, over)
+        offset = self.road.centres - pose.position
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        text = Text("{} stands {:,.0f} m from the nearest tile", pose.sensor, distance.min())
+        if np.isfinite(over_m := -offset[np.argmin(distance), 2]):
+            under = Text("{}, {:,.0f} m under it", text, -over_m)
+            text = under if over_m < 0.0 else Text("{}, {:,.0f} m over it", text, over_m)
         if self.scan is not None:
-            far = Text("{}, where the scan, if it is of another place, may hide all", far)
-        return Text("{}: check position, height, and whether its angles are degrees", far)
+            text = Text("{}, where the scan, if it is of another place, may hide all", text)
+        return Text("{}: check position, height, and whether its angles are degrees", text)
 
     def report(self, reporter: Reporter) -> None:
         """Report that there is no scan, or the share of views that it covers."""
@@ -250,7 +254,7 @@ def road_near(sight: Sight, road: SightTiles) -> float:
     return float(np.median(centres[near[:ROAD_TILES], 2]))
 
 
-def standing_for(poses: Sequence[Pose]) -> Integers:
+def sight_owners(poses: Sequence[Pose]) -> Integers:
     """Return, for each pose of a track, the pose whose sight it shares: an earlier one, or itself.
 
     Parameters
@@ -263,19 +267,19 @@ def standing_for(poses: Sequence[Pose]) -> Integers:
     (n,) int64 array
         Indices into `poses`.
     """
-    standing, heads = list[int](), list[_Head]()
+    owner_of, owners = list[int](), list[_SightOwner]()
     for number, pose in enumerate(poses):
         if pose.evidence.get("event") == "moved":
-            heads = []
-        new = _Head.of(number, pose)
-        found = next((head for head in reversed(heads) if head.is_near(new)), new)
-        others = [head for head in heads if head.number != found.number]
-        heads = [*others, found][-VIEWS_COMPARED:]
-        standing.append(found.number)
-    return np.array(standing, np.int64)
+            owners = []
+        new = _SightOwner.of(number, pose)
+        owner = next((head for head in reversed(owners) if head.is_near(new)), new)
+        other_owners = [head for head in owners if head.number != owner.number]
+        owners = [*other_owners, owner][-VIEWS_COMPARED:]
+        owner_of.append(owner.number)
+    return np.array(owner_of, np.int64)
 
 
-class _Head(NamedTuple):
+class _SightOwner(NamedTuple):
     """A pose with a sight of its own, which later poses may share."""
 
     number: int
@@ -284,11 +288,11 @@ class _Head(NamedTuple):
     turn: scipy.spatial.transform.Rotation
 
     @classmethod
-    def of(cls, number: int, pose: Pose) -> _Head:
+    def of(cls, number: int, pose: Pose) -> _SightOwner:
         turn = scipy.spatial.transform.Rotation.from_quat(pose.quaternion)
         return cls(number, pose, pose.position, turn)
 
-    def is_near(self, other: _Head) -> bool:
+    def is_near(self, other: _SightOwner) -> bool:
         """Return whether another pose may share the sight."""
         if self.pose.view != other.pose.view:
             return False
@@ -299,7 +303,7 @@ class _Head(NamedTuple):
         return apart_deg <= VIEW_SHARED_DEG
 
 
-def places_of(poses: Sequence[Pose]) -> Integers:
+def first_since_move(poses: Sequence[Pose]) -> Integers:
     """Return, for each pose of a track, the first pose since the sensor was moved last.
 
     Parameters
@@ -329,7 +333,7 @@ def sight_of_tiles(tile_id: Integers, pose: Pose, road: SightTiles) -> Sight:
         All tiles.
     """
     seen = np.isin(road.tile_id, tile_id)
-    found = find_sight(pose, road)
-    in_view = seen | (found.state != OUT_OF_VIEW)
+    view_sight = find_sight(pose, road)
+    in_view = seen | (view_sight.state != OUT_OF_VIEW)
     state = np.where(seen, IN_SIGHT, np.where(in_view, HIDDEN, OUT_OF_VIEW))
-    return replace(found, state=state.astype(np.uint8))
+    return replace(view_sight, state=state.astype(np.uint8))

@@ -16,7 +16,7 @@ SLOW_STEPS = STEPS_PER_SECOND  # ... for this time
 JOINED_M = 10.0  # most visible road to the vehicle ahead, or to the line: two cars
 OVER_LINE_M = 2.0  # how far the front of a waiting vehicle may be over the line
 # Queues are measured at steps divisible by this: all tracks have a state there.
-LOOK_STEPS = 4
+QUEUE_EVERY_STEPS = 4
 
 
 def standing_states(states: FrontStates) -> tuple[Booleans, Booleans]:
@@ -64,20 +64,22 @@ def queue_backs(
     most_m : (cells,) array
         Greatest length by lane and interval, from the stop line to the back, m; 0 without a queue.
     sum_m : (cells,) array
-        Sum of the lengths, m, over all steps divisible by `LOOK_STEPS` with a visible stop line.
+        Sum of the lengths, m, over the steps of :func:`queue_steps` with a visible stop line.
     """
-    standing, look = StandingFronts.of(states, stands, length_m, grid), looks(grid)
+    standing, step = StandingFronts.of(states, stands, length_m, grid), queue_steps(grid)
     most, total = np.zeros((2, len(network.lane), grid.count))
     for stop in np.flatnonzero(network.has_stop_line).tolist():
-        back = queue_back(stop, standing, network, visible, grid)
-        np.maximum.at(most[stop], grid.of(look), back)
-        total[stop] = np.bincount(grid.of(look), back, grid.count)
+        back_m = queue_back(stop, standing, network, visible, grid)
+        np.maximum.at(most[stop], grid.of(step), back_m)
+        total[stop] = np.bincount(grid.of(step), back_m, grid.count)
     return most.ravel(), total.ravel()
 
 
-def looks(grid: StepGrid) -> Integers:
+def queue_steps(grid: StepGrid) -> Integers:
     """Return the steps of a grid at which queues are measured."""
-    return np.arange(-(-grid.begin // LOOK_STEPS) * LOOK_STEPS, grid.end, LOOK_STEPS)
+    return np.arange(
+        -(-grid.begin // QUEUE_EVERY_STEPS) * QUEUE_EVERY_STEPS, grid.end, QUEUE_EVERY_STEPS
+    )
 
 
 class StandingFronts(NamedTuple):
@@ -86,7 +88,7 @@ class StandingFronts(NamedTuple):
     Parameters
     ----------
     lane, step : (n,) int64 arrays
-        Position of the lane, and step, divisible by `LOOK_STEPS`.
+        Position of the lane, and step, divisible by `QUEUE_EVERY_STEPS`.
     along_m, length_m : (n,) arrays
         Place of the front along the lane, and length of the vehicle, m.
     """
@@ -100,9 +102,9 @@ class StandingFronts(NamedTuple):
     def of(
         cls, states: FrontStates, stands: Booleans, length_m: Floats, grid: StepGrid
     ) -> StandingFronts:
-        """Return those of a grid, on lanes."""
-        looked = stands & (states.lane >= 0) & (states.step % LOOK_STEPS == 0)
-        row = np.flatnonzero(looked & (states.step >= grid.begin) & (states.step < grid.end))
+        """Return the standing states on lanes within a grid."""
+        is_standing = stands & (states.lane >= 0) & (states.step % QUEUE_EVERY_STEPS == 0)
+        row = np.flatnonzero(is_standing & (states.step >= grid.begin) & (states.step < grid.end))
         row = row[np.lexsort((-states.along_m[row], states.step[row], states.lane[row]))]
         return cls(states.lane[row], states.step[row], states.along_m[row], length_m[row])
 
@@ -110,45 +112,46 @@ class StandingFronts(NamedTuple):
 def queue_back(
     stop: int, standing: StandingFronts, network: LaneNetwork, visible: VisibleRuns, grid: StepGrid
 ) -> Floats:
-    """Return how far back from a stop line a queue reaches, m, every `LOOK_STEPS` of a grid.
+    """Return how far back from a stop line a queue reaches, m, at the steps of :func:`queue_steps`.
 
-    Where lanes merge before the line, each has a queue of its own beyond: who waits on one of them
-    does not join those on the other. The longest counts.
+    Where lanes merge before the line, each has its own queue upstream: vehicles on one of them do
+    not continue the queue on the other. The longest counts.
 
     Parameters
     ----------
     stop : int
         Position of its lane.
     standing : StandingFronts
-        Who stands in the grid.
+        The standing vehicles of the grid.
     network, visible, grid
-        As for :func:`queues`.
+        As for :func:`queue_backs`.
     """
-    strips, look = network.queue_strips, looks(grid)
+    strips, look_steps = network.queue_strips, queue_steps(grid)
     # by strip: how far back the queue reaches, and whether no gap has ended it
-    reached = {-1: (np.zeros(len(look)), np.ones(len(look), np.bool_))}
+    reached = {-1: (np.zeros(len(look_steps)), np.ones(len(look_steps), np.bool_))}
     for strip in strips.of_stop(stop):
-        reach, whole = reached[strip] = reached[int(strips.ahead[strip])]
+        reach, is_open = reached[strip] = reached[int(strips.ahead[strip])]
         lane = strips.lane[strip]
-        mine = slice(*np.searchsorted(standing.lane, [lane, lane + 1]))
-        front = strips.to_line_m[strip] - standing.along_m[mine]
-        near = front >= -OVER_LINE_M
-        if not near.any():
+        on_lane = slice(*np.searchsorted(standing.lane, [lane, lane + 1]))
+        front = strips.to_line_m[strip] - standing.along_m[on_lane]
+        is_behind = front >= -OVER_LINE_M
+        if not is_behind.any():
             continue
         step, front, rear = (
-            each[near] for each in (standing.step[mine], front, front + standing.length_m[mine])
+            each[is_behind]
+            for each in (standing.step[on_lane], front, front + standing.length_m[on_lane])
         )
-        at, new = np.searchsorted(look, step), np.diff(step, prepend=-1) != 0
-        farthest = _farthest(rear, new)  # a lorry may reach farther back than a car behind it
-        ahead = np.maximum(reach[at], np.where(new, 0.0, np.append(0.0, farthest[:-1])))
-        good = joins(strip, step, ahead, front, network, visible) & whole[at]
-        joined = _unbroken(good, new)
-        reach, whole = reached[strip] = reach.copy(), whole.copy()
-        np.maximum.at(reach, at[joined], rear[joined])
-        whole[at[~joined]] = False
+        index, new = np.searchsorted(look_steps, step), np.diff(step, prepend=-1) != 0
+        farthest = _running_maximum(rear, new)  # a lorry may end farther back than the car behind
+        ahead = np.maximum(reach[index], np.where(new, 0.0, np.append(0.0, farthest[:-1])))
+        may_join = joins(strip, step, ahead, front, network, visible) & is_open[index]
+        joined = _unbroken(may_join, new)
+        reach, is_open = reached[strip] = reach.copy(), is_open.copy()
+        np.maximum.at(reach, index[joined], rear[joined])
+        is_open[index[~joined]] = False
     back = np.max([reach for reach, _ in reached.values()], axis=0)
     line = network.tile_id[network.tile_at(np.array([stop]), network.line_m[[stop]])]
-    return np.where(visible.at(np.repeat(line, len(look)), look), back, 0.0)
+    return np.where(visible.at(np.repeat(line, len(look_steps)), look_steps), back, 0.0)
 
 
 def joins(
@@ -181,8 +184,8 @@ def _visible_m(
     visible: VisibleRuns,
 ) -> Floats:  # fmt: skip
     """Return the visible metres on the way from a strip to the line, between two distances."""
-    way = network.queue_strips.way(strip)
-    lane, to_line = network.queue_strips.lane[way], network.queue_strips.to_line_m[way]
+    path = network.queue_strips.path_to(strip)
+    lane, to_line = network.queue_strips.lane[path], network.queue_strips.to_line_m[path]
     count = np.ceil(far_m - near_m).astype(np.int64)
     row = np.repeat(np.arange(len(step)), count)
     metre = near_m[row] + ranges(np.zeros(len(step), np.int64), count) + 0.5
@@ -226,18 +229,18 @@ def queue_course(
     stop : int
         Position of its lane.
     states, length_m, network, visible, grid
-        As for :func:`queues`.
+        As for :func:`queue_backs`.
     """
-    to_line, to_stop = _strip(stop, network), to_stop_line(stop, states, network)
+    to_line, to_stop = _lanes_to_line_m(stop, network), to_stop_line(stop, states, network)
     inside = (states.step >= grid.begin) & (states.step < grid.end)
     row = np.flatnonzero(inside & np.isfinite(to_stop))
     standing = StandingFronts.of(states, standing_states(states)[0], length_m, grid)
-    back = np.zeros(grid.count)
-    at_look = queue_back(stop, standing, network, visible, grid)
-    np.maximum.at(back, grid.of(looks(grid)), at_look)
+    back_m = np.zeros(grid.count)
+    at_steps = queue_back(stop, standing, network, visible, grid)
+    np.maximum.at(back_m, grid.of(queue_steps(grid)), at_steps)
     begin = grid.begin + np.arange(grid.count) * grid.steps
     line = network.tile_id[network.tile_at(np.array([stop]), network.line_m[[stop]])]
-    known = visible.at(np.repeat(line, grid.count), begin)
+    line_visible = visible.at(np.repeat(line, grid.count), begin)
     place = pd.Series(np.arange(len(network.tile_id)), network.tile_id)
     tile = place.reindex(visible.tile_id).to_numpy()
     run = np.flatnonzero(np.isfinite(to_line[network.tile_lane[tile]]))
@@ -246,26 +249,26 @@ def queue_course(
     near = far - network.tile_length_m[tile[run]]
     return QueueCourse(
         states.vehicle[row], states.step[row],
-        to_stop[row], begin, np.where(known, back, np.nan),
+        to_stop[row], begin, np.where(line_visible, back_m, np.nan),
         np.column_stack([visible.first[run], visible.last[run] + 1, near, far]).astype(np.float64),
     )  # fmt: skip
 
 
 def to_stop_line(stop: int, states: FrontStates, network: LaneNetwork) -> Floats:
     """Return the metres from fronts to the stop line of a lane; NaN where no queue at it stands."""
-    to_line = np.append(_strip(stop, network), np.nan)  # the last for -1, off the lanes
+    to_line = np.append(_lanes_to_line_m(stop, network), np.nan)  # the last for -1, off the lanes
     return np.asarray(to_line[states.lane] - states.along_m, np.float64)
 
 
-def _strip(stop: int, network: LaneNetwork) -> Floats:
+def _lanes_to_line_m(stop: int, network: LaneNetwork) -> Floats:
     """Return the metres from the begin of each lane to a stop line; NaN off its strips."""
     strips, to_line = network.queue_strips, np.full(len(network.lane), np.nan)
-    mine = strips.stop_lane == stop
-    to_line[strips.lane[mine]] = strips.to_line_m[mine]
+    of_stop = strips.stop_lane == stop
+    to_line[strips.lane[of_stop]] = strips.to_line_m[of_stop]
     return to_line
 
 
-def _farthest(values: Floats, new: Booleans) -> Floats:
+def _running_maximum(values: Floats, new: Booleans) -> Floats:
     """Return, for each value, the greatest one of its group up to it; `new` begins a group."""
     group = np.cumsum(new)
     span = float(np.ptp(values)) + 1.0 if len(values) else 1.0

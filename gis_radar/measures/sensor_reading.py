@@ -15,12 +15,12 @@ from gis_radar.measures.frame_hash import FrameHasher, HashedFrames
 from gis_radar.measures.hit_counter import NO_TILES, Counted, HitCounter, rows_of_columns
 from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
 from gis_radar.measures.placing import PoseNumbers
-from gis_radar.measures.pose_sights import PlacedRecording, PoseSight, places_of
+from gis_radar.measures.pose_sights import PlacedRecording, PoseSight, first_since_move
 from gis_radar.measures.validity import FrameTimes
 from gis_radar.recordings import RangeCounts, RawRows, read_raw
 from gis_radar.scans import SightTiles
 
-NEVER_US = -(2**62)
+NEVER_US = -(2**62)  # a time before all others
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ class RecordingCounts:
         First and last frame, and the gaps between frames.
     ranges : (r,) int64 array
         Number of detections by range, as in :class:`RangeCounts`.
-    level : bool
+    lacks_elevation : bool
         Whether the sensor measures no elevation.
     movement : dict
         Number of frames with movement on each tile, by the name of the first sight since the sensor
@@ -70,19 +70,19 @@ class RecordingCounts:
     hits: int = 0
     times: FrameTimes = field(default_factory=FrameTimes)
     ranges: Integers = field(default_factory=lambda: RangeCounts().counts)
-    level: bool = False
+    lacks_elevation: bool = False
     movement: dict[str, Integers] = field(default_factory=dict)
     frames: dict[str, int] = field(default_factory=dict)
 
-    def add(self, other: RecordingCounts) -> None:
+    def add(self, counts: RecordingCounts) -> None:
         """Add the counts of another hour."""
-        self.rows, self.hits = self.rows + other.rows, self.hits + other.hits
-        self.times.join(other.times)
-        self.ranges = self.ranges + other.ranges
-        self.level |= other.level
-        for sight, count in other.movement.items():
+        self.rows, self.hits = self.rows + counts.rows, self.hits + counts.hits
+        self.times.join(counts.times)
+        self.ranges = self.ranges + counts.ranges
+        self.lacks_elevation |= counts.lacks_elevation
+        for sight, count in counts.movement.items():
             self.movement[sight] = self.movement.get(sight, 0) + count
-        for sight, frames in other.frames.items():
+        for sight, frames in counts.frames.items():
             self.frames[sight] = self.frames.get(sight, 0) + frames
 
 
@@ -157,23 +157,23 @@ def read_sensor(
     InputError
         If a recording is damaged, or two differ in the time that both hold.
     """
-    parts: list[_Reading] = []
+    readings: list[_Reading] = []
     for source in sources:
-        until = max((each.last_us for each in parts), default=NEVER_US)
-        part = _Reading(source=source, window=window, target=target, until_us=until)
-        part.read(count_hits=count_hits)
-        _refuse_difference(part, parts)
-        parts.append(part)
-    counted = [frames for part in parts for frames in part.counted]
+        until = max((each.last_us for each in readings), default=NEVER_US)
+        reading = _Reading(source=source, window=window, target=target, until_us=until)
+        reading.read(count_hits=count_hits)
+        _refuse_difference(reading, readings)
+        readings.append(reading)
+    counted = [frames for part in readings for frames in part.counted]
     return SensorHour(
         sensor=sources[0].track.sensor,
         sources=sources,
-        frames=HashedFrames.join([part.fresh for part in parts]),
-        source=np.repeat(np.arange(len(parts)), [len(part.fresh) for part in parts]),
-        pose=np.concatenate([NO_TILES, *(part.poses() for part in parts)]),
+        frames=HashedFrames.join([part.fresh for part in readings]),
+        source=np.repeat(np.arange(len(readings)), [len(part.fresh) for part in readings]),
+        pose=np.concatenate([NO_TILES, *(part.poses() for part in readings)]),
         counted=np.concatenate([np.empty((0, POSE + 1), np.int64), *counted]),
-        tile=[tile for part in parts for tile in part.tile],
-        evidence=[part.evidence for part in parts],
+        tile=[tile for part in readings for tile in part.tile],
+        evidence=[part.evidence for part in readings],
     )
 
 
@@ -248,7 +248,7 @@ class _Counter:
             ranges=self._ranges,
         )  # fmt: skip
         self._placed: dict[int, PoseNumbers] = {}
-        self._places = places_of(reading.source.track.poses)
+        self._places = first_since_move(reading.source.track.poses)
 
     def add(self, raw: RawRows, time: Floats, shift_us: Integers, low: int, high: int) -> None:
         """Count rows that follow those so far."""
@@ -266,7 +266,7 @@ class _Counter:
             first, last = low + begin, low + end
             for counted in self._counter.add(rows, first, last, placing, movement=counter):
                 self._take(counted)
-        evidence.level |= raw.level
+        evidence.lacks_elevation |= raw.level
         evidence.rows += high - low
 
     def _placing(self, index: int) -> PoseNumbers:
@@ -282,14 +282,14 @@ class _Counter:
         self._take(self._counter.end())
         reading.evidence.ranges = self._ranges.counts
         for frames in reading.counted:
-            mine = frames[frames[:, TIME_US] >= reading.window.begin * STEP_US]
-            if len(mine):
-                reading.evidence.times.add(mine[:, TIME_US])
-                reading.evidence.hits += int(mine[:, TILES_HIT].sum())
-            for index, count in zip(*np.unique(mine[:, POSE], return_counts=True), strict=True):
+            of_hour = frames[frames[:, TIME_US] >= reading.window.begin * STEP_US]
+            if len(of_hour):
+                reading.evidence.times.add(of_hour[:, TIME_US])
+                reading.evidence.hits += int(of_hour[:, TILES_HIT].sum())
+            for index, count in zip(*np.unique(of_hour[:, POSE], return_counts=True), strict=True):
                 sight = reading.source.sights[self._places[index]].name
-                known = reading.evidence.frames
-                known[sight] = known.get(sight, 0) + int(count)
+                frames_of_sight = reading.evidence.frames
+                frames_of_sight[sight] = frames_of_sight.get(sight, 0) + int(count)
 
     def _take(self, counted: Counted) -> None:
         self._reading.counted.append(counted.frames)
@@ -305,31 +305,33 @@ def rows_between(time: Floats, first_us: int, after_us: int) -> tuple[int, int]:
     return int(begin), int(end)
 
 
-def _refuse_difference(part: _Reading, earlier: Sequence[_Reading]) -> None:
+def _refuse_difference(reading: _Reading, earlier: Sequence[_Reading]) -> None:
     """Refuse a recording that differs from earlier ones in the time that they share."""
-    again = part.frames.take(part.frames.time_us <= part.until_us)
-    if len(again) == 0:
+    repeated = reading.frames.take(reading.frames.time_us <= reading.until_us)
+    if len(repeated) == 0:
         return
-    known = HashedFrames.join([each.fresh for each in earlier])
-    first, last = int(again.time_us[0]), min(part.until_us, part.last_us)
-    same = known.take((known.time_us >= first) & (known.time_us <= last))
-    most = min(len(same), len(again))
-    differs = (same.time_us[:most] != again.time_us[:most]) | (
-        same.hash[:most] != again.hash[:most]
+    earlier_frames = HashedFrames.join([each.fresh for each in earlier])
+    first, last = int(repeated.time_us[0]), min(reading.until_us, reading.last_us)
+    known_frames = earlier_frames.take(
+        (earlier_frames.time_us >= first) & (earlier_frames.time_us <= last)
     )
-    if len(same) == len(again) and not differs.any():
+    length = min(len(known_frames), len(repeated))
+    is_different = (known_frames.time_us[:length] != repeated.time_us[:length]) | (
+        known_frames.hash[:length] != repeated.hash[:length]
+    )
+    if len(known_frames) == len(repeated) and not is_different.any():
         return
-    at = int(differs.argmax()) if differs.any() else most
-    at_us = int(min(each.time_us[at] for each in (same, again) if at < len(each)))
-    other = next(
+    place = int(is_different.argmax()) if is_different.any() else length
+    at_us = int(min(each.time_us[place] for each in (known_frames, repeated) if place < len(each)))
+    other_path = next(
         each.source.recording.path for each in reversed(earlier)
         if len(each.frames) and each.frames.time_us[0] <= at_us
     )  # fmt: skip
     raise InputError(
         "{}: differs from {} at {}: both are of {}",
-        part.source.recording.path,
-        other,
+        reading.source.recording.path,
+        other_path,
         iso_from_step(at_us // STEP_US),
-        part.source.track.sensor,
+        reading.source.track.sensor,
         hint="leave one of them away, or cut it where the other begins",
     )

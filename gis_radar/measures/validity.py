@@ -26,7 +26,7 @@ VALIDITY_S = 0.1
 # without frames is not observed.
 CYCLES_VALID = 1.5
 GAP_US = 100  # resolution of the histogram of gaps: finer than jitter
-MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US
+MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US  # classes of the histogram
 
 
 def validity_of(cycles: Mapping[str, float] | None, sensors: Sequence[str]) -> dict[str, float]:
@@ -100,16 +100,16 @@ class FrameTimes:
         self.last_us = int(time_us[-1])
         self.frames += len(time_us)
 
-    def join(self, other: FrameTimes) -> None:
+    def join(self, later: FrameTimes) -> None:
         """Add the frames of another period."""
-        if other.frames == 0:
+        if later.frames == 0:
             return
         known = self.frames > 0
-        self.first_us = min(self.first_us, other.first_us) if known else other.first_us
-        self.last_us = max(self.last_us, other.last_us) if known else other.last_us
-        self.frames += other.frames
-        self.gaps = self.gaps + other.gaps
-        self.sums_us = self.sums_us + other.sums_us
+        self.first_us = min(self.first_us, later.first_us) if known else later.first_us
+        self.last_us = max(self.last_us, later.last_us) if known else later.last_us
+        self.frames += later.frames
+        self.gaps = self.gaps + later.gaps
+        self.sums_us = self.sums_us + later.sums_us
 
     @property
     def cycle_us(self) -> float:
@@ -153,9 +153,9 @@ class Runs:
 
     def within(self, first: int, last: int) -> Runs:
         """Return the part of the set from step `first` to step `last`, inclusive."""
-        kept = (self.last >= first) & (self.first <= last)
+        inside = (self.last >= first) & (self.first <= last)
         return Runs(
-            first=np.maximum(self.first[kept], first), last=np.minimum(self.last[kept], last)
+            first=np.maximum(self.first[inside], first), last=np.minimum(self.last[inside], last)
         )
 
     def nearest(self, step: int) -> int:

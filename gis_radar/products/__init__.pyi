@@ -18,11 +18,13 @@ from .report.pages import render_page
 from .report.report import Report, write_report
 from .report.results import as_stated, lost_sensors, read_run
 from .report.sources import made_by
+from .report.traffic import LEAST_QUEUE_M, longest_queue_text
 from .traffic import Traffic, make_traffic, service_levels
 from .traffic_exchange import publisher_of
 
 __all__ = [
     "BREAKS",
+    "LEAST_QUEUE_M",
     "MAP_WORDS",
     "NEVER_HIT",
     "NOT_OBSERVED",
@@ -49,6 +51,7 @@ __all__ = [
     "joint_layer",
     "lane_totals",
     "lanes_with_tiles",
+    "longest_queue_text",
     "lost_sensors",
     "made_by",
     "make_heatmap",

@@ -16,7 +16,7 @@ from gis_radar.base import InputError, Text, csv_rows, listed, stated_moment, te
 AGREE = 2.0  # standard errors of the difference within which two counts agree: 95 % of cases
 _PLACES = ("section", "lane")
 _NEEDED = ("begin", "end", "volume")
-_THOUSANDS = re.compile(r"[1-9]\d{0,2}(\.\d{3})+")  # once commas are points
+_THOUSANDS = re.compile(r"[1-9]\d{0,2}(\.\d{3})+")  # after commas were replaced by points
 
 
 def beside_hand_counts(
@@ -50,29 +50,31 @@ def beside_hand_counts(
         If the file is no such table, has an unknown lane or section, or a time inside one of our
         intervals.
     """
-    found = []
+    compared = []
     for number, row in _read(path):
         what = f"{path}, line {number}"
-        place, ours = _ours_at(row, lanes, sections, what)
+        place, ours = _our_volumes_at(row, lanes, sections, what)
         begin, end = (
             _moment(text_in(row, name), zone, f"{what}: {name}") for name in ("begin", "end")
         )
-        mine = _within(ours, begin, end, what)
+        ours_within = _within(ours, begin, end, what)
         hours = (end - begin).total_seconds() / 3600.0
-        by_hand, its_se = _number(row, "volume", what), _number(row, "volume_se", what, 0.0)
-        volume = mine["volume"].sum(min_count=max(len(mine), 1))
-        spread = mine["volume_se"].astype(float).pow(2).sum(min_count=max(len(mine), 1))
-        both, apart = (volume + by_hand) / hours, (volume - by_hand) / hours
-        found.append({
+        by_hand, by_hand_se = _number(row, "volume", what), _number(row, "volume_se", what, 0.0)
+        volume = ours_within["volume"].sum(min_count=max(len(ours_within), 1))
+        spread = (
+            ours_within["volume_se"].astype(float).pow(2).sum(min_count=max(len(ours_within), 1))
+        )
+        sum_h, difference_h = (volume + by_hand) / hours, (volume - by_hand) / hours
+        compared.append({
             "place": place, "direction": text_in(row, "direction") or None, "begin": begin,
             "end": end, "volume_by_hand": by_hand, "volume": volume, "volume_se": np.sqrt(spread),
             "difference": volume - by_hand,
-            "geh": np.sqrt(2.0 * apart**2 / both) if both else apart,
+            "geh": np.sqrt(2.0 * difference_h**2 / sum_h) if sum_h else difference_h,
             "agrees": None if np.isnan(volume) else bool(
-                abs(volume - by_hand) <= AGREE * np.sqrt(spread + its_se**2)
+                abs(volume - by_hand) <= AGREE * np.sqrt(spread + by_hand_se**2)
             ),
         })  # fmt: skip
-    return pd.DataFrame(found)
+    return pd.DataFrame(compared)
 
 
 def _read(path: str | Path) -> list[tuple[int, dict[str, str]]]:
@@ -109,7 +111,7 @@ def _moment(text: str, zone: ZoneInfo, what: str) -> pd.Timestamp:
     return pd.Timestamp(stated_moment(text, zone, what)).tz_convert(zone)
 
 
-def _ours_at(
+def _our_volumes_at(
     row: Mapping[Any, Any], lanes: pd.DataFrame, sections: pd.DataFrame | None, what: str
 ) -> tuple[str, pd.DataFrame]:
     """Return the name of a counted place, and our rows of it."""
@@ -119,11 +121,11 @@ def _ours_at(
             hint = "give the layer of sections, too: --sections"
             raise InputError("{}: section {} is not known", what, section, hint=hint)
         ours = sections[sections["section"] == section]
-        known, ways = sorted(set(sections["section"])), sorted(set(ours["direction"]))
+        names, directions = sorted(set(sections["section"])), sorted(set(ours["direction"]))
         if ours.empty:
-            raise InputError("{}: section {} is none of {}", what, section, ", ".join(known))
-        if direction not in ways and (direction or len(ways) > 1):
-            expected = ", ".join(ways)
+            raise InputError("{}: section {} is none of {}", what, section, ", ".join(names))
+        if direction not in directions and (direction or len(directions) > 1):
+            expected = ", ".join(directions)
             raise InputError(
                 "{}: direction is {}, expected one of {}", what, repr(direction), expected
             )
@@ -141,14 +143,14 @@ def _within(ours: pd.DataFrame, begin: pd.Timestamp, end: pd.Timestamp, what: st
     """Return our intervals from begin to end; none unless they cover it completely."""
     if begin >= end:
         raise InputError("{}: ends before it begins", what)
-    cut = ours[((ours["begin"] < begin) & (ours["end"] > begin)) | (
+    overlapping = ours[((ours["begin"] < begin) & (ours["end"] > begin)) | (
         (ours["begin"] < end) & (ours["end"] > end)
     )]  # fmt: skip
-    if len(cut):
+    if len(overlapping):
         raise InputError(
             "{}: begins or ends within one of our intervals", what,
             hint="choose a shorter --interval that fits",
         )  # fmt: skip
-    mine = ours[(ours["begin"] >= begin) & (ours["end"] <= end)]
-    filled = (mine["end"] - mine["begin"]).sum() == end - begin
-    return mine if filled else mine.iloc[:0]
+    inside = ours[(ours["begin"] >= begin) & (ours["end"] <= end)]
+    is_covered = (inside["end"] - inside["begin"]).sum() == end - begin
+    return inside if is_covered else inside.iloc[:0]

@@ -126,7 +126,7 @@ class Publication:
     rows: Mapping[str, int]
 
     def figures(self) -> dict[str, Any]:
-        """Return the result as figures with titles."""
+        """Return the figures of the result by name."""
         return {
             "database": self.place, "dates_sent": self.sent, "dates_kept": self.kept,
             "dates_removed": self.removed, **{f"rows_of_{k}": n for k, n in self.rows.items()},
@@ -181,10 +181,10 @@ def publish(
         raise CrsError("{}: {} has no EPSG code, which PostGIS needs", dataset.folder, dataset.crs)
     with opened_session(url, schema, code) as session:
         session.prepare(dataset.manifest.fingerprint)
-        known, days = session.published(), _digests(dataset)
-        changed = [day for day in days if days[day] != known.get(day)]
-        gone = [day for day in known if day not in days]
-        session.remove([*gone, *(day for day in changed if day in known)])
+        published, days = session.published(), _digests(dataset)
+        changed = [day for day in days if days[day] != published.get(day)]
+        removed = [day for day in published if day not in days]
+        session.remove([*removed, *(day for day in changed if day in published)])
         session.replace_layers(dataset)
         for done, day in enumerate(changed):
             reporter.progress("publishing", done, len(changed))
@@ -196,7 +196,7 @@ def publish(
             session.notify(schema)
     return Publication(
         place=f"{session.place}, schema {schema}", sent=len(changed), kept=len(days) - len(changed),
-        removed=len(gone), rows=session.rows,
+        removed=len(removed), rows=session.rows,
     )  # fmt: skip
 
 
@@ -218,13 +218,13 @@ def _digests(dataset: Dataset) -> dict[date, str]:
     The poses, on which standard errors rest, are included.
     """
     records, poses = dataset.records(), pd.DataFrame(dataset.poses()).drop(columns="geometry")
-    found = {}
+    digests = {}
     for day in sorted({hour // 24 for hour in records}):
         hours = [hour for hour in range(24 * day - 1, 24 * day + 24) if hour in records]
         made = [(hour, sorted(records[hour].parts.items()), records[hour].origin) for hour in hours]
         follows = repr((made, poses.to_json()))
-        found[_EPOCH + timedelta(days=day)] = hashlib.sha256(follows.encode()).hexdigest()
-    return found
+        digests[_EPOCH + timedelta(days=day)] = hashlib.sha256(follows.encode()).hexdigest()
+    return digests
 
 
 @contextmanager
@@ -255,10 +255,10 @@ def opened_session(url: str, schema: str, srid: int = 0) -> Iterator[Session]:
             yield Session(cursor=connection.cursor(), schema=schema, place=place, srid=srid)
     except psycopg.Error as error:
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise OutputError("{}: {}", place, reason, hint=_hint(reason)) from error
+        raise OutputError("{}: {}", place, reason, hint=_hint_for(reason)) from error
 
 
-def _hint(reason: str) -> Text:
+def _hint_for(reason: str) -> Text:
     if 'extension "postgis"' in reason:
         return Text("install PostGIS, and CREATE EXTENSION postgis in the database as its owner")
     return Text("the database is as it was")
@@ -276,8 +276,10 @@ class Session:
         """Execute a statement: values for `%s`, a quoted `{text}`, names for the other holes."""
         from psycopg.sql import SQL, Identifier, Literal  # noqa: PLC0415 - an extra
 
-        held = {hole: Identifier(name) for hole, name in (names | {"schema": self.schema}).items()}
-        composed = SQL(statement).format(text=Literal(text), **held)
+        identifiers = {
+            hole: Identifier(name) for hole, name in (names | {"schema": self.schema}).items()
+        }
+        composed = SQL(statement).format(text=Literal(text), **identifiers)
         self.cursor.execute(composed, values or None)
 
     def ask(self, statement: str, *values: Any) -> Any:
@@ -290,8 +292,8 @@ class Session:
         """Return a part of a statement: a quoted `{text}`, names for the other holes."""
         from psycopg.sql import SQL, Identifier, Literal  # noqa: PLC0415 - an extra
 
-        held = {hole: Identifier(name) for hole, name in names.items()}
-        return SQL(template).format(text=Literal(text), **held).as_string(self.cursor)
+        identifiers = {hole: Identifier(name) for hole, name in names.items()}
+        return SQL(template).format(text=Literal(text), **identifiers).as_string(self.cursor)
 
     def columns(self, schema: str, table: str) -> dict[str, str]:
         """Return the columns of a table or view with their types; none if it is missing."""
@@ -309,23 +311,25 @@ class Session:
         if self.is_new:
             self._prepare_tables()
 
-    def prepare_schema(self, mine: str) -> None:
+    def prepare_schema(self, expected: str) -> None:
         """Make the schema if it is missing, with a comment; refuse one with another comment."""
-        there = self.ask("SELECT to_regnamespace(%s) IS NOT NULL", self.schema)
-        if not there:  # else no right to make one is needed
+        exists = self.ask("SELECT to_regnamespace(%s) IS NOT NULL", self.schema)
+        if not exists:  # where it exists, no right to create it is needed
             self.run("CREATE SCHEMA {schema}")
-        told = self.ask("SELECT obj_description(to_regnamespace(%s), 'pg_namespace')", self.schema)
-        self.is_new = not told
-        if told != mine and (told or (there and self._holds_anything())):
+        comment = self.ask(
+            "SELECT obj_description(to_regnamespace(%s), 'pg_namespace')", self.schema
+        )
+        self.is_new = not comment
+        if comment != expected and (comment or (exists and self._holds_anything())):
             hint = Text("name another --schema")
-            if told and told.startswith(MARK):  # what others keep is not ours to have dropped
+            if comment and comment.startswith(MARK):  # never propose to drop what others made
                 hint = Text("name another --schema, or drop {} and publish again", self.schema)
             raise OutputError(
                 "{}: schema {} holds something else ({})", self.place, self.schema,
-                told or "tables of others", hint=hint,
+                comment or "tables of others", hint=hint,
             )  # fmt: skip
         if self.is_new:
-            self.run("COMMENT ON SCHEMA {schema} IS {text}", text=mine)
+            self.run("COMMENT ON SCHEMA {schema} IS {text}", text=expected)
 
     def _prepare_tables(self) -> None:
         self.run(
@@ -369,7 +373,7 @@ class Session:
         if dataset.has_vehicles:
             network = LaneTraffic.of(dataset).network
             names = dict(zip(network.lane.tolist(), lane_names(lanes, network), strict=True))
-        lanes = lanes.drop(columns="name", errors="ignore")  # names of their own are in `names`
+        lanes = lanes.drop(columns="name", errors="ignore")  # `names` includes lanes' own names
         lanes.insert(1, "name", lanes["lane"].map(names).astype("string"))
         layers = {"lanes": lanes, "sensors": _last_poses(dataset)}
         if self.is_new:
@@ -430,8 +434,8 @@ class Session:
         self.run("COMMENT ON TABLE {schema}.{table} IS {text}", text=_ROWS[name], table=name)
         for column in map(str, table):
             if text := _meaning(name, column):
-                told = "COMMENT ON COLUMN {schema}.{table}.{column} IS {text}"
-                self.run(told, text=text, table=name, column=_TIMES.get(column, column))
+                statement = "COMMENT ON COLUMN {schema}.{table}.{column} IS {text}"
+                self.run(statement, text=text, table=name, column=_TIMES.get(column, column))
 
     def _type_of(self, table: pd.DataFrame, column: str) -> str:
         if isinstance(table, gpd.GeoDataFrame) and column == table.geometry.name:

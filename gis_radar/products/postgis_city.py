@@ -46,14 +46,14 @@ class CityPublication:
     schema : str
         Schema of the views of all sites.
     sites : dict
-        What was sent, by site.
+        Publication of each site.
     """
 
     schema: str
     sites: Mapping[str, Publication]
 
     def figures(self) -> dict[str, Any]:
-        """Return the result as figures with titles."""
+        """Return the figures of the result by name."""
         sums: Counter[str] = Counter()
         for each in self.sites.values():
             sums.update({k: n for k, n in each.figures().items() if isinstance(n, int)})
@@ -79,7 +79,7 @@ def publish_city(
     root : str or Path
         A folder with a dataset a site, `ROOT/site=NAME/`.
     url, reader
-        As of :func:`gis_radar.publish`.
+        As for :func:`gis_radar.publish`.
     schema : str
         Schema of the views, and the beginning of those of the sites.
     reporter : Reporter
@@ -105,43 +105,49 @@ def publish_city(
     warn_of_copies(places, reporter)
     with opened_session(url, schema) as session:
         session.prepare_schema(f"{MARK} a city of version {VERSION}")
-    done, lost = dict[str, Publication](), dict[str, GisRadarError]()
+    published, failed = dict[str, Publication](), dict[str, GisRadarError]()
     for number, (name, folder) in enumerate(places.items()):
         reporter.progress("publishing sites", number, len(places))
         try:
-            done[name] = publish(folder, url, schema=schemas[name], reader=reader, notify=False)
+            published[name] = publish(
+                folder, url, schema=schemas[name], reader=reader, notify=False
+            )
         except GisRadarError as error:
-            lost[name] = error
+            failed[name] = error
             reporter.warn("site {}: {}", name, error.message)
     reporter.progress("publishing sites", len(places), len(places))
     with opened_session(url, schema) as session:
         _make_views(session, schemas)
         session.grant(reader)
-        session.notify(schema)  # first, as QGIS takes in one message a second
-        for name, sent in done.items():
+        session.notify(schema)  # first: QGIS takes one message a second
+        for name, sent in published.items():
             if sent.sent or sent.removed:
                 session.notify(schemas[name])
-    if lost:
+    if failed:
         raise OutputError(
-            "{} of {} sites were not published: {}", len(lost), len(places), ", ".join(lost),
+            "{} of {} sites were not published: {}", len(failed), len(places), ", ".join(failed),
             hint="the others were",
         )  # fmt: skip
-    return CityPublication(schema=schema, sites=done)
+    return CityPublication(schema=schema, sites=published)
 
 
 def _schemas(root: Path, names: list[str], schema: str) -> dict[str, str]:
     """Return the schema of each site: its name in small letters without accents."""
-    found: dict[str, str] = {}
+    schemas: dict[str, str] = {}
     for name in names:
         plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
-        own = f"{schema}_{re.sub('[^a-z0-9]+', '_', plain).strip('_')}"
-        if own in found.values() or len(own) > _LONGEST or own == f"{schema}_":
+        own_schema = f"{schema}_{re.sub('[^a-z0-9]+', '_', plain).strip('_')}"
+        if (
+            own_schema in schemas.values()
+            or len(own_schema) > _LONGEST
+            or own_schema == f"{schema}_"
+        ):
             raise InputError(
                 "{}: site {} would be in schema {}, which is another's or no name",
-                root, name, own, hint="rename the folder of the site",
+                root, name, own_schema, hint="rename the folder of the site",
             )  # fmt: skip
-        found[name] = own
-    return found
+        schemas[name] = own_schema
+    return schemas
 
 
 def _make_views(session: Session, schemas: Mapping[str, str]) -> None:
@@ -155,13 +161,13 @@ def _make_views(session: Session, schemas: Mapping[str, str]) -> None:
         if not columns:
             continue
         rows = _union(session, view, columns, schemas)
-        made = f"CREATE OR REPLACE VIEW {{schema}}.{{view}} AS {rows}"
+        statement = f"CREATE OR REPLACE VIEW {{schema}}.{{view}} AS {rows}"
         try:
             with session.cursor.connection.transaction():
-                session.run(made, view=view)
-        except errors.InvalidTableDefinition:  # a version had other columns
+                session.run(statement, view=view)
+        except errors.InvalidTableDefinition:  # an earlier version had other columns
             session.run("DROP VIEW {schema}.{view}", view=view)
-            session.run(made, view=view)
+            session.run(statement, view=view)
         session.run("COMMENT ON VIEW {schema}.{view} IS {text}", text=comment, view=view)
 
 
@@ -172,14 +178,14 @@ def _union(
     """Return the rows of all sites as SQL: the columns that all have, each of its usual type."""
     first, *others = columns.values()
     names = [name for name in first if all(name in each for each in others)]
-    usual = {name: Counter(each[name] for each in columns.values()).most_common(1)[0][0]
+    usual_types = {name: Counter(each[name] for each in columns.values()).most_common(1)[0][0]
              for name in names}  # fmt: skip
     parts = []
-    for site, known in columns.items():
-        shown = [_shown(name, known[name], usual[name]) for name in names]
-        head = session.quoted("SELECT {text}::text AS site", text=site)
+    for site, columns_of_site in columns.items():
+        shown = [_shown(name, columns_of_site[name], usual_types[name]) for name in names]
+        site_column = session.quoted("SELECT {text}::text AS site", text=site)
         source = session.quoted("{own}.{view}", own=schemas[site], view=view)
-        parts.append(f"{head}, {', '.join(shown)} FROM {source}")
+        parts.append(f"{site_column}, {', '.join(shown)} FROM {source}")
     return " UNION ALL ".join(parts).replace("{", "{{").replace("}", "}}")
 
 

@@ -72,7 +72,7 @@ TITLES = {
     "agrees": Text("Within both errors"),
 }  # fmt: skip
 """Titles of all columns, with units."""
-_KEPT = {"shows": VOLUMES}  # GDAL then makes the tables of metadata, which titles need
+_LAYER_METADATA = {"shows": VOLUMES}  # makes GDAL create the metadata tables, which titles need
 _IDS = ("lane", "from_lane", "to_lane")  # up to 9e18: as numbers, xlsx and JSON would round them
 _TIMES = ("begin", "end")
 # What files of an earlier result begin with, also of one with other options.
@@ -107,15 +107,15 @@ class Traffic:
     def figures(self) -> dict[str, Any]:
         """Return the numbers of lanes, turns and intervals, and the sums of the counts."""
         rows = self.lanes
-        known: dict[str, Any] = {}
+        figures: dict[str, Any] = {}
         if self.sections is not None:
-            known["sections"] = int(self.sections["section"].nunique())
+            figures["sections"] = int(self.sections["section"].nunique())
         if self.hand_counts is not None:
-            known["hand_counts"] = len(self.hand_counts)
-            known["hand_counts_that_agree"] = int(self.hand_counts["agrees"].eq(True).sum())
+            figures["hand_counts"] = len(self.hand_counts)
+            figures["hand_counts_that_agree"] = int(self.hand_counts["agrees"].eq(True).sum())
         if self.cycles is not None:
-            known["cycles"] = int(self.cycles["counted"].notna().sum())
-        return known | {
+            figures["cycles"] = int(self.cycles["counted"].notna().sum())
+        return figures | {
             "lanes": int(rows["lane"].nunique()),
             "turns": len(self.turns[["from_lane", "to_lane"]].drop_duplicates()),
             "intervals": int(rows["begin"].nunique()),
@@ -145,8 +145,8 @@ class Traffic:
         folder : str or Path
             The folder; an earlier result there is replaced.
         datex : str, optional
-            Who publishes, country and name such as `DE:City of Example`, to write files for DATEX
-            II version 3, too.
+            Publisher, country and name such as `DE:City of Example`, to write files for DATEX II
+            version 3, too.
         language : str, optional
             Language of titles in sheets and layers, `en` or `de`; by default the current one.
         reporter : Reporter
@@ -164,22 +164,25 @@ class Traffic:
         UsageError
             If the publisher is no country and name.
         """
-        zero = self.lanes["begin"].min()
+        first_begin = self.lanes["begin"].min()
         writers: dict[str, Callable[[Path], object]] = {
             "traffic.csv": partial(write_table, self.lanes),
             "turns.csv": partial(write_table, self.turns),
-            **{f"{name}.csv": partial(write_table, table) for name, table in self._more.items()},
+            **{
+                f"{name}.csv": partial(write_table, table)
+                for name, table in self._further_tables.items()
+            },
             "traffic.xlsx": self._write_workbook,
             "traffic.gpkg": self._write_package,
-            "sumo.edgedata.xml": partial(write_mean_data, self.lanes, zero, by_lane=False),
-            "sumo.lanedata.xml": partial(write_mean_data, self.lanes, zero, by_lane=True),
-            "sumo.turns.xml": partial(write_turn_counts, self.turns, zero),
+            "sumo.edgedata.xml": partial(write_mean_data, self.lanes, first_begin, by_lane=False),
+            "sumo.lanedata.xml": partial(write_mean_data, self.lanes, first_begin, by_lane=True),
+            "sumo.turns.xml": partial(write_turn_counts, self.turns, first_begin),
         }
         if datex is not None:
             publisher = publisher_of(datex)
             writers["datex.sites.xml"] = partial(write_datex_sites, self.lanes, publisher)
             writers["datex.measured.xml"] = partial(write_datex_measurements, self.lanes, publisher)
-        rows = max(map(len, (self.lanes, self.turns, *self._more.values())))
+        rows = max(map(len, (self.lanes, self.turns, *self._further_tables.values())))
         if rows > SHEET_ROWS:
             del writers["traffic.xlsx"]
             reporter.warn(
@@ -196,7 +199,7 @@ class Traffic:
         )  # fmt: skip
 
     @property
-    def _more(self) -> dict[str, pd.DataFrame]:
+    def _further_tables(self) -> dict[str, pd.DataFrame]:
         tables = {SECTIONS: self.sections, "hand_counts": self.hand_counts, CYCLES: self.cycles}
         return {name: table for name, table in tables.items() if table is not None}
 
@@ -204,11 +207,11 @@ class Traffic:
         sheets = {tr("Lanes"): self.lanes, tr("Turns"): self.turns}
         names = {SECTIONS: tr("Count sections"), "hand_counts": tr("Counts by hand"),
                  CYCLES: tr("Cycles")}  # fmt: skip
-        sheets |= {names[name]: table for name, table in self._more.items()}
+        sheets |= {names[name]: table for name, table in self._further_tables.items()}
         shown_by_sheet = {}
         for sheet, table in sheets.items():
             zone = str(table["begin"].dt.tz)
-            shown = _for_people(table)
+            shown = _readable_table(table)
             if "turn" in shown:
                 shown["turn"] = [tr(TURN_WORDS[each]) for each in shown["turn"]]
             for name in _TIMES:  # spreadsheets know no zones
@@ -226,7 +229,9 @@ class Traffic:
             shown = table.assign(
                 **{name: table[name].dt.tz_convert("UTC") for name in _TIMES},
             )
-            add_layer(shown, path, layer, geometry_type="LineString", layer_metadata=_KEPT)
+            add_layer(
+                shown, path, layer, geometry_type="LineString", layer_metadata=_LAYER_METADATA
+            )
         interval = (self.lanes["end"] - self.lanes["begin"]).min()
         seconds = interval.total_seconds()
         styles = {
@@ -301,19 +306,22 @@ def make_traffic(
             dataset.folder,
             hint="gis-radar dataset shows from when to when it was measured",
         )
-    there = None if sections is None else dataset.count_sections(sections, interval, **options)
-    beside = None
+    section_rows = (
+        None if sections is None else dataset.count_sections(sections, interval, **options)
+    )
+    counts = None
     if hand_counts is not None:
-        beside = beside_hand_counts(hand_counts, lanes, there, zone_of(dataset.timezone))
+        counts = beside_hand_counts(hand_counts, lanes, section_rows, zone_of(dataset.timezone))
     if service is not None:
         lanes.insert(lanes.columns.get_loc("stops") + 1, "los", service_levels(lanes, service))
     return Traffic(
-        lanes=lanes, turns=dataset.turns(interval, **options), sections=there, hand_counts=beside,
+        lanes=lanes, turns=dataset.turns(interval, **options), sections=section_rows,
+        hand_counts=counts,
         cycles=dataset.signal_cycles(signals=signals, **options) if cycles or signals else None,
     )  # fmt: skip
 
 
-def _for_people(table: pd.DataFrame) -> pd.DataFrame:
+def _readable_table(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table without geometry: ids as text, numbers rounded."""
     shown = pd.DataFrame(table.drop(columns="geometry", errors="ignore"))
     for name in shown:
@@ -330,11 +338,11 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
     Parameters
     ----------
     table : DataFrame
-        Of traffic, with `begin` and `end`.
+        Table of traffic, with `begin` and `end`.
     path : Path
         The file.
     """
-    shown = _for_people(table)
+    shown = _readable_table(table)
     for name in _TIMES:
         shown[name] = [each.isoformat() for each in shown[name]]
     rows = shown.astype(object).where(shown.notna(), None).itertuples(index=False)
@@ -358,7 +366,7 @@ def service_levels(lanes: gpd.GeoDataFrame, handbook: str) -> pd.Series:
     lanes : GeoDataFrame
         From :meth:`gis_radar.Dataset.traffic`.
     handbook : {"hcm"}
-        Whose thresholds count.
+        Handbook with the thresholds.
 
     Returns
     -------
@@ -379,5 +387,5 @@ def service_levels(lanes: gpd.GeoDataFrame, handbook: str) -> pd.Series:
         np.searchsorted(list(limits.values()), np.nan_to_num(delay))
     ]
     inside = lanes["queue_max_m"] <= lanes.length
-    told = np.where(inside & np.isfinite(delay), level, None)
-    return pd.Series(told, lanes.index, dtype=object)
+    levels = np.where(inside & np.isfinite(delay), level, None)
+    return pd.Series(levels, lanes.index, dtype=object)

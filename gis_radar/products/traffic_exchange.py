@@ -40,13 +40,13 @@ def _intervals(
     table: pd.DataFrame, root: Element, zero: pd.Timestamp
 ) -> list[tuple[Element, pd.DataFrame]]:
     """Add an element for each interval, in seconds from `zero`; return it with its rows."""
-    found = []
+    intervals = []
     for begin, rows in table.groupby("begin", sort=True):
         edges = (pd.Timestamp(begin), rows["end"].iloc[0])  # type: ignore[arg-type]
         seconds = (f"{(each - zero).total_seconds():.2f}" for each in edges)
         stated = dict(zip(("begin", "end"), seconds, strict=True)) | {"id": edges[0].isoformat()}
-        found.append((SubElement(root, "interval", stated), rows))
-    return found
+        intervals.append((SubElement(root, "interval", stated), rows))
+    return intervals
 
 
 def write_mean_data(
@@ -197,9 +197,9 @@ def _quantities(row: dict[Any, Any]) -> Iterator[tuple[int, str, list[Element]]]
         speed = [_value("averageVehicleSpeed", "com:speed", mean, count=row["counted"])]
         if pd.notna(row["speed_85_kmh"]):
             speed.append(Element("roa:speedPercentile"))
-            known = f"{row['speed_85_kmh']:.1f}"
+            speed_85 = f"{row['speed_85_kmh']:.1f}"
             speed[-1].append(_value("vehiclePercentage", "com:percentage", 85))
-            speed[-1].append(_value("speedPercentile", "com:speed", known))
+            speed[-1].append(_value("speedPercentile", "com:speed", speed_85))
         yield _SPEED, "TrafficSpeed", speed
     if pd.notna(row["occupancy"]):
         share = f"{100.0 * row['occupancy']:.2f}"
@@ -212,7 +212,7 @@ def _quantities(row: dict[Any, Any]) -> Iterator[tuple[int, str, list[Element]]]
 
 
 def _accuracy(row: dict[Any, Any], name: str) -> str | None:
-    """Return by how many percent a value is free from standard error; None where not known."""
+    """Return the accuracy that DATEX II asks for: 100 % less the relative standard error."""
     value, error = row[name], row[f"{name}_se"]
     known = pd.notna(error) and value > 0.0
     return f"{max(0.0, 100.0 * (1.0 - error / value)):.1f}" if known else None

@@ -14,13 +14,13 @@ import shapely
 from gis_radar.base import Clock, picture_file, tr, with_error, zone_of
 from gis_radar.products.heatmap.picture import INK, SOFT
 
-WIDTH_IN, DPI = 10.0, 160
+WIDTH_IN, DPI = 10.0, 160  # width of the picture, and dots an inch
 AROUND_M = 45.0  # length of road shown around the turns, for the numbers
 VEH_H_PER_POINT = 40.0  # a line of 10 points is 400 veh/h
-HEAD = (4.0, 1.2)  # size of an arrow's head: points, and those of its line's width
+HEAD = (4.0, 1.2)  # size of an arrow's head: points, and a multiple of its line's width
 _BEFORE_M = 2.0  # distance of the numbers before the turn, and more where others stand there
 _LETTERS, _TRIES = 8.0, 30  # size of the numbers, points; how often they are moved by as much
-ROAD, FLOW = "#d5d8db", "#ba1c4d"  # differ in grey and for the colour-blind
+ROAD, FLOW = "#d5d8db", "#ba1c4d"  # distinct in grey and for colour-blind eyes
 _ARROWS = {"left": "\u21b0", "straight": "\u2191", "right": "\u21b1", "back": "\u21b6"}
 
 
@@ -30,7 +30,7 @@ def mean_turns(turns: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     Parameters
     ----------
     turns : GeoDataFrame
-        As of :meth:`gis_radar.Dataset.turns`.
+        From :meth:`gis_radar.Dataset.turns`.
 
     Returns
     -------
@@ -44,11 +44,11 @@ def mean_turns(turns: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     groups = table.groupby(["from_lane", "to_lane"])
     sums = groups[["volume", "variance", "hours"]].sum()
     first = groups[["turn", "geometry"]].first()
-    found = first.assign(
+    means = first.assign(
         volume_veh_h=sums["volume"] / sums["hours"],
         error_veh_h=np.sqrt(sums["variance"]) / sums["hours"],
     )
-    return gpd.GeoDataFrame(found.reset_index(), geometry="geometry", crs=turns.crs)
+    return gpd.GeoDataFrame(means.reset_index(), geometry="geometry", crs=turns.crs)
 
 
 def write_turning_diagram(
@@ -59,7 +59,7 @@ def write_turning_diagram(
     Parameters
     ----------
     lanes, turns : GeoDataFrame
-        As of :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`; of the turns
+        From :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`; of the turns
         one at least with a volume.
     path : Path
         The picture (PNG).
@@ -72,7 +72,7 @@ def write_turning_diagram(
 
 
 def draw_turning_diagram(
-    figure: Any, lanes: gpd.GeoDataFrame, known: gpd.GeoDataFrame, *, labels: bool = True
+    figure: Any, lanes: gpd.GeoDataFrame, turns: gpd.GeoDataFrame, *, labels: bool = True
 ) -> Any:
     """Draw turns as wide as their volumes on a figure, with their figures; return its axes.
 
@@ -82,7 +82,7 @@ def draw_turning_diagram(
         Square; the smaller, the thinner are lines. Letters keep their size.
     lanes : GeoDataFrame
         As for :func:`write_turning_diagram`.
-    known : GeoDataFrame
+    turns : GeoDataFrame
         Turns, from :func:`mean_turns`.
     labels : bool
         Whether their figures are written along the approaches.
@@ -90,9 +90,9 @@ def draw_turning_diagram(
     axes, scale = figure.subplots(), figure.get_figwidth() / WIDTH_IN
     for line in lanes.geometry.drop_duplicates():
         axes.plot(*line.xy, color=ROAD, linewidth=7.0 * scale, solid_capstyle="butt", zorder=1)
-    for row in known.itertuples():
+    for row in turns.itertuples():
         _draw_turn(axes, row.geometry, float(row.volume_veh_h) * scale)
-    low_x, low_y, high_x, high_y = known.total_bounds
+    low_x, low_y, high_x, high_y = turns.total_bounds
     half = max(high_x - low_x, high_y - low_y) / 2.0 + AROUND_M
     x, y = (low_x + high_x) / 2.0, (low_y + high_y) / 2.0
     axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
@@ -100,7 +100,7 @@ def draw_turning_diagram(
     box = axes.get_window_extent()
     point_m = 2.0 * half / min(box.width, box.height) * figure.dpi / 72.0
     taken: list[shapely.Polygon] = []
-    for _, rows in known.groupby("from_lane") if labels else ():
+    for _, rows in turns.groupby("from_lane") if labels else ():
         taken.append(_label(axes, rows, point_m, taken))
     return axes
 
@@ -149,10 +149,10 @@ def _label(
     upside_down = not -90.0 < turned <= 90.0
     ahead = (after - start) / max(float(np.hypot(*(after - start))), 1e-9)
     text = "   ".join(texts)
-    long_m = TextPath((0, 0), text, size=_LETTERS).get_extents().width * point_m
-    for try_ in range(_TRIES):
-        place = start - (_BEFORE_M + try_ * _LETTERS * point_m) * ahead
-        line = shapely.LineString([place, place - long_m * ahead])
+    length_m = TextPath((0, 0), text, size=_LETTERS).get_extents().width * point_m
+    for number in range(_TRIES):
+        place = start - (_BEFORE_M + number * _LETTERS * point_m) * ahead
+        line = shapely.LineString([place, place - length_m * ahead])
         area = line.buffer(0.4 * _LETTERS * point_m, cap_style="flat")
         if not any(area.intersects(other) for other in taken):
             break

@@ -17,7 +17,7 @@ BREAKS = (0.0, 50.0, 100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 1e6)  # of lanes
 SHADES = (
     "#9eedcc", "#79d1bb", "#52b6aa", "#269a99", "#107e85", "#02636f", "#094956", "#00313f",
 )  # fmt: skip
-_SHORTER_MS = 10  # as in heat maps: QGIS takes an interval that ends at a moment for one with it
+_SHORTER_MS = 10  # less than an interval, as in heat maps: QGIS counts the end of an interval to it
 NAMED = {
     "lanes": ["name"], "turns": ["from_name", "to_name"], "sections": ["section", "direction"],
 }  # fmt: skip

@@ -7,7 +7,7 @@ from .recipes import mask_scans, measure_recordings, see_tiles, split_map
 from .run import SiteRun, prepare_site, run_site
 from .settings import MapTable, Sensor, Site, ViewTable, read_site, site_template
 from .stages import convert_stage, measure_stage
-from .toml_file import LARGEST_FILE, read_toml, toml_reference, toml_template
+from .toml_file import LARGEST_FILE, read_toml, toml_template
 from .values import (
     File,
     Meaning,
@@ -70,7 +70,6 @@ __all__ = [
     "software",
     "split_map",
     "stages_of",
-    "toml_reference",
     "toml_template",
     "within",
 ]

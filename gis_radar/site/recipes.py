@@ -157,7 +157,7 @@ def see_tiles(
     found = [
         scan_room.find_sight(track.poses[head], road, source)
         for track in different
-        for head in np.unique(measures.standing_for(track.poses)).tolist()
+        for head in np.unique(measures.sight_owners(track.poses)).tolist()
     ]
     scan_room.report_uncovered(found, reporter)
     found.sort(key=lambda sight: sight.pose.sensor)  # equal files for any order of the input

@@ -13,7 +13,7 @@ from sites import pose
 import gis_radar as gr
 from gis_radar.base import speaking
 from gis_radar.calibration import WRONG, Finding
-from gis_radar.dataset import POSES, write_whole
+from gis_radar.dataset import POSES, write_single_file
 from gis_radar.dataset.files.tables import SIGHTS
 
 DAY = HOUR // 24 * 24  # 2023-11-14, 0 h
@@ -62,8 +62,8 @@ def test_all_its_tiles_seen_by_others_leave_its_recordings(tmp_path, source):
     )
     tiles = dataset.tiles()["tile_id"].to_numpy()
     both = {"pose": np.repeat(["R1", "R2"], len(tiles)), "tile_id": np.tile(tiles, 2)}
-    write_whole(SIGHTS, dataset.folder, both, dataset.manifest.fingerprint)
-    write_whole(POSES, dataset.folder, pose_rows([pose(sensor="R1"), pose(sensor="R2")]),
+    write_single_file(SIGHTS, dataset.folder, both, dataset.manifest.fingerprint)
+    write_single_file(POSES, dataset.folder, pose_rows([pose(sensor="R1"), pose(sensor="R2")]),
                 dataset.manifest.fingerprint)  # fmt: skip
     _, table = states(tmp_path)
     assert table["share"].tolist() == pytest.approx([1.0], abs=1e-4)
@@ -90,7 +90,7 @@ def poses_of(dataset, moved, **further):
     rows["pose"] = ["R1", "R1-2"]
     rows["since"] = [None, HOURS[2] * 3600.0]
     rows["document"] = [rows["document"][0], json.dumps(json.loads(rows["document"][1]) | further)]
-    write_whole(POSES, dataset.folder, rows, dataset.manifest.fingerprint)
+    write_single_file(POSES, dataset.folder, rows, dataset.manifest.fingerprint)
 
 
 @pytest.mark.parametrize(

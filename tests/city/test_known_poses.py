@@ -23,8 +23,8 @@ def city(tmp_path, monkeypatch):
     seen, prepared = {}, []
     monkeypatch.setattr(tasks, "prepare_site", lambda site, *_, **__: prepared.append(site) or [])
     monkeypatch.setattr(tasks, "register_checked", lambda *_: None)
-    monkeypatch.setattr(tasks, "seen_recordings", lambda _: seen)
-    monkeypatch.setattr(tasks, "keep_seen", lambda _, states: seen.update(states))
+    monkeypatch.setattr(tasks, "registered_recordings", lambda _: seen)
+    monkeypatch.setattr(tasks, "store_registered", lambda _, states: seen.update(states))
 
     def run():
         tasks.add_recordings(task)

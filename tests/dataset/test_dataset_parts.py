@@ -186,7 +186,7 @@ def test_a_making_that_ends_between_two_parts_is_no_hour(tmp_path, monkeypatch):
 
     other = replace(ORIGIN, inputs="other")
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr("gis_radar.dataset.files.records.rename_whole", stop_at_third)
+        patch.setattr("gis_radar.dataset.files.records.move_to_place", stop_at_third)
         write_hour(tmp_path, origin=other)
     assert read_hours(tmp_path) == {}
     clear_unfinished(tmp_path)

@@ -16,7 +16,7 @@ from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
 import gis_radar as gr
 from gis_radar.base import QUIET
 from gis_radar.dataset import read_hours
-from gis_radar.dataset.hours.making import writing
+from gis_radar.dataset.hours.making import locked_for_writing
 
 
 @pytest.fixture(scope="module")
@@ -225,7 +225,7 @@ def test_a_folder_of_others_is_left_alone(files, tmp_path):
 
 def test_two_writers(files, tmp_path):
     found = pytest.raises(gr.OutputError, match="another run is writing it")
-    with writing(tmp_path / "site", QUIET), found:
+    with locked_for_writing(tmp_path / "site", QUIET), found:
         hits_of(tmp_path / "site", ("R1", files["R1"]))
 
 

@@ -179,7 +179,7 @@ def test_hours_that_are_made_meanwhile_are_said(dataset):
     state = record.stat()
     with (
         pytest.raises(InputError, match="hours were made again meanwhile"),
-        run_query(*dataset.asked_sites(), "SELECT * FROM hits", timeout_s=60.0, memory="1GB") as (
+        run_query(*dataset.queried_sites(), "SELECT * FROM hits", timeout_s=60.0, memory="1GB") as (
             _,
             batches,
         ),

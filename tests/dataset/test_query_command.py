@@ -7,7 +7,7 @@ import pyarrow as pa
 import pytest
 from datasets import BEGIN, write_dataset
 
-from gis_radar.dataset.questions.answers import stamped, texts
+from gis_radar.dataset.questions.answers import csv_texts, json_texts
 
 
 @pytest.fixture
@@ -135,9 +135,9 @@ def test_a_dataset_says_what_it_holds(run, folder):
 
 def test_times_are_no_finer_than_needed():
     times = pa.array([0, 1_500_000, 60_000_000, 1], pa.timestamp("us", "UTC"))
-    shown = stamped(pa.table({"t": times}))["t"].to_pylist()
+    shown = json_texts(pa.table({"t": times}))["t"].to_pylist()
     assert shown == [
         "1970-01-01T00:00:00Z", "1970-01-01T00:00:01.5Z", "1970-01-01T00:01:00Z",
         "1970-01-01T00:00:00.000001Z",
     ]  # fmt: skip
-    assert texts(pa.table({"a": [[1, 2], []]}))["a"].to_pylist() == ["1 2", ""]
+    assert csv_texts(pa.table({"a": [[1, 2], []]}))["a"].to_pylist() == ["1 2", ""]

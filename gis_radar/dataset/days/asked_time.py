@@ -30,8 +30,8 @@ DAY_NAMES = ("Mo", "Tu", "We", "Th", "Fr", "Sa", "Su")  # as in opening hours of
 QUARTERS_PER_DAY = HOURS_PER_DAY * QUARTERS
 QUARTER_S = STEPS_PER_QUARTER * STEP_S
 _GERMAN = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})")  # 12.10.2026
-_LONGEST_YEARS = 100
-_WRONG = Text("is no table of holidays: has no column date, nor begin and end")
+_LONGEST_YEARS = 100  # of a period of holidays: a longer one is a mistake
+_NO_HOLIDAYS = Text("is no table of holidays: has no column date, nor begin and end")
 
 Holidays: TypeAlias = str | Path | Sequence[str | date] | None
 """Dates such as `2026-10-12`, periods such as `2026-10-12/2026-10-23`, or a CSV file of them."""
@@ -45,16 +45,16 @@ def day_numbers(days: str | None) -> set[int]:
     UsageError
         If it names none.
     """
-    found: set[int] = set()
-    for part in (days or "Mo-Su").split(","):
-        ends = [each.strip().capitalize() for each in part.split("-")]
-        if not set(ends) <= set(DAY_NAMES) or len(ends) > 2:
+    numbers: set[int] = set()
+    for span in (days or "Mo-Su").split(","):
+        names = [each.strip().capitalize() for each in span.split("-")]
+        if not set(names) <= set(DAY_NAMES) or len(names) > 2:
             raise UsageError(
                 "{} names no days of the week", repr(days), hint="such as Mo-Fr or Sa,Su"
             )
-        first, last = DAY_NAMES.index(ends[0]), DAY_NAMES.index(ends[-1])
-        found |= {(first + k) % 7 for k in range((last - first) % 7 + 1)}
-    return found
+        first, last = DAY_NAMES.index(names[0]), DAY_NAMES.index(names[-1])
+        numbers |= {(first + k) % 7 for k in range((last - first) % 7 + 1)}
+    return numbers
 
 
 def month_edges(month: str, zone: str) -> tuple[pd.Timestamp, pd.Timestamp]:
@@ -91,20 +91,22 @@ def holiday_dates(holidays: Holidays) -> Integers:
     InputError
         If the file is no such table.
     """
-    periods = np.array([_period(*each) for each in _stated(holidays)], np.int64).reshape(-1, 2)
+    periods = np.array(
+        [_day_numbers_of(*each) for each in _stated_periods(holidays)], np.int64
+    ).reshape(-1, 2)
     low = int(periods.min(initial=0))
-    more = np.zeros(int(periods.max(initial=0)) - low + 2, np.int64)  # periods that hold a day
-    np.add.at(more, periods[:, 0] - low, 1)
-    np.add.at(more, periods[:, 1] + 1 - low, -1)
-    return low + np.flatnonzero(np.cumsum(more))
+    change = np.zeros(int(periods.max(initial=0)) - low + 2, np.int64)  # by day, of periods
+    np.add.at(change, periods[:, 0] - low, 1)
+    np.add.at(change, periods[:, 1] + 1 - low, -1)
+    return low + np.flatnonzero(np.cumsum(change))
 
 
-def _stated(holidays: Holidays) -> Iterator[tuple[Any, Any]]:
+def _stated_periods(holidays: Holidays) -> Iterator[tuple[Any, Any]]:
     """Yield the first and the last day of holidays, as stated."""
     if isinstance(holidays, Path) or (
         isinstance(holidays, str) and (Path(holidays).suffix or Path(holidays).is_file())
     ):
-        yield from _in_file(holidays)
+        yield from _periods_in_file(holidays)
         return
     parts = holidays.split(",") if isinstance(holidays, str) else holidays or ()
     for each in parts:
@@ -112,27 +114,29 @@ def _stated(holidays: Holidays) -> Iterator[tuple[Any, Any]]:
         yield first, last or first
 
 
-def _in_file(path: str | Path) -> Iterator[tuple[Any, Any]]:
-    header, rows = csv_rows(path, _WRONG)
+def _periods_in_file(path: str | Path) -> Iterator[tuple[Any, Any]]:
+    header, rows = csv_rows(path, _NO_HOLIDAYS)
     names = ("date", "date") if "date" in header else ("begin", "end")
     if not {*names} <= {*header}:
-        raise InputError("{}: {}", path, _WRONG, hint="such as begin,end or date in its first row")
+        raise InputError(
+            "{}: {}", path, _NO_HOLIDAYS, hint="such as begin,end or date in its first row"
+        )
     for number, row in rows:
         first, last = (text_in(row, name) for name in names)
         try:
-            yield _day(first), _day(last or first)
+            yield _date_of(first), _date_of(last or first)
         except UsageError as error:
             raise InputError("{}: {}", f"{path}, line {number}", error.message) from error
 
 
-def _period(first: Any, last: Any) -> tuple[int, int]:
-    low, high = ((_day(each) - date(1970, 1, 1)).days for each in (first, last))
+def _day_numbers_of(first: Any, last: Any) -> tuple[int, int]:
+    low, high = ((_date_of(each) - date(1970, 1, 1)).days for each in (first, last))
     if not 0 <= high - low <= 366 * _LONGEST_YEARS:
         raise UsageError("holidays end on {}, before they begin on {}", last, first)
     return low, high
 
 
-def _day(value: Any) -> date:
+def _date_of(value: Any) -> date:
     if isinstance(value, date):
         return value.date() if isinstance(value, datetime) else value
     text = str(value).strip()
@@ -226,18 +230,20 @@ class AskedTime:
     def months(self) -> Iterator[tuple[str, bool]]:
         """Yield the months with an asked quarter, and whether they are whole.
 
-        Of a whole month all that was measured on the days of the week is asked for: it is the sum
-        of its roll-up over these days.
+        A month is whole if all that was measured in it on the asked days of the week is asked for:
+        its sums are then those of its roll-up over these days.
         """
         for number in np.unique(self.month[self.asked]).tolist():
-            mine = self.month == number
-            whole = bool(((self.asked == self.on_days) | ~self.measured)[mine].all())
+            in_month = self.month == number
+            whole = bool(((self.asked == self.on_days) | ~self.measured)[in_month].all())
             yield f"{number // 12}-{number % 12 + 1:02d}", whole
 
     def masks(self, month: str) -> dict[int, Booleans]:
         """Return the asked quarters of a month by the first hour of each UTC date."""
         year, number = map(int, month.split("-"))
-        mine = (self.asked & (self.month == 12 * year + number - 1)).reshape(-1, QUARTERS_PER_DAY)
-        days = np.flatnonzero(mine.any(axis=1))
+        in_month = (self.asked & (self.month == 12 * year + number - 1)).reshape(
+            -1, QUARTERS_PER_DAY
+        )
+        days = np.flatnonzero(in_month.any(axis=1))
         first_hour = self.first // QUARTERS
-        return {int(first_hour + HOURS_PER_DAY * day): mine[day] for day in days}
+        return {int(first_hour + HOURS_PER_DAY * day): in_month[day] for day in days}

@@ -1,7 +1,7 @@
 """Lane measures and turns: traffic by lane and quarter of an hour, from the tracks of each hour.
 
-The rows of an hour follow from its own parts and from the tracks, in the hour before, of vehicles
-that go on in it: which of them have crossed a line already, and which have been standing.
+The rows of an hour follow from its own parts and from the tracks that it continues from the hour
+before: these tell which vehicles have crossed a line already, and which have been standing.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class LaneTraffic(DayTables):
     Parameters
     ----------
     folder, fingerprint
-        As of :class:`~gis_radar.dataset.days.tables.DayTables`.
+        As for :class:`~gis_radar.dataset.days.tables.DayTables`.
     line_m : mapping, optional
         By number of the lane: the counting line, m along the lane, in place of the stop line or the
         middle. Such traffic is measured by :meth:`finer`, and never stored.
@@ -73,15 +73,15 @@ class LaneTraffic(DayTables):
     @cached_property
     def network(self) -> LaneNetwork:
         """The lanes, read when they are first needed."""
-        tiles, known = read_tiles(self.folder / TILES), {}
+        tiles, columns = read_tiles(self.folder / TILES), {}
         with opened_package(self.folder / TILES, what="the tiles of a dataset") as place:
             if LANES_LAYER in pyogrio.list_layers(place)[:, 0]:
-                known = pyogrio.read_dataframe(
+                columns = pyogrio.read_dataframe(
                     place, layer=LANES_LAYER, read_geometry=False
                 ).to_dict("series")
-        lane = known.get("lane", [])
+        lane = columns.get("lane", [])
         stops, limits = (
-            dict(zip(lane, known.get(name, ()), strict=False))
+            dict(zip(lane, columns.get(name, ()), strict=False))
             for name in ("stop_line_m", "speed_limit_kmh")
         )
         network = LaneNetwork.of(tiles, stops, limits)
@@ -91,8 +91,8 @@ class LaneTraffic(DayTables):
         ]
         return replace(network, line_m=np.array(lines, np.float64)) if self.line_m else network
 
-    def note(self, records: Mapping[int, HourRecord]) -> None:
-        """Keep records that were read, as the hours before others."""
+    def remember(self, records: Mapping[int, HourRecord]) -> None:
+        """Keep records that were read: rows follow from the hour before, too."""
         self._before.update(_with_tracks(records))
 
     def keys(self, day: int, records: Mapping[int, HourRecord]) -> Keys:
@@ -120,9 +120,9 @@ class LaneTraffic(DayTables):
     def _hour_before(self, hour: int) -> HourRecord | None:
         """Return the record of the hour before, if it has tracks."""
         if hour - 1 not in self._before:
-            found = read_hour(self.folder, hour - 1)
+            record = read_hour(self.folder, hour - 1)
             self._before[hour - 1] = None
-            self._before.update(_with_tracks({} if found is None else {hour - 1: found}))
+            self._before.update(_with_tracks({} if record is None else {hour - 1: record}))
         return self._before[hour - 1]
 
     def finer(self, record: HourRecord, steps: int) -> tuple[pa.Table, pa.Table]:
@@ -140,8 +140,8 @@ class LaneTraffic(DayTables):
         rows = np.flatnonzero(sums["observed_steps"])
         place, interval = np.divmod(rows, len(begins))
         counts = [sums[name][rows] for name in _TILE_COLUMNS]
-        found = self._measured(record, steps, tiles[place], interval, counts)
-        return _tables(found, 0)
+        found = self._measure(record, steps, tiles[place], interval, counts)
+        return _arrow_tables(found, 0)
 
     def make(self, record: HourRecord) -> tuple[pa.Table, pa.Table]:
         """Return the rows of an hour by quarters: lane measures, turns."""
@@ -150,8 +150,8 @@ class LaneTraffic(DayTables):
         counts = TileCounts(folder=self.folder, fingerprint=self.fingerprint)
         (rows,) = counts.read(TILE_COUNTS, {record.hour: record}, None, columns)
         tile, interval, *steps = (each.to_numpy() for each in rows.columns)
-        found = self._measured(record, STEPS_PER_QUARTER, tile, interval - first, steps)
-        return _tables(found, first)
+        found = self._measure(record, STEPS_PER_QUARTER, tile, interval - first, steps)
+        return _arrow_tables(found, first)
 
     def courses(
         self, records: Mapping[int, HourRecord], lane: int, span: Span
@@ -161,7 +161,7 @@ class LaneTraffic(DayTables):
         Parameters
         ----------
         records : mapping
-            Of hours.
+            Records of the hours.
         lane : int
             Number of the lane.
         span : (int, int)
@@ -189,7 +189,7 @@ class LaneTraffic(DayTables):
         return queue_course(stop, states, length_m, self.network, self._visible(record), grid)
 
     def exact(self, record: HourRecord) -> tuple[FrontStates, VehicleTable, VisibleRuns]:
-        """Return states, vehicles and visible runs of an hour, with the vehicles that go on in it.
+        """Return states, vehicles and visible runs of an hour.
 
         Raises
         ------
@@ -205,7 +205,7 @@ class LaneTraffic(DayTables):
             )
         return self._states(record), self._vehicles(record), self._visible(record)
 
-    def _measured(
+    def _measure(
         self, record: HourRecord, steps: int, tile: Integers, interval: Integers,
         counts: Sequence[Any],
     ) -> Measured:  # fmt: skip
@@ -235,7 +235,7 @@ class LaneTraffic(DayTables):
         )  # fmt: skip
 
     def _states(self, record: HourRecord) -> FrontStates:
-        """Return the states of an hour, and the earlier ones of vehicles that go on in it."""
+        """Return the states of an hour, and those of the same vehicles in the hour before."""
         columns = ["vehicle", "step", "speed_cms", "lanelet_id", "s_cm", "seen"]
         rows = record.read(self.folder, TRACKS, columns)
         before = self._hour_before(record.hour)
@@ -262,7 +262,7 @@ def _with_tracks(records: Mapping[int, HourRecord]) -> dict[int, HourRecord]:
     return {hour: each for hour, each in records.items() if TRACKS.name in each.parts}
 
 
-def _tables(found: Measured, first: int) -> tuple[pa.Table, pa.Table]:
+def _arrow_tables(found: Measured, first: int) -> tuple[pa.Table, pa.Table]:
     lanes, turns = (
         table.to_arrow(values | {"interval": values["interval"] + first})
         for table, values in zip(LaneTraffic.tables, found, strict=True)

@@ -30,8 +30,8 @@ from gis_radar.dataset.files.parts import (
     HOURS_PER_DAY,
     Keys,
     TableFile,
+    common_metadata,
     days_of,
-    whole_metadata,
 )
 from gis_radar.dataset.files.records import HourRecord, read_hours, record_path
 from gis_radar.dataset.files.schema import TableSchema
@@ -45,9 +45,10 @@ from gis_radar.dataset.files.tables import (
 from gis_radar.measures import SPEED_CLASSES
 
 DAYS_PER_WEEK = 7
-_HIGHEST = "queue_max_m"  # the one column that is no sum
-_Odd: TypeAlias = tuple[Keys, dict[int, HourRecord]]
-_SETTLED_S = 2.0  # after which a folder's time of writing tells whether it was written since
+_HIGHEST = "queue_max_m"  # the only column that is a maximum, not a sum
+_StaleMonth: TypeAlias = tuple[Keys, dict[int, HourRecord]]
+"""Keys of the dates of a month whose file is missing or out of date, and records of its hours."""
+_SETTLED_S = 2.0  # after which another write of a folder has another time stamp
 
 
 class Sums:
@@ -84,32 +85,32 @@ class Sums:
         columns : iterable of (str, (n, ...) array)
             Names and values; the same names each time.
         """
-        known = np.union1d(self._ids, ids)
-        if len(known) > len(self._ids):
-            self._grow(known)
-        at = np.searchsorted(self._ids, ids) * self._cells + cell
+        ids_now = np.union1d(self._ids, ids)
+        if len(ids_now) > len(self._ids):
+            self._grow(ids_now)
+        place = np.searchsorted(self._ids, ids) * self._cells + cell
         for name, values in columns:
             shape = (len(self._ids) * self._cells, *values.shape[1:])
             if name not in self._values:
                 self._values[name] = np.full(shape, np.nan if name == _HIGHEST else 0.0)
-            mine = self._values[name]
+            total = self._values[name]
             if name == _HIGHEST:
-                np.fmax.at(mine, at, values)
+                np.fmax.at(total, place, values)
             elif values.ndim > 1:
-                cells = at[:, None] * values.shape[1] + np.arange(values.shape[1])
-                more = np.bincount(cells.ravel(), values.ravel(), mine.size)
-                mine += more.reshape(mine.shape)
+                cells = place[:, None] * values.shape[1] + np.arange(values.shape[1])
+                added = np.bincount(cells.ravel(), values.ravel(), total.size)
+                total += added.reshape(total.shape)
             else:
-                mine += np.bincount(at, values, len(mine))
+                total += np.bincount(place, values, len(total))
 
-    def _grow(self, known: Integers) -> None:
-        place = np.searchsorted(known, self._ids)
+    def _grow(self, ids_now: Integers) -> None:
+        place = np.searchsorted(ids_now, self._ids)
         for name, values in self._values.items():
-            shape = (len(known), self._cells, *values.shape[1:])
+            shape = (len(ids_now), self._cells, *values.shape[1:])
             grown = np.full(shape, np.nan if name == _HIGHEST else 0.0)
             grown[place] = values.reshape(-1, *shape[1:])
             self._values[name] = grown.reshape(-1, *shape[2:])
-        self._ids = known
+        self._ids = ids_now
 
     def add_written(self, rows: pa.Table) -> None:
         """Add rows of a file."""
@@ -120,26 +121,26 @@ class Sums:
         self.add(rows[self._id].to_numpy(), cell, values)
 
     def rows(self) -> pa.Table:
-        """Return the sums as rows of the roll-up: those of which something is known."""
+        """Return the sums as rows of the roll-up: those with a weight over 0."""
         schema = pa.schema([self.table.schema.field(n) for n in (*self.table.order, *self.names)])
         if not self._values:
             return schema.empty_table()
         weights = [values for name, values in self._values.items() if name in _WEIGHTS]
         row = np.flatnonzero(np.any([each > 0.0 for each in weights], axis=0))
         place, cell = np.divmod(row, self._cells)
-        found: dict[str, Any] = {
+        columns_of_row: dict[str, Any] = {
             self._id: self._ids[place],
             "weekday": cell // HOURS_PER_DAY, "hour": cell % HOURS_PER_DAY,
         }  # fmt: skip
-        found |= {name: each[row] for name, each in self._values.items()}
-        columns = [_typed(found[field.name], field.type) for field in schema]
+        columns_of_row |= {name: each[row] for name, each in self._values.items()}
+        columns = [_arrow_array(columns_of_row[field.name], field.type) for field in schema]
         return pa.Table.from_arrays(columns, schema=schema)
 
 
 _WEIGHTS = {"quarters", "visible_s", "visible_km_h", "observed_steps"}
 
 
-def _typed(values: Floats, kind: pa.DataType) -> Any:
+def _arrow_array(values: Floats, kind: pa.DataType) -> Any:
     if pa.types.is_list(kind):
         whole = pa.array(values.astype(np.int64).ravel())
         return pa.FixedSizeListArray.from_arrays(whole, values.shape[1]).cast(kind)
@@ -151,14 +152,15 @@ def _numbers(rows: pa.Table, name: str) -> Any:
     column = rows[name].combine_chunks()
     if not pa.types.is_list(column.type):
         return column.to_numpy(zero_copy_only=False)
-    found = np.zeros((len(rows), SPEED_CLASSES), np.int64)
+    values = np.zeros((len(rows), SPEED_CLASSES), np.int64)
     lists = column.drop_null().flatten().to_numpy(zero_copy_only=False)
-    found[column.is_valid().to_numpy(zero_copy_only=False)] = lists.reshape(-1, SPEED_CLASSES)
-    return found
+    values[column.is_valid().to_numpy(zero_copy_only=False)] = lists.reshape(-1, SPEED_CLASSES)
+    return values
 
 
-# What the sums of lanes follow from in `lane_measures`, where that is not the column of their name.
-_OF_LANES: dict[str, tuple[Sequence[str], Callable[..., Floats]]] = {
+# By column of `lane_months`: the columns of `lane_measures` from which its summands are computed,
+# and how. Other columns are summed as they are.
+_LANE_SUMMANDS: dict[str, tuple[Sequence[str], Callable[..., Floats]]] = {
     "quarters": (("volume",), lambda volume: np.isfinite(volume).astype(np.float64)),
     "visible_s": (("visible_share",), lambda share: share * QUARTER_S),
     "volume_variance": (("volume_se",), lambda error: error**2),
@@ -180,13 +182,13 @@ _OF_LANES: dict[str, tuple[Sequence[str], Callable[..., Floats]]] = {
 
 
 def _summands(table: TableSchema, name: str) -> tuple[Sequence[str], Callable[..., Any]]:
-    """Return the columns that a sum of a roll-up follows from, and how."""
+    """Return the columns from which the summands of a column of a roll-up are computed, and how."""
     own: tuple[Sequence[str], Callable[..., Any]] = ((name,), lambda values: values)
-    return own if table is TILE_MONTHS else _OF_LANES.get(name, own)
+    return own if table is TILE_MONTHS else _LANE_SUMMANDS.get(name, own)
 
 
 def _values(rows: pa.Table, sums: Sums) -> Iterator[tuple[str, Any]]:
-    """Yield what is summed of rows of a date; where it is missing, nothing is added."""
+    """Yield the summands of each column from rows of a date; missing ones add nothing."""
     for name in sums.names:
         sources, summand = _summands(sums.table, name)
         of = (_numbers(rows, each) for each in sources)
@@ -206,15 +208,15 @@ class RollUps:
         Fingerprint of its tiles.
     timezone : str
         Time zone of the site.
-    looked_at : dict
-        Filled with what is found of the files of months, and taken until the folders of their hours
-        are written.
+    checked : dict
+        By table and month, when its file and the folders of its hours were last written, and the
+        result of :meth:`_stale_month` then, which holds until one of them is written again.
     """
 
     folder: Path
     fingerprint: str
     timezone: str
-    looked_at: dict[tuple[str, str], tuple[list[int], _Odd | None]] = field(
+    checked: dict[tuple[str, str], tuple[list[int], _StaleMonth | None]] = field(
         default_factory=dict, repr=False
     )
     _clocks: dict[int, pd.DatetimeIndex] = field(default_factory=dict, repr=False)
@@ -224,27 +226,27 @@ class RollUps:
         """The lane measures."""
         return LaneTraffic(folder=self.folder, fingerprint=self.fingerprint)
 
-    def update(self, hours: Iterable[int], known: Mapping[int, HourRecord]) -> None:
+    def update(self, hours: Iterable[int], records: Mapping[int, HourRecord]) -> None:
         """Bring the roll-ups of the months of some hours up to date; the caller is the only writer.
 
         Parameters
         ----------
         hours : iterable of int
             Hours since 1970 that were made or removed.
-        known : mapping
+        records : mapping
             The records of all complete hours.
         """
-        self.traffic.note(known)
-        last = max(days_of(known), default=0)
+        self.traffic.remember(records)
+        last = max(days_of(records), default=0)
         for month in self.months(hours):
             for table in MONTH_TABLES:
-                keys = self._keys(table, month, known)
+                keys = self._keys(table, month, records)
                 keys = {day: key for day, key in keys.items() if day < last}
                 file = self.file(table, month)
                 if not keys:
                     file.path.unlink(missing_ok=True)
-                elif not self._is_made(table, month, keys):
-                    file.write(self._sums(table, month, keys, known).rows(), keys)
+                elif not self._is_made_of(table, month, keys):
+                    file.write(self._sums(table, month, keys, records).rows(), keys)
 
     def read(
         self, table: TableSchema, month: str, columns: Sequence[str] | None = None
@@ -260,28 +262,28 @@ class RollUps:
         columns : sequence of str, optional
             Names of the columns; by default all.
         """
-        odd = self._unless_whole(table, month)
-        if odd is None:
+        stale = self._stale_month(table, month)
+        if stale is None:
             return self.file(table, month).read(columns)
-        rows = self._sums(table, month, *odd, columns).rows()
+        rows = self._sums(table, month, *stale, columns).rows()
         return rows.select(list(columns or table.names))
 
-    def is_whole(self, table: TableSchema, month: str) -> bool:
-        """Return whether the file of a month holds all of it."""
-        return self._unless_whole(table, month) is None
+    def is_current(self, table: TableSchema, month: str) -> bool:
+        """Return whether the file of a month is up to date."""
+        return self._stale_month(table, month) is None
 
-    def _unless_whole(self, table: TableSchema, month: str) -> _Odd | None:
-        """Return the keys of the dates of a month, and its records, unless its file holds all."""
-        state = self._state(table, month)
-        before, odd = self.looked_at.get((table.name, month), ([], None))
-        if state and before == state:
-            return odd
-        known = self._records(self.days(month))
-        keys = self._keys(table, month, known)
-        odd = None if keys and self._is_made(table, month, keys) else (keys, known)
-        if state:
-            self.looked_at[table.name, month] = state, odd
-        return odd
+    def _stale_month(self, table: TableSchema, month: str) -> _StaleMonth | None:
+        """Return keys and records of a month if its file is missing or out of date, else None."""
+        written_at = self._write_times(table, month)
+        checked_at, stale = self.checked.get((table.name, month), ([], None))
+        if written_at and checked_at == written_at:
+            return stale
+        records = self._records_of_dates(self.days(month))
+        keys = self._keys(table, month, records)
+        stale = None if keys and self._is_made_of(table, month, keys) else (keys, records)
+        if written_at:
+            self.checked[table.name, month] = written_at, stale
+        return stale
 
     def sums_of(
         self, table: TableSchema, asked: AskedTime, columns: Sequence[str]
@@ -304,9 +306,9 @@ class RollUps:
                 yield month, self.read(table, month, columns)
                 continue
             masks, sums = asked.masks(month), Sums(table, columns)
-            known = self._records(list(masks))
+            records = self._records_of_dates(list(masks))
             for day, quarters in masks.items():
-                self._add_day(sums, day, known, quarters)
+                self._add_day(sums, day, records, quarters)
             yield month, sums.rows().select(list(columns))
 
     def months(self, hours: Iterable[int]) -> list[str]:
@@ -340,7 +342,7 @@ class RollUps:
         """Return the file of a roll-up."""
         path = self.folder / table.name / f"month={month}" / "month.parquet"
         clocks = {"month": month, "timezone": self.timezone}
-        metadata = whole_metadata(table, self.fingerprint) | clocks
+        metadata = common_metadata(table, self.fingerprint) | clocks
         return TableFile(table=table, path=path, metadata=metadata, keyed="dates")
 
     def check(self) -> None:
@@ -361,76 +363,77 @@ class RollUps:
         begins = day * 3600.0 + QUARTER_S * np.arange(HOURS_PER_DAY * QUARTERS)
         return (begins >= first) & (begins < after)
 
-    def _records(self, days: Sequence[int]) -> dict[int, HourRecord]:
+    def _records_of_dates(self, days: Sequence[int]) -> dict[int, HourRecord]:
         """Read the records of the complete hours from a UTC date to another."""
-        found = read_hours(self.folder, days[0], days[-1] + HOURS_PER_DAY - 1)
-        self.traffic.note(found)
-        return found
+        records = read_hours(self.folder, days[0], days[-1] + HOURS_PER_DAY - 1)
+        self.traffic.remember(records)
+        return records
 
-    def _state(self, table: TableSchema, month: str) -> list[int]:
+    def _write_times(self, table: TableSchema, month: str) -> list[int]:
         """Return when the file of a month and the folders of its hours were written.
 
-        Empty if one was written just now: a second time would not be told from the first.
+        Empty if one was written less than `_SETTLED_S` ago: the next write could have the same
+        time stamp.
         """
         places = [self.file(table, month).path]
         places += [record_path(self.folder, day).parent for day in self.days(month)]
         state = [_written_ns(path) for path in places]
         return state if max(state) < time.time_ns() - _SETTLED_S * 1e9 else []
 
-    def _keys(self, table: TableSchema, month: str, known: Mapping[int, HourRecord]) -> Keys:
+    def _keys(self, table: TableSchema, month: str, records: Mapping[int, HourRecord]) -> Keys:
         """Return what the sums of each date follow from: a digest and a number of method.
 
         By the first hour of the date. The number is 0 where all exact tables were deleted: then the
         measures stay as the version that made them counted.
         """
-        found: dict[int, list[str | int]] = {}
+        keys_by_day: dict[int, list[str | int]] = {}
         for day in self.days(month):
-            hours = self._hours(day, self._in_month(day, month), known)
+            hours = self._records_of_date(day, self._in_month(day, month), records)
             if table is TILE_MONTHS:
                 keys, method = count_keys(hours), 0
             else:
                 hours = {hour: each for hour, each in hours.items() if TRACKS.name in each.parts}
                 keys = {hour: self.traffic.key(each)[1:] for hour, each in hours.items()}
-                gone = all(TRACKS.name in each.dropped for each in hours.values())
-                method = 0 if gone else METHOD
+                is_dropped = all(TRACKS.name in each.dropped for each in hours.values())
+                method = 0 if is_dropped else METHOD
             if keys:
                 text = json.dumps({hour: keys[hour] for hour in sorted(keys)})
-                found[day] = [hashlib.sha256(text.encode()).hexdigest(), method]
-        return found
+                keys_by_day[day] = [hashlib.sha256(text.encode()).hexdigest(), method]
+        return keys_by_day
 
-    def _is_made(self, table: TableSchema, month: str, keys: Keys) -> bool:
+    def _is_made_of(self, table: TableSchema, month: str, keys: Keys) -> bool:
         """Return whether a file was made of dates with these keys, and no others."""
         made = self.file(table, month).keys()
-        return made.keys() == keys.keys() and all(map(_are_same, made.values(), keys.values()))
+        return made.keys() == keys.keys() and all(map(_is_same_key, made.values(), keys.values()))
 
-    def _hours(
-        self, day: int, wanted: Booleans, known: Mapping[int, HourRecord]
+    def _records_of_date(
+        self, day: int, wanted: Booleans, records: Mapping[int, HourRecord]
     ) -> dict[int, HourRecord]:
         """Return the records of the hours of a UTC date of which some quarters are wanted."""
         hours = day + np.flatnonzero(wanted.reshape(-1, QUARTERS).any(axis=1))
-        return {hour: known[hour] for hour in hours.tolist() if hour in known}
+        return {hour: records[hour] for hour in hours.tolist() if hour in records}
 
     def _sums(
         self, table: TableSchema, month: str, keys: Keys,
-        known: Mapping[int, HourRecord], columns: Sequence[str] | None = None,
+        records: Mapping[int, HourRecord], columns: Sequence[str] | None = None,
     ) -> Sums:  # fmt: skip
         """Sum a month; the file is taken if its dates are the first ones, with the same keys."""
-        self.traffic.note(known)
+        self.traffic.remember(records)
         sums, written = Sums(table, columns), self.file(table, month).keys()
-        first = {day: keys[day] for day in list(keys)[: len(written)]}
-        begun = bool(written) and self._is_made(table, month, first)
-        if begun:
+        first_keys = {day: keys[day] for day in list(keys)[: len(written)]}
+        continues = bool(written) and self._is_made_of(table, month, first_keys)
+        if continues:
             sums.add_written(self.file(table, month).read([*table.order, *sums.names]))
         for day in keys:
-            if not (begun and day in written):
-                self._add_day(sums, day, known, self._in_month(day, month))
+            if not (continues and day in written):
+                self._add_day(sums, day, records, self._in_month(day, month))
         return sums
 
     def _add_day(
-        self, sums: Sums, day: int, known: Mapping[int, HourRecord], wanted: Booleans
+        self, sums: Sums, day: int, records: Mapping[int, HourRecord], wanted: Booleans
     ) -> None:
         """Add the wanted quarters of a UTC date."""
-        hours, clock = self._hours(day, wanted, known), self.clock(day)
+        hours, clock = self._records_of_date(day, wanted, records), self.clock(day)
         if not hours:
             return
         id_name = sums.table.order[0]
@@ -462,6 +465,6 @@ def _written_ns(path: Path) -> int:
         return 0
 
 
-def _are_same(made: Sequence[str | int], key: Sequence[str | int]) -> bool:
-    """Return whether a date was summed of the same; where exact tables are gone, by any method."""
+def _is_same_key(made: Sequence[str | int], key: Sequence[str | int]) -> bool:
+    """Return whether two keys of a date are equal; a key of method 0 equals any method."""
     return made[0] == key[0] and (key[1] in (0, made[1]))

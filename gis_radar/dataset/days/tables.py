@@ -21,10 +21,10 @@ from gis_radar.dataset.files.parts import (
     HOURS_PER_DAY,
     Keys,
     TableFile,
+    common_metadata,
     days_of,
     hour_text,
     part_path,
-    whole_metadata,
 )
 from gis_radar.dataset.files.records import HourRecord, Span, read_hours
 from gis_radar.dataset.files.schema import TableSchema
@@ -68,16 +68,16 @@ class DayTables:
         """Make the rows of an hour, a table for each of `tables`."""
         raise NotImplementedError
 
-    def note(self, records: Mapping[int, HourRecord]) -> None:
-        """Keep records that were read, where the rows of other hours follow from them."""
+    def remember(self, records: Mapping[int, HourRecord]) -> None:
+        """Keep records that were read, if rows follow from more than their own hour."""
 
     def file(self, table: TableSchema, day: int) -> TableFile:
         """Return the file of a table of a date."""
         path = part_path(self.folder, table, day)
-        metadata = whole_metadata(table, self.fingerprint) | {"hour": hour_text(day)}
+        metadata = common_metadata(table, self.fingerprint) | {"hour": hour_text(day)}
         return TableFile(table=table, path=path, metadata=metadata, keyed="hours")
 
-    def update(self, hour: int, known: Mapping[int, HourRecord] | None = None) -> None:
+    def update(self, hour: int, all_records: Mapping[int, HourRecord] | None = None) -> None:
         """Bring the tables of the date of an hour up to date; the caller is its only writer.
 
         Rows of hours that were not made again are carried over.
@@ -86,7 +86,7 @@ class DayTables:
         ----------
         hour : int
             Any hour of the date, since 1970.
-        known : mapping, optional
+        all_records : mapping, optional
             The records of all complete hours; by default they are read.
 
         Raises
@@ -97,10 +97,13 @@ class DayTables:
             If a table cannot be written.
         """
         (day,) = days_of([hour])
-        if known is None:
-            known = read_hours(self.folder, day - 1, day + HOURS_PER_DAY - 1)
-        records = records_of(day, known)
-        self.note(records | {before: known[before] for before in (day - 1,) if before in known})
+        if all_records is None:
+            all_records = read_hours(self.folder, day - 1, day + HOURS_PER_DAY - 1)
+        records = records_of(day, all_records)
+        self.remember(
+            records
+            | {before: all_records[before] for before in (day - 1,) if before in all_records}
+        )
         keys = self.keys(day, records)
         files = [self.file(table, day) for table in self.tables]
         if not keys:
@@ -133,10 +136,10 @@ class DayTables:
             Rows of a date in their order, with a further column `first_step`, in which the interval
             begins.
         """
-        self.note(records)
+        self.remember(records)
         for day in days_of(records):
-            mine = records_of(day, records)
-            (rows,) = self._rows(day, self.keys(day, mine), mine, (table,), columns)
+            of_day = records_of(day, records)
+            (rows,) = self._rows(day, self.keys(day, of_day), of_day, (table,), columns)
             first = rows["interval"].to_numpy().astype(np.int64) * STEPS_PER_QUARTER
             begin = pa.array(first + day * STEPS_PER_HOUR)
             rows = rows.append_column("first_step", begin)
@@ -163,29 +166,31 @@ class DayTables:
         wanted: Sequence[TableSchema], columns: Sequence[str] | None = None,
     ) -> list[pa.Table]:  # fmt: skip
         """Return rows of the wanted tables, as written if they are up to date, else made now."""
-        known = [self.file(table, day).keys() for table in self.tables]
-        kept = {hour for hour, key in keys.items() if all(of.get(hour) == key for of in known)}
-        made = [self.make(records[hour]) for hour in sorted(keys.keys() - kept)]
+        written = [self.file(table, day).keys() for table in self.tables]
+        current = {hour for hour, key in keys.items() if all(of.get(hour) == key for of in written)}
+        new = [self.make(records[hour]) for hour in sorted(keys.keys() - current)]
         return [
-            self._joined(table, day, kept, len(known[k]), [each[k] for each in made], columns)
+            self._join_rows(
+                table, day, current, len(written[k]), [each[k] for each in new], columns
+            )
             for k, table in enumerate(self.tables)
             if table in wanted
         ]
 
-    def _joined(
-        self, table: TableSchema, day: int, kept: set[int], written: int, made: list[pa.Table],
-        columns: Sequence[str] | None,
+    def _join_rows(
+        self, table: TableSchema, day: int, current: set[int], hours_in_file: int,
+        new: list[pa.Table], columns: Sequence[str] | None,
     ) -> pa.Table:  # fmt: skip
-        """Join the rows of hours that are kept with those that were made."""
+        """Join the rows of hours that are up to date in the file with those made now."""
         needed = {*(columns or table.names), *table.order}
         names = [name for name in table.names if name in needed]
-        parts = [each.select(names) for each in (table.empty(), *made)]
-        if kept:
+        parts = [each.select(names) for each in (table.empty(), *new)]
+        if current:
             rows = self.file(table, day).read(names)
-            if len(kept) == written and not made:
+            if len(current) == hours_in_file and not new:
                 return pa.concat_tables([*parts, rows], promote_options="default")
-            hours = pa.array(sorted(each - day for each in kept), pa.int32())
+            hours = pa.array(sorted(each - day for each in current), pa.int32())
             hour = pc.divide(rows["interval"], pa.scalar(QUARTERS, pa.int32()))
             parts.append(rows.filter(pc.is_in(hour, hours)))
-        whole = pa.concat_tables(parts, promote_options="default")  # newer columns are null
-        return whole.sort_by([(name, "ascending") for name in table.order])
+        joined = pa.concat_tables(parts, promote_options="default")  # newer columns are null
+        return joined.sort_by([(name, "ascending") for name in table.order])

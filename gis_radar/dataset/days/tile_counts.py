@@ -47,7 +47,11 @@ def run_variance(steps: Integers, seen: Booleans) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class _Runs:
-    """Runs of steps on one axis, on which the tiles follow each other with an hour each."""
+    """Runs of steps on a common axis, on which each tile has an hour of its own.
+
+    A step of the tile at position p lies at p x `STEPS_PER_HOUR` + its place in the hour. `cell`
+    numbers the tile and span of cut runs.
+    """
 
     first: Integers
     last: Integers
@@ -88,8 +92,8 @@ class _Runs:
         count = np.searchsorted(first, self.last - begin, side="right") - low
         span = ranges(low, count)
         at = np.repeat(begin, count)
-        found = self._cut(count, at + first[span], at + last[span])
-        return replace(found, cell=np.repeat(tile, count) * len(first) + span)
+        cut = self._cut(count, at + first[span], at + last[span])
+        return replace(cut, cell=np.repeat(tile, count) * len(first) + span)
 
     def _cut(self, count: Integers, first: Integers, last: Integers) -> _Runs:
         """Repeat each run `count` times, and cut each copy to a span."""
@@ -145,9 +149,9 @@ def count_spans(
     Parameters
     ----------
     folder : Path
-        Of the dataset.
+        Folder of the dataset.
     record : HourRecord
-        Of the hour.
+        Record of the hour.
     first, last : (spans,) int64 arrays
         Disjoint spans of the hour, ascending: steps from its begin, inclusive.
 
@@ -192,20 +196,20 @@ def count_spans(
 
 def _hits_in(runs: _Runs, folder: Path, record: HourRecord, tiles: Integers) -> Integers:
     """Count the hits in each run; memory holds one row group."""
-    found, reached = np.zeros(len(runs.first), np.int64), np.zeros(2, np.int64)
+    counts, reached = np.zeros(len(runs.first), np.int64), np.zeros(2, np.int64)
     begin = record.hour * STEPS_PER_HOUR
     with record.opened(folder, HITS) as file:
         for group in range(file.num_row_groups):
             rows = file.read_row_group(group, columns=HITS.names, use_threads=False)
             tile, step = (rows[name].to_numpy() for name in HITS.names)
-            _count_hits(tile, step, tiles, runs.first, runs.last, begin, reached, found)
-    return found
+            _count_hits(tile, step, tiles, runs.first, runs.last, begin, reached, counts)
+    return counts
 
 
 @compiled
 def _count_hits(  # pragma: no cover - compiled
     tile: Integers, step: Integers, tiles: Integers, first: Integers, last: Integers, begin: int,
-    reached: Integers, found: Integers,
+    reached: Integers, counts: Integers,
 ) -> None:  # fmt: skip
     """Count sorted hits in sorted runs, continuing at the tile and the run in `reached`."""
     place, run = reached
@@ -214,11 +218,11 @@ def _count_hits(  # pragma: no cover - compiled
             place += 1
         if place == len(tiles) or tiles[place] != tile[k]:
             continue
-        at = place * STEPS_PER_HOUR + step[k] - begin
-        while run < len(last) and last[run] < at:
+        position = place * STEPS_PER_HOUR + step[k] - begin
+        while run < len(last) and last[run] < position:
             run += 1
-        if run < len(last) and first[run] <= at:
-            found[run] += 1
+        if run < len(last) and first[run] <= position:
+            counts[run] += 1
     reached[0], reached[1] = place, run
 
 

@@ -34,18 +34,18 @@ def frame_steps(dataset: Source, sensor: str | None = None, *, valid: bool = Tru
         If there is no such sensor.
     """
     records = dataset.records()
-    kept = {hour: each for hour, each in records.items() if each.has(FRAMES)}
-    parts = [*_stored(dataset, kept, sensor, valid=valid)]
-    if dropped := records.keys() - kept.keys():
+    with_frames = {hour: each for hour, each in records.items() if each.has(FRAMES)}
+    parts = [*_stored(dataset, with_frames, sensor, valid=valid)]
+    if dropped := records.keys() - with_frames.keys():
         parts += _recorded(dataset, dropped, sensor, valid=valid)
-    found = union_of_runs(parts) if parts else None
-    if found is None or not len(found):
+    steps = union_of_runs(parts) if parts else None
+    if steps is None or not len(steps):
         raise InputError(
             "{}: holds no frame",
             dataset.folder,
             hint="measuring was interrupted, or recordings are empty",
         )
-    return found
+    return steps
 
 
 def _stored(
@@ -68,15 +68,15 @@ def _recorded(
     dataset: Source, hours: Iterable[int], sensor: str | None, *, valid: bool
 ) -> Iterator[Runs]:
     """Yield the steps of recordings in hours without frames: from their first to their last."""
-    rows = dataset.whole(RECORDINGS)
+    rows = dataset.single_table(RECORDINGS)
     if sensor is not None:
         rows = rows.filter(pc.equal(rows["sensor"], sensor))
     first, last = (step_of(rows[name].to_numpy()) for name in ("first_time", "last_time"))
     if valid:
-        more = [valid_steps(each) for each in rows["validity_s"].to_pylist()]
-        last = last + np.array(more, np.int64)
-    known = union_of_runs([Runs(first=first, last=last)])
+        valid_after = [valid_steps(each) for each in rows["validity_s"].to_pylist()]
+        last = last + np.array(valid_after, np.int64)
+    recorded = union_of_runs([Runs(first=first, last=last)])
     begins = np.array(sorted(hours), np.int64) * STEPS_PER_HOUR
     blocks = union_of_runs([Runs(first=begins, last=begins + STEPS_PER_HOUR - 1)])
     for block in zip(blocks.first.tolist(), blocks.last.tolist(), strict=True):
-        yield known.within(*block)
+        yield recorded.within(*block)

@@ -20,7 +20,7 @@ from gis_radar.base import (
     with_texts,
 )
 from gis_radar.calibration import Finding, is_record
-from gis_radar.dataset.files.parts import replacing, write_whole
+from gis_radar.dataset.files.parts import replacing, write_single_file
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
 from gis_radar.hdmap import write_tiles
 
@@ -161,7 +161,7 @@ def create_dataset(
             fresh.write_bytes(Path(map_file).read_bytes())
     write_tiles(tiles, folder / TILES, problems=problems, lanes=lanes, stop_lines=stop_lines)
     for table in (RECORDINGS, POSES, SIGHTS):
-        write_whole(table, folder, table.empty(), manifest.fingerprint)
+        write_single_file(table, folder, table.empty(), manifest.fingerprint)
     manifest.write(folder)
 
 
@@ -175,7 +175,7 @@ def remove_dataset(folder: Path) -> None:
 
 
 def require_same_site(
-    folder: Path, found: Manifest, *, map_digest: str, fingerprint: str, crs: str
+    folder: Path, present: Manifest, *, map_digest: str, fingerprint: str, crs: str
 ) -> None:
     """Refuse to add to a dataset with other tiles, another map or coordinate system.
 
@@ -185,23 +185,23 @@ def require_same_site(
         If one differs.
     """
     pairs = (
-        ("coordinate system", found.crs, crs),
-        ("map", found.map, map_digest),
-        ("tiles", found.fingerprint, fingerprint),
+        ("coordinate system", present.crs, crs),
+        ("map", present.map, map_digest),
+        ("tiles", present.fingerprint, fingerprint),
     )
-    for what, mine, other in pairs:
-        if mine != other:
+    for what, own, given in pairs:
+        if own != given:
             raise InputError(
                 "{}: was made with another {}: {}, not {}",
                 folder,
                 what,
-                mine,
-                other,
+                own,
+                given,
                 hint="name the dataset's own, or another folder",
             )
 
 
-def require_same_settings(folder: Path, found: Manifest, mine: Manifest) -> None:
+def require_same_settings(folder: Path, present: Manifest, wanted: Manifest) -> None:
     """Refuse to add to a dataset of another site, or with other settings.
 
     Raises
@@ -210,10 +210,10 @@ def require_same_settings(folder: Path, found: Manifest, mine: Manifest) -> None
         If they differ.
     """
     require_same_site(
-        folder, found, map_digest=mine.map, fingerprint=mine.fingerprint, crs=mine.crs
+        folder, present, map_digest=wanted.map, fingerprint=wanted.fingerprint, crs=wanted.crs
     )
-    for name in mine.settings:
-        if differs := _difference(name, found.settings.get(name), mine.settings[name]):
+    for name in wanted.settings:
+        if differs := _difference(name, present.settings.get(name), wanted.settings[name]):
             raise InputError(
                 "{}: was measured with other settings: {}",
                 folder,
@@ -225,7 +225,7 @@ def require_same_settings(folder: Path, found: Manifest, mine: Manifest) -> None
 
 def _difference(name: str, was: Any, now: Any) -> str:
     """Return the first setting that differs, with both values, as text; empty where none does."""
-    if isinstance(was, Mapping) or isinstance(now, Mapping):  # of another version, one may be None
+    if isinstance(was, Mapping) or isinstance(now, Mapping):  # one is None if a version lacks it
         was, now = (each if isinstance(each, Mapping) else {} for each in (was, now))
         keys = sorted(was.keys() | now.keys())
         found = (_difference(f"{name}.{key}", was.get(key), now.get(key)) for key in keys)

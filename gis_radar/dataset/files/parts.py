@@ -29,12 +29,12 @@ from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import SCHEMA
 
 HOURS_PER_DAY = 24
-ROWS_IN_GROUP = 131_072
+ROWS_IN_GROUP = 131_072  # rows of a row group (the contract)
 MEASURE_AGAIN = Text("remove its hour's file in hours/ and measure again; the hour is made anew")
 Values: TypeAlias = Mapping[str, Any] | pd.DataFrame | pa.Table
 """Arrays by column."""
 Keys: TypeAlias = Mapping[int, list[str | int]]
-"""What each hour, or date, since 1970 is now."""
+"""By hour, or first hour of a date, since 1970: digests and numbers that its rows follow from."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,7 @@ class Origin:
     def metadata(self, table: TableSchema, hour: int) -> dict[str, str]:
         """Return the metadata of the part of a table in an hour since 1970."""
         return {
-            **whole_metadata(table, self.fingerprint),
+            **common_metadata(table, self.fingerprint),
             "hour": hour_text(hour),
             "method": str(self.method),
             "inputs": self.inputs,
@@ -132,7 +132,7 @@ def clear_unfinished(folder: Path) -> None:
             left.unlink()
 
 
-def rename_whole(path: Path) -> None:
+def move_to_place(path: Path) -> None:
     """Move a file that was written as :func:`unfinished` to its place, to survive a power failure.
 
     Parameters
@@ -149,7 +149,7 @@ def rename_whole(path: Path) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give the name under which a file is written; after the block it is whole in its place.
+    """Yield the temporary name of a file to write; after the block it is moved to its place.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def replacing(path: Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
     with writing_errors(path):
         yield unfinished(path)
-    rename_whole(path)
+    move_to_place(path)
 
 
 def sync_folder(folder: Path) -> None:
@@ -188,7 +188,7 @@ class PartWriter:
     path : Path
         The file.
     metadata : dict
-        Of :meth:`Origin.metadata`.
+        From :meth:`Origin.metadata`.
     """
 
     def __init__(self, table: TableSchema, path: Path, metadata: dict[str, str]) -> None:
@@ -254,7 +254,7 @@ def _encoding(table: TableSchema) -> dict[str, Any]:
 def write_part(
     table: TableSchema, path: Path, batches: Values | Iterable[Values], metadata: dict[str, str]
 ) -> PartDigest:
-    """Write a part under the name of :func:`unfinished`; :func:`rename_whole` ends it.
+    """Write a part under the name of :func:`unfinished`; :func:`move_to_place` ends it.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def write_part(
     batches : mapping, or iterable of mappings
         Its rows, whole or in batches, in order.
     metadata : dict
-        Of :meth:`Origin.metadata`.
+        From :meth:`Origin.metadata`.
     """
     fresh = unfinished(path)
     with output_errors(path):
@@ -293,7 +293,7 @@ class TableFile:
     path : Path
         The file.
     metadata : dict
-        What it is of, which is checked.
+        Entries that its metadata must have.
     keyed : str
         Entry of the metadata with the keys of the hours or dates that it was made from.
     """
@@ -304,11 +304,11 @@ class TableFile:
     keyed: str = ""
 
     def opened(self) -> AbstractContextManager[pq.ParquetFile]:
-        """Open it, and check it; errors are as of :func:`opened_part`."""
+        """Open it, and check it; errors are those of :func:`opened_part`."""
         return opened_part(self.table, self.path, self.metadata)
 
     def read(self, columns: Sequence[str] | None = None) -> pa.Table:
-        """Read columns, by default all; errors are as of :func:`opened_part`."""
+        """Read columns, by default all; errors are those of :func:`opened_part`."""
         with self.opened() as file:
             return file.read(columns=list(columns or self.table.names))
 
@@ -330,24 +330,24 @@ class TableFile:
         return {int(number): key for number, key in known.items()}
 
     def write(self, rows: Values, keys: Keys | None = None) -> None:
-        """Replace it by rows, made from what has these keys."""
+        """Replace the file by rows, and state the keys that they were made from."""
         stated = {} if keys is None else {self.keyed: json.dumps(dict(sorted(keys.items())))}
         write_part(self.table, self.path, rows, self.metadata | stated)
-        rename_whole(self.path)
+        move_to_place(self.path)
 
 
-def whole_file(table: TableSchema, folder: Path, fingerprint: str) -> TableFile:
+def single_file(table: TableSchema, folder: Path, fingerprint: str) -> TableFile:
     """Return the file of a table that is one file in the dataset."""
-    metadata = whole_metadata(table, fingerprint)
+    metadata = common_metadata(table, fingerprint)
     return TableFile(table=table, path=part_path(folder, table), metadata=metadata)
 
 
-def write_whole(table: TableSchema, folder: Path, values: Values, fingerprint: str) -> None:
+def write_single_file(table: TableSchema, folder: Path, values: Values, fingerprint: str) -> None:
     """Write a table that is one file in the dataset, replacing the present one."""
-    whole_file(table, folder, fingerprint).write(values)
+    single_file(table, folder, fingerprint).write(values)
 
 
-def whole_metadata(table: TableSchema, fingerprint: str) -> dict[str, str]:
+def common_metadata(table: TableSchema, fingerprint: str) -> dict[str, str]:
     """Return the metadata that all files of a table of a dataset have."""
     return {"table": table.name, "schema": str(SCHEMA), "fingerprint": fingerprint}
 
@@ -451,7 +451,7 @@ def _check_columns(table: TableSchema, path: Path, file: pq.ParquetFile) -> None
 
 def _check_span(table: TableSchema, path: Path, file: pq.ParquetFile, hour: str) -> None:
     """Refuse steps of another hour, by the statistics of the row groups."""
-    assert table.span is not None  # noqa: S101 - the caller has looked
+    assert table.span is not None  # noqa: S101 - the caller has checked
     begin = int(datetime.fromisoformat(hour).timestamp()) * STEPS_PER_SECOND
     for name in set(table.span):
         place = file.schema_arrow.names.index(name)

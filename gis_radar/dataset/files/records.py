@@ -28,9 +28,9 @@ from gis_radar.dataset.files.parts import (
     digest_of,
     hour_begin,
     hour_text,
+    move_to_place,
     opened_part,
     part_path,
-    rename_whole,
     replacing,
     sync_folder,
     unfinished,
@@ -41,7 +41,7 @@ from gis_radar.dataset.files.tables import HOUR_TABLES, SCHEMA, TABLES
 
 HOURS = "hours"
 _RECORD = re.compile(r"([01][0-9]|2[0-3])\.json")
-_LAST_HOUR = 70_000_000  # of a year with four digits: what is open ends later
+_LAST_HOUR = 70_000_000  # of the year 9955: names of dates have years of four digits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,7 @@ class HourRecord:
     def read(
         self, folder: Path, table: TableSchema, columns: Sequence[str] | None = None
     ) -> pa.Table:
-        """Read the part of a table; errors are as of :meth:`opened`."""
+        """Read the part of a table; errors are those of :meth:`opened`."""
         with self.opened(folder, table) as file:  # hours are read in parallel
             return file.read(columns=list(columns or table.names), use_threads=False)
 
@@ -140,22 +140,27 @@ def read_hours(
     InputError
         If one is damaged or of a newer schema.
     """
-    found = (_read(path, hour) for hour, path in _records(folder, first, last))
+    found = (_read_record(path, hour) for hour, path in _record_paths(folder, first, last))
     return {record.hour: record for record in found if record is not None}
 
 
-def _records(
-    folder: Path, first: int | None = None, last: int | None = None, way: int = 1
+def _record_paths(
+    folder: Path, first: int | None = None, last: int | None = None, step: int = 1
 ) -> Iterator[tuple[int, Path]]:
-    """Yield the hours from `first` to `last` that have a record, with its path; -1: backwards."""
+    """Yield the hours from `first` to `last` that have a record, with its path.
+
+    `step` is 1, or -1 for the last one first.
+    """
     low, high = 0 if first is None else first, _LAST_HOUR if last is None else last
     begin, end = (str(date_of(min(hour, _LAST_HOUR))) for hour in (low, high))
     dates = sorted(name for name in _names(folder / HOURS) if begin <= name <= end)
-    for date in dates[::way]:
-        yield from (each for each in _listed(folder, date)[::way] if low <= each[0] <= high)
+    for date in dates[::step]:
+        yield from (
+            each for each in _records_of_date(folder, date)[::step] if low <= each[0] <= high
+        )
 
 
-def _listed(folder: Path, date: str) -> list[tuple[int, Path]]:
+def _records_of_date(folder: Path, date: str) -> list[tuple[int, Path]]:
     """Return the hours since 1970 of a date that have a record, ascending, with its path."""
     try:
         first = int(datetime.fromisoformat(f"{date}T00:00Z").timestamp()) // 3600
@@ -185,21 +190,21 @@ def hour_bounds(
     first, last : int, optional
         Only hours from `first` to `last`, inclusive.
     """
-    lowest, highest = (next(_records(folder, first, last, way), None) for way in (1, -1))
+    lowest, highest = (next(_record_paths(folder, first, last, way), None) for way in (1, -1))
     return None if lowest is None or highest is None else (lowest[0], highest[0])
 
 
 def listed_hours(folder: Path) -> list[int]:
-    """List the hours since 1970 that have a record, ascending; none is read."""
-    return [hour for hour, _ in _records(folder)]
+    """List the hours since 1970 that have a record, ascending, without reading the records."""
+    return [hour for hour, _ in _record_paths(folder)]
 
 
 def read_hour(folder: Path, hour: int) -> HourRecord | None:
     """Read the record of an hour; None where it is not complete."""
-    return _read(record_path(folder, hour), hour)
+    return _read_record(record_path(folder, hour), hour)
 
 
-def _read(path: Path, hour: int) -> HourRecord | None:
+def _read_record(path: Path, hour: int) -> HourRecord | None:
     try:
         document = read_json(path, what="the record of an hour", hint=MEASURE_AGAIN)
     except InputError as error:
@@ -316,7 +321,7 @@ class HourWriter:
         remove_record(self.folder, self.hour)
         for name, path in places.items():
             if name in self._parts:
-                rename_whole(path)
+                move_to_place(path)
             else:
                 path.unlink(missing_ok=True)
         write_record(self.folder, HourRecord(hour=self.hour, origin=self.origin, parts=self._parts))
@@ -367,20 +372,20 @@ def read_rows(
         needed = wanted if inside else list(dict.fromkeys([*wanted, *(table.span or ())]))
         rows = record.read(folder, table, needed)
         if not inside and span is not None and table.span is not None:
-            rows = _within(table, rows, span)
+            rows = _cut_to_span(table, rows, span)
         yield rows.select(wanted)
 
 
-def _within(table: TableSchema, rows: pa.Table, span: Span) -> pa.Table:
+def _cut_to_span(table: TableSchema, rows: pa.Table, span: Span) -> pa.Table:
     """Return the rows with steps in a span, runs of tiles cut to it."""
-    assert table.span is not None  # noqa: S101 - the caller has looked
+    assert table.span is not None  # noqa: S101 - the caller has checked
     first, last = table.span
-    kept = rows.filter(
+    inside = rows.filter(
         pc.and_(pc.less_equal(rows[first], span[1]), pc.greater_equal(rows[last], span[0]))
     )
     if not table.runs:
-        return kept
+        return inside
     for name, bound, cut in ((FIRST.name, span[0], np.maximum), (LAST.name, span[1], np.minimum)):
-        values = pa.array(cut(kept[name].to_numpy(), bound))
-        kept = kept.set_column(kept.schema.get_field_index(name), kept.field(name), values)
-    return kept
+        values = pa.array(cut(inside[name].to_numpy(), bound))
+        inside = inside.set_column(inside.schema.get_field_index(name), inside.field(name), values)
+    return inside

@@ -30,14 +30,14 @@ from gis_radar.base import (
     step_of,
 )
 from gis_radar.calibration import SensorClock
-from gis_radar.dataset.files.parts import digest_of, hour_of_step, whole_file, write_whole
+from gis_radar.dataset.files.parts import digest_of, hour_of_step, single_file, write_single_file
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SIGHTS
 from gis_radar.measures import PlacedRecording, PoseSight, pose_names
 from gis_radar.poses import ANGLES, POSITION, PoseTrack, pose_from_dict
 from gis_radar.recordings import Recording, has_height, open_recording
 
 LONGEST_GAP_S = 24 * 3600.0
-"""A longer time without frames within a recording is that of a clock that was set."""
+"""Longest time without frames within a recording; in a longer gap its clock was set."""
 LEAST_RATES = 0.5  # least share of detections with range rates; formats have them of all or of none
 
 
@@ -111,7 +111,7 @@ class RecordingEntry:
         first, last = self.steps
         return range((first - margin) // STEPS_PER_HOUR, (last + margin) // STEPS_PER_HOUR + 1)
 
-    def made_alike(self, other: RecordingEntry) -> bool:
+    def has_same_inputs(self, other: RecordingEntry) -> bool:
         """Return whether another entry has the same rows, pose and clock."""
         return replace(self, path="", hours=frozenset()) == replace(
             other, path="", hours=frozenset()
@@ -143,7 +143,7 @@ class PoseBook:
         return PoseBook(tracks=tracks, sights={name: self.sights[name] for name in tracks})
 
     @property
-    def different(self) -> dict[str, PoseSight]:
+    def by_pose(self) -> dict[str, PoseSight]:
         """Sights by the name of their pose, each once."""
         found = {each.name: each for sights in self.sights.values() for each in sights}
         return dict(sorted(found.items()))
@@ -193,10 +193,10 @@ class Registry:
             If a table is damaged, or of another dataset.
         """
         recordings, poses, sights = (
-            whole_file(table, folder, fingerprint).read() for table in (RECORDINGS, POSES, SIGHTS)
+            single_file(table, folder, fingerprint).read() for table in (RECORDINGS, POSES, SIGHTS)
         )
         if hour is not None:  # a year's recordings as Python objects take seconds
-            recordings = recordings.filter(_about(recordings, hour, margin))
+            recordings = recordings.filter(_near_hour(recordings, hour, margin))
         try:
             entries = [
                 RecordingEntry(**{**row, "hours": frozenset(row["hours"])})
@@ -205,7 +205,7 @@ class Registry:
             if hour is not None:
                 entries = [each for each in entries if hour in each.reached_hours(margin)]
             book = _poses_from(poses, sights, folder)
-            book.of(each.pose for each in entries)  # all are there
+            book.of(each.pose for each in entries)  # raises KeyError if one is missing
         except (ValueError, KeyError, TypeError) as error:
             raise InputError("{}: damaged: {}", folder, f"{error!r:.200}") from error
         entries.sort(key=attrgetter("key"))
@@ -213,15 +213,15 @@ class Registry:
 
     def write_poses(self, poses: PoseBook) -> None:
         """Write poses and their sights, replacing the present tables."""
-        write_whole(SIGHTS, self.folder, _sights_table(poses), self.fingerprint)
-        write_whole(POSES, self.folder, _poses_table(poses), self.fingerprint)
+        write_single_file(SIGHTS, self.folder, _sights_table(poses), self.fingerprint)
+        write_single_file(POSES, self.folder, _poses_table(poses), self.fingerprint)
 
     def write_recordings(self) -> None:
         """Write the table of recordings, with the hours that were made with each."""
         entries = sorted(self.entries, key=attrgetter("key"))
         table = {name: list(map(attrgetter(name), entries)) for name in RECORDINGS.names}
         table["hours"] = list(map(sorted, table["hours"]))
-        write_whole(RECORDINGS, self.folder, table, self.fingerprint)
+        write_single_file(RECORDINGS, self.folder, table, self.fingerprint)
 
     @property
     def hours(self) -> list[int]:
@@ -230,11 +230,11 @@ class Registry:
 
     def by_hour(self, margin: int) -> dict[int, list[RecordingEntry]]:
         """Return for each hour the recordings that reach into its window, in their order."""
-        found: dict[int, list[RecordingEntry]] = {}
+        entries: dict[int, list[RecordingEntry]] = {}
         for each in self.entries:
             for hour in each.reached_hours(margin):
-                found.setdefault(hour, []).append(each)
-        return found
+                entries.setdefault(hour, []).append(each)
+        return entries
 
     def missing_hours(self, margin: int) -> list[int]:
         """Return the hours that have to be made."""
@@ -266,7 +266,7 @@ class Registry:
         return entry, self.poses.tracks[entry.pose], self.poses.sights[entry.pose]
 
 
-def _about(recordings: pa.Table, hour: int, margin: int) -> pa.ChunkedArray:
+def _near_hour(recordings: pa.Table, hour: int, margin: int) -> pa.ChunkedArray:
     """Return which recordings have frames in an hour, its margin and a second on either side."""
     around_s = margin / STEPS_PER_SECOND + 1.0
     begin_s = hour * 3600.0
@@ -277,7 +277,7 @@ def _about(recordings: pa.Table, hour: int, margin: int) -> pa.ChunkedArray:
 
 
 Placing: TypeAlias = tuple[RecordingEntry, PoseTrack, Sequence[PoseSight]]
-"""A recording, its pose track, and what is seen from each pose."""
+"""A recording, its pose track, and the sight of each pose."""
 
 
 def source_of(
@@ -306,23 +306,23 @@ def validity_by_sensor(entries: Iterable[RecordingEntry]) -> dict[str, float]:
     InputError
         If recordings of a sensor state different times.
     """
-    known: dict[str, RecordingEntry] = {}
-    for each in entries:
-        other = known.setdefault(each.sensor, each)
-        if other.validity_s != each.validity_s:
+    first_entries: dict[str, RecordingEntry] = {}
+    for entry in entries:
+        earlier = first_entries.setdefault(entry.sensor, entry)
+        if earlier.validity_s != entry.validity_s:
             raise InputError(
                 "{}: frames of {} are valid for {:g} ms, those of {} for {:g} ms",
-                each.path,
-                each.sensor,
-                1000 * each.validity_s,
-                other.path,
-                1000 * other.validity_s,
+                entry.path,
+                entry.sensor,
+                1000 * entry.validity_s,
+                earlier.path,
+                1000 * earlier.validity_s,
                 hint=Text("state the same {} for all recordings of a sensor, or none", "--cycle"),
             )
-    return {sensor: each.validity_s for sensor, each in known.items()}
+    return {sensor: each.validity_s for sensor, each in first_entries.items()}
 
 
-def refuse_two_sensors(one: RecordingEntry, other: RecordingEntry) -> None:
+def refuse_two_sensors(entry: RecordingEntry, other: RecordingEntry) -> None:
     """Refuse a recording that is given for two sensors.
 
     Raises
@@ -332,8 +332,8 @@ def refuse_two_sensors(one: RecordingEntry, other: RecordingEntry) -> None:
     """
     raise InputError(
         "{}: is given for {}, and for {} as {}",
-        one.path,
-        one.sensor,
+        entry.path,
+        entry.sensor,
         other.sensor,
         other.path,
         hint="give each sensor its own recording",
@@ -351,21 +351,21 @@ def entry_of(
         If it cannot be read, or its times jump by more than a day.
     """
     path = Path(recording.path).resolve()
-    first, last, rows, has_rates, has_elevation = _looked_at(recording)
+    first, last, rows, has_rates, has_elevation = _read_summary(recording)
     times = np.array([first, last])
     begin, end = (times if clock is None else clock.corrected(times)).tolist()
     step_of(np.array([begin, end]))
-    known = SensorClock(offset_s=0.0) if clock is None else clock
-    still = known.offset_s == 0.0 and known.drift_ppm == 0.0
+    stated_clock = SensorClock(offset_s=0.0) if clock is None else clock
+    is_right = stated_clock.offset_s == 0.0 and stated_clock.drift_ppm == 0.0
     return RecordingEntry(
         path=path.as_posix(), digest=digest_of(path), sensor=sensor, pose=pose, first_time=begin,
-        last_time=end, clock_offset=known.offset_s, clock_drift_ppm=known.drift_ppm,
-        clock_at=0.0 if still else known.at, validity_s=validity_s, rows=rows,
+        last_time=end, clock_offset=stated_clock.offset_s, clock_drift_ppm=stated_clock.drift_ppm,
+        clock_at=0.0 if is_right else stated_clock.at, validity_s=validity_s, rows=rows,
         has_rates=has_rates, has_elevation=has_elevation,
     )  # fmt: skip
 
 
-def _looked_at(recording: Recording) -> tuple[float, float, int, bool, bool]:
+def _read_summary(recording: Recording) -> tuple[float, float, int, bool, bool]:
     """Return first and last time, rows, and whether detections have range rates and elevation."""
     spans = recording.time_spans() if recording.time_spans is not None else None
     stated = spans is not None and all(last - first <= LONGEST_GAP_S for first, last in spans)
@@ -426,8 +426,8 @@ def _poses_table(poses: PoseBook) -> Mapping[str, Any]:
 
 
 def _sights_table(poses: PoseBook) -> Mapping[str, Any]:
-    names = [*poses.different]
-    tiles = [each.tile_id for each in poses.different.values()]
+    names = [*poses.by_pose]
+    tiles = [each.tile_id for each in poses.by_pose.values()]
     return {
         "pose": np.repeat(np.array([*names, ""], object)[:-1], [len(each) for each in tiles]),
         "tile_id": np.concatenate([np.empty(0, np.int64), *tiles]),
@@ -436,25 +436,25 @@ def _sights_table(poses: PoseBook) -> Mapping[str, Any]:
 
 def _poses_from(poses: pa.Table, sights: pa.Table, folder: Path) -> PoseBook:
     """Return the poses of a dataset from its tables."""
-    frame, seen = poses.to_pandas(), sights.to_pandas()
-    tiles = {name: rows.to_numpy(np.int64) for name, rows in seen.groupby("pose")["tile_id"]}
+    frame, pairs = poses.to_pandas(), sights.to_pandas()
+    tiles = {name: rows.to_numpy(np.int64) for name, rows in pairs.groupby("pose")["tile_id"]}
     book = PoseBook()
     for name, rows in frame.groupby("track", sort=True):
-        found = tuple(
+        track_poses = tuple(
             pose_from_dict(json.loads(text), what=f"{folder}: {name}") for text in rows["document"]
         )
         since = rows["since"].fillna(-math.inf).to_numpy(np.float64)
-        book.tracks[str(name)] = PoseTrack(poses=found, since=since)
-        heads = set(rows["sight"])
-        seen = {
+        book.tracks[str(name)] = PoseTrack(poses=track_poses, since=since)
+        sight_names = set(rows["sight"])
+        own_sights = {
             own: PoseSight(
                 name=own, pose=pose, road_m=float(road_m),
                 tile_id=tiles.get(own, np.empty(0, np.int64)),
             )
-            for own, pose, road_m in zip(rows["pose"], found, rows["road_m"], strict=True)
-            if own in heads
+            for own, pose, road_m in zip(rows["pose"], track_poses, rows["road_m"], strict=True)
+            if own in sight_names
         }  # fmt: skip
-        book.sights[str(name)] = tuple(seen[head] for head in rows["sight"])
+        book.sights[str(name)] = tuple(own_sights[head] for head in rows["sight"])
     return book
 
 

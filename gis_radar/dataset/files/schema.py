@@ -114,10 +114,10 @@ class TableSchema:
         known = values.column_names if isinstance(values, pa.Table) else values
         if missing := [name for name in self.names if name not in known]:
             raise InputError("{}: lacks the column {}", self.name, missing[0])
-        found = [self._column(column, values[column.name]) for column in self.columns]
-        if len({len(each) for each in found}) > 1:
+        columns = [self._column(column, values[column.name]) for column in self.columns]
+        if len({len(each) for each in columns}) > 1:
             raise InputError("{}: columns differ in length", self.name)
-        table = pa.Table.from_arrays(found, schema=self.schema)
+        table = pa.Table.from_arrays(columns, schema=self.schema)
         self.check_rows(table)
         return table
 
@@ -132,15 +132,15 @@ class TableSchema:
                 values = pa.array(values, from_pandas=True)  # a type given here would truncate
             number = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
             # Arrow would convert texts to numbers.
-            found = None if number and _is_text(values.type) else values.cast(column.type)
+            converted = None if number and _is_text(values.type) else values.cast(column.type)
         except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
             raise InputError("{} holds something else than {}", what, column.type) from error
-        if found is None:
+        if converted is None:
             raise InputError("{} holds something else than {}", what, column.type)
-        if found.null_count and not column.nullable:
-            row = int(np.argmax(found.is_null().to_numpy(zero_copy_only=False)))
+        if converted.null_count and not column.nullable:
+            row = int(np.argmax(converted.is_null().to_numpy(zero_copy_only=False)))
             raise InputError("{} is empty in row {}", what, row)
-        return found
+        return converted
 
     def check_rows(self, table: pa.Table) -> None:
         """Refuse rows that do not ascend, and runs that overlap or end before they begin.
@@ -165,8 +165,8 @@ def _is_text(kind: pa.DataType) -> bool:
 
 def _ascends(columns: list[pa.ChunkedArray]) -> bool:
     """Return whether rows ascend strictly by columns without missing values."""
-    later: Any = False
+    ascends: Any = False
     for column in reversed(columns):
         before, after = column.slice(0, max(len(column) - 1, 0)), column.slice(1)
-        later = pc.or_(pc.greater(after, before), pc.and_(pc.equal(after, before), later))
-    return bool(pc.all(later, min_count=0).as_py())
+        ascends = pc.or_(pc.greater(after, before), pc.and_(pc.equal(after, before), ascends))
+    return bool(pc.all(ascends, min_count=0).as_py())

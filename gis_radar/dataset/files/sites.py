@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gis_radar.base import InputError, Reporter, is_folder_name
 from gis_radar.dataset.files.manifest import Manifest
-from gis_radar.dataset.files.parts import whole_file
+from gis_radar.dataset.files.parts import single_file
 from gis_radar.dataset.files.tables import RECORDINGS
 
 SITE = "site="  # with which the names of a city's datasets begin
@@ -27,23 +27,23 @@ def site_folders(root: Path) -> dict[str, Path]:
         If a name is none that a city file can state, or two differ by case only, or are links to
         one folder.
     """
-    found = dict[str, Path]()
+    folders = dict[str, Path]()
     names, places = dict[str, str](), dict[Path, str]()
-    for each in sorted(root.glob(f"{SITE}?*")):
-        if not Manifest.is_there(each):
+    for folder in sorted(root.glob(f"{SITE}?*")):
+        if not Manifest.is_there(folder):
             continue
-        name = each.name.removeprefix(SITE)
+        name = folder.name.removeprefix(SITE)
         if not is_folder_name(name):
             raise InputError("{}: {} is no name of a site", root, repr(name),
                              hint="rename its folder")  # fmt: skip
         if (other := names.setdefault(name.casefold(), name)) != name:
             raise InputError("{}: two sites have one name: {} and {}", root, other, name,
                              hint="rename the folder of one")  # fmt: skip
-        if (other := places.setdefault(each.resolve(), name)) != name:
+        if (other := places.setdefault(folder.resolve(), name)) != name:
             raise InputError("{}: two sites are one folder: {} and {}", root, other, name,
                              hint="they would count twice: remove the link")  # fmt: skip
-        found[name] = each
-    return found
+        folders[name] = folder
+    return folders
 
 
 def warn_of_copies(folders: Mapping[str, Path], reporter: Reporter) -> None:
@@ -52,8 +52,8 @@ def warn_of_copies(folders: Mapping[str, Path], reporter: Reporter) -> None:
     for name, folder in folders.items():
         try:
             manifest = Manifest.read(folder)
-            recordings = whole_file(RECORDINGS, folder, manifest.fingerprint).read()
-        except InputError:  # told where it is asked
+            recordings = single_file(RECORDINGS, folder, manifest.fingerprint).read()
+        except InputError:  # raised when this site is read
             continue
         digests = recordings["digest"].to_pylist()
         if other := next((owners[each] for each in digests if each in owners), None):

@@ -1,4 +1,4 @@
-"""What a dataset offers to those who measure by its tables."""
+"""Interface of a dataset for the modules that compute from its tables."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Moment: TypeAlias = str | datetime | int | None
 
 
 class Source(Protocol):
-    """A dataset, as those see it who measure by its tables."""
+    """A dataset, as the modules that compute from its tables use it."""
 
     @property
     def folder(self) -> Path:
         """The dataset's folder."""
 
     @property
-    def found(self) -> dict[Any, Any]:
-        """What questions found and need again."""
+    def cache(self) -> dict[Any, Any]:
+        """Results that several questions need, by key."""
 
     @property
     def crs(self) -> str:
@@ -53,7 +53,7 @@ class Source(Protocol):
     def records(self, span: Span | None = None) -> dict[int, HourRecord]:
         """Return the records of its complete hours."""
 
-    def whole(self, table: TableSchema) -> pa.Table:
+    def single_table(self, table: TableSchema) -> pa.Table:
         """Read a table that is one file."""
 
     def layer(self, name: str) -> gpd.GeoDataFrame:

@@ -22,22 +22,22 @@ class Timestamp:
         Name of the converted column.
     unit_us : int
         Unit of the column, microseconds.
-    later_us : int
+    offset_us : int
         Microseconds that are added.
     """
 
     name: str
     unit_us: int
-    later_us: int = 0
+    offset_us: int = 0
 
     def of(self, values: Any, _: tuple[int, int]) -> pd.DatetimeIndex:
         """Return the times of values."""
-        time_us = np.rint(values * self.unit_us).astype(np.int64) + self.later_us
+        time_us = np.rint(values * self.unit_us).astype(np.int64) + self.offset_us
         return pd.DatetimeIndex(time_us.astype("datetime64[us]"), tz="UTC")
 
     def sql(self, column: str, _: tuple[int, int]) -> str:
         """Return the SQL expression of the times of a column."""
-        return f"make_timestamptz(({column} * {self.unit_us})::BIGINT + {self.later_us})"
+        return f"make_timestamptz(({column} * {self.unit_us})::BIGINT + {self.offset_us})"
 
 
 @dataclass(frozen=True)
@@ -78,10 +78,10 @@ UNITS: dict[str, Timestamp | Hundredths] = {
     "heading_cdeg": Hundredths("heading"),
     "speed_cms": Hundredths("speed"),
 }
-"""What the columns of the files become, by their names."""
+"""Conversion of columns of the files, by their names."""
 
 
-def for_people(table: pa.Table, origin: tuple[int, int]) -> pd.DataFrame:
+def convert_units(table: pa.Table, origin: tuple[int, int]) -> pd.DataFrame:
     """Convert a table to metres, degrees, m/s and UTC timestamps.
 
     Parameters
@@ -91,7 +91,7 @@ def for_people(table: pa.Table, origin: tuple[int, int]) -> pd.DataFrame:
     origin : (int, int)
         Easting and northing from which tracks count, metres.
     """
-    whole = {pa.int64(): pd.Int64Dtype(), pa.int32(): pd.Int32Dtype()}
+    nullable_types = {pa.int64(): pd.Int64Dtype(), pa.int32(): pd.Int32Dtype()}
     columns: dict[str, Any] = {}
     for name in table.column_names:
         values = table[name]
@@ -99,5 +99,5 @@ def for_people(table: pa.Table, origin: tuple[int, int]) -> pd.DataFrame:
             columns[UNITS[name].name] = UNITS[name].of(values.to_numpy(), origin)
         else:
             nullable = table.schema.field(name).nullable
-            columns[name] = values.to_pandas(types_mapper=whole.get if nullable else None)
+            columns[name] = values.to_pandas(types_mapper=nullable_types.get if nullable else None)
     return pd.DataFrame(columns)

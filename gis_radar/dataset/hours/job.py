@@ -51,7 +51,7 @@ from gis_radar.tracking import (
 METHOD = 16
 """Raised whenever the same inputs would give other parts."""
 
-MOST_EQUAL_FRAMES = 5  # more equal frames of two sensors are no chance
+MOST_EQUAL_FRAMES = 5  # equal frames of two sensors that may be chance
 LEAST_COMPARED = 2  # least detections of frames that are compared: fewer may be equal by chance
 
 
@@ -182,7 +182,7 @@ def make_hour(
     }
     sensors = [sensor for sensor in sensors if len(sensor.frames)]
     valid = [ValidFrames.of(each, valid_steps(validity_s[each.sensor])) for each in sensors]
-    held = valid_runs(sensors, valid, window)
+    sight_runs = valid_runs(sensors, valid, window)
     sights = {each.name: each for sensor in sensors for each in sensor.sights}
     origin = Origin(
         fingerprint=site.target.road.fingerprint, method=METHOD,
@@ -190,16 +190,16 @@ def make_hour(
     )  # fmt: skip
     vehicles, on_lanes = 0, list[pd.DataFrame]()
     with HourWriter(folder=site.folder, hour=hour, origin=origin) as writer:
-        _write_hits(writer, sensors, valid, held, sights, site, window)
+        _write_hits(writer, sensors, valid, sight_runs, sights, site, window)
         # The counts of five sensors in an hour take 170 MB, and vehicles do not need them.
         sensors = [replace(each, counted=each.counted[:0].copy(), tile=[]) for each in sensors]
         if site.settings.vehicles and site.graph is not None:
-            found = vehicles_of_hour(
-                sensors, window, held=held, tiles=site.tiles, sights=sights, graph=site.graph,
+            tracked = vehicles_of_hour(
+                sensors, window, held=sight_runs, tiles=site.tiles, sights=sights, graph=site.graph,
                 processes=processes,
             )  # fmt: skip
-            _write_vehicles(writer, found, site.origin)
-            vehicles, on_lanes = len(found.vehicles), found.on_lanes
+            _write_vehicles(writer, tracked, site.origin)
+            vehicles, on_lanes = len(tracked.vehicles), tracked.on_lanes
     return MadeHour(hour=hour, evidence=evidence, vehicles=vehicles, on_lanes=on_lanes)
 
 
@@ -212,7 +212,8 @@ def read_sensors(
 ) -> list[SensorHour]:
     """Read what all sensors delivered in a window, and refuse frames that contradict each other.
 
-    Parameters and errors as of :func:`make_hour`; `count_hits` False only compares the frames.
+    Parameters and errors are those of :func:`make_hour`; if `count_hits` is False, frames are only
+    compared.
     """
     by_sensor: dict[str, list[PlacedRecording]] = {}
     for source in sources:
@@ -235,24 +236,28 @@ def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
     """
     frames = [each.frames for each in sensors]
     hashes = [np.unique(each.hash[each.detections >= LEAST_COMPARED]) for each in frames]
-    found, counts = np.unique(np.concatenate([np.empty(0, np.uint64), *hashes]), return_counts=True)
-    shared = found[counts > 1]  # usually few, so that comparing all pairs of sensors is cheap
+    values, counts = np.unique(
+        np.concatenate([np.empty(0, np.uint64), *hashes]), return_counts=True
+    )
+    shared = values[counts > 1]  # usually few, so that comparing all pairs of sensors is cheap
     if len(shared) <= MOST_EQUAL_FRAMES:
         return
     hashes = [np.intersect1d(each, shared, assume_unique=True) for each in hashes]
-    for (one, mine), (other, theirs) in combinations(zip(sensors, hashes, strict=True), 2):
-        same = np.intersect1d(mine, theirs, assume_unique=True)
-        if len(same) > MOST_EQUAL_FRAMES:
+    for (sensor, own_hashes), (other_sensor, other_hashes) in combinations(
+        zip(sensors, hashes, strict=True), 2
+    ):
+        equal = np.intersect1d(own_hashes, other_hashes, assume_unique=True)
+        if len(equal) > MOST_EQUAL_FRAMES:
             first, second = (
-                each.sources[int(each.source[np.flatnonzero(each.frames.hash == same[0])[0]])]
-                for each in (one, other)
+                each.sources[int(each.source[np.flatnonzero(each.frames.hash == equal[0])[0]])]
+                for each in (sensor, other_sensor)
             )
             raise InputError(
                 "{}: {:,} frames of {} are those of {} in {}",
                 second.recording.path,
-                len(same),
-                other.sensor,
-                one.sensor,
+                len(equal),
+                other_sensor.sensor,
+                sensor.sensor,
                 first.recording.path,
                 hint="give each sensor its own recording",
             )
@@ -268,46 +273,46 @@ def digest_of_inputs(
     digest = hashlib.sha256(json.dumps(settings.as_dict(), sort_keys=True).encode())
     for sensor in sensors:
         digest.update(f"{sensor.sensor} {validity_s[sensor.sensor]!r}".encode())
-        known: dict[str, int] = {}
+        numbers: dict[str, int] = {}
         number = np.empty(len(sensor.frames), np.int64)
         for k, source in enumerate(sensor.sources):
-            mine = sensor.source == k
-            for index in np.unique(sensor.pose[mine]).tolist():
-                text = _described(source, index)
-                number[mine & (sensor.pose == index)] = known.setdefault(text, len(known))
-        digest.update(json.dumps(list(known)).encode())
+            in_source = sensor.source == k
+            for index in np.unique(sensor.pose[in_source]).tolist():
+                text = _placing_text(source, index)
+                number[in_source & (sensor.pose == index)] = numbers.setdefault(text, len(numbers))
+        digest.update(json.dumps(list(numbers)).encode())
         for column in (number, sensor.frames.time_us, sensor.frames.hash):
             digest.update(column.tobytes())
     return digest.hexdigest()
 
 
-def _described(source: PlacedRecording, index: int) -> str:
+def _placing_text(source: PlacedRecording, index: int) -> str:
     """Return a pose, its sight and the clock as text, equal where all of them are."""
-    seen = source.sights[index]
+    pose_sight = source.sights[index]
     clock = None if source.clock is None else asdict(source.clock)
-    sight = hashlib.sha256(seen.tile_id.tobytes()).hexdigest()
+    sight = hashlib.sha256(pose_sight.tile_id.tobytes()).hexdigest()
     return json.dumps(
-        [source.track.poses[index].as_dict(), seen.name, seen.road_m, sight, clock],
+        [source.track.poses[index].as_dict(), pose_sight.name, pose_sight.road_m, sight, clock],
         sort_keys=True,
     )
 
 
 def _write_hits(
     writer: HourWriter, sensors: Sequence[SensorHour], valid: Sequence[ValidFrames],
-    held: pd.DataFrame, sights: Mapping[str, PoseSight], site: HourSite, window: HourWindow,
+    sight_runs: pd.DataFrame, sights: Mapping[str, PoseSight], site: HourSite, window: HourWindow,
 ) -> None:  # fmt: skip
     ids = site.target.road.tile_id
     pairs = zip(sensors, valid, strict=True)
     writer.write(tables.FRAMES, (frame_columns(each, frames, window) for each, frames in pairs))
     writer.write(tables.HITS, sorted_hits(sensors, valid, ids, window))
-    tile, first, last = observed_runs(held, sights, ids, window)
+    tile, first, last = observed_runs(sight_runs, sights, ids, window)
     writer.write(tables.OBSERVED, {"tile_id": ids[tile], "first_step": first, "last_step": last})
 
 
-def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, int]) -> None:
-    tracks, on = found.tracks, found.tracks["lanelet_id"].notna().to_numpy()
+def _write_vehicles(writer: HourWriter, tracked: HourVehicles, origin: tuple[int, int]) -> None:
+    tracks, on_lanes = tracked.tracks, tracked.tracks["lanelet_id"].notna().to_numpy()
     placed = {
-        name: np.ma.masked_array(_hundredths(tracks[of].fillna(0.0)), ~on)
+        name: np.ma.masked_array(_hundredths(tracks[of].fillna(0.0)), ~on_lanes)
         for name, of in (("s_cm", "s_m"), ("d_cm", "d_m"))
     }
     lanelet = tracks["lanelet_id"].fillna(0).to_numpy(np.int64)
@@ -319,15 +324,15 @@ def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, 
             "y_cm": _hundredths(tracks["northing"] - origin[1]),
             "heading_cdeg": _hundredths(tracks["heading"]),
             "speed_cms": _hundredths(tracks["speed"]),
-            "lanelet_id": np.ma.masked_array(lanelet, ~on), **placed, "seen": tracks["seen"],
+            "lanelet_id": np.ma.masked_array(lanelet, ~on_lanes), **placed, "seen": tracks["seen"],
         },
     )  # fmt: skip
-    writer.write(tables.VEHICLES, found.vehicles)
-    writer.write(tables.CONTINUED, found.continued)
-    speed = _hundredths(found.passages["speed"])
-    writer.write(tables.PASSAGES, found.passages.assign(speed_cms=speed))
-    writer.write(tables.OCCUPIED, found.occupied)
-    writer.write(tables.VISIBLE, found.visible)
+    writer.write(tables.VEHICLES, tracked.vehicles)
+    writer.write(tables.CONTINUED, tracked.continued)
+    speed = _hundredths(tracked.passages["speed"])
+    writer.write(tables.PASSAGES, tracked.passages.assign(speed_cms=speed))
+    writer.write(tables.OCCUPIED, tracked.occupied)
+    writer.write(tables.VISIBLE, tracked.visible)
 
 
 def _hundredths(values: pd.Series) -> Integers:

@@ -43,7 +43,7 @@ from gis_radar.dataset.files.tables import DAY_TABLES, HOUR_TABLES
 from gis_radar.dataset.hours.job import HourSite, MadeHour, make_hour, read_sensors
 from gis_radar.dataset.hours.registered import (
     hours_to_make,
-    is_whole,
+    is_complete,
     keep_site,
     make_registered,
     measure_settings_of,
@@ -54,14 +54,14 @@ OWNED = (  # begins of the names of files that a killed run may have left
     "map.osm", "tiles.gpkg", "recordings.parquet", "poses.parquet", "sights.parquet", ".",
 )  # fmt: skip
 STAGE = "measuring"
-NOTED_EVERY_S = 2.0  # seconds between writes of the registry, which is long for a year's recordings
+REGISTRY_EVERY_S = 2.0  # between writes of the registry, which is large for a year's recordings
 RELINK = Text(
     "gis-radar dataset DATASET --relink FOLDER finds what was moved, --withdraw takes it out"
 )
 
 
 @contextmanager
-def writing(folder: Path, reporter: Reporter) -> Iterator[None]:
+def locked_for_writing(folder: Path, reporter: Reporter) -> Iterator[None]:
     """Lock a dataset for writing, and remove files that a killed run left.
 
     Raises
@@ -78,12 +78,12 @@ def writing(folder: Path, reporter: Reporter) -> Iterator[None]:
         yield
 
 
-def change(
+def update_dataset(
     site: HourSite,
     before: Registry,
     after: Registry,
     *,
-    known: Iterable[RecordingEntry] = (),
+    just_read: Iterable[RecordingEntry] = (),
     before_hour: int | None = None,
     processes: int = 1,
     reporter: Reporter,
@@ -96,8 +96,8 @@ def change(
         Inputs that all hours have in common.
     before, after : Registry
         Registry before and after; `after` omits the hours to make again.
-    known : iterable of RecordingEntry
-        Recordings whose files were read just now, and need not be looked at again.
+    just_read : iterable of RecordingEntry
+        Recordings whose files were read just now, and need not be checked again.
     before_hour : int, optional
         Only hours before this one (since 1970) are made: for later ones recordings are expected.
     processes : int
@@ -117,75 +117,79 @@ def change(
     """
     margin = site.settings.margin
     records = read_hours(site.folder)
-    known = list(known)
+    just_read = list(just_read)
     validity_s = validity_by_sensor(after.entries)
     known_before = {(each.key, each.pose) for each in before.entries}
-    fresh = [each for each in after.entries if (each.key, each.pose) not in known_before]
-    for each in fresh:
+    added = [each for each in after.entries if (each.key, each.pose) not in known_before]
+    for each in added:
         _refuse_dropped(each.path, each.reached_hours(margin), records)
-    missing = hours_to_make(after, records, margin, touched_hours(after.hours, known, margin))
+    missing = hours_to_make(after, records, margin, touched_hours(after.hours, just_read, margin))
     missing = [hour for hour in missing if before_hour is None or hour < before_hour]
     _refuse_dropped(site.folder, missing, records)
-    _require_recordings(after, missing, margin, {each.path for each in known})
+    _require_recordings(after, missing, margin, {each.path for each in just_read})
     reaching = after.by_hour(margin)
     placings = {hour: [after.placing(each) for each in reaching[hour]] for hour in missing}
     present = (records[hour] for hour in missing if hour in records)
-    if any(is_whole(site.folder, each) for each in present):  # they stay if one cannot be made
-        for hour in touched_hours(missing, fresh, margin):
-            _check(site, hour, placings[hour])
+    if any(is_complete(site.folder, each) for each in present):  # whole hours stay on a refusal
+        for hour in touched_hours(missing, added, margin):
+            _check_recordings(site, hour, placings[hour])
     after = after.without_hours(missing)
-    both = before.poses.joined(after.poses)
-    if fresh:
-        after.write_poses(both)
+    all_poses = before.poses.joined(after.poses)
+    if added:
+        after.write_poses(all_poses)
     if after.entries != before.entries:
         after.write_recordings()
     # counts of hours whose exact tables were deleted stay
-    gone = {hour for hour in records.keys() - set(after.hours) if not records[hour].dropped}
-    for hour in {*missing, *gone}:
+    removed = {hour for hour in records.keys() - set(after.hours) if not records[hour].dropped}
+    for hour in {*missing, *removed}:
         remove_record(site.folder, hour)
-    _remove_parts(site.folder, gone)
-    made = _made_and_noted(site, before, after, placings, validity_s, processes, reporter)
+    _remove_parts(site.folder, removed)
+    made = _make_and_record(site, before, after, placings, validity_s, processes, reporter)
     if missing:
         after = after.with_hours(missing, margin)
         after.write_recordings()
     poses = after.poses.of(each.pose for each in after.entries)
-    if poses.tracks.keys() != both.tracks.keys():
+    if poses.tracks.keys() != all_poses.tracks.keys():
         after.write_poses(poses)
-    if made or gone:
-        changed = {*missing, *gone}
-        left = {hour: each for hour, each in records.items() if hour not in changed}
-        now = {each.hour: read_hour(site.folder, each.hour) for each in made}
-        found = left | {hour: each for hour, each in now.items() if each is not None}
-        _count(site.folder, changed | {*list(left)[-1:]}, dict(sorted(found.items())))
+    if made or removed:
+        changed = {*missing, *removed}
+        kept_records = {hour: each for hour, each in records.items() if hour not in changed}
+        new_records = {each.hour: read_hour(site.folder, each.hour) for each in made}
+        records_after = kept_records | {
+            hour: each for hour, each in new_records.items() if each is not None
+        }
+        _update_tables(
+            site.folder, changed | {*list(kept_records)[-1:]}, dict(sorted(records_after.items()))
+        )
     else:
-        _count(site.folder, records, records)  # where an earlier run was killed before it
+        _update_tables(site.folder, records, records)  # an earlier run may have been killed here
     return sorted(made, key=lambda each: each.hour)
 
 
-def _made_and_noted(
+def _make_and_record(
     site: HourSite, before: Registry, after: Registry, placings: Mapping[int, Sequence[Placing]],
     validity_s: Mapping[str, float], processes: int, reporter: Reporter,
 ) -> list[MadeHour]:  # fmt: skip
     """Make hours, and record from time to time which are made, so that a killed run can resume."""
-    made, noted_s = list[MadeHour](), time.monotonic()
+    made, written_s = list[MadeHour](), time.monotonic()
 
-    def note() -> None:
+    def write_registry() -> None:
         after.with_hours([each.hour for each in made], site.settings.margin).write_recordings()
 
     reporter.progress(STAGE, 0, len(placings))
     try:
-        for each in _made(site, placings, validity_s, processes):
+        for each in _make_hours(site, placings, validity_s, processes):
             made.append(each)
             reporter.progress(STAGE, len(made), len(placings))
-            if time.monotonic() - noted_s > NOTED_EVERY_S:
-                note()
-                noted_s = time.monotonic()
+            if time.monotonic() - written_s > REGISTRY_EVERY_S:
+                write_registry()
+                written_s = time.monotonic()
     except InputError:
-        _undo(site.folder, before, [each.hour for each in made])
+        _roll_back(site.folder, before, [each.hour for each in made])
         raise
     except BaseException:
         with suppress(GisRadarError):
-            note()
+            write_registry()
         raise
     return made
 
@@ -224,7 +228,7 @@ def _require_recordings(
         raise InputError("{}: {}, and {} needs it", path, what, hour_text(touched[0]), hint=RELINK)
 
 
-def _check(site: HourSite, hour: int, placings: Sequence[Placing]) -> None:
+def _check_recordings(site: HourSite, hour: int, placings: Sequence[Placing]) -> None:
     """Read the recordings of a present hour, to find errors before any of its parts changes."""
     window = HourWindow(hour=hour, margin=site.settings.margin)
     read_sensors(site, window, [source_of(*each) for each in placings], count_hits=False)
@@ -238,7 +242,7 @@ def _remove_parts(folder: Path, hours: Iterable[int]) -> None:
                 path.unlink(missing_ok=True)
 
 
-def _undo(folder: Path, before: Registry, made: Sequence[int]) -> None:
+def _roll_back(folder: Path, before: Registry, made: Sequence[int]) -> None:
     """Restore the registry before the change, without the hours that were made since."""
     for hour in made:
         remove_record(folder, hour)
@@ -256,21 +260,21 @@ def update_days(folder: Path, reporter: Reporter) -> None:
     OutputError
         If another run is writing it.
     """
-    with writing(folder, reporter):
+    with locked_for_writing(folder, reporter):
         records = read_hours(folder)
-        _count(folder, {*records, *_dates_counted(folder)}, records)
+        _update_tables(folder, {*records, *_counted_dates(folder)}, records)
 
 
-def _dates_counted(folder: Path) -> set[int]:
+def _counted_dates(folder: Path) -> set[int]:
     """Return the first hours of the dates that have tables, also where all hours are gone."""
-    names = {
+    dates = {
         path.parent.name.removeprefix("date=")
         for table in DAY_TABLES for path in (folder / table.name).glob("date=????-??-??/*.parquet")
     }  # fmt: skip
-    return {int(datetime.fromisoformat(f"{name}T00:00Z").timestamp()) // 3600 for name in names}
+    return {int(datetime.fromisoformat(f"{name}T00:00Z").timestamp()) // 3600 for name in dates}
 
 
-def _count(folder: Path, hours: Iterable[int], records: Mapping[int, HourRecord]) -> None:
+def _update_tables(folder: Path, hours: Iterable[int], records: Mapping[int, HourRecord]) -> None:
     """Update the tables of the dates and months of some hours, and of the hour after each."""
     manifest = Manifest.read(folder)
     touched = {later for hour in hours for later in (hour, hour + 1)}
@@ -321,7 +325,7 @@ def open_hours(folder: Path, reporter: Reporter) -> Iterator[OpenHours]:
     OutputError
         If another run is writing it.
     """
-    with writing(folder, reporter):
+    with locked_for_writing(folder, reporter):
         manifest = Manifest.read(folder)
         margin = measure_settings_of(manifest, folder).margin
         registry, records = Registry.read(folder, manifest.fingerprint), read_hours(folder)
@@ -341,7 +345,7 @@ def open_hours(folder: Path, reporter: Reporter) -> Iterator[OpenHours]:
         yield OpenHours(registry=without, margin=margin, missing=missing, refused=refused)
 
 
-def _made(
+def _make_hours(
     site: HourSite, tasks: Mapping[int, Sequence[Placing]], validity_s: Mapping[str, float],
     processes: int,
 ) -> Iterator[MadeHour]:  # fmt: skip

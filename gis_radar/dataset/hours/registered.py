@@ -26,9 +26,9 @@ from gis_radar.dataset.hours.job import METHOD, HourSite, MadeHour, MeasureSetti
 from gis_radar.hdmap import lane_graph, read_tiles
 from gis_radar.tracking import map_of_tiles
 
-_MOST_SITES = 8  # kept by a process, tens of MB each: hours of few sites follow each other
+_MOST_SITES = 8  # that a process keeps, tens of MB each: consecutive hours are of few sites
 
-_sites: dict[str, HourSite] = {}  # of this process, by all that they follow from
+_sites: dict[str, HourSite] = {}  # kept by this process, by `_site_key`
 
 
 def measure_settings_of(manifest: Manifest, folder: Path) -> MeasureSettings:
@@ -55,7 +55,7 @@ def site_of(folder: Path, manifest: Manifest) -> HourSite:
     manifest : Manifest
         Its manifest.
     """
-    key = _key(folder, manifest)
+    key = _site_key(folder, manifest)
     if key not in _sites:
         settings = measure_settings_of(manifest, folder)
         tiles = read_tiles(folder / TILES).sort_values("tile_id", ignore_index=True)
@@ -76,10 +76,11 @@ def keep_site(site: HourSite, manifest: Manifest) -> None:
     """Keep the site of a dataset for :func:`site_of` in this process and those that it forks."""
     while len(_sites) >= _MOST_SITES:
         del _sites[next(iter(_sites))]
-    _sites[_key(site.folder, manifest)] = site
+    _sites[_site_key(site.folder, manifest)] = site
 
 
-def _key(folder: Path, manifest: Manifest) -> str:
+def _site_key(folder: Path, manifest: Manifest) -> str:
+    """Return folder and manifest as text, without the findings of checks."""
     known = {**asdict(manifest), "checks": None}
     return json.dumps([str(folder.absolute()), known], sort_keys=True, default=str)
 
@@ -89,22 +90,21 @@ def hours_to_make(
 ) -> list[int]:
     """Return the hours that have to be made, ascending.
 
-    These are hours that recordings reach into and that were not made with them, hours with a
-    missing part, and those of an earlier method among the hours that are asked for, if their
-    recordings are there.
+    These are hours that were not made with all recordings that reach into them, hours with a
+    missing part, and, of the `asked` ones, hours of an earlier method whose recordings exist.
     """
-    whole = {hour for hour, record in records.items() if is_whole(registry.folder, record)}
-    known = set(registry.hours)
-    earlier = {
-        hour for hour in known.intersection(asked, records)
+    complete = {hour for hour, record in records.items() if is_complete(registry.folder, record)}
+    expected = set(registry.hours)
+    outdated = {
+        hour for hour in expected.intersection(asked, records)
         if records[hour].origin.method != METHOD and not records[hour].dropped
     }  # fmt: skip
-    gone = [each for each in registry.entries if earlier and not Path(each.path).is_file()]
-    earlier -= {*touched_hours(earlier, gone, margin)}  # they cannot be made again: they stay
-    return sorted({*registry.missing_hours(margin), *(known - whole), *earlier})
+    missing = [each for each in registry.entries if outdated and not Path(each.path).is_file()]
+    outdated -= {*touched_hours(outdated, missing, margin)}  # they cannot be made again: they stay
+    return sorted({*registry.missing_hours(margin), *(expected - complete), *outdated})
 
 
-def is_whole(folder: Path, record: HourRecord) -> bool:
+def is_complete(folder: Path, record: HourRecord) -> bool:
     """Return whether all parts of an hour are there, with the sizes in its record."""
     kept = {name: part for name, part in record.parts.items() if name not in record.dropped}
     for name, part in kept.items():
@@ -120,7 +120,7 @@ def make_registered(folder: Path, hour: int, processes: int = 1) -> MadeHour:
     Parameters
     ----------
     folder : Path
-        Folder of the dataset; the caller, or who sent it the task, is its only writer.
+        Folder of the dataset; the caller, or the process that sent the task, is its only writer.
     hour : int
         The hour since 1970.
     processes : int
@@ -129,7 +129,7 @@ def make_registered(folder: Path, hour: int, processes: int = 1) -> MadeHour:
     Raises
     ------
     InputError
-        As :func:`~gis_radar.dataset.hours.job.make_hour`.
+        As for :func:`~gis_radar.dataset.hours.job.make_hour`.
     """
     manifest = Manifest.read(folder)
     margin = measure_settings_of(manifest, folder).margin

@@ -1,4 +1,4 @@
-"""Remarks on recordings, once a run, about odd views, cycles, clocks, heights and sights."""
+"""Warn once a run about views, cycles, clocks, heights and sights that do not fit recordings."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def remark_on_vehicles(count: int, on_lanes: Sequence[pd.DataFrame], reporter: R
         reporter.warn(line)
 
 
-def remark_on_lines(dataset: Source, reporter: Reporter) -> None:
+def remark_on_counting_lines(dataset: Source, reporter: Reporter) -> None:
     """Warn of lanes over whose counting lines all sensors look straight across."""
     network = LaneTraffic.of(dataset).network
     tiles = dataset.layer(TILES_LAYER).sort_values("tile_id", ignore_index=True)
@@ -111,28 +111,28 @@ def remark_on_lines(dataset: Source, reporter: Reporter) -> None:
 
 def _moving_hits(examined: Sequence[Examined], sights: Mapping[str, Sight]) -> list[MovingHits]:
     """Return the moving hits on the tiles in each sight, all recordings of a sensor together."""
-    together: dict[str, list[tuple[np.ndarray, int]]] = {}
+    by_sight: dict[str, list[tuple[np.ndarray, int]]] = {}
     for each in examined:
         for name, count in each.evidence.movement.items():
             frames = each.evidence.frames.get(name, 0)
-            together.setdefault(name, []).append((count, frames))
+            by_sight.setdefault(name, []).append((count, frames))
     return [
         MovingHits(
             sight=sights[name], count=np.sum([count for count, _ in found], axis=0),
             frames=sum(frames for _, frames in found),
         )
-        for name, found in together.items()
+        for name, found in by_sight.items()
     ]  # fmt: skip
 
 
-def _view_warnings(each: Examined) -> Iterator[str]:
+def _view_warnings(examined: Examined) -> Iterator[str]:
     """Yield warnings where a view does not fit the detections."""
-    file, sensor = each.source.recording.path.name, each.entry.sensor
+    file, sensor = examined.source.recording.path.name, examined.entry.sensor
     ranges = RangeCounts()
-    ranges.counts = each.evidence.ranges
+    ranges.counts = examined.evidence.ranges
     reached_m = ranges.reached_m(RANGE_SHARE)
-    view = each.source.track.poses[0].view or View()
-    if each.evidence.hits == 0:
+    view = examined.source.track.poses[0].view or View()
+    if examined.evidence.hits == 0:
         yield Text(
             "{}: no detection of {} lies on a tile: all reads as observed and empty; do "
             "pose, tiles and filters fit the recording, and are its positions metres?",
@@ -153,10 +153,10 @@ def _view_warnings(each: Examined) -> Iterator[str]:
         )
 
 
-def _cycle_warnings(each: Examined) -> Iterator[str]:
+def _cycle_warnings(examined: Examined) -> Iterator[str]:
     """Yield a warning where a sensor's cycle is longer than its frames are valid."""
-    file, sensor = each.source.recording.path.name, each.entry.sensor
-    validity_s, cycle_us = each.entry.validity_s, each.evidence.times.cycle_us
+    file, sensor = examined.source.recording.path.name, examined.entry.sensor
+    validity_s, cycle_us = examined.entry.validity_s, examined.evidence.times.cycle_us
     valid_us = (1 + valid_steps(validity_s)) * STEP_US
     if SLOW_CYCLE * valid_us < cycle_us < np.inf:
         cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - valid_us / cycle_us)
@@ -174,12 +174,12 @@ def _cycle_warnings(each: Examined) -> Iterator[str]:
         )
 
 
-def _placing_warnings(each: Examined) -> Iterator[str]:
-    """Yield warnings about odd heights and clocks."""
-    file, sensor = each.source.recording.path.name, each.entry.sensor
-    evidence = each.evidence
-    if evidence.level:
-        heights = sorted({f"{sight.road_m:.1f}" for sight in each.source.sights})
+def _placing_warnings(examined: Examined) -> Iterator[str]:
+    """Yield warnings where a sensor measures no elevation, or its clock was not set."""
+    file, sensor = examined.source.recording.path.name, examined.entry.sensor
+    evidence = examined.evidence
+    if evidence.lacks_elevation:
+        heights = sorted({f"{sight.road_m:.1f}" for sight in examined.source.sights})
         yield Text(
             "{}: {} measures no elevation: its detections are placed at the height of "
             "the road near it ({} m)",
@@ -187,7 +187,7 @@ def _placing_warnings(each: Examined) -> Iterator[str]:
             sensor,
             ", ".join(heights),
         )
-    if each.entry.first_time < CLOCK_SET_S:
+    if examined.entry.first_time < CLOCK_SET_S:
         begin = iso_from_step(evidence.times.first_us // STEP_US)
         yield Text(
             "{}: times begin at {}: the clock of {} may count since it was switched on; "

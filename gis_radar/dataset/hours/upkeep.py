@@ -23,46 +23,46 @@ from gis_radar.dataset.files.registry import (
 )
 from gis_radar.dataset.files.source import Source
 from gis_radar.dataset.files.tables import FRAMES, HITS, OBSERVED, OCCUPIED, TABLES, TRACKS, VISIBLE
-from gis_radar.dataset.hours.making import change, writing
+from gis_radar.dataset.hours.making import locked_for_writing, update_dataset
 from gis_radar.dataset.hours.registered import measure_settings_of, site_of
 
 EXACT = (FRAMES, HITS, OBSERVED, VISIBLE, OCCUPIED, TRACKS)
-"""Tables that are deleted after their time: they tell of single steps, and are nearly all room."""
-OVER_S = 1.0
-"""How far a recording of a day may reach out of it: loggers and clocks are no more exact."""
+"""Tables that :func:`keep` deletes: they hold single steps, and take nearly all of the space."""
+DAY_TOLERANCE_S = 1.0
+"""Seconds that a recording may reach beyond its day: clocks of loggers are no more exact."""
 
 
-def _of_day(
+def _recordings_of_day(
     folder: Path, entries: Iterable[RecordingEntry], day: date, zone: ZoneInfo
 ) -> list[RecordingEntry]:
     """Return the recordings of a day; refuse one that reaches far into another."""
     begin, end = (
         datetime.combine(each, time.min, zone).timestamp() for each in (day, day + timedelta(1))
     )
-    found = []
-    for each in entries:
-        first, last = each.first_time, each.last_time
+    of_day = []
+    for entry in entries:
+        first, last = entry.first_time, entry.last_time
         is_in = begin <= first and last < end
-        if not is_in and min(last, end) - max(first, begin) <= OVER_S:
+        if not is_in and min(last, end) - max(first, begin) <= DAY_TOLERANCE_S:
             continue  # of the day before or after
-        if first < begin - OVER_S or last >= end + OVER_S:
+        if first < begin - DAY_TOLERANCE_S or last >= end + DAY_TOLERANCE_S:
             raise InputError(
                 "{}: reaches from {} to {}, out of {}",
-                each.path, *(datetime.fromtimestamp(at, zone).isoformat(" ", "seconds")
+                entry.path, *(datetime.fromtimestamp(at, zone).isoformat(" ", "seconds")
                              for at in (first, last)), day,
                 hint="withdraw it by its name, and measure what lies outside the day from a "
                 "recording that was cut there",
             )  # fmt: skip
-        found.append(each)
-    if not found:
+        of_day.append(entry)
+    if not of_day:
         raise InputError(
             "{}: has no such recording of {}", folder, day,
             hint="gis-radar dataset shows from when to when it was measured",
         )  # fmt: skip
-    return found
+    return of_day
 
 
-def _of_sensor(registry: Registry, sensor: str | None) -> list[RecordingEntry]:
+def _recordings_of_sensor(registry: Registry, sensor: str | None) -> list[RecordingEntry]:
     """Return the recordings of a sensor, or all."""
     found = [each for each in registry.entries if sensor in (None, each.sensor)]
     if sensor is not None and not found:
@@ -86,24 +86,28 @@ def withdraw(
     except ValueError:
         raise UsageError("{} is no day", repr(day), hint="such as 2026-10-05") from None
     folder = dataset.folder
-    with writing(folder, reporter):
+    with locked_for_writing(folder, reporter):
         manifest = Manifest.read(folder)  # others may have written since it was opened
         settings = measure_settings_of(manifest, folder)
         before = Registry.read(folder, dataset.manifest.fingerprint)
-        gone = [_named(before, each) for each in recordings] or _of_sensor(before, sensor)
+        withdrawn = [
+            _recording_named(before, each) for each in recordings
+        ] or _recordings_of_sensor(before, sensor)
         if day is not None:
-            gone = _of_day(folder, gone, day, zone_of(manifest.timezone))
-        kept = tuple(each for each in before.entries if each not in gone)
-        hours = touched_hours(before.hours, gone, settings.margin)
+            withdrawn = _recordings_of_day(folder, withdrawn, day, zone_of(manifest.timezone))
+        kept = tuple(each for each in before.entries if each not in withdrawn)
+        hours = touched_hours(before.hours, withdrawn, settings.margin)
         _refuse_dropped(folder, hours)
         poses = before.poses.of(each.pose for each in kept)
         after = replace(before, entries=kept, poses=poses).without_hours(hours)
-        change(site_of(folder, manifest), before, after, processes=processes, reporter=reporter)
+        update_dataset(
+            site_of(folder, manifest), before, after, processes=processes, reporter=reporter
+        )
         sensors = {each.sensor for each in kept}
         checks = {name: of for name, of in manifest.checks.items() if name in sensors}
         if checks != manifest.checks:
             replace(manifest, checks=checks).write(folder)
-    return [each.path for each in gone]
+    return [each.path for each in withdrawn]
 
 
 def _refuse_dropped(folder: Path, hours: Sequence[int]) -> None:
@@ -123,10 +127,10 @@ def relink(folder: Path, search: str | Path, fingerprint: str, reporter: Reporte
     """Find recordings that were moved; see :meth:`gis_radar.Dataset.relink`."""
     if not Path(search).is_dir():
         raise InputError("{}: is no folder", search, hint="name one to look for recordings in")
-    with writing(folder, reporter):
+    with locked_for_writing(folder, reporter):
         registry = Registry.read(folder, fingerprint)
         lost = {each.digest: each for each in registry.entries if not _is_there(each)}
-        found: dict[str, Path] = {}
+        new_paths: dict[str, Path] = {}
         endings = {Path(each.path).suffix.lower() for each in lost.values()}
         paths = sorted(
             path for path in Path(search).rglob("*")
@@ -135,17 +139,19 @@ def relink(folder: Path, search: str | Path, fingerprint: str, reporter: Reporte
         for done, path in enumerate(paths):
             digest = digest_of(path)
             if digest in lost:
-                found.setdefault(digest, path.resolve())
+                new_paths.setdefault(digest, path.resolve())
             reporter.progress("looking for recordings", done + 1, len(paths))
         entries = tuple(
-            replace(each, path=found[each.digest].as_posix()) if each.digest in found else each
+            replace(each, path=new_paths[each.digest].as_posix())
+            if each.digest in new_paths
+            else each
             for each in registry.entries
         )
         replace(registry, entries=entries).write_recordings()
     for digest, entry in lost.items():
-        if digest not in found:
+        if digest not in new_paths:
             reporter.warn("{}: is not in {}", entry.path, search)
-    return len(found)
+    return len(new_paths)
 
 
 def _is_there(entry: RecordingEntry) -> bool:
@@ -153,15 +159,17 @@ def _is_there(entry: RecordingEntry) -> bool:
     return path.is_file() and digest_of(path) == entry.digest
 
 
-def _named(registry: Registry, recording: str | Path) -> RecordingEntry:
+def _recording_named(registry: Registry, recording: str | Path) -> RecordingEntry:
     """Return the one recording with a path or file name."""
     path = Path(recording)
-    same = [each for each in registry.entries if Path(each.path) == path.resolve()]
-    same = same or [each for each in registry.entries if Path(each.path).name == str(recording)]
-    if len(same) == 1:
-        return same[0]
-    names = ", ".join(each.path for each in same or registry.entries)
-    what = "has no recording" if not same else "has several recordings"
+    matching = [each for each in registry.entries if Path(each.path) == path.resolve()]
+    matching = matching or [
+        each for each in registry.entries if Path(each.path).name == str(recording)
+    ]
+    if len(matching) == 1:
+        return matching[0]
+    names = ", ".join(each.path for each in matching or registry.entries)
+    what = "has no recording" if not matching else "has several recordings"
     raise InputError(
         "{}: {} {}", registry.folder, what, recording, hint=Text("name one of {}", names)
     )
@@ -171,12 +179,12 @@ def keep(folder: Path, days: float, fingerprint: str, *, reporter: Reporter) -> 
     """Delete the exact tables of old hours; see :meth:`gis_radar.Dataset.keep`."""
     if not 0.0 <= days < math.inf:
         raise UsageError("{} days are no time to keep exact tables", days)
-    with writing(folder, reporter):
+    with locked_for_writing(folder, reporter):
         settings = measure_settings_of(Manifest.read(folder), folder)
         unmade = set(Registry.read(folder, fingerprint).missing_hours(settings.margin))
         records = read_hours(folder)
         over = (clock() - 86_400 * days) // 3600
-        # vehicles go on from an hour in the next one, which may be made again
+        # the next hour, which may be made again, continues the tracks of this one
         old = [h for h in records if h + 1 < over and unmade.isdisjoint((h, h + 1))]
         dropped = {hour: _without_exact(records[hour]) for hour in old}
         fresh = [hour for hour in old if dropped[hour] != records[hour]]
@@ -186,12 +194,12 @@ def keep(folder: Path, days: float, fingerprint: str, *, reporter: Reporter) -> 
             maker.check(fresh)
         for done, (hour, record) in enumerate(dropped.items()):
             if hour in fresh:
-                write_record(folder, record)  # whoever reads then knows that the parts go
+                write_record(folder, record)  # first, so that nobody opens a part that is deleted
             for name in record.dropped:  # those of a killed run, too
                 path = part_path(folder, TABLES[name], hour)
                 with output_errors(path):
                     path.unlink(missing_ok=True)
-                with suppress(OSError):  # other hours of the date
+                with suppress(OSError):  # it holds other hours of the date
                     path.parent.rmdir()
             reporter.progress("deleting exact tables", done + 1, len(dropped))
     return [hour_text(hour) for hour in fresh]

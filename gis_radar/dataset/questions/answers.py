@@ -15,7 +15,8 @@ import pyarrow.parquet as pq
 
 from gis_radar.base import UsageError, atomic_write
 
-# Ids of the map reach 9e18, exact numbers of JSON's readers 9e15: text, however few digits one has.
+# Columns of map ids, which reach 9e18; JSON readers hold integers up to 9e15 exactly, so that all
+# ids are text.
 MAP_IDS = frozenset({"lanelet_id", "lanelets", "lane", "from_lane", "to_lane", "stop_line"})
 
 
@@ -47,35 +48,35 @@ def plain(table: pa.Table) -> pa.Table:
         ) from error
 
 
-def texts(table: pa.Table) -> pa.Table:
+def csv_texts(table: pa.Table) -> pa.Table:
     """Return an answer with times as ISO 8601 text and lists as joined text, for CSV."""
     words = [
         pc.binary_join(column.combine_chunks().cast(pa.list_(pa.string())), " ")
         if pa.types.is_list(column.type)
-        else _iso(column)
+        else _times_as_text(column)
         for column in table.columns
     ]
     return pa.table(words, names=table.column_names)
 
 
-def stamped(table: pa.Table) -> pa.Table:
+def json_texts(table: pa.Table) -> pa.Table:
     """Return an answer with times as ISO 8601 text, no finer than needed, and the map's ids."""
     columns = [
-        _named(column) if name in MAP_IDS else _short(column)
+        _ids_as_text(column) if name in MAP_IDS else _short_times(column)
         for name, column in zip(table.column_names, table.columns, strict=True)
     ]
     return pa.table(columns, names=table.column_names)
 
 
-def _named(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return ids as text; what is no whole number under such a name stays as it is."""
+def _ids_as_text(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return ids as text; a column of such a name that holds no integers stays as it is."""
     kind = column.type
     if pa.types.is_list(kind) and pa.types.is_integer(kind.value_type):
         return column.cast(pa.list_(pa.string()))
-    return column.cast(pa.string()) if pa.types.is_integer(kind) else _short(column)
+    return column.cast(pa.string()) if pa.types.is_integer(kind) else _short_times(column)
 
 
-def _iso(column: pa.ChunkedArray) -> pa.ChunkedArray:
+def _times_as_text(column: pa.ChunkedArray) -> pa.ChunkedArray:
     """Return times and dates as ISO 8601 text, and nested types as JSON text."""
     kind = column.type
     if pa.types.is_timestamp(kind) and kind.tz:
@@ -91,8 +92,8 @@ def _iso(column: pa.ChunkedArray) -> pa.ChunkedArray:
     return column
 
 
-def _short(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    if (whole := _iso(column)) is column:
+def _short_times(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    if (whole := _times_as_text(column)) is column:
         return column
     whole = pc.replace_substring_regex(whole, r"\.0+Z$", "Z")
     return pc.replace_substring_regex(whole, r"(\.\d*[1-9])0+Z$", r"\1Z")
@@ -113,7 +114,7 @@ def first_rows(batches: Iterable[pa.RecordBatch], most: int) -> tuple[list[dict[
     for batch in batches:
         total += batch.num_rows
         part = pa.Table.from_batches([batch]).slice(0, most - len(rows))
-        rows += stamped(plain(part)).to_pylist()
+        rows += json_texts(plain(part)).to_pylist()
     return rows, total
 
 
@@ -145,7 +146,7 @@ def write_answer(schema: pa.Schema, batches: Iterable[pa.RecordBatch], path: Pat
     }
     if path.suffix.lower() not in kinds:
         raise UsageError("{}: an answer is written as .csv or .parquet", path)
-    as_read = texts if path.suffix.lower() == ".csv" else plain
+    as_read = csv_texts if path.suffix.lower() == ".csv" else plain
     written = as_read(plain(schema.empty_table())).schema
     rows = 0
     with atomic_write(path) as part, kinds[path.suffix.lower()](part, written) as writer:

@@ -16,7 +16,7 @@ from gis_radar.dataset.files.records import Span, hour_bounds
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import Moment, Source, require_vehicles
 from gis_radar.dataset.files.tables import LANE_MONTHS, TILE_MONTHS
-from gis_radar.dataset.files.units import for_people
+from gis_radar.dataset.files.units import convert_units
 from gis_radar.dataset.questions.street_profile import SUMMED, By, StreetLanes, street_profile
 from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 
@@ -38,12 +38,12 @@ def lane_months(dataset: Source, *, month: str | None = None) -> pd.DataFrame:
     DataFrame
         `month`, and the columns of the files.
     """
-    return _read(dataset, LANE_MONTHS, month)
+    return _read_months(dataset, LANE_MONTHS, month)
 
 
 def tile_months(dataset: Source, *, month: str | None = None) -> pd.DataFrame:
     """Read the sums of tile counts by month and hour of the day; as :meth:`lane_months`."""
-    return _read(dataset, TILE_MONTHS, month)
+    return _read_months(dataset, TILE_MONTHS, month)
 
 
 def profile(
@@ -117,11 +117,11 @@ def _street_lanes(
 ) -> StreetLanes:
     """Return the lanes of a street, which are found once."""
     key = ("street", street, language or current_language())
-    if key not in dataset.found:
+    if key not in dataset.cache:
         layers = dataset.layer(LANES_LAYER), dataset.layer(TILES_LAYER)
         with speaking(language):
-            dataset.found[key] = StreetLanes.of(*layers, rolled.traffic.network, street)
-    lanes: StreetLanes = dataset.found[key]
+            dataset.cache[key] = StreetLanes.of(*layers, rolled.traffic.network, street)
+    lanes: StreetLanes = dataset.cache[key]
     return lanes
 
 
@@ -175,19 +175,19 @@ def roll_ups(dataset: Source) -> RollUps:
     """Return the maker and reader of the roll-ups of a dataset."""
     return RollUps(
         folder=dataset.folder, fingerprint=dataset.manifest.fingerprint, timezone=dataset.timezone,
-        looked_at=dataset.found.setdefault("months", {}),
+        checked=dataset.cache.setdefault("months", {}),
     )  # fmt: skip
 
 
-def _read(dataset: Source, table: TableSchema, month: str | None) -> pd.DataFrame:
+def _read_months(dataset: Source, table: TableSchema, month: str | None) -> pd.DataFrame:
     rolled, bounds = roll_ups(dataset), hour_bounds(dataset.folder)
     asked = [] if bounds is None else rolled.months(range(bounds[0], bounds[1] + 1))
     if month is not None:
-        month_edges(month, dataset.timezone)  # refuses what is none
+        month_edges(month, dataset.timezone)  # refuses a text that is no month
         asked = [month]
     parts = [rolled.read(table, each) for each in asked]
-    whole = pa.concat_tables([table.empty(), *parts])
-    found = for_people(whole, dataset.manifest.origin)
+    rows = pa.concat_tables([table.empty(), *parts])
+    converted = convert_units(rows, dataset.manifest.origin)
     lengths = [len(each) for each in parts]
-    found.insert(0, "month", pd.Series(asked, dtype=object).repeat(lengths).to_list())
-    return found
+    converted.insert(0, "month", pd.Series(asked, dtype=object).repeat(lengths).to_list())
+    return converted

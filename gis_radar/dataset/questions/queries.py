@@ -23,7 +23,7 @@ from gis_radar.dataset.questions.views import quoted, views_of_sites
 Answer: TypeAlias = tuple[pa.Schema, Iterator[pa.RecordBatch]]
 """The columns of an answer, and its rows in batches."""
 PROPOSAL = ("Candidate bindings:", "Did you mean")
-_ROWS_AT_ONCE = 1 << 17
+_ROWS_AT_ONCE = 1 << 17  # rows of a batch of an answer
 _CONFIG = {
     "autoinstall_known_extensions": "false",
     "autoload_known_extensions": "false",
@@ -53,7 +53,7 @@ def run_query(
     Parameters
     ----------
     folder : Path
-        What is asked, as errors name it.
+        Folder of the dataset or city, for messages.
     sites : mapping
         Datasets, of which complete hours are read, by the names of their sites; one dataset alone
         by an empty name.
@@ -78,26 +78,26 @@ def run_query(
     InputError
         If a part is not the one of its hour's record, or hours were made again meanwhile.
     """
-    with closing(_connected(memory)) as asked:
-        names = tables_of(asked, sql)
+    with closing(_connect(memory)) as connection:
+        names = tables_of(connection, sql)
         before = [_states(each.folder) for each in sites.values()]
         zones = {each.manifest.timezone for each in sites.values()}
         zone = zones.pop() if len(zones) == 1 else "UTC"
-        _lock(asked, views_of_sites(sites, asked, names, reporter), zone)
+        _lock(connection, views_of_sites(sites, connection, names, reporter), zone)
         with ThreadPoolExecutor(1) as thread:
-            work = _Work(asked, thread, folder, timeout_s)
-            answer = work.done(lambda: asked.sql(sql).to_arrow_reader(_ROWS_AT_ONCE))
+            query = _InterruptibleQuery(connection, thread, folder, timeout_s)
+            answer = query.result_of(lambda: connection.sql(sql).to_arrow_reader(_ROWS_AT_ONCE))
             _refuse_same_names(answer.schema.names)
-            yield answer.schema, work.batches(answer)
+            yield answer.schema, query.batches(answer)
     if [_states(each.folder) for each in sites.values()] != before:
         raise InputError("{}: hours were made again meanwhile", folder, hint="ask again")
 
 
 @dataclass(frozen=True)
-class _Work:
-    """A query on a thread of its own, so that it can be interrupted at any moment."""
+class _InterruptibleQuery:
+    """A query on its own thread, so that it can be interrupted at any moment."""
 
-    asked: duckdb.DuckDBPyConnection
+    connection: duckdb.DuckDBPyConnection
     thread: ThreadPoolExecutor
     folder: Path
     timeout_s: float
@@ -105,10 +105,10 @@ class _Work:
 
     def batches(self, answer: pa.RecordBatchReader) -> Iterator[pa.RecordBatch]:
         """Yield the batches of an answer."""
-        while (batch := self.done(lambda: next(answer, None))) is not None:
+        while (batch := self.result_of(lambda: next(answer, None))) is not None:
             yield batch
 
-    def done(self, step: Callable[[], Any]) -> Any:
+    def result_of(self, step: Callable[[], Any]) -> Any:
         """Return the result of a step, within the time limit, with errors converted to ours."""
         future = self.thread.submit(step)
         try:
@@ -128,12 +128,12 @@ class _Work:
         """Interrupt a future that is not done; return whether that was needed."""
         is_late = not future.done()
         while not future.done():  # an interrupt before DuckDB has begun has no effect
-            self.asked.interrupt()
+            self.connection.interrupt()
             wait([future], 0.05)
         return is_late
 
 
-def _connected(memory: str) -> duckdb.DuckDBPyConnection:
+def _connect(memory: str) -> duckdb.DuckDBPyConnection:
     try:
         return duckdb.connect(":memory:", config={**_CONFIG, "memory_limit": memory})
     except duckdb.Error as error:
@@ -146,24 +146,24 @@ def _refuse_same_names(names: list[str]) -> None:
         raise UsageError("the query has two columns {}", repr(twice[0]), hint="name one with AS")
 
 
-def _lock(asked: duckdb.DuckDBPyConnection, paths: list[Path], timezone: str) -> None:
+def _lock(connection: duckdb.DuckDBPyConnection, paths: list[Path], timezone: str) -> None:
     """Restrict DuckDB to the files of the tables, and lock its settings."""
     files = ", ".join(quoted(path.resolve().as_posix()) for path in paths)
     for setting in (
         f"allowed_paths = [{files}]", "enable_external_access = false",
         f"TimeZone = {quoted(timezone)}", "lock_configuration = true",
     ):  # fmt: skip
-        asked.execute(f"SET {setting}")
+        connection.execute(f"SET {setting}")
 
 
 def _states(folder: Path) -> list[tuple[str, int, int]]:
     """Return path, time of writing and inode of each hour's record, to notice changes."""
-    found = []
+    states = []
     for path in sorted((folder / HOURS).glob("*/*.json")):
         with suppress(FileNotFoundError):
             state = path.stat()
-            found.append((str(path), state.st_mtime_ns, state.st_ino))
-    return found
+            states.append((str(path), state.st_mtime_ns, state.st_ino))
+    return states
 
 
 @contextmanager
@@ -179,10 +179,12 @@ def _errors_of(folder: Path) -> Iterator[None]:
             ) from error
         if isinstance(error, duckdb.IOException) or ".parquet" in str(error):
             raise InputError("{}: {}", folder, first_line(error), hint=MEASURE_AGAIN) from error
-        raise UsageError("the query fails: {}", _named(error), hint=ASK_ONE) from error
+        raise UsageError(
+            "the query fails: {}", _first_line_and_proposals(error), hint=ASK_ONE
+        ) from error
 
 
-def _named(error: Exception) -> str:
+def _first_line_and_proposals(error: Exception) -> str:
     """Return the first line of an error of DuckDB, and the names that it proposes."""
     proposed = [line for line in str(error).splitlines()[1:] if line.startswith(PROPOSAL)]
     return "; ".join([first_line(error), *proposed])

@@ -19,7 +19,7 @@ TIMEOUT_S, MEMORY = 60.0, "2GB"  # default limits of a query
 class SqlQueries:
     """Methods that answer SQL queries over one dataset or several."""
 
-    def asked_sites(self) -> tuple[Path, Mapping[str, Source]]:
+    def queried_sites(self) -> tuple[Path, Mapping[str, Source]]:
         """Return the folder, and the datasets that are asked, each with the name of its site."""
         raise NotImplementedError
 
@@ -50,7 +50,7 @@ class SqlQueries:
         """
         from gis_radar.dataset.questions.answers import plain  # noqa: PLC0415 - as below
 
-        with _answer(*self.asked_sites(), sql, timeout_s, memory, reporter) as (schema, batches):
+        with _answer(*self.queried_sites(), sql, timeout_s, memory, reporter) as (schema, batches):
             rows: pd.DataFrame = plain(pa.Table.from_batches(batches, schema)).to_pandas()
         return rows
 
@@ -72,7 +72,7 @@ class SqlQueries:
         """
         from gis_radar.dataset.questions.answers import write_answer  # noqa: PLC0415 - as below
 
-        with _answer(*self.asked_sites(), sql, timeout_s, memory, reporter) as answer:
+        with _answer(*self.queried_sites(), sql, timeout_s, memory, reporter) as answer:
             return write_answer(*answer, Path(path))
 
     def first_rows(
@@ -85,7 +85,7 @@ class SqlQueries:
         """
         from gis_radar.dataset.questions.answers import first_rows  # noqa: PLC0415 - as below
 
-        with _answer(*self.asked_sites(), sql, timeout_s, memory, reporter) as (_, batches):
+        with _answer(*self.queried_sites(), sql, timeout_s, memory, reporter) as (_, batches):
             return first_rows(batches, most)
 
 

@@ -20,12 +20,12 @@ _TABLE_FUNCTIONS = {"range", "generate_series", "unnest"}
 _NO_FUNCTIONS = {"current_setting", "getvariable", "write_log"}
 
 
-def tables_of(asked: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
+def tables_of(connection: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
     """Return the names of the tables that a query reads.
 
     Parameters
     ----------
-    asked : duckdb.DuckDBPyConnection
+    connection : duckdb.DuckDBPyConnection
         Connection that parses the query.
     sql : str
         The query.
@@ -35,22 +35,24 @@ def tables_of(asked: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
     UsageError
         If it is no single SELECT, or reads anything but tables of a dataset.
     """
-    nodes = list(_nodes(_tree(asked, sql)))
-    own = {each["key"].lower() for node in nodes for each in node.get("cte_map", {}).get("map", ())}
-    found: set[str] = set()
+    nodes = list(_nodes(_tree(connection, sql)))
+    ctes = {
+        each["key"].lower() for node in nodes for each in node.get("cte_map", {}).get("map", ())
+    }
+    tables: set[str] = set()
     for node in nodes:
-        _refuse_odd(node)
+        _refuse_forbidden(node)
         kind, name = node.get("type"), str(node.get("table_name", "")).lower()
         if kind == "BASE_TABLE" and name in ASKABLE:
-            found.add(name)
-        elif (kind == "BASE_TABLE" and name not in own) or (kind == "SHOW_REF" and name):
+            tables.add(name)
+        elif (kind == "BASE_TABLE" and name not in ctes) or (kind == "SHOW_REF" and name):
             raise UsageError("the query names {}, which is no table here", repr(name), hint=ASK_ONE)
-    return found
+    return tables
 
 
-def _tree(asked: duckdb.DuckDBPyConnection, sql: str) -> Any:
+def _tree(connection: duckdb.DuckDBPyConnection, sql: str) -> Any:
     try:
-        ((answer,),) = asked.execute("SELECT json_serialize_sql(?)", [sql]).fetchall()
+        ((answer,),) = connection.execute("SELECT json_serialize_sql(?)", [sql]).fetchall()
         tree = json.loads(answer)
     except (duckdb.Error, ValueError, RecursionError) as error:
         raise UsageError("the query cannot be read: {}", first_line(error), hint=ASK_ONE) from error
@@ -75,7 +77,7 @@ def _nodes(tree: Any) -> Iterator[dict[str, Any]]:
             waiting += each
 
 
-def _refuse_odd(node: dict[str, Any]) -> None:
+def _refuse_forbidden(node: dict[str, Any]) -> None:
     """Refuse nodes that are no SELECT, and functions that reach beyond the tables."""
     kind, function = str(node.get("type")), node.get("function")
     if kind.endswith("_NODE") and kind not in _NODES:

@@ -15,7 +15,7 @@ from gis_radar.dataset.traffic.shifts import lanes_beside
 from gis_radar.measures import LaneNetwork, lane_directions
 
 By: TypeAlias = Literal["hour", "weekday", "month"]
-_OVER_LANES = (  # sums over lanes as they are, as each stands for its own length
+_OVER_LANES = (  # columns that lanes add to without a weight: they hold the lengths already
     "visible_km_h", "occupied_km_h", "occupied_variance", "vehicle_km", "vehicle_h",
 )  # fmt: skip
 SUMMED = (
@@ -70,17 +70,17 @@ class StreetLanes(NamedTuple):
             If no lane is on a street of that name.
         """
         direction = np.array(lane_directions(lanes, network), object)
-        known = lanes.set_index("lane").loc[network.lane.tolist()]
-        kept = direction != ""
+        layer = lanes.set_index("lane").loc[network.lane.tolist()]
+        chosen = direction != ""
         if street is not None:
-            parts = known["street_part"] if "street_part" in known else [None] * len(known)
-            labels = [street_label(*each) for each in zip(known["street"], parts, strict=True)]
+            parts = layer["street_part"] if "street_part" in layer else [None] * len(layer)
+            labels = [street_label(*each) for each in zip(layer["street"], parts, strict=True)]
             names = [
                 {str(each).casefold() for each in pair}
-                for pair in zip(known["street"], labels, strict=True)
+                for pair in zip(layer["street"], labels, strict=True)
             ]
-            kept &= np.array([street.casefold() in each for each in names])
-            if not kept.any():
+            chosen &= np.array([street.casefold() in each for each in names])
+            if not chosen.any():
                 known_names = ", ".join(sorted({*labels} - {""})) or Text("none")
                 raise UnknownStreetError(
                     "there is no street {}",
@@ -88,7 +88,7 @@ class StreetLanes(NamedTuple):
                     hint=Text("streets here: {}", known_names),
                 )
         road_m = _road_metres(tiles, network, direction)
-        rows = np.flatnonzero(kept)
+        rows = np.flatnonzero(chosen)
         return cls(
             network.lane[rows], direction[rows].tolist(), network.length_m[rows], road_m[rows]
         )
@@ -97,18 +97,18 @@ class StreetLanes(NamedTuple):
 def _road_metres(tiles: gpd.GeoDataFrame, network: LaneNetwork, direction: Any) -> Floats:
     """Return the part of each lane in the length of its street: tiles side by side share theirs."""
     ids = tiles["tile_id"].to_numpy(np.int64)
-    at = np.searchsorted(ids, network.tile_id)
+    row_of_tile = np.searchsorted(ids, network.tile_id)
     lane = np.full(len(ids) + 1, -1)
-    lane[at] = network.tile_lane
+    lane[row_of_tile] = network.tile_lane
     group = np.append(np.unique(direction, return_inverse=True)[1], -1)[lane]
     abreast = np.ones(len(ids))
     for side in lanes_beside(tiles):
-        there = np.arange(len(ids))
+        neighbour = np.arange(len(ids))
         for _ in range(MOST_LANES):
-            there = np.append(side, -1)[there]
-            there[group[there] != group[:-1]] = -1
-            abreast += there >= 0
-    metres = network.tile_length_m / abreast[at]
+            neighbour = np.append(side, -1)[neighbour]
+            neighbour[group[neighbour] != group[:-1]] = -1
+            abreast += neighbour >= 0
+    metres = network.tile_length_m / abreast[row_of_tile]
     return np.asarray(np.bincount(network.tile_lane, metres, len(network.lane)), np.float64)
 
 
@@ -126,7 +126,7 @@ def street_profile(
     street : StreetLanes
         The lanes.
     by : {"hour", "weekday", "month"}
-        What a cell is.
+        Whether cells are hours of the day, days of the week or months.
     """
     sums = sums[sums["lane"].isin(street.lane)].groupby(["lane", by])[list(SUMMED)].sum()
     sums = sums.reset_index()
@@ -143,25 +143,25 @@ def street_profile(
         [sorted(set(street.direction)), asked_s.index], names=["direction", "cell"]
     )
     groups = of_lanes.groupby(["direction", "cell"])
-    of = groups.sum().reindex(cells, fill_value=0.0)
+    totals = groups.sum().reindex(cells, fill_value=0.0)
     observed = street.road_m * np.isin(street.lane, sums["lane"])
     road_m = pd.Series(observed).groupby(np.array(street.direction, object)).sum()
     s_m = np.multiply.outer(road_m.to_numpy(), asked_s.to_numpy()).ravel()
-    found = pd.DataFrame(
+    profile = pd.DataFrame(
         {
-            "volume_veh_h": _quotient(of["vehicles_m"], of["hours_m"]),
-            "volume_se": _quotient(np.sqrt(of["variance"]), of["hours_m"]),
-            "heavy_share": _quotient(of["heavy"], of["counted"]),
-            "speed_kmh": _quotient(of["vehicle_km"], of["vehicle_h"]),
-            "occupancy": _quotient(of["occupied_km_h"], of["visible_km_h"]),
-            "occupancy_se": _quotient(np.sqrt(of["occupied_variance"]), of["visible_km_h"]),
+            "volume_veh_h": _quotient(totals["vehicles_m"], totals["hours_m"]),
+            "volume_se": _quotient(np.sqrt(totals["variance"]), totals["hours_m"]),
+            "heavy_share": _quotient(totals["heavy"], totals["counted"]),
+            "speed_kmh": _quotient(totals["vehicle_km"], totals["vehicle_h"]),
+            "occupancy": _quotient(totals["occupied_km_h"], totals["visible_km_h"]),
+            "occupancy_se": _quotient(np.sqrt(totals["occupied_variance"]), totals["visible_km_h"]),
             "days": groups["days"].max().reindex(cells, fill_value=0.0),
-            "visible_share": (of["visible_s_m"] / s_m).fillna(0.0),
+            "visible_share": (totals["visible_s_m"] / s_m).fillna(0.0),
         }
     ).reset_index()
     if by == "weekday":
-        found["cell"] = [DAY_NAMES[number] for number in found["cell"]]
-    return found.rename(columns={"cell": by})
+        profile["cell"] = [DAY_NAMES[number] for number in profile["cell"]]
+    return profile.rename(columns={"cell": by})
 
 
 def _quotient(part: pd.Series, whole: pd.Series) -> pd.Series:

@@ -33,7 +33,7 @@ _BEGIN = f"epoch(date)::BIGINT * {STEPS_PER_SECOND} + interval * {STEPS_PER_QUAR
 
 
 def views_of_sites(
-    sites: Mapping[str, Source], asked: duckdb.DuckDBPyConnection, names: set[str],
+    sites: Mapping[str, Source], connection: duckdb.DuckDBPyConnection, names: set[str],
     reporter: Reporter,
 ) -> list[Path]:  # fmt: skip
     """Make the views of some tables over several sites, with a first column `site`.
@@ -42,7 +42,7 @@ def views_of_sites(
     ----------
     sites : mapping
         Datasets by the names of their sites; one alone by an empty name has no such column.
-    asked, names, reporter
+    connection, names, reporter
         As for :func:`make_views`.
 
     Returns
@@ -51,21 +51,21 @@ def views_of_sites(
         The files that the views read.
     """
     if list(sites) == [""]:
-        return make_views(sites[""], asked, names, reporter)
+        return make_views(sites[""], connection, names, reporter)
     paths = []
     for number, dataset in enumerate(sites.values()):
-        paths += make_views(dataset, asked, names, reporter, prefix=f"_{number}_")
+        paths += make_views(dataset, connection, names, reporter, prefix=f"_{number}_")
     for name in names:
         parts = (
             f"SELECT {quoted(site)} AS site, * FROM _{number}_{name}"  # noqa: S608 - ours
             for number, site in enumerate(sites)
         )
-        asked.execute(f"CREATE VIEW {name} AS {' UNION ALL BY NAME '.join(parts)}")
+        connection.execute(f"CREATE VIEW {name} AS {' UNION ALL BY NAME '.join(parts)}")
     return paths
 
 
 def make_views(
-    dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str], reporter: Reporter, *,
+    dataset: Source, connection: duckdb.DuckDBPyConnection, names: set[str], reporter: Reporter, *,
     prefix: str = "",
 ) -> list[Path]:  # fmt: skip
     """Make the views of some tables.
@@ -74,14 +74,14 @@ def make_views(
     ----------
     dataset : Source
         The dataset, of which complete hours are read.
-    asked : duckdb.DuckDBPyConnection
+    connection : duckdb.DuckDBPyConnection
         Connection in which the views are made.
     names : set of str
         Names of the tables.
     reporter : Reporter
         Receives a warning where parts of a table were deleted; they are left out.
     prefix : str
-        What the names of the views begin with.
+        Prefix of the names of the views.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def make_views(
     InputError
         If a part is not the one of its hour's record.
     """
-    views = _Views(dataset, asked, prefix, reporter)
+    views = _Views(dataset, connection, prefix, reporter)
     records = dataset.records()
     paths = []
     for tables, view in (
@@ -106,10 +106,10 @@ def make_views(
                 paths += view(table, records)
     for table in (RECORDINGS, POSES, SIGHTS):
         if table.name in names:
-            views.held(table, dataset.whole(table))
+            views.view_of_rows(table, dataset.single_table(table))
     for layer in names.intersection(LAYERS):
         rows = dataset.layer(layer).drop(columns="geometry")
-        asked.register(f"{prefix}{layer}", pa.Table.from_pandas(rows, preserve_index=False))
+        connection.register(f"{prefix}{layer}", pa.Table.from_pandas(rows, preserve_index=False))
     return paths
 
 
@@ -121,7 +121,7 @@ def catalogue_of(folders: Sequence[Path], place: str) -> str:
     folders : sequence of Path
         The datasets.
     place : str
-        Pattern of where they are for who reads the views, such as `s3://bucket/city/site=*`.
+        Pattern of their folders as readers of the views see them: `s3://bucket/city/site=*`.
     """
     lines = []
     for table in TABLES.values():
@@ -139,9 +139,10 @@ class _Views:
     """Maker of views of tables."""
 
     def __init__(
-        self, dataset: Source, asked: duckdb.DuckDBPyConnection, prefix: str, reporter: Reporter
-    ) -> None:
-        self._dataset, self._connection, self._prefix = dataset, asked, prefix
+        self, dataset: Source, connection: duckdb.DuckDBPyConnection, prefix: str,
+        reporter: Reporter,
+    ) -> None:  # fmt: skip
+        self._dataset, self._connection, self._prefix = dataset, connection, prefix
         self._reporter = reporter
 
     def hours(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
@@ -157,58 +158,60 @@ class _Views:
             record.check_bytes(folder, table)  # DuckDB, unlike Arrow, checks no checksums
             paths.append(part_path(folder, table, hour))
         if paths:
-            self._view(table.name, table.names, f"read_parquet([{_list(paths)}])")
+            self._view(table.name, table.names, f"read_parquet([{_file_list(paths)}])")
         else:
-            self.held(table, table.empty())
+            self.view_of_rows(table, table.empty())
         return paths
 
     def days(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
         """Make the view of a table of dates; dates that are not up to date are updated first."""
         folder, tiles = self._dataset.folder, self._dataset.manifest.fingerprint
-        maker, paths, odd = maker_of(table, folder, tiles), [], {}
+        maker, paths, stale = maker_of(table, folder, tiles), [], {}
         for day in days_of(records):
-            mine = records_of(day, records)
-            keys, file = maker.keys(day, mine), maker.file(table, day)
+            of_day = records_of(day, records)
+            keys, file = maker.keys(day, of_day), maker.file(table, day)
             if keys and file.is_made_of(keys):
                 paths.append(file.path)
             else:
-                odd.update(mine)
+                stale.update(of_day)
         further = pa.field("first_step", pa.int64())
         begins = f"{_BEGIN} AS first_step"
-        self._joined(table, further, maker.read(table, odd), paths, begins, "{'date': DATE}")
+        self._view_of_rows_and_files(
+            table, further, maker.read(table, stale), paths, begins, "{'date': DATE}"
+        )
         return paths
 
     def months(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
         """Make the view of a roll-up; months that are not up to date are summed first."""
         rolled, paths, made = roll_ups(self._dataset), [], []
         for month in rolled.months(records):
-            if rolled.is_whole(table, month):
+            if rolled.is_current(table, month):
                 paths.append(rolled.file(table, month).path)
             else:
                 made.append(with_month(rolled.read(table, month), month))
         further = pa.field("month", pa.string())
-        self._joined(table, further, made, paths, "month", "{'month': VARCHAR}")
+        self._view_of_rows_and_files(table, further, made, paths, "month", "{'month': VARCHAR}")
         return paths
 
-    def _joined(
+    def _view_of_rows_and_files(
         self, table: TableSchema, further: pa.Field, made: Iterable[pa.Table],
         paths: Sequence[Path], column: str, types: str,
     ) -> None:  # fmt: skip
         """Make a view of rows held in memory and of files, which get a further `column`."""
-        names, held = [*table.names, further.name], f"_made_{self._prefix}{table.name}"
+        names, table_name = [*table.names, further.name], f"_made_{self._prefix}{table.name}"
         empty = table.schema.append(further).empty_table()
-        self._connection.register(held, pa.concat_tables([empty, *made]))
-        source = _select(names, held)
+        self._connection.register(table_name, pa.concat_tables([empty, *made]))
+        source = _select(names, table_name)
         if paths:
-            files = f"read_parquet([{_list(paths)}], hive_types = {types})"
+            files = f"read_parquet([{_file_list(paths)}], hive_types = {types})"
             source = f"{source} UNION ALL {_select([*table.names, column], files)}"
         self._view(table.name, names, f"({source})")
 
-    def held(self, table: TableSchema, rows: pa.Table) -> None:
+    def view_of_rows(self, table: TableSchema, rows: pa.Table) -> None:
         """Make a view of rows held in memory."""
-        held = f"_held_{self._prefix}{table.name}"
-        self._connection.register(held, rows)
-        self._view(table.name, table.names, held)
+        table_name = f"_held_{self._prefix}{table.name}"
+        self._connection.register(table_name, rows)
+        self._view(table.name, table.names, table_name)
 
     def _view(self, name: str, columns: list[str], source: str) -> None:
         """Make a view of the columns of the files and of the converted ones."""
@@ -223,7 +226,7 @@ def _select(columns: Iterable[str], source: str) -> str:
     return f"SELECT {', '.join(columns)} FROM {source}"  # noqa: S608 - names and files of ours
 
 
-def _list(paths: Iterable[Path]) -> str:
+def _file_list(paths: Iterable[Path]) -> str:
     return ", ".join(quoted(path.resolve().as_posix()) for path in paths)
 
 

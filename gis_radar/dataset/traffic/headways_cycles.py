@@ -58,16 +58,16 @@ def add_headways(
 ) -> gpd.GeoDataFrame:
     """Add headways and gaps to the traffic of lanes; see :meth:`gis_radar.Dataset.traffic`."""
     steps = interval_steps(interval)
-    network, hours = _exact(dataset, span)
-    found = [headways(network, *each) for each in hours]
-    pairs = Headways._make(map(np.concatenate, zip(*found, strict=True))) if found else None
+    network, hours = _exact_hours(dataset, span)
+    parts = [headways(network, *each) for each in hours]
+    pairs = Headways._make(map(np.concatenate, zip(*parts, strict=True))) if parts else None
     table = pd.DataFrame(pairs._asdict() if pairs else {name: [] for name in Headways._fields})
     part = min(steps, STEPS_PER_QUARTER)
     first = table["step"] // part * part
     low, high = span or (first.min(), first.max())
     table = table[(first >= low) & (first <= high)]
     zone = zone_of(dataset.timezone)
-    times = _times(table["step"] // part * part)
+    times = _utc_times(table["step"] // part * part)
     table = table.assign(
         lane=network.lane[table["lane"].astype(np.int64)],
         begin=interval_edges(times, steps, zone)["begin"].dt.tz_convert(zone),
@@ -120,7 +120,7 @@ def signal_cycles(
         A row a stop line and cycle, from a begin of green to the next: `lane`, `name`, `begin`,
         `end`, `cycle_s` and `cycle_se_s` (of the hour), `counted`, `queue_max_m`,
         `queue_mean_m`, `queue_end_m` (at the end of green), `reason` (why figures are missing).
-        Where no cycle can be told in an hour, one row that says why.
+        Where no cycle can be inferred in an hour, one row with the reason.
 
     Raises
     ------
@@ -129,19 +129,23 @@ def signal_cycles(
         are not what they should be or of a lane without a stop line.
     """
     require_vehicles(dataset)
-    network, hours = _exact(dataset, dataset.span(begin, end))
+    network, hours = _exact_hours(dataset, dataset.span(begin, end))
     with speaking(language):
         names = np.array(lane_names(dataset.layer(LANES_LAYER), network), object)
-    at = {str(each): k for name in (names, network.lane) for k, each in enumerate(name.tolist())}
-    known = None if signals is None else read_signals(signals, at, zone_of(dataset.timezone))
-    if off := [lane for lane in known or () if not network.has_stop_line[lane]]:
-        raise InputError("{}: lane {} has no stop line", signals, int(network.lane[off[0]]))
-    found = [each for hour in hours for each in cycles(network, *hour, known=known)]
+    place_of = {
+        str(each): k for name in (names, network.lane) for k, each in enumerate(name.tolist())
+    }
+    known = None if signals is None else read_signals(signals, place_of, zone_of(dataset.timezone))
+    if without_line := [lane for lane in known or () if not network.has_stop_line[lane]]:
+        raise InputError(
+            "{}: lane {} has no stop line", signals, int(network.lane[without_line[0]])
+        )
+    rows = [each for hour in hours for each in cycles(network, *hour, known=known)]
     with speaking(language):
-        reason = [tr(each.reason) if each.reason else "" for each in found]
-    table = pd.DataFrame(found, columns=list(Cycle._fields))
+        reason = [tr(each.reason) if each.reason else "" for each in rows]
+    table = pd.DataFrame(rows, columns=list(Cycle._fields))
     place, zone = table["lane"].to_numpy(np.int64), zone_of(dataset.timezone)
-    times = {"begin": _times(table["first"]), "end": _times(table["after"])}
+    times = {"begin": _utc_times(table["first"]), "end": _utc_times(table["after"])}
     table = table.assign(lane=network.lane[place], counted=table["counted"].astype("Int64"))
     table = table.drop(columns=["first", "after", "reason"]).astype(dict.fromkeys(_LENGTHS, float))
     for column, (name, values) in enumerate(times.items(), start=1):
@@ -152,11 +156,11 @@ def signal_cycles(
     )
 
 
-def _times(steps: pd.Series) -> pd.Series:
+def _utc_times(steps: pd.Series) -> pd.Series:
     return pd.to_datetime(steps.astype(np.int64) * STEP_US, unit="us", utc=True)
 
 
-def _exact(dataset: Source, span: Span | None) -> tuple[LaneNetwork, Iterator[_Hour]]:
+def _exact_hours(dataset: Source, span: Span | None) -> tuple[LaneNetwork, Iterator[_Hour]]:
     """Return the network, and of each hour its grid, states, vehicles and visible runs."""
     traffic = LaneTraffic.of(dataset)
     records = [each for each in dataset.records(span).values() if TRACKS.name in each.parts]
@@ -196,7 +200,7 @@ def read_signals(path: str | Path, lanes: Mapping[str, int], zone: ZoneInfo) -> 
         raise InputError("{}: lacks the columns {}", path, listed(missing), hint=hint)
     if not rows:
         raise InputError("{}: holds no green times", path)
-    found: dict[int, dict[int, int]] = {}
+    greens: dict[int, dict[int, int]] = {}
     for number, row in rows:
         what = f"{path}, line {number}"
         lane, begin, end = (text_in(row, name) for name in (*_NEEDED, "green_end"))
@@ -205,11 +209,11 @@ def read_signals(path: str | Path, lanes: Mapping[str, int], zone: ZoneInfo) -> 
                 "{}: lane {} is none that was measured", what, repr(lane),
                 hint="traffic.csv lists lanes with numbers and names",
             )  # fmt: skip
-        first, ends = _step(begin, zone, f"{what}: green_begin"), found.setdefault(lanes[lane], {})
+        first, ends = _step(begin, zone, f"{what}: green_begin"), greens.setdefault(lanes[lane], {})
         if first in ends:
             raise InputError("{}: a green of the lane begins then already", what)
         ends[first] = _step(end, zone, f"{what}: green_end") if end else -1
-    return {lane: _greens(found[lane], path) for lane in sorted(found)}
+    return {lane: _greens(greens[lane], path) for lane in sorted(greens)}
 
 
 def _step(text: str, zone: ZoneInfo, what: str) -> int:
@@ -223,6 +227,6 @@ def _greens(ends: Mapping[int, int], path: str | Path) -> Greens:
     after = np.append(begin[1:], np.iinfo(np.int64).max)
     if (stated & ((end <= begin) | (end > after))).any():
         raise InputError("{}: a green ends before it begins, or after the next one begins", path)
-    if (np.diff(begin) < STEPS_PER_SECOND).any():  # queues are looked at each second
+    if (np.diff(begin) < STEPS_PER_SECOND).any():  # queues are measured each second
         raise InputError("{}: two greens begin within a second", path)
     return Greens(begin, end)

@@ -61,7 +61,7 @@ class TrafficReader:
     language : str, optional
         Language of the names; by default the current one.
     line_m : mapping
-        Counting lines, as of :class:`LaneTraffic`; with any, intervals of 15 min and more are
+        Counting lines, as for :class:`LaneTraffic`; with any, intervals of 15 min and more are
         measured from the exact tables, too.
     whole : bool
         Whether all intervals are one, as for :meth:`gis_radar.Dataset.traffic`.
@@ -89,30 +89,30 @@ class TrafficReader:
         table["delay_s"] = delays(table, layer, network)
         with speaking(self.language):
             names = lane_names(layer, network)
-        at = np.searchsorted(network.lane, table["lane"].to_numpy(np.int64))
-        lines = layer.set_index("lane").geometry.loc[network.lane.tolist()].array[at]
-        shown = pd.DataFrame({"lane": table["lane"], "name": np.array(names, object)[at]})
+        place = np.searchsorted(network.lane, table["lane"].to_numpy(np.int64))
+        lines = layer.set_index("lane").geometry.loc[network.lane.tolist()].array[place]
+        shown = pd.DataFrame({"lane": table["lane"], "name": np.array(names, object)[place]})
         shown = shown.join(table[["begin", "end", "visible_share", "counted"]])
         shown = shown.join(table[["volume", "volume_se"]])
         shown["volume_veh_h"] = table["volume"] / table["hours"]
         shown["heavy"] = table["heavy"]
-        for name, of in (("speed", "speed_mean"), ("speed_time_mean", "speed_time_mean")):
-            shown[f"{name}_kmh"] = table[of] * 3.6
+        for name, column in (("speed", "speed_mean"), ("speed_time_mean", "speed_time_mean")):
+            shown[f"{name}_kmh"] = table[column] * 3.6
         shown["speed_85_kmh"] = _speed_85_kmh(table["speed_counts"])
         shown = shown.join(table[["occupancy", "occupancy_se"]])
         shown["density_veh_km"], shown["flow_veh_h"] = table["density"], table["flow"]
         shown = shown.join(table[["travel_time_s", "delay_s", "queue_max_m", "queue_mean_m"]])
-        shown["sight_m"] = network.sight_m(self.dataset.sights()["tile_id"].unique())[at]
+        shown["sight_m"] = network.sight_m(self.dataset.sights()["tile_id"].unique())[place]
         shown["stops"] = table["stops"]
         return gpd.GeoDataFrame(shown, geometry=lines, crs=self.dataset.manifest.crs)
 
     def turns(self) -> gpd.GeoDataFrame:
         """Return a row for each turn and interval, as :meth:`gis_radar.Dataset.turns` does."""
-        rolled_up = self.whole or _allowed(self.interval) > STEPS_PER_QUARTER
+        rolled_up = self.whole or _checked_steps(self.interval) > STEPS_PER_QUARTER
         lanes = self._rows(LANE_MEASURES) if rolled_up else None
         table, network = self._rows(TURNS, lanes), self.traffic.network
         if lanes is not None and not table.empty:
-            table = _like_approaches(table, lanes)
+            table = _scaled_to_approaches(table, lanes)
         ways, layer = network.turns(), self.dataset.layer(LANES_LAYER)
         with speaking(self.language):
             names = np.array(lane_names(layer, network), object)
@@ -122,19 +122,21 @@ class TrafficReader:
             for k, way in enumerate(ways)
         }
         keys = zip(table["from_lane"].tolist(), table["to_lane"].tolist(), strict=True)
-        at = np.array([pairs[key] for key in keys], np.int64)
+        turn_row = np.array([pairs[key] for key in keys], np.int64)
         start, end = (
             np.searchsorted(network.lane, table[name].to_numpy(np.int64)) for name in _WITH_TURN
         )
         approach = table.groupby(["from_lane", "begin"])["volume"].transform("sum")
-        part = (table["volume"] / approach.where(approach > 0.0)).fillna(1.0)
-        left_open = part * np.sqrt(self._lasting_variance(table, "from_lane", "volume"))
+        share_of_approach = (table["volume"] / approach.where(approach > 0.0)).fillna(1.0)
+        left_open = share_of_approach * np.sqrt(
+            self._lasting_variance(table, "from_lane", "volume")
+        )
         table["volume_se"] = np.hypot(table["volume_se"], left_open)
         shown = table[_WITH_TURN].assign(from_name=names[start], to_name=names[end])
-        shown["turn"] = np.array(words, object)[at]
+        shown["turn"] = np.array(words, object)[turn_row]
         shown = shown.join(table[["begin", "end", "visible_share", "volume", "volume_se"]])
         shown["volume_veh_h"] = table["volume"] / table["hours"]
-        lines_at = gpd.GeoSeries(lines, crs=self.dataset.manifest.crs).array[at]
+        lines_at = gpd.GeoSeries(lines, crs=self.dataset.manifest.crs).array[turn_row]
         return gpd.GeoDataFrame(shown, geometry=lines_at, crs=self.dataset.manifest.crs)
 
     @cached_property
@@ -142,27 +144,30 @@ class TrafficReader:
         return self.dataset.layer(TILES_LAYER).sort_values("tile_id", ignore_index=True)
 
     @cached_property
-    def _others(self) -> OtherLanes:
+    def _other_lanes(self) -> OtherLanes:
         shifts = shifts_of(self.dataset.poses(), self.dataset.sights(), self._tiles)
         return OtherLanes.of(shifts, self._tiles, self.traffic.network)
 
     @cached_property
-    def _across(self) -> Booleans:
+    def _looked_across(self) -> Booleans:
         poses, sights = self.dataset.poses(), self.dataset.sights()
         return lanes_across(poses, sights, self._tiles, self.traffic.network)
 
     def _lasting_variance(self, table: pd.DataFrame, lane: str, name: str) -> Floats:
         """Return for each row the variance of a measure that no time averages out.
 
-        It is by errors of poses, and of a volume where all sensors look straight across the lane.
-        It is the same in all intervals, so it is added after quarters are summed.
+        It comes from errors of poses, and for a volume also from vehicles that are missed where all
+        sensors look straight across the lane. Its cause is the same in all intervals, so it is
+        added after quarters are summed.
         """
         network = self.traffic.network
         sums = table.groupby([lane, "begin"], as_index=False)[name].sum(min_count=1)
         wide = sums.pivot_table(name, lane, "begin", dropna=False).reindex(network.lane)
-        variance = self._others.variance(wide.to_numpy(np.float64))
+        variance = self._other_lanes.variance(wide.to_numpy(np.float64))
         if name == "volume":
-            variance[self._across] += (MISSED_ACROSS * wide.to_numpy(np.float64)[self._across]) ** 2
+            variance[self._looked_across] += (
+                MISSED_ACROSS * wide.to_numpy(np.float64)[self._looked_across]
+            ) ** 2
         row = np.searchsorted(network.lane, table[lane].to_numpy(np.int64))
         return np.asarray(variance[row, wide.columns.get_indexer(table["begin"])])
 
@@ -171,7 +176,7 @@ class TrafficReader:
 
         The whole time is that of `lanes` if given: turns have no rows of unobserved approaches.
         """
-        steps = _allowed(self.interval)
+        steps = _checked_steps(self.interval)
         zone = zone_of(self.dataset.manifest.timezone)
         finer = bool(self.line_m) or steps < STEPS_PER_QUARTER
         part_steps = min(steps, STEPS_PER_QUARTER)
@@ -181,12 +186,12 @@ class TrafficReader:
         rows = pa.concat_tables([empty, *parts]).drop_columns(["interval"]).to_pandas()
         begin = pd.to_datetime(rows.pop("first_step") * STEP_US, unit="us", utc=True)
         part_h = part_steps * STEP_S / 3600.0
-        rows = rows.assign(begin=begin, end=begin + _length(part_steps), hours=part_h)
+        rows = rows.assign(begin=begin, end=begin + _timedelta(part_steps), hours=part_h)
         for name in ("counted", "stops"):
             if name in rows:
                 rows[name] = rows[name].astype("Int64")
-        whole = self.whole and not rows.empty
-        if whole:
+        in_one = self.whole and not rows.empty
+        if in_one:
             time = {"begin": rows["begin"].min(), "end": rows["end"].max(),
                     "hours": rows["begin"].nunique() * part_h}  # fmt: skip
             if lanes is not None:
@@ -195,8 +200,8 @@ class TrafficReader:
         elif steps > STEPS_PER_QUARTER:
             rows = rows.assign(**interval_edges(rows["begin"], steps, zone))
             rows["hours"] = (rows["end"] - rows["begin"]).dt.total_seconds() / 3600.0
-        if whole or steps > STEPS_PER_QUARTER:
-            weight = rows["visible_share"] if whole else 1.0
+        if in_one or steps > STEPS_PER_QUARTER:
+            weight = rows["visible_share"] if in_one else 1.0
             rows = _rolled_up(rows.assign(weight=weight), part_h, self.traffic.network)
         rows = rows.assign(**{name: rows[name].dt.tz_convert(zone) for name in ("begin", "end")})
         keys = _WITH_LANE if table is LANE_MEASURES else _WITH_TURN
@@ -224,7 +229,7 @@ class TrafficReader:
             yield rows.append_column("first_step", pa.array(first)).filter(inside)
 
 
-def _allowed(interval: str) -> int:
+def _checked_steps(interval: str) -> int:
     """Return the length of an interval in steps; refuse one that does not fit 15 min and the day.
 
     Raises
@@ -243,7 +248,7 @@ def _allowed(interval: str) -> int:
     return steps
 
 
-def _length(steps: int) -> pd.Timedelta:
+def _timedelta(steps: int) -> pd.Timedelta:
     return pd.Timedelta(seconds=steps * STEP_S)
 
 
@@ -253,41 +258,44 @@ def interval_edges(begin: pd.Series, steps: int, zone: ZoneInfo) -> pd.DataFrame
     Intervals up to an hour have their exact length; longer ones end by the clock.
     """
     wall = begin.dt.tz_convert(zone).dt.tz_localize(None)
-    floor = wall.dt.floor(_length(steps))
+    floor = wall.dt.floor(_timedelta(steps))
     if steps <= STEPS_PER_HOUR:
         first = begin - (wall - floor)
-        return pd.DataFrame({"begin": first, "end": first + _length(steps)})
+        return pd.DataFrame({"begin": first, "end": first + _timedelta(steps)})
     edges = {
         name: (floor + after)
         .dt.tz_localize(zone, ambiguous=np.ones(len(floor), np.bool_), nonexistent="shift_forward")
         .dt.tz_convert("UTC")
-        for name, after in (("begin", pd.Timedelta(0)), ("end", _length(steps)))
+        for name, after in (("begin", pd.Timedelta(0)), ("end", _timedelta(steps)))
     }
     return pd.DataFrame(edges)
 
 
 def _rolled_up(rows: pd.DataFrame, part_h: float, network: LaneNetwork) -> pd.DataFrame:
-    """Sum intervals of `part_h` hours; what is missing of the `hours` is estimated as the known.
+    """Sum intervals of `part_h` hours; those without a volume get the mean of the others.
 
-    Each known one counts by its `weight`.
+    Each interval with a volume counts by its `weight`.
     """
     keys = [name for name in (*_WITH_LANE, *_WITH_TURN) if name in rows]
-    known, by = rows["volume"].notna(), rows["weight"]
+    known, part_weight = rows["volume"].notna(), rows["weight"]
     rows = rows.assign(
-        known=known, weight=by.where(known, 0.0), volume=rows["volume"] * by,
-        variance=(rows["volume_se"].astype(np.float64) * by) ** 2,
+        known=known, weight=part_weight.where(known, 0.0), volume=rows["volume"] * part_weight,
+        variance=(rows["volume_se"].astype(np.float64) * part_weight) ** 2,
     )  # fmt: skip
     groups = rows.groupby([*keys, "begin", "end", "hours"], sort=True)
     sums = groups[["visible_share", "known", "weight", "variance"]].sum()
-    parts = _hours(sums.index) / part_h
+    parts = _lengths_h(sums.index) / part_h
     of_known = sums["known"].to_numpy(np.float64)
     scale = parts / np.maximum(sums["weight"].to_numpy(np.float64), 1e-9)
-    more = parts / np.maximum(of_known, 1e-9)
+    total_per_known = parts / np.maximum(of_known, 1e-9)
     volume = groups["volume"].sum(min_count=1) * scale
     share = sums["visible_share"].to_numpy(np.float64) / parts
     enough = (sums["known"].to_numpy() > 0) & (share >= LEAST_SHARE)
-    error = np.sqrt(scale**2 * sums["variance"] + (volume / more + 0.5) * (more**2 - more))
-    found = pd.DataFrame(
+    error = np.sqrt(
+        scale**2 * sums["variance"]
+        + (volume / total_per_known + 0.5) * (total_per_known**2 - total_per_known)
+    )
+    rolled = pd.DataFrame(
         {
             "visible_share": share,
             "volume": np.where(enough, volume, np.nan),
@@ -296,12 +304,12 @@ def _rolled_up(rows: pd.DataFrame, part_h: float, network: LaneNetwork) -> pd.Da
         index=sums.index,
     )
     if "lane" in rows:
-        found = found.join(_lane_sums(rows, groups, network))
-    return found.reset_index()
+        rolled = rolled.join(_lane_sums(rows, groups, network))
+    return rolled.reset_index()
 
 
-def _like_approaches(turns: pd.DataFrame, lanes: pd.DataFrame) -> pd.DataFrame:
-    """Share the volumes of approaches among their turns, as these are to each other.
+def _scaled_to_approaches(turns: pd.DataFrame, lanes: pd.DataFrame) -> pd.DataFrame:
+    """Scale the volumes of turns, so that those of an approach sum to its volume.
 
     Where nobody was followed to an exit, turns are not known and approaches are. Where one of the
     turns is never known, the others stay as they are.
@@ -327,22 +335,22 @@ def _lane_sums(rows: pd.DataFrame, groups: Any, network: LaneNetwork) -> pd.Data
         summed = pd.Series(np.asarray(values, np.float64)).groupby(index.to_numpy())
         return summed.sum(min_count=least).to_numpy(np.float64)
 
-    found: dict[str, Any] = {}
-    for name, by in weights.items():
-        weight = rows[by].astype(np.float64).where(rows[name].notna())
-        found[name] = total(rows[name] * weight) / total(weight)
+    measures: dict[str, Any] = {}
+    for name, weight_name in weights.items():
+        weight = rows[weight_name].astype(np.float64).where(rows[name].notna())
+        measures[name] = total(rows[name] * weight) / total(weight)
     spread = rows["occupancy_se"] * rows["visible_km_h"]
-    found["occupancy_se"] = np.sqrt(total(spread**2)) / total(
+    measures["occupancy_se"] = np.sqrt(total(spread**2)) / total(
         rows["visible_km_h"].where(spread.notna())
     )
     for name in ("counted", "stops"):
         counts = total(rows[name].to_numpy(np.float64, na_value=np.nan))
-        found[name] = pd.Series(counts, ends.index).astype("Int64")
-    found["heavy"] = total(rows["heavy"])
-    found["queue_max_m"] = groups["queue_max_m"].max().to_numpy()
-    found["speed_counts"] = _summed_lists(rows["speed_counts"], index.to_numpy(), len(ends))
-    found |= _times(found, ends, network)
-    return pd.DataFrame(found, index=ends.index)
+        measures[name] = pd.Series(counts, ends.index).astype("Int64")
+    measures["heavy"] = total(rows["heavy"])
+    measures["queue_max_m"] = groups["queue_max_m"].max().to_numpy()
+    measures["speed_counts"] = _summed_lists(rows["speed_counts"], index.to_numpy(), len(ends))
+    measures |= _speed_and_travel_time(measures, ends, network)
+    return pd.DataFrame(measures, index=ends.index)
 
 
 def _summed_lists(lists: pd.Series, group: Integers, count: int) -> list[Integers | None]:
@@ -357,17 +365,21 @@ def _summed_lists(lists: pd.Series, group: Integers, count: int) -> list[Integer
     return [row if is_known else None for row, is_known in zip(sums, has, strict=True)]
 
 
-def _hours(index: pd.MultiIndex | pd.Index) -> Floats:
+def _lengths_h(index: pd.MultiIndex | pd.Index) -> Floats:
     """Return the lengths of intervals in hours."""
     return np.asarray(index.get_level_values("hours"), np.float64)
 
 
-def _times(found: Mapping[str, Any], ends: pd.DataFrame, network: LaneNetwork) -> dict[str, Any]:
+def _speed_and_travel_time(
+    measures: Mapping[str, Any], ends: pd.DataFrame, network: LaneNetwork
+) -> dict[str, Any]:
     """Return mean speed and travel time of lanes over longer intervals."""
-    at = np.searchsorted(network.lane, np.asarray(ends.index.get_level_values("lane"), np.int64))
-    length, hours = network.length_m[at], _hours(ends.index)
+    place = np.searchsorted(network.lane, np.asarray(ends.index.get_level_values("lane"), np.int64))
+    length, hours = network.length_m[place], _lengths_h(ends.index)
     with np.errstate(divide="ignore", invalid="ignore"):
-        speed = np.where(found["density"] > 0.0, found["flow"] / found["density"] / 3.6, np.nan)
+        speed = np.where(
+            measures["density"] > 0.0, measures["flow"] / measures["density"] / 3.6, np.nan
+        )
         enough = ends["visible_km_h"] >= LEAST_SHARE * length / 1000.0 * hours
         travel_s = np.where(enough & (speed > 0.0), length / speed, np.nan)
     return {"speed_mean": speed, "travel_time_s": travel_s}
@@ -375,15 +387,15 @@ def _times(found: Mapping[str, Any], ends: pd.DataFrame, network: LaneNetwork) -
 
 def _speed_85_kmh(counts: pd.Series) -> Floats:
     """Return the speeds that 85 % do not exceed, of speeds spread evenly within their classes."""
-    found = np.full(len(counts), np.nan)
-    known = np.flatnonzero(counts.notna())
-    if not len(known):
-        return found
-    below = np.cumsum(np.stack(counts.iloc[known].to_list()), axis=1).astype(np.float64)
-    known, below = known[below[:, -1] > 0], below[below[:, -1] > 0]
+    speeds = np.full(len(counts), np.nan)
+    rows = np.flatnonzero(counts.notna())
+    if not len(rows):
+        return speeds
+    below = np.cumsum(np.stack(counts.iloc[rows].to_list()), axis=1).astype(np.float64)
+    rows, below = rows[below[:, -1] > 0], below[below[:, -1] > 0]
     wanted = 0.85 * below[:, -1]
     k = (below < wanted[:, None]).sum(axis=1)
     row = np.arange(len(k))
     before = np.where(k > 0, below[row, k - 1], 0.0)
-    found[known] = (k + (wanted - before) / (below[row, k] - before)) * SPEED_CLASS_KMH
-    return found
+    speeds[rows] = (k + (wanted - before) / (below[row, k] - before)) * SPEED_CLASS_KMH
+    return speeds

@@ -30,7 +30,7 @@ from gis_radar.measures import LaneNetwork, bound_name, place_on
 
 NAME_FIELDS = ("name", "section", "id")  # columns that may hold a section's name, in this order
 ALONG = math.sin(math.radians(30.0))  # sine of the angle below which a section runs along a lane
-HALF_LANE_M = 1.75
+HALF_LANE_M = 1.75  # half of the usual width of a lane
 _FIGURES = ["visible_share", "counted", "volume", "volume_se", "heavy", "speed_time_mean_kmh"]
 
 
@@ -44,7 +44,7 @@ class _Crossing:
         Number of the lane.
     along_m : float
         Place along the lane, metres.
-    way : (2,) array
+    direction : (2,) array
         Unit vector of the lane's direction there.
     is_left : bool
         Whether traffic comes from the left of the section, seen from its first point.
@@ -54,7 +54,7 @@ class _Crossing:
 
     lane: int
     along_m: float
-    way: Floats
+    direction: Floats
     is_left: bool
     at_m: float
 
@@ -96,21 +96,24 @@ def count_sections(
         name: _crossings(line, layer, network, f"{what}: section {name}")
         for name, line in lines.items()
     }
-    found = dict[str, list[pd.DataFrame]]()
-    for counted in _at_once(crossed):
+    by_section = dict[str, list[pd.DataFrame]]()
+    for counted in _groups_with_distinct_lanes(crossed):
         along = {each.lane: each.along_m for name in counted for each in crossed[name]}
         rows = TrafficReader(
             dataset=dataset, interval=interval, span=dataset.span(begin, end), language=language,
             line_m=along,
         ).lanes()  # fmt: skip
         with speaking(language):
-            found |= {name: _by_direction(rows, lines[name], crossed[name]) for name in counted}
-    whole = pd.concat(
-        [part.assign(section=name) for name in lines for part in found[name]], ignore_index=True
+            by_section |= {
+                name: _by_direction(rows, lines[name], crossed[name]) for name in counted
+            }
+    table = pd.concat(
+        [part.assign(section=name) for name in lines for part in by_section[name]],
+        ignore_index=True,
     )
     first = ["section", "direction", "begin", "end"]
     return gpd.GeoDataFrame(
-        whole[[*first, *(name for name in whole if name not in first)]], crs=dataset.crs
+        table[[*first, *(name for name in table if name not in first)]], crs=dataset.crs
     )
 
 
@@ -139,10 +142,10 @@ def _lines(
     if column is not None:  # a column of ids with an empty value is read as float
         given = table[column].convert_dtypes().astype("string").map(one_line, na_action="ignore")
         names = given.replace("", pd.NA).fillna(names)
-    found = dict(zip(names, lines, strict=True))
-    if len(found) < len(table):
+    by_name = dict(zip(names, lines, strict=True))
+    if len(by_name) < len(table):
         raise InputError("{}: two sections have one name", what)
-    return found, what
+    return by_name, what
 
 
 def _only_lines(layers: Mapping[str, str], path: Path) -> str:
@@ -159,7 +162,7 @@ def _only_lines(layers: Mapping[str, str], path: Path) -> str:
 def _crossings(
     line: shapely.LineString, lanes: gpd.GeoDataFrame, network: LaneNetwork, what: str
 ) -> list[_Crossing]:
-    found = []
+    crossings = []
     known = lanes.set_index("lane").geometry
     for number, length_m in zip(network.lane.tolist(), network.length_m.tolist(), strict=True):
         lane = known[number]
@@ -169,20 +172,20 @@ def _crossings(
         if len(points) > 1:
             raise InputError("{} crosses lane {} more than once", what, number)
         along = float(lane.project(shapely.Point(points[0])))
-        way = place_on(lane, along)[1]
+        direction = place_on(lane, along)[1]
         at_m = float(line.project(shapely.Point(points[0])))
         across = place_on(line, at_m)[1]
-        turned = float(across[0] * way[1] - across[1] * way[0])  # sine of the angle
-        if abs(turned) < ALONG:
+        sine = float(across[0] * direction[1] - across[1] * direction[0])  # sine of the angle
+        if abs(sine) < ALONG:
             raise InputError("{} runs along lane {}", what, number, hint="draw it across the road")
         along_m = along / lane.length * length_m
-        found.append(_Crossing(number, along_m, way, is_left=turned < 0.0, at_m=at_m))
-    if not found:
+        crossings.append(_Crossing(number, along_m, direction, is_left=sine < 0.0, at_m=at_m))
+    if not crossings:
         raise InputError("{} crosses no lane", what, hint="draw it across a road of the map")
-    return found
+    return crossings
 
 
-def _at_once(crossed: Mapping[str, Sequence[_Crossing]]) -> list[list[str]]:
+def _groups_with_distinct_lanes(crossed: Mapping[str, Sequence[_Crossing]]) -> list[list[str]]:
     """Return the sections in groups without a common lane, as a lane is counted at one place."""
     groups: list[tuple[list[str], set[int]]] = []
     for name, mine in crossed.items():
@@ -199,14 +202,14 @@ def _by_direction(
     rows: gpd.GeoDataFrame, line: shapely.LineString, crossed: Sequence[_Crossing]
 ) -> list[pd.DataFrame]:
     """Return a table for each direction of a section."""
-    found = []
+    tables = []
     for side in sorted({each.is_left for each in crossed}):
-        mine = [each for each in crossed if each.is_left is side]
-        sums = _of_direction(rows, mine)
-        sums["direction"] = bound_name(np.sum([each.way for each in mine], axis=0))
-        sums["geometry"] = gpd.GeoSeries([_part_of(line, mine)] * len(sums))
-        found.append(sums)
-    return found
+        crossings = [each for each in crossed if each.is_left is side]
+        sums = _sums_of_lanes(rows, crossings)
+        sums["direction"] = bound_name(np.sum([each.direction for each in crossings], axis=0))
+        sums["geometry"] = gpd.GeoSeries([_part_of(line, crossings)] * len(sums))
+        tables.append(sums)
+    return tables
 
 
 def _part_of(line: shapely.LineString, crossed: list[_Crossing]) -> shapely.LineString:
@@ -216,26 +219,27 @@ def _part_of(line: shapely.LineString, crossed: list[_Crossing]) -> shapely.Line
     return shapely.LineString(shapely.ops.substring(line, first, last).coords)
 
 
-def _of_direction(rows: gpd.GeoDataFrame, crossed: list[_Crossing]) -> pd.DataFrame:
+def _sums_of_lanes(rows: gpd.GeoDataFrame, crossed: list[_Crossing]) -> pd.DataFrame:
     """Return the sums over the lanes of one direction, by interval."""
     numbers = [each.lane for each in crossed]
-    mine = pd.DataFrame(rows.loc[rows["lane"].isin(numbers), ["begin", "end", *_FIGURES]])
-    mine = mine.assign(
-        counted=mine["counted"].astype("Float64"), variance=mine["volume_se"].astype(float) ** 2
+    of_lanes = pd.DataFrame(rows.loc[rows["lane"].isin(numbers), ["begin", "end", *_FIGURES]])
+    of_lanes = of_lanes.assign(
+        counted=of_lanes["counted"].astype("Float64"),
+        variance=of_lanes["volume_se"].astype(float) ** 2,
     )
-    mine["by_speed"] = mine["speed_time_mean_kmh"] * mine["counted"].astype(float)
+    of_lanes["by_speed"] = of_lanes["speed_time_mean_kmh"] * of_lanes["counted"].astype(float)
     times = pd.MultiIndex.from_frame(rows[["begin", "end"]].drop_duplicates()).sort_values()
-    groups = mine.groupby(["begin", "end"])
+    groups = of_lanes.groupby(["begin", "end"])
     # a lane without a row was not observed
     all_seen = (groups.size() == len(numbers)).reindex(times, fill_value=False)
     sums = groups[["volume", "variance"]].sum(min_count=len(numbers)).reindex(times)
-    some = groups[["counted", "heavy", "by_speed"]].sum(min_count=1).reindex(times)
+    known_sums = groups[["counted", "heavy", "by_speed"]].sum(min_count=1).reindex(times)
     table = pd.DataFrame(
         {
             "visible_share": groups["visible_share"].min().reindex(times).where(all_seen, 0.0),
-            "counted": some["counted"].astype("Int64"), "volume": sums["volume"],
-            "volume_se": np.sqrt(sums["variance"]), "heavy": some["heavy"],
-            "speed_time_mean_kmh": some["by_speed"] / some["counted"].astype(float),
+            "counted": known_sums["counted"].astype("Int64"), "volume": sums["volume"],
+            "volume_se": np.sqrt(sums["variance"]), "heavy": known_sums["heavy"],
+            "speed_time_mean_kmh": known_sums["by_speed"] / known_sums["counted"].astype(float),
         }
     ).reset_index()  # fmt: skip
     hours = (table["end"] - table["begin"]).dt.total_seconds() / 3600.0

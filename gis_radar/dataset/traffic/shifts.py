@@ -4,8 +4,9 @@ An error of a pose shifts all vehicles of its sensor alike in every step, so tha
 it out: an error of yaw across the line of sight, a scale of range along it.
 
 On a simulated motorway with poses drawn from their sigmas of 0.5 m (1 m), as `bench/pose_errors.py`
-does, 93 % (85 %) of the tiles lie within two standard errors of the truth where all poses are given
-the usual shift, 96 % (96 %) where each is given its own. Shifts end with the lanelet.
+does, 93 % (85 %) of the tiles lie within two standard errors of the truth where the poses state no
+sigmas, so that `POSE_M` is taken, and 96 % (96 %) where they state theirs. Shifts end with the
+lanelet.
 
 Vehicles that an error of a pose puts on another lane are counted there: :class:`OtherLanes`. Where
 every sensor looks straight across a lane, many are missed: :func:`lanes_across`.
@@ -35,7 +36,8 @@ MOST_SCALE = 0.01  # largest error of a scale of range that passes a localizatio
 # Cosine between lane and line of sight up to which a sensor looks straight across: a vehicle that
 # sets off at 1.5 m/s then has a range rate under 0.15 m/s, like one that stands.
 ACROSS = 0.1
-# Share of the vehicles that are missed where all sensors do: 30 of 90 on three simulated sites.
+# Share of the vehicles that are missed where all sensors look straight across: 30 of 90 on three
+# simulated sites.
 MISSED_ACROSS = 0.33
 
 
@@ -93,8 +95,10 @@ class OtherLanes(NamedTuple):
         values : (n, ...) array
             The measure, by position of the lane; NaN of a lane beside counts as 0.
         """
-        away = np.concatenate([np.nan_to_num(values), np.zeros_like(values[:1])])[self.beside]
-        spread = ((away - values) ** 2).mean(axis=0)
+        beside_values = np.concatenate([np.nan_to_num(values), np.zeros_like(values[:1])])[
+            self.beside
+        ]
+        spread = ((beside_values - values) ** 2).mean(axis=0)
         return np.asarray((self.chance * spread.T).T)
 
 
@@ -111,18 +115,18 @@ def shifts_of(poses: pd.DataFrame, sights: pd.DataFrame, tiles: gpd.GeoDataFrame
         All its tiles, by ascending `tile_id`.
     """
     ids = tiles["tile_id"].to_numpy(np.int64)
-    centre, way = _ways(quads(tiles))
+    centre, direction = _centres_and_directions(quads(tiles))
     total, sensors = np.zeros((len(ids), 2)), np.zeros(len(ids))
-    seen = dict(iter(sights.groupby("pose")["tile_id"]))
-    for _, track in poses[poses["pose"].isin(seen.keys())].groupby("sensor"):
-        own, times = np.zeros_like(total), np.zeros(len(ids))
+    tiles_of_pose = dict(iter(sights.groupby("pose")["tile_id"]))
+    for _, track in poses[poses["pose"].isin(tiles_of_pose.keys())].groupby("sensor"):
+        of_sensor, poses_on_tile = np.zeros_like(total), np.zeros(len(ids))
         for name, document in zip(track["pose"], track["document"], strict=True):
-            at = np.searchsorted(ids, seen[name].to_numpy(np.int64))
+            at = np.searchsorted(ids, tiles_of_pose[name].to_numpy(np.int64))
             pose = pose_from_dict(json.loads(document), what=name)
-            own[at] += _variances(pose, centre[at], way[at])
-            times[at] += 1.0
-        total += own / np.maximum(times, 1.0)[:, None]
-        sensors += times > 0.0
+            of_sensor[at] += _variances(pose, centre[at], direction[at])
+            poses_on_tile[at] += 1.0
+        total += of_sensor / np.maximum(poses_on_tile, 1.0)[:, None]
+        sensors += poses_on_tile > 0.0
     counts = np.maximum(sensors, 1.0)[:, None]
     along, across = np.where(sensors[:, None] > 0.0, total / counts**2, POSE_M**2).T
     return Shifts(along=np.sqrt(along + MAP_M**2), across=np.sqrt(across))
@@ -131,7 +135,7 @@ def shifts_of(poses: pd.DataFrame, sights: pd.DataFrame, tiles: gpd.GeoDataFrame
 def lanes_across(
     poses: pd.DataFrame, sights: pd.DataFrame, tiles: gpd.GeoDataFrame, network: LaneNetwork
 ) -> Booleans:
-    """Tell over which lanes' counting lines all sensors that see them look straight across.
+    """Return of which lanes all sensors that see the counting line look straight across at it.
 
     Parameters
     ----------
@@ -145,15 +149,21 @@ def lanes_across(
     ids = tiles["tile_id"].to_numpy(np.int64)
     line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
     at = np.searchsorted(ids, line)
-    centre, way = (each[at] for each in _ways(quads(tiles)))
-    most = np.full(len(line), -1.0)  # largest cosine; -1 where no sensor sees the line
-    seen = dict(iter(sights.groupby("pose")["tile_id"]))
+    centre, direction = (each[at] for each in _centres_and_directions(quads(tiles)))
+    largest = np.full(len(line), -1.0)  # largest cosine; -1 where no sensor sees the line
+    tiles_of_pose = dict(iter(sights.groupby("pose")["tile_id"]))
     for name, document in zip(poses["pose"], poses["document"], strict=True):
-        mine = np.isin(line, seen[name]) if name in seen else np.zeros(len(line), np.bool_)
-        arm = centre[mine] - pose_from_dict(json.loads(document), what=name).position[:2]
-        cosine = np.abs((arm * way[mine]).sum(axis=1)) / np.maximum(np.hypot(*arm.T), 1e-9)
-        most[mine] = np.maximum(most[mine], cosine)
-    return np.asarray((most >= 0.0) & (most < ACROSS))
+        in_sight = (
+            np.isin(line, tiles_of_pose[name])
+            if name in tiles_of_pose
+            else np.zeros(len(line), np.bool_)
+        )
+        arm = centre[in_sight] - pose_from_dict(json.loads(document), what=name).position[:2]
+        cosine = np.abs((arm * direction[in_sight]).sum(axis=1)) / np.maximum(
+            np.hypot(*arm.T), 1e-9
+        )
+        largest[in_sight] = np.maximum(largest[in_sight], cosine)
+    return np.asarray((largest >= 0.0) & (largest < ACROSS))
 
 
 def chance_of_others(shifts: Shifts, tiles: gpd.GeoDataFrame) -> Floats:
@@ -175,36 +185,36 @@ def lanes_beside(tiles: gpd.GeoDataFrame) -> Integers:
     (2, n) int64 array
         Positions of tiles; -1 where there is none.
     """
-    corners, found = quads(tiles), np.full((2, len(tiles)), -1)
-    centre, way = _ways(corners)
+    corners, neighbours = quads(tiles), np.full((2, len(tiles)), -1)
+    centre, direction = _centres_and_directions(corners)
     aside_m = tiles["width_m"].to_numpy(float) / 2 + BESIDE_M
-    left = aside_m[:, None] * np.column_stack([-way[:, 1], way[:, 0]])
+    left = aside_m[:, None] * np.column_stack([-direction[:, 1], direction[:, 0]])
     grid = TileGrid(corners)
-    for side, beside in zip((left, -left), found, strict=True):
+    for side, beside in zip((left, -left), neighbours, strict=True):
         tile, other = grid.assign(*(centre + side).T)
-        alike = (way[tile] * way[other]).sum(axis=1) > ALIKE
+        alike = (direction[tile] * direction[other]).sum(axis=1) > ALIKE
         beside[tile[alike]] = other[alike]
-    return found
+    return neighbours
 
 
-def _ways(corners: Floats) -> tuple[Floats, Floats]:
+def _centres_and_directions(corners: Floats) -> tuple[Floats, Floats]:
     """Return the middles of tiles and their directions of travel, (n, 2) each."""
-    way = corners[:, 1:3].sum(axis=1) - corners[:, [0, 3]].sum(axis=1)
-    return corners.mean(axis=1), way / np.linalg.norm(way, axis=1)[:, None]
+    direction = corners[:, 1:3].sum(axis=1) - corners[:, [0, 3]].sum(axis=1)
+    return corners.mean(axis=1), direction / np.linalg.norm(direction, axis=1)[:, None]
 
 
-def _variances(pose: Pose, centre: Floats, way: Floats) -> Floats:
+def _variances(pose: Pose, centre: Floats, direction: Floats) -> Floats:
     """Return the variances (m^2) along and across at some places seen from a pose, (n, 2)."""
-    known = pose.parsed_evidence()
-    if known.covariance is not None:
-        covariance = known.covariance[np.ix_([0, 1, 5], [0, 1, 5])]
+    evidence = pose.parsed_evidence()
+    if evidence.covariance is not None:
+        covariance = evidence.covariance[np.ix_([0, 1, 5], [0, 1, 5])]
     else:
-        sigma = [known.sigma.get(name, POSE_M) for name in ("easting", "northing")]
-        covariance = np.diag([*sigma, np.radians(known.sigma.get("yaw", 0.0))]) ** 2
-    arm, found = centre - pose.position[:2], []
-    for side in (way, np.column_stack([-way[:, 1], way[:, 0]])):
+        sigma = [evidence.sigma.get(name, POSE_M) for name in ("easting", "northing")]
+        covariance = np.diag([*sigma, np.radians(evidence.sigma.get("yaw", 0.0))]) ** 2
+    arm, variances = centre - pose.position[:2], []
+    for side in (direction, np.column_stack([-direction[:, 1], direction[:, 0]])):
         turned = side[:, 1] * arm[:, 0] - side[:, 0] * arm[:, 1]
         moves = np.column_stack([side, turned])
-        longer = min(known.range_scale_sigma, MOST_SCALE) * (side * arm).sum(axis=1)
-        found.append(np.einsum("ni,ij,nj->n", moves, covariance, moves) + longer**2)
-    return np.column_stack(found)
+        longer = min(evidence.range_scale_sigma, MOST_SCALE) * (side * arm).sum(axis=1)
+        variances.append(np.einsum("ni,ij,nj->n", moves, covariance, moves) + longer**2)
+    return np.column_stack(variances)

@@ -27,7 +27,7 @@ def stated_lanes(
     lanes, speed_kmh
         As for :meth:`gis_radar.Dataset.with_lanes`.
     source : Path
-        Who states or has the lanes, for the message.
+        Dataset or site file, for the message.
 
     Raises
     ------
@@ -50,12 +50,12 @@ def stated_lanes(
 
 
 def delays(table: pd.DataFrame, layer: gpd.GeoDataFrame, network: LaneNetwork) -> pd.Series:
-    """Return delays against the free speeds of a layer, perhaps others than when it was measured.
+    """Return delays against the free speeds of a layer, which may differ from those when measured.
 
     Parameters
     ----------
     table : DataFrame
-        With `lane` and `travel_time_s`.
+        Table with `lane` and `travel_time_s`.
     layer : GeoDataFrame
         The layer `lanes`.
     network : LaneNetwork

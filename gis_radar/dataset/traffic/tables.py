@@ -90,9 +90,9 @@ def queues(
         `sight_m` (how far before the stop line the lane is in sight: a queue that reaches as
         far may be longer), `stops`, `delay_s`; the lane's line.
     """
-    found = _reader(dataset, interval, begin, end, language).lanes()
-    found = found[found["queue_max_m"].notna()].reset_index(drop=True)
-    return found[
+    lanes = _reader(dataset, interval, begin, end, language).lanes()
+    lanes = lanes[lanes["queue_max_m"].notna()].reset_index(drop=True)
+    return lanes[
         ["lane", "name", "begin", "end", "visible_share", "queue_max_m", "queue_mean_m",
          "sight_m", "stops", "delay_s", "geometry"]
     ]  # fmt: skip

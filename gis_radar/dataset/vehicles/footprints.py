@@ -170,13 +170,18 @@ def _strip(prints: Footprints, row: int) -> Any:
     """Return the strip of a long vehicle along the path that its front took."""
     x, y, ahead_x, ahead_y, half_length, half_width = prints.boxes[row]
     line: list[Floats] = [np.array([x + half_length * ahead_x, y + half_length * ahead_y])]
-    back, left_m, point = np.array([-ahead_x, -ahead_y]), 2.0 * half_length, int(prints.path[row])
+    backward, left_m, point = (
+        np.array([-ahead_x, -ahead_y]),
+        2.0 * half_length,
+        int(prints.path[row]),
+    )
     while left_m > 0.0:
-        gone = prints.points[point] - line[-1]
-        whole_m = float(np.hypot(*gone))
-        back = gone / whole_m if whole_m > 0.0 else back
-        part_m = left_m if prints.begins[point] else min(whole_m, left_m)  # straight on before it
-        line.append(line[-1] + part_m * back)
+        to_point = prints.points[point] - line[-1]
+        whole_m = float(np.hypot(*to_point))
+        backward = to_point / whole_m if whole_m > 0.0 else backward
+        # before its first point the path is taken as straight
+        part_m = left_m if prints.begins[point] else min(whole_m, left_m)
+        line.append(line[-1] + part_m * backward)
         if prints.begins[point]:
             break
         left_m, point = left_m - part_m, point - 1

@@ -38,7 +38,7 @@ def states_of(
     Yields
     ------
     vehicles : DataFrame
-        The columns of `vehicles`, by number. A vehicle that goes on over an hour's begin keeps its
+        The columns of `vehicles`, by number. A vehicle that is there in several hours keeps its
         first number.
     states : DataFrame
         `vehicle, step, easting, northing` (m, the middle of the footprint), `heading` (degrees),
@@ -60,7 +60,7 @@ def states_of(
 
 
 def first_numbers(ahead: Mapping[int, int]) -> dict[int, int]:
-    """Return the first number of each vehicle that goes on over an hour's begin.
+    """Return, by each later number of a vehicle that is there in several hours, its first number.
 
     Parameters
     ----------
@@ -92,30 +92,30 @@ def _states(
     count = np.maximum(last // every - low + 1, 0)
     wanted = ranges(low, count) * every
     number = np.repeat(np.arange(len(begins)), count)
-    at, share = _places(step, begins, ends, number, wanted)
-    after = np.minimum(at + 1, np.repeat(ends, count))
-    found = pd.DataFrame({"vehicle": np.repeat(vehicle[begins], count), "step": wanted})
-    for name, of, unit, zero in (
+    before, share = _rows_and_shares(step, begins, ends, number, wanted)
+    after = np.minimum(before + 1, np.repeat(ends, count))
+    states = pd.DataFrame({"vehicle": np.repeat(vehicle[begins], count), "step": wanted})
+    for name, column, unit, zero in (
         ("easting", "x_cm", CM, origin[0]), ("northing", "y_cm", CM, origin[1]),
         ("speed", "speed_cms", CM, 0),
     ):  # fmt: skip
-        values = rows[of].to_numpy(np.float64) * unit + zero
-        found[name] = values[at] + share * (values[after] - values[at])
+        values = rows[column].to_numpy(np.float64) * unit + zero
+        states[name] = values[before] + share * (values[after] - values[before])
     heading = rows["heading_cdeg"].to_numpy(np.float64) * CM
-    turn = (heading[after] - heading[at] + 180.0) % 360.0 - 180.0
-    found["heading"] = (heading[at] + share * turn + 180.0) % 360.0 - 180.0
+    turn = (heading[after] - heading[before] + 180.0) % 360.0 - 180.0
+    states["heading"] = (heading[before] + share * turn + 180.0) % 360.0 - 180.0
     lanelet = rows["lanelet_id"]
-    same = (lanelet.iloc[at].to_numpy() == lanelet.iloc[after].to_numpy()).astype(np.float64)
-    found["lanelet_id"] = lanelet.iloc[at].array
-    for name, of in (("s_m", "s_cm"), ("d_m", "d_cm")):
-        values = rows[of].to_numpy(np.float64, na_value=np.nan) * CM
-        change = np.nan_to_num(values[after] - values[at])
-        found[name] = values[at] + share * np.nan_to_num(same) * change
-    found["seen"] = rows["seen"].to_numpy(np.bool_)[at]
-    return found
+    same = (lanelet.iloc[before].to_numpy() == lanelet.iloc[after].to_numpy()).astype(np.float64)
+    states["lanelet_id"] = lanelet.iloc[before].array
+    for name, column in (("s_m", "s_cm"), ("d_m", "d_cm")):
+        values = rows[column].to_numpy(np.float64, na_value=np.nan) * CM
+        change = np.nan_to_num(values[after] - values[before])
+        states[name] = values[before] + share * np.nan_to_num(same) * change
+    states["seen"] = rows["seen"].to_numpy(np.bool_)[before]
+    return states
 
 
-def _places(
+def _rows_and_shares(
     step: Integers, begins: Integers, ends: Integers, number: Integers, wanted: Integers
 ) -> tuple[Integers, Floats]:
     """Return the row at or before each wanted step, and the step's share of the way to the next."""
@@ -123,7 +123,9 @@ def _places(
         return wanted, np.empty(0)
     base, size = int(step.min()), int(step.max() - step.min()) + 1
     of_row = np.repeat(np.arange(len(begins)), ends - begins + 1)
-    at = np.searchsorted(of_row * size + step - base, number * size + wanted - base, "right") - 1
-    after = np.minimum(at + 1, ends[number])
-    gap = np.maximum(step[after] - step[at], 1)
-    return at, (wanted - step[at]) / gap
+    before = (
+        np.searchsorted(of_row * size + step - base, number * size + wanted - base, "right") - 1
+    )
+    after = np.minimum(before + 1, ends[number])
+    gap = np.maximum(step[after] - step[before], 1)
+    return before, (wanted - step[before]) / gap

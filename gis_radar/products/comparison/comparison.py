@@ -78,11 +78,13 @@ def compare(
     if other.folder.resolve() == dataset.folder.resolve():
         _require_apart(dataset, before, after)
     sources = ((dataset, before), (other, after))
-    rows = _rows(sources, day_numbers(days), language)
-    sights = [lane_sights(source, table) for (source, _), table in zip(sources, rows, strict=True)]
+    tables = _rows(sources, day_numbers(days), language)
+    sights = [
+        lane_sights(source, table) for (source, _), table in zip(sources, tables, strict=True)
+    ]
     with speaking(language):
-        together = tr("All stop lines together")
-    return _compared(rows, sights, together, dataset.doubts, other.doubts)
+        name_of_all = tr("All stop lines together")
+    return _compared(tables, sights, name_of_all, dataset.doubts, other.doubts)
 
 
 def _as_period(period: Period | str) -> Period:
@@ -174,17 +176,17 @@ def _compared(
 ) -> Comparison:  # fmt: skip
     """Return the comparison; `together` is the name of all stop lines."""
     lines = pd.concat(rows)[["lane", "name", "geometry"]].drop_duplicates("lane").set_index("lane")
-    left_out, used = [], np.zeros(2)
+    left_out, rows_used = [], np.zeros(2)
     alike: dict[int, AlikeRows] = {}
     for lane in sorted(map(int, lines.index)):
         watchers, why = seen_alike(sights[0], sights[1], lane)
         if watchers is None:
             left_out.append({"lane": lane, "name": lines.loc[lane, "name"], "seen": why})
             continue
-        mine = [each.of_lane(lane) for each in sights]
-        mine = [each[each["watchers"] == watchers] for each in mine]
-        used += [len(each) for each in mine]
-        alike[lane] = AlikeRows(mine[0], mine[1], shown_names(watchers))
+        alike_rows = [each.of_lane(lane) for each in sights]
+        alike_rows = [each[each["watchers"] == watchers] for each in alike_rows]
+        rows_used += [len(each) for each in alike_rows]
+        alike[lane] = AlikeRows(alike_rows[0], alike_rows[1], shown_names(watchers))
     if not alike:
         raise NoAnswerError(
             "no lane was seen by the same sensors alike in both periods",
@@ -197,20 +199,20 @@ def _compared(
             int(table["count"].max()),
             hint="compare three days and more in each, or three times of day in both",
         )
-    named = lines["name"].reindex(table["lane"]).to_numpy()
-    table.insert(1, "name", np.where(table["lane"].isna(), together, named))
+    names = lines["name"].reindex(table["lane"]).to_numpy()
+    table.insert(1, "name", np.where(table["lane"].isna(), together, names))
     geometry = lines["geometry"].reindex(table["lane"]).to_numpy()
     before, after = ((each["begin"].min(), each["end"].max()) for each in rows)
     return Comparison(
         table=gpd.GeoDataFrame(table, geometry=geometry, crs=rows[0].crs),
         left_out=pd.DataFrame(left_out, columns=["lane", "name", "seen"]),
-        used=(float(used[0] / len(rows[0])), float(used[1] / len(rows[1]))),
+        used=(float(rows_used[0] / len(rows[0])), float(rows_used[1] / len(rows[1]))),
         before=before, after=after, doubts=sorted({line for each in doubts for line in each}),
     )  # fmt: skip
 
 
 ACTIVE_SHARE = 0.9  # least recorded share of an interval of a sensor that counts as present
-BETWEEN = "\x1f"  # separator of sensors' names, which may hold a comma
+SEPARATOR = "\x1f"  # separator of sensors' names, which may hold a comma
 ALIKE_SHARE = 0.9  # least share, of the lane's tiles seen in either period, that is seen in both
 
 
@@ -245,23 +247,26 @@ def lane_sights(dataset: Dataset, rows: pd.DataFrame) -> LaneSights:
     dataset : Dataset
         The dataset, with recordings, poses and sights.
     rows : DataFrame
-        As from :meth:`gis_radar.Dataset.traffic`.
+        From :meth:`gis_radar.Dataset.traffic`.
     """
     spans = rows[["begin", "end"]].drop_duplicates().sort_values("begin")
     begin, end = (_seconds(spans[name]) for name in ("begin", "end"))
     recordings, poses = dataset.recordings(), dataset.poses()
     recorded = [_seconds(recordings[name]) for name in ("begin", "end")]
-    used = recordings[(recorded[0] < end.max()) & (recorded[1] > begin.min())]
-    sensors = sorted(set(used["sensor"]))
-    tiles = _tiles_by_lane(dataset, used, poses)
+    overlapping = recordings[(recorded[0] < end.max()) & (recorded[1] > begin.min())]
+    sensors = sorted(set(overlapping["sensor"]))
+    tiles = _tiles_by_lane(dataset, overlapping, poses)
     lanes = np.unique(rows["lane"].to_numpy(np.int64))
     sees = np.array([[(each, int(lane)) in tiles for each in sensors] for lane in lanes])
-    active, partly = _activity(used, sensors, begin, end)
-    at = np.searchsorted(lanes, rows["lane"].to_numpy(np.int64))
-    when = np.searchsorted(begin, _seconds(rows["begin"]))
-    there = sees[at].reshape(len(rows), -1)
-    watching, doubtful = there & active[when], (there & partly[when]).any(axis=1)
-    names = [_joined(sensors, row) for row in watching]
+    active, partly = _activity(overlapping, sensors, begin, end)
+    lane_place = np.searchsorted(lanes, rows["lane"].to_numpy(np.int64))
+    interval_place = np.searchsorted(begin, _seconds(rows["begin"]))
+    sees_row = sees[lane_place].reshape(len(rows), -1)
+    watching, doubtful = (
+        sees_row & active[interval_place],
+        (sees_row & partly[interval_place]).any(axis=1),
+    )
+    names = [_joined_names(sensors, row) for row in watching]
     watchers = pd.Series(names, rows.index, dtype=object).mask(np.asarray(doubtful))
     return LaneSights(rows=rows.assign(watchers=watchers), tiles=tiles)
 
@@ -272,9 +277,10 @@ def _seconds(times: pd.Series) -> Floats:
     return np.asarray(since.dt.total_seconds(), np.float64)
 
 
-def _joined(sensors: Sequence[str], row: Booleans) -> str | None:
+def _joined_names(sensors: Sequence[str], row: Booleans) -> str | None:
     return (
-        BETWEEN.join(name for name, is_there in zip(sensors, row, strict=True) if is_there) or None
+        SEPARATOR.join(name for name, is_there in zip(sensors, row, strict=True) if is_there)
+        or None
     )
 
 
@@ -309,7 +315,7 @@ def _tiles_by_lane(
 
 def shown_names(watchers: str) -> str:
     """Return the joined names of sensors separated by commas, for texts."""
-    return ", ".join(watchers.split(BETWEEN))
+    return ", ".join(watchers.split(SEPARATOR))
 
 
 def seen_alike(before: LaneSights, after: LaneSights, lane: int) -> tuple[str | None, str]:
@@ -323,7 +329,7 @@ def seen_alike(before: LaneSights, after: LaneSights, lane: int) -> tuple[str | 
         seen = (shown_names(next(iter(count.index), "-")) for count in counts)
         return None, " / ".join(seen)
     watchers = str(max(sorted(both), key=lambda name: min(count[name] for count in counts)))
-    for sensor in watchers.split(BETWEEN):
+    for sensor in watchers.split(SEPARATOR):
         first, second = (each.tiles[sensor, lane] for each in (before, after))
         if len(first & second) < ALIKE_SHARE * len(first | second):
             return None, f"{sensor}: {len(first)} / {len(second)}"

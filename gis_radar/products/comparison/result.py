@@ -40,7 +40,7 @@ from gis_radar.products.traffic_style import LineClass, class_style
 
 Period = tuple[Any, Any]
 LAYER = "comparison"
-# Classes of the difference in percent: colours without red and green, grey for no told difference.
+# Classes of the difference in percent: colours without red and green, grey where none is told.
 MOST = 999.0  # largest percentage shown, also for what was 0 before
 BREAKS = (-1000.0, -25.0, -10.0, -1e-9, 1e-9, 10.0, 25.0, 1000.0)
 COLOURS = ("#7f3b08", "#d08020", "#f0c080", "#9a9a9a", "#b2abd2", "#8073ac", "#2d004b")
@@ -82,9 +82,12 @@ class Comparison:
 
     def figures(self) -> dict[str, Any]:
         """Return the compared periods, and the number of lanes with a significant difference."""
-        told = self.table[self.table["verdict"] != NOT_TOLD]
-        together, told = told[told["lane"].isna()], told[told["lane"].notna()]
-        changed = told.groupby(["measure", "verdict"]).size()
+        significant = self.table[self.table["verdict"] != NOT_TOLD]
+        of_all, significant = (
+            significant[significant["lane"].isna()],
+            significant[significant["lane"].notna()],
+        )
+        changed = significant.groupby(["measure", "verdict"]).size()
         periods = {"before": self.before, "after": self.after}
         return {
             **{name: "/".join(map(iso_from_time, ends)) for name, ends in periods.items()},
@@ -94,7 +97,7 @@ class Comparison:
             "share_of_after_used": round(self.used[1], 3),
             "compared_by": [Text(each) for each in sorted(set(self.table["units"]))],
             "lanes_with_a_change": {f"{name}, {way}": int(n) for (name, way), n in changed.items()},
-            "all_stop_lines": dict(zip(together["measure"], together["verdict"], strict=True)),
+            "all_stop_lines": dict(zip(of_all["measure"], of_all["verdict"], strict=True)),
         }
 
     def write(
@@ -153,25 +156,27 @@ def wide_table(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     lanes = table.drop_duplicates("lane").set_index("lane")[["name", "watchers", "geometry"]]
     columns: dict[str, Any] = {}
     for measure in COMPARED:
-        mine = table[table["measure"] == measure].set_index("lane").reindex(lanes.index)
-        told = mine["verdict"].notna() & (mine["verdict"] != NOT_TOLD)
+        rows = table[table["measure"] == measure].set_index("lane").reindex(lanes.index)
+        is_significant = rows["verdict"].notna() & (rows["verdict"] != NOT_TOLD)
         for name in ("before", "after", "se", "verdict"):
-            columns[f"{measure}_{name}"] = mine[name]
-        change = mine["percent"].fillna(np.sign(mine["difference"]) * MOST).clip(-MOST, MOST)
-        columns[f"{measure}_change"] = change.where(told, 0.0).where(mine["verdict"].notna())
-    made = pd.concat([lanes[["name", "watchers"]], pd.DataFrame(columns)], axis=1).reset_index()
-    return gpd.GeoDataFrame(made, geometry=lanes["geometry"].to_numpy(), crs=table.crs)
+            columns[f"{measure}_{name}"] = rows[name]
+        change = rows["percent"].fillna(np.sign(rows["difference"]) * MOST).clip(-MOST, MOST)
+        columns[f"{measure}_change"] = change.where(is_significant, 0.0).where(
+            rows["verdict"].notna()
+        )
+    wide = pd.concat([lanes[["name", "watchers"]], pd.DataFrame(columns)], axis=1).reset_index()
+    return gpd.GeoDataFrame(wide, geometry=lanes["geometry"].to_numpy(), crs=table.crs)
 
 
 def _write_layer(table: gpd.GeoDataFrame, path: Path) -> None:
     measure = next(iter(COMPARED))
     # with metadata of a layer, GDAL makes the tables that titles need
-    kept = {"shows": measure}
-    add_layer(wide_table(table), path, LAYER, geometry_type="LineString", layer_metadata=kept)
-    about = LayerNotes(tr("Comparison"), tr("What changed by lane between two periods"), {})
+    metadata = {"shows": measure}
+    add_layer(wide_table(table), path, LAYER, geometry_type="LineString", layer_metadata=metadata)
+    notes = LayerNotes(tr("Comparison"), tr("What changed by lane between two periods"), {})
     style = class_style(f"{measure}_change", change_classes())
     dress_layers(
-        path, {LAYER: style}, name="change", about="change of the volume", notes={LAYER: about}
+        path, {LAYER: style}, name="change", about="change of the volume", notes={LAYER: notes}
     )
 
 
@@ -234,7 +239,7 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
         "than 5 % of all comparisons, however many lanes there are.",
         lanes=lanes, before=percent(comparison.used[0], 0), after=percent(comparison.used[1], 0),
     )  # fmt: skip
-    made: str = template.render(
+    page: str = template.render(
         title=tr("Before and after: traffic by lane"), language=current_language(), tr=tr,
         before=before, after=after, basis=basis,
         doubts=[*_cautions(comparison.table), *comparison.doubts],
@@ -245,7 +250,7 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
         ],
         left_out=comparison.left_out.to_dict("records"),
     )  # fmt: skip
-    return made.removesuffix("\n")
+    return page.removesuffix("\n")
 
 
 def _cautions(table: gpd.GeoDataFrame) -> list[str]:
@@ -264,17 +269,17 @@ def _signed(change: float) -> str:
 def change_rows(table: pd.DataFrame) -> Iterator[dict[str, Any]]:
     """Yield the rows of the page, those with the surest differences first."""
     for row in table.sort_values(["p_corrected", "lane"]).to_dict("records"):
-        of = COMPARED[row["measure"]]
-        way = {MORE: 1, LESS: -1}.get(row["verdict"])
-        words = NO_FIGURE if way is None else tr(of.more if way > 0 else of.less)
-        share = "" if way is None or not row["before"] else f" ({_signed(row['percent'])})"
-        half = 0.5 * (row["high"] - row["low"])
-        difference = figure_text(row["difference"], of.digits)
-        error = f" ± {figure_text(half, of.digits)}" if np.isfinite(half) else ""
+        measure = COMPARED[row["measure"]]
+        sign = {MORE: 1, LESS: -1}.get(row["verdict"])
+        words = NO_FIGURE if sign is None else tr(measure.more if sign > 0 else measure.less)
+        share = "" if sign is None or not row["before"] else f" ({_signed(row['percent'])})"
+        half_width = 0.5 * (row["high"] - row["low"])
+        difference = figure_text(row["difference"], measure.digits)
+        error = f" ± {figure_text(half_width, measure.digits)}" if np.isfinite(half_width) else ""
         yield {
-            "name": row["name"], "measure": tr(of.title),
-            "before": figure_text(row["before"], of.digits),
-            "after": figure_text(row["after"], of.digits), "difference": difference + error,
-            "section": None if way is None else way * of.better,
+            "name": row["name"], "measure": tr(measure.title),
+            "before": figure_text(row["before"], measure.digits),
+            "after": figure_text(row["after"], measure.digits), "difference": difference + error,
+            "section": None if sign is None else sign * measure.better,
             "words": words + share, "units": f"{row['count']} {tr(row['units'])}",
         }  # fmt: skip

@@ -60,16 +60,16 @@ COMPARED = {
 }
 
 
-LEAST_TOGETHER = 2  # stop lines that are compared together, too
+LEAST_TOGETHER = 2  # from so many on, stop lines are compared together, too
 
 
 class AlikeRows(NamedTuple):
-    """Traffic of a lane, in the intervals that compare.
+    """Traffic of a lane, in the intervals that are compared.
 
     Parameters
     ----------
     before, after : GeoDataFrame
-        As from :meth:`gis_radar.Dataset.traffic`.
+        From :meth:`gis_radar.Dataset.traffic`.
     watchers : str
         Sensors that saw it.
     """
@@ -98,7 +98,7 @@ def compared_rows(lanes: Mapping[int, AlikeRows]) -> pd.DataFrame:
         If no measure is known in both periods.
     """
     values = {n: [_known(each) for each in (rows.before, rows.after)] for n, rows in lanes.items()}
-    found = [
+    rows_found = [
         {"lane": n} | row | {"watchers": lanes[n].watchers}
         for n, periods in values.items()
         for row in _rows(periods)
@@ -107,33 +107,33 @@ def compared_rows(lanes: Mapping[int, AlikeRows]) -> pd.DataFrame:
     if len(stops) >= LEAST_TOGETHER:
         watchers = "; ".join(sorted({lanes[n].watchers for n in stops}))
         together = _together([values[n] for n in stops])
-        found += [{"lane": None} | row | {"watchers": watchers} for row in _rows(together)]
-    if not found:
+        rows_found += [{"lane": None} | row | {"watchers": watchers} for row in _rows(together)]
+    if not rows_found:
         raise NoAnswerError(
             "no measure of any lane is known in both periods",
             hint="compare periods in which more of the lanes is visible",
         )
-    return with_verdicts(pd.DataFrame(found).astype({"lane": "Int64"}))
+    return with_verdicts(pd.DataFrame(rows_found).astype({"lane": "Int64"}))
 
 
 def _known(rows: gpd.GeoDataFrame) -> dict[str, pd.DataFrame]:
-    """Return the values of a lane by measure, of those that are known: none is of no vehicle."""
+    """Return the values of a lane by measure; measures without any weight are left out."""
     values = {measure: interval_values(rows, measure) for measure in COMPARED}
     return {measure: each for measure, each in values.items() if each["weight"].sum() > 0.0}
 
 
 def _together(lanes: Sequence[Sequence[Mapping[str, pd.DataFrame]]]) -> list[dict[str, Any]]:
-    """Return the values of lanes together, by period and measure: what a signal changes adds up."""
-    found: list[dict[str, Any]] = [{}, {}]
+    """Return the values of several lanes together, by period and measure."""
+    periods: list[dict[str, Any]] = [{}, {}]
     for measure in COMPARED:
-        known = [[each[k].get(measure) for each in lanes] for k in range(2)]
-        often = np.all([often_known(each) for each in known], axis=0)
-        if often.any():
-            for into, each in zip(found, known, strict=True):
-                mine = [values for values, is_often in zip(each, often, strict=True)
+        of_periods = [[each[k].get(measure) for each in lanes] for k in range(2)]
+        is_often_known = np.all([often_known(each) for each in of_periods], axis=0)
+        if is_often_known.any():
+            for into, each in zip(periods, of_periods, strict=True):
+                mine = [values for values, is_often in zip(each, is_often_known, strict=True)
                         if is_often and values is not None]  # fmt: skip
                 into[measure] = values_together(mine, adds=measure == "volume_veh_h")
-    return found
+    return periods
 
 
 def _rows(periods: Sequence[Mapping[str, pd.DataFrame]]) -> Iterator[dict[str, Any]]:
@@ -141,14 +141,15 @@ def _rows(periods: Sequence[Mapping[str, pd.DataFrame]]) -> Iterator[dict[str, A
     for measure in COMPARED:
         if any(measure not in each for each in periods):
             continue
-        found = compare_values(*(by_time(each[measure]) for each in periods))
-        half = found.half_width(LEVEL)
+        result = compare_values(*(by_time(each[measure]) for each in periods))
+        half_width = result.half_width(LEVEL)
         yield {
-            "measure": measure, "before": found.before, "after": found.after,
-            "difference": found.difference,
-            "percent": 100.0 * found.difference / found.before if found.before else np.nan,
-            "se": found.se, "low": found.difference - half, "high": found.difference + half,
-            "p": found.p, "units": found.units, "count": found.count,
+            "measure": measure, "before": result.before, "after": result.after,
+            "difference": result.difference,
+            "percent": 100.0 * result.difference / result.before if result.before else np.nan,
+            "se": result.se, "low": result.difference - half_width,
+            "high": result.difference + half_width,
+            "p": result.p, "units": result.units, "count": result.count,
         }  # fmt: skip
 
 
@@ -157,14 +158,16 @@ def with_verdicts(table: pd.DataFrame) -> pd.DataFrame:
     table = table.assign(p_corrected=np.nan, verdict=NOT_TOLD)
     table["p_corrected"] = holm_corrected(table["p"].to_numpy(np.float64))
     least = table["measure"].map({name: of.resolution for name, of in COMPARED.items()})
-    told = (table["p_corrected"] < LEVEL) & (table["difference"].abs() >= least)
-    table.loc[told & (table["difference"] > 0.0), "verdict"] = MORE
-    table.loc[told & (table["difference"] < 0.0), "verdict"] = LESS
+    is_significant = (table["p_corrected"] < LEVEL) & (table["difference"].abs() >= least)
+    table.loc[is_significant & (table["difference"] > 0.0), "verdict"] = MORE
+    table.loc[is_significant & (table["difference"] < 0.0), "verdict"] = LESS
     return table
 
 
 LONGEST_MIN = 5  # minutes over which a queue's farthest back is taken, several cycles
-KNOWN_SHARE = 0.9  # least share of the intervals of a lane that counts with others
+# Least number of intervals of a lane that is taken together with others, as a share of the most
+# that any of them has.
+KNOWN_SHARE = 0.9
 LEAST_SEEN = 0.5  # least share of the intervals with traffic in which enough of a lane is visible
 
 
@@ -174,7 +177,7 @@ def interval_values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
     Parameters
     ----------
     rows : DataFrame
-        As from :meth:`gis_radar.Dataset.traffic`, of the lane.
+        From :meth:`gis_radar.Dataset.traffic`, of the lane.
     measure : str
         One of :data:`gis_radar.products.comparison.rows.COMPARED`.
 
@@ -185,19 +188,19 @@ def interval_values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
         which it is unknown.
     """
     rows = rows.set_index("begin").sort_index()
-    whole = pd.Series(1.0, rows.index)
+    ones = pd.Series(1.0, rows.index)
     if measure == "delay_s":
         value, weight = _lost_time(rows)
     elif measure == "speed_kmh":
         weight = rows["density_veh_km"] * rows.geometry.length
         value = rows["flow_veh_h"] * rows.geometry.length
     elif measure == "occupancy":
-        weight = whole * rows.geometry.length
+        weight = ones * rows.geometry.length
         value = rows[measure] * weight
     elif measure == "queue_max_m":
-        value, weight = _longest(rows), whole
+        value, weight = _longest(rows), ones
     else:
-        value, weight = rows[measure], whole
+        value, weight = rows[measure], ones
     return pd.DataFrame({"value": value, "weight": weight}, rows.index, dtype=np.float64).dropna()
 
 
@@ -211,12 +214,12 @@ def _lost_time(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
         rows[name].astype(np.float64)
         for name in ("flow_veh_h", "density_veh_km", "travel_time_s", "delay_s")
     )
-    of_one = (travel_s * flow / density)[flow > 0.0].median()
+    time_per_vehicle = (travel_s * flow / density)[flow > 0.0].median()
     hidden = travel_s.isna() & (flow > 0.0)
-    if hidden.sum() > (1.0 - LEAST_SEEN) * (flow > 0.0).sum():  # nor is it known while all stand
-        of_one = np.nan
-    lost = (delay_s * flow).where(flow > 0.0, of_one * density)
-    return lost if np.isfinite(of_one) else lost * np.nan, flow
+    if hidden.sum() > (1.0 - LEAST_SEEN) * (flow > 0.0).sum():  # unknown while all stand, too
+        time_per_vehicle = np.nan
+    lost = (delay_s * flow).where(flow > 0.0, time_per_vehicle * density)
+    return lost if np.isfinite(time_per_vehicle) else lost * np.nan, flow
 
 
 def _longest(rows: pd.DataFrame) -> pd.Series:
@@ -228,7 +231,7 @@ def _longest(rows: pd.DataFrame) -> pd.Series:
 
 
 def often_known(lanes: Sequence[pd.DataFrame | None]) -> Booleans:
-    """Return of which lanes values are known nearly as often as of any of them."""
+    """Return which lanes have values in nearly as many intervals as the lane with most."""
     count = np.array([0 if values is None else len(values) for values in lanes])
     return np.asarray((count > 0) & (count >= KNOWN_SHARE * count.max()), np.bool_)
 
@@ -239,7 +242,7 @@ def values_together(lanes: Sequence[pd.DataFrame], *, adds: bool) -> pd.DataFram
     Parameters
     ----------
     lanes : sequence of DataFrame
-        As from :func:`interval_values`.
+        From :func:`interval_values`.
     adds : bool
         Whether values add up, as volumes, and are no means.
     """

@@ -67,26 +67,26 @@ def table_by_lane(
     index = pd.Index([lane.number for lane in tiled], name=LANE_COLUMN)
     chosen = tally.chosen(interval, begin=begin, end=end)
     if not each:
-        table = _sums(tally, chosen, lane_of_tile, index)
+        table = _table_of_interval(tally, chosen, lane_of_tile, index)
     else:
-        part = slice(None) if chosen is None else chosen
-        rows = range(len(tally.timeline))[part] if isinstance(part, slice) else [part]
+        picked = slice(None) if chosen is None else chosen
+        rows = range(len(tally.timeline))[picked] if isinstance(picked, slice) else [picked]
         shown = list(rows) or [0]  # without intervals, an empty table with the columns
         table = pd.concat(
-            [_sums(tally, row, lane_of_tile, index) for row in shown],
+            [_table_of_interval(tally, row, lane_of_tile, index) for row in shown],
             keys=tally.times[shown],
             names=[BEGIN],
         ).iloc[: len(rows) * len(index)]
     if lanes is None:
         return table
-    known = lanes.set_index(LANE_COLUMN)
-    known = known[[name for name in known.columns if name not in table.columns]]
+    further = lanes.set_index(LANE_COLUMN)
+    further = further[[name for name in further.columns if name not in table.columns]]
     return gpd.GeoDataFrame(
-        table.join(known, on=LANE_COLUMN), geometry=known.geometry.name, crs=lanes.crs
+        table.join(further, on=LANE_COLUMN), geometry=further.geometry.name, crs=lanes.crs
     )
 
 
-def _sums(
+def _table_of_interval(
     tally: Tally, interval: int | slice | None, lane_of_tile: Integers, index: pd.Index
 ) -> pd.DataFrame:
     """Return one row for each lane."""

@@ -188,9 +188,9 @@ class Tally:
         if chosen is not None:
             seen = seen[np.isin(seen, chosen)]
         if month is None:
-            sums, over = sums_by_interval(dataset, ids[seen], whole, timeline, reporter)
+            sums, whole_sums = sums_by_interval(dataset, ids[seen], whole, timeline, reporter)
         else:
-            sums = over = sums_of_month(dataset, ids[seen], month)
+            sums = whole_sums = sums_of_month(dataset, ids[seen], month)
         shifts = None
         if dataset.has_vehicles:
             shifts = shifts_of(dataset.poses(), dataset.sights(), tiles)
@@ -205,7 +205,9 @@ class Tally:
             seen=seen if chosen is None else np.searchsorted(chosen, seen),
             hit=sums["hit_steps"].astype(np.uint32),
             observed=sums["observed_steps"].astype(np.uint32),
-            occupancy=None if shifts is None else occupancy_of(sums, over, tiles, seen, shifts),
+            occupancy=None
+            if shifts is None
+            else occupancy_of(sums, whole_sums, tiles, seen, shifts),
             labels=labels or NO_LABELS,
             further={
                 name: (sums[name].astype(np.uint32), sums[SHARES[name]].astype(np.uint32))
@@ -341,7 +343,7 @@ class Tally:
         }
 
     def figures(self) -> dict[str, Any]:
-        """Return a few figures worth a look: the time, and how much was observed and hit."""
+        """Return key figures: the time, numbers of tiles observed and hit, mean occupancy."""
         hit, observed = self.steps()
         begin, end = self.whole_iso
         figures: dict[str, Any] = {
@@ -351,12 +353,12 @@ class Tally:
             "tiles_observed": int(np.count_nonzero(observed)),
             "tiles_hit": int(np.count_nonzero(hit)),
         }
-        known = self.occupancy_shares()
-        if known is not None:
-            figures["tiles_visible"] = int(np.count_nonzero(known.visible_s))
-            figures["occupied_s"] = float(np.nansum(known.occupied_s))
+        shares = self.occupancy_shares()
+        if shares is not None:
+            figures["tiles_visible"] = int(np.count_nonzero(shares.visible_s))
+            figures["occupied_s"] = float(np.nansum(shares.occupied_s))
             figures["mean_occupancy"], figures["mean_occupancy_se"] = mean_occupancy(
-                self.tiles, known
+                self.tiles, shares
             )
         return figures
 
@@ -368,17 +370,19 @@ class Tally:
         return {"begin": clock.iso(begin), "end": clock.iso(end), "timezone": str(self.zone)}
 
     def __repr__(self) -> str:
-        known, span = self.figures(), self.local_span
-        intervals = known["intervals"]
+        figures, span = self.figures(), self.local_span
+        intervals = figures["intervals"]
         text = (
             f"{type(self).__name__}({span['begin']} to {span['end']} ({span['timezone']}), "
             f"{intervals} interval{'s' if intervals != 1 else ''}, "
-            f"{known['tiles_observed']} of {len(self.tiles)} tiles observed, "
+            f"{figures['tiles_observed']} of {len(self.tiles)} tiles observed, "
         )
-        if "tiles_visible" not in known:
-            return f"{text}{known['tiles_hit']} hit)"
-        mean, error = known["mean_occupancy"], known["mean_occupancy_se"]
-        return f"{text}{known['tiles_visible']} visible; mean occupancy {mean:.4f}, se {error:.4f})"
+        if "tiles_visible" not in figures:
+            return f"{text}{figures['tiles_hit']} hit)"
+        mean, error = figures["mean_occupancy"], figures["mean_occupancy_se"]
+        return (
+            f"{text}{figures['tiles_visible']} visible; mean occupancy {mean:.4f}, se {error:.4f})"
+        )
 
 
 def own_tiles(dataset: Dataset) -> gpd.GeoDataFrame:

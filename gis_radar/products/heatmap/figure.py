@@ -45,15 +45,15 @@ from gis_radar.products.heatmap.picture import (
 
 DPI = 200
 FINER = 2  # pixels of the picture for each pixel of the figure, so that edges are smooth
-WIDTH_IN = 10.0
-MAP_WIDTH_IN = 7.15
+WIDTH_IN = 10.0  # width of the figure
+MAP_WIDTH_IN = 7.15  # width of the map in it
 MAP_HEIGHT_IN = (5.5, 8.6)  # lowest, which the legend needs, and highest
-EDGE_IN = 0.3
-TITLE_IN = 0.85
+EDGE_IN = 0.3  # left of the map
+TITLE_IN = 0.85  # height of the title and two lines below it
 SMALL, LINE = 8.5, 132  # points of small letters, and how many of them fit in a line
 BELOW_TITLE = 82  # letters: as far as the scale bar
 TITLE, TITLE_LETTERS, HEAD_LETTERS = 17, 46, 26  # points; letters that fit, beside the north arrow
-LINE_IN = 0.16
+LINE_IN = 0.16  # height of a line of small letters
 FRAME = "#9aa1a8"
 HATCH, UNSURE_HATCH = "////", "\\\\\\"
 APART = {style.NEVER_HIT, style.UNCERTAIN, style.NOT_OBSERVED}  # in the legend
@@ -207,8 +207,8 @@ def _axes(figure: Figure, left: float, bottom: float, width: float, height: floa
 def _add_map(ax: Axes, tally: Tally, extent: Extent, width_in: float) -> None:
     """Draw the whole time on axes of a given width."""
     width_m, height_m = extent[1] - extent[0]
-    most = (width_in * DPI * FINER) ** 2 * float(height_m / width_m)
-    picture = map_picture(quads(tally.tiles), extent, int(most))
+    most_pixels = (width_in * DPI * FINER) ** 2 * float(height_m / width_m)
+    picture = map_picture(quads(tally.tiles), extent, int(most_pixels))
     box = ax.get_window_extent()
     dots = round(box.width), round(box.height)
     picture.show(ax, tally.shown(), tally.uncertain(), dots=dots)
@@ -295,17 +295,17 @@ def _add_side(ax: Axes, tally: Tally) -> None:
 
 
 def _facts(tally: Tally) -> list[tuple[str, str]]:
-    known, sensors = tally.figures(), tally.sensors
+    figures, sensors = tally.figures(), tally.sensors
     facts = [
         (tr("Sensors"), ", ".join(sensors) if len(", ".join(sensors)) < 24 else str(len(sensors))),
-        (tr("Tiles observed"), figure_text(known["tiles_observed"])),
-        (tr("Tiles hit"), figure_text(known["tiles_hit"])),
+        (tr("Tiles observed"), figure_text(figures["tiles_observed"])),
+        (tr("Tiles hit"), figure_text(figures["tiles_hit"])),
     ]
     shares = tally.occupancy_shares()
     if shares is not None:
-        part, whole = figure_text(known["tiles_visible"]), figure_text(len(tally.tiles))
+        part, whole = figure_text(figures["tiles_visible"]), figure_text(len(tally.tiles))
         facts[1:] = [(tr("Tiles visible"), tr("{part} of {all}", part=part, all=whole))]
-        mean = percent(known["mean_occupancy"], off=known["mean_occupancy_se"])
+        mean = percent(figures["mean_occupancy"], off=figures["mean_occupancy_se"])
         facts.append((tr("Mean occupancy"), mean))
         if np.any(shares.occupancy > 0):
             top = surest(shares.occupancy, shares.occupancy_se)
@@ -316,9 +316,9 @@ def _facts(tally: Tally) -> list[tuple[str, str]]:
 
 INSETS = (0.42, 0.36, 0.3)  # sides of the inset to try, as shares of the map's shorter side
 WINDOW = 0.12  # side of the window that it shows, as a share of the map's shorter side
-SMALLEST_MAP_M = 150.0
-SMALLEST_WINDOW_M = 45.0
-GAP = 0.02
+SMALLEST_MAP_M = 150.0  # shorter side of a map from which on it has an inset
+SMALLEST_WINDOW_M = 45.0  # least side of the window that the inset shows
+GAP = 0.02  # around the inset, as a share of the map's shorter side
 CELLS = 4  # a window's side in cells of the search
 
 Box = tuple[float, float, float, float]

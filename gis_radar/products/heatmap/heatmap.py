@@ -151,7 +151,7 @@ def make_heatmap(
     Parameters
     ----------
     dataset : Dataset, str or Path
-        As from :func:`gis_radar.open_dataset`, or its folder.
+        From :func:`gis_radar.open_dataset`, or its folder.
     interval : str, optional
         Length of intervals such as `15min`; they begin at multiples of it since the UNIX epoch.
     at : str, optional

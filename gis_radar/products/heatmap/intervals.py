@@ -177,10 +177,10 @@ def intervals_at(
             )
         return number
     moment = moment_in(interval, zone, what="interval")
-    found = int(timeline.find(step_of(np.array([moment.timestamp()])))[0])
-    if found < 0:
-        raise _none_there(timeline, zone, Text("no interval holds {}", moment.astimezone(zone)))
-    return found
+    number_at = int(timeline.find(step_of(np.array([moment.timestamp()])))[0])
+    if number_at < 0:
+        raise _no_interval(timeline, zone, Text("no interval holds {}", moment.astimezone(zone)))
+    return number_at
 
 
 def _between(timeline: Timeline, zone: ZoneInfo, begin: Any, end: Any) -> slice:
@@ -198,16 +198,16 @@ def _between(timeline: Timeline, zone: ZoneInfo, begin: Any, end: Any) -> slice:
         last = int(np.searchsorted(timeline.end, step, side="right"))
     if first >= last:
         since, until = (each.astimezone(zone) if each else "..." for each in (low, high))
-        raise _none_there(timeline, zone, Text("no interval lies between {} and {}", since, until))
+        raise _no_interval(timeline, zone, Text("no interval lies between {} and {}", since, until))
     return slice(first, last)
 
 
-def _none_there(timeline: Timeline, zone: ZoneInfo, what: str) -> UsageError:
+def _no_interval(timeline: Timeline, zone: ZoneInfo, what: str) -> UsageError:
     first, last = (each.astimezone(zone) for each in (timeline.span(0)[0], timeline.span(-1)[1]))
     return UsageError(what, hint=Text("they go from {} to {} ({})", first, last, zone))
 
 
-QUARTER = 900 * STEPS_PER_SECOND
+QUARTER = 900 * STEPS_PER_SECOND  # of an hour, in steps, as the two below
 HOUR = 4 * QUARTER
 DAY = 24 * HOUR
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -303,7 +303,7 @@ def intervals_of(
         local = local_intervals(first, last, steps, zone)
         has_frame = local.counts(runs) > 0
         every, filled = len(local), int(has_frame.sum())
-    # An outage is kept, a week between two hours is not.
+    # Empty intervals of an outage are kept, those of a week between two hours are not.
     if every <= MOST_BANDS and every <= MOST_EMPTY * filled:
         return aligned(first, last, steps) if local is None else local
     if filled * tiles > MOST_ROWS:

@@ -258,8 +258,8 @@ def _fields(place: Path, path: Path) -> dict[str, Any]:
     tiles = pyogrio.read_dataframe(
         place, layer=WIDE, columns=[*TILE_COLUMNS, LANE_COLUMN], use_arrow=True
     )
-    notes = pyogrio.read_info(place, layer=WIDE)["layer_metadata"] or {}
-    whole = _checked_whole(tiles, notes, path)
+    metadata = pyogrio.read_info(place, layer=WIDE)["layer_metadata"] or {}
+    whole = _checked_whole(tiles, metadata, path)
     with read_only(place) as database:
         times = read_times(database)
         names = step_columns(database)
@@ -275,15 +275,15 @@ def _fields(place: Path, path: Path) -> dict[str, Any]:
     seen = np.flatnonzero(observed.any(axis=0))
     return {
         "tiles": tiles[[*own_columns(tiles), "geometry"]],
-        "fingerprint": notes["fingerprint"],
-        "sensors": tuple(json.loads(notes["sensors"])),
+        "fingerprint": metadata["fingerprint"],
+        "sensors": tuple(json.loads(metadata["sensors"])),
         "whole": whole,
         "timeline": whole if timeline.spans() == whole.spans() else timeline,
         "seen": seen,
         "hit": hit[:, seen].astype(np.uint32),
         "observed": observed[:, seen].astype(np.uint32),
         "occupancy": _occupancy_of(counts, seen, errors),
-        "labels": _labels_of(notes.get("labels", "{}"), path),
+        "labels": _labels_of(metadata.get("labels", "{}"), path),
     }
 
 

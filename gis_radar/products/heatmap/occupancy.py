@@ -193,7 +193,7 @@ def mean_occupancy(tiles: gpd.GeoDataFrame, shares: OccupancyShares) -> tuple[fl
 
 
 def occupancy_of(
-    sums: Mapping[str, Floats], whole: Mapping[str, Floats], tiles: gpd.GeoDataFrame,
+    sums: Mapping[str, Floats], whole_sums: Mapping[str, Floats], tiles: gpd.GeoDataFrame,
     seen: Integers, shifts: Shifts,
 ) -> Occupancy:  # fmt: skip
     """Return the occupancy of tiles with its standard error.
@@ -202,7 +202,7 @@ def occupancy_of(
     ----------
     sums : mapping
         By the names of the columns of `tile_counts`, sums by interval and tile: (intervals, k).
-    whole : mapping
+    whole_sums : mapping
         The same sums over the whole time, from quarters of an hour, at whose edges runs are cut.
     tiles : GeoDataFrame
         All tiles, by ascending `tile_id`.
@@ -214,7 +214,7 @@ def occupancy_of(
     names = ("visible_steps", "occupied_steps", "occupied_variance", "inferred_steps")
     lanes = _Shifted.of(tiles, seen, shifts)
     errors = [lanes.error(*each) for each in zip(*(sums[name] for name in names), strict=True)]
-    error_whole = lanes.error(*(whole[name].sum(axis=0) for name in names))
+    error_whole = lanes.error(*(whole_sums[name].sum(axis=0) for name in names))
     visible, occupied = (sums[name].astype(np.uint32) for name in names[:2])
     return Occupancy(
         visible=visible, occupied=occupied, error=_rounded(np.stack(errors)),
@@ -269,8 +269,8 @@ class _Shifted:
         beside = np.append(np.nan_to_num(share), 0.0)[self.beside] - occupancy
         shifted = self._change(share) ** 2 + self.other_lane * (beside**2).mean(axis=0)
         least = LEAST_ERROR_S / STEP_S / time
-        found = np.sqrt((squares + unknown) / time**2 + shifted)
-        return np.where(visible > 0, np.clip(found, np.minimum(least, 1.0), 1.0), np.nan)
+        error = np.sqrt((squares + unknown) / time**2 + shifted)
+        return np.where(visible > 0, np.clip(error, np.minimum(least, 1.0), 1.0), np.nan)
 
     def _change(self, share: Floats) -> Floats:
         """Return the change of a share of the counted tiles by the shift, of both directions."""

@@ -31,7 +31,7 @@ from gis_radar.products.heatmap.raster import Cover, PixelGrid, cover
 
 INK, SOFT, SENSOR = "#1d2126", "#59616a", "#00519e"
 PAPER, STRIPE = "#ffffff", "#5c6268"
-HALO = [withStroke(linewidth=2.6, foreground="white")]
+HALO = [withStroke(linewidth=2.6, foreground="white")]  # white outline of letters on the map
 
 LEAST_MARGIN_M = 12.0  # around what was observed: sensors stand beside the road
 MARGIN = 0.05  # margin as a share of the longer side, where that is more
@@ -181,12 +181,12 @@ def map_picture(corners: Floats, extent: Extent, most_pixels: int) -> MapPicture
     grid = PixelGrid(
         west_m=float(west), north_m=float(north), pixel_m=pixel_m, width=width, height=height
     )
-    covered = cover(grid, corners)
+    tiles_of_pixels = cover(grid, corners)
     road = np.zeros((height, width), np.bool_)
-    road.ravel()[covered.pixel] = True
+    road.ravel()[tiles_of_pixels.pixel] = True
     around = scipy.ndimage.binary_dilation(road, iterations=max(1, round(width / 700)))
     ground = np.where(around & ~road, OUTLINE, NO_TILE).astype(np.uint8)
-    return MapPicture(grid=grid, cover=covered, ground=ground)
+    return MapPicture(grid=grid, cover=tiles_of_pixels, ground=ground)
 
 
 def legend_in_words(measure: str) -> list[tuple[str, str]]:

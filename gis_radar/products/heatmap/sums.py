@@ -44,19 +44,19 @@ def sums_by_interval(
     """
     steps = dataset.frame_steps()
     of_quarters = _of_quarters(timeline, steps)
-    sums = over = _sums(dataset, ids, timeline, reporter, of_quarters=of_quarters)
+    sums = whole_sums = _sums(dataset, ids, timeline, reporter, of_quarters=of_quarters)
     if dataset.has_vehicles and not of_quarters:
         cut = whole.cut_at(STEPS_PER_QUARTER)
         exact = not _of_quarters(cut, steps)
-        over = _sums(dataset, ids, cut, reporter, of_quarters=not exact)
-    return sums, over
+        whole_sums = _sums(dataset, ids, cut, reporter, of_quarters=not exact)
+    return sums, whole_sums
 
 
 def sums_of_month(dataset: Dataset, ids: Integers, month: str) -> Sums:
     """Return the sums of a month by the clocks of the site, from its roll-up: (1, k) arrays."""
-    found = dataset.tile_months(month=month).groupby("tile_id")[list(COUNTED)].sum()
+    sums = dataset.tile_months(month=month).groupby("tile_id")[list(COUNTED)].sum()
     return {
-        name: found[name].reindex(ids, fill_value=0).to_numpy(np.float64)[None] for name in COUNTED
+        name: sums[name].reindex(ids, fill_value=0).to_numpy(np.float64)[None] for name in COUNTED
     }
 
 
@@ -68,11 +68,11 @@ def _sums(
     source = _by_quarter if of_quarters else _by_step
     for done, (tile, interval, counts) in enumerate(source(dataset, timeline)):
         place = np.searchsorted(ids, tile)
-        kept = (interval >= 0) & (np.append(ids, -1)[place] == tile)
-        cell = interval[kept] * len(ids) + place[kept]
+        is_known = (interval >= 0) & (np.append(ids, -1)[place] == tile)
+        cell = interval[is_known] * len(ids) + place[is_known]
         for name, total in sums.items():
-            more = np.bincount(cell, counts[name][kept], total.size)
-            sums[name] = total + more.reshape(total.shape)
+            added = np.bincount(cell, counts[name][is_known], total.size)
+            sums[name] = total + added.reshape(total.shape)
         reporter.progress("counting tiles", done + 1, None)
     return sums
 

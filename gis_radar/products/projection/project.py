@@ -140,14 +140,14 @@ TAKEN = (*OWN.names, GEOMETRY, "geom", "fid")
 def _distinct_names(names: Iterable[str], taken: Iterable[str]) -> dict[str, str]:
     """Map each name to one that differs from all others by more than case."""
     used = {name.lower() for name in taken}
-    given: dict[str, str] = {}
+    renamed: dict[str, str] = {}
     for name in names:
-        fresh = name or "unnamed"
-        while fresh.lower() in used:
-            fresh += SUFFIX
-        used.add(fresh.lower())
-        given[name] = fresh
-    return given
+        new_name = name or "unnamed"
+        while new_name.lower() in used:
+            new_name += SUFFIX
+        used.add(new_name.lower())
+        renamed[name] = new_name
+    return renamed
 
 
 def _renamed(names: dict[str, str]) -> list[str]:
@@ -155,10 +155,10 @@ def _renamed(names: dict[str, str]) -> list[str]:
     return [f"{name!r} to {fresh!r}" for name, fresh in names.items() if name != fresh]
 
 
-def _plain(kind: pa.DataType) -> pa.DataType:
+def _value_type(kind: pa.DataType) -> pa.DataType:
     """Return the type of a column's values, whatever their encoding (such as a dictionary)."""
     if pa.types.is_dictionary(kind):
-        return _plain(kind.value_type)
+        return _value_type(kind.value_type)
     if pa.types.is_null(kind):
         return pa.string()
     return kind
@@ -180,10 +180,10 @@ class _PointStream:
         self._first = next(self._batches)
         further = self._first.further.schema
         self.names = _distinct_names(further.names, TAKEN)
-        kept = [pa.field(self.names[field.name], _plain(field.type)) for field in further]
+        kept = [pa.field(self.names[field.name], _value_type(field.type)) for field in further]
         self.schema: pa.Schema = pa.schema([*OWN, *kept, pa.field(GEOMETRY, pa.binary())])
         self.pose: Pose = track.poses[0]
-        for pose in track.poses:  # in degrees, in millimetres, with its axes swapped
+        for pose in track.poses:  # refuse degrees, millimetres, swapped axes
             whose = Text("pose of {}", pose.sensor)
             require_true_scale(pose.crs, pose.easting, pose.northing, what=whose)
         self.rows = 0
@@ -205,7 +205,7 @@ class _PointStream:
 
     def _batch(self, detections: Detections) -> pa.RecordBatch:
         micros = np.rint(detections.time * 1e6).astype(np.int64)
-        own = [
+        own_columns = [
             pa.array([self._track.sensor] * len(detections), pa.string()),
             pa.array(detections.time),
             pa.array(micros).cast(pa.timestamp("us", tz="UTC")),
@@ -221,15 +221,15 @@ class _PointStream:
         ]
         points = shapely.points(self._in_map(detections))
         geometry = pa.array(shapely.to_wkb(points), pa.binary())
-        return pa.RecordBatch.from_arrays([*own, *further, geometry], schema=self.schema)
+        return pa.RecordBatch.from_arrays([*own_columns, *further, geometry], schema=self.schema)
 
     def _in_map(self, detections: Detections) -> Floats:
         """Return the places of detections in the map."""
         places = np.empty_like(detections.points)
-        held = self._track.at(detections.time)
-        for pose_index in np.unique(held):
-            now = held == pose_index
-            places[now] = self._track.poses[pose_index].to_map(detections.points[now])
+        pose_indices = self._track.at(detections.time)
+        for pose_index in np.unique(pose_indices):
+            in_force = pose_indices == pose_index
+            places[in_force] = self._track.poses[pose_index].to_map(detections.points[in_force])
         return places
 
 
@@ -244,24 +244,24 @@ PLACE_M = 1.0 / 128.0  # of places in GeoParquet: a radar resolves decimetres
 # GDAL reads it from 3.9 on, GeoPandas from 1.0; as WKB, points take 1.3 to 1.4 times as much.
 POINT = pa.struct([pa.field(axis, pa.float64(), nullable=False) for axis in "xyz"])
 SPLIT = "BYTE_STREAM_SPLIT"
-LEVEL = 14  # of zstd: from here on, split bytes take a sixth less than at 9
+LEVEL = 14  # of zstd: split bytes take a sixth less room than at level 9
 NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_boolean)
 NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
 
 
 def write_points_geopackage(points: _PointStream, path: Path) -> None:
     """Write the layer `hits` of a GeoPackage."""
-    kept = [
+    storable = [
         field.name
         for field in points.schema
         if not any(is_kind(field.type) for is_kind in NOT_IN_GEOPACKAGE)
     ]
-    if left := [name for name in points.schema.names if name not in kept]:
+    if left := [name for name in points.schema.names if name not in storable]:
         lost = Text("{}: a GeoPackage cannot hold {}: left out", path.name, ", ".join(left))
         points.reporter.warn(lost)
     write_stream(
-        (batch.select(kept) for batch in points),
-        pa.schema([points.schema.field(name) for name in kept]),
+        (batch.select(storable) for batch in points),
+        pa.schema([points.schema.field(name) for name in storable]),
         path,
         layer=LAYER,
         geometry_name=GEOMETRY,
@@ -280,7 +280,7 @@ def write_points_geoparquet(points: _PointStream, path: Path) -> None:
     batches = (_in_columns(batch, schema) for batch in points)
     first = next(batches, None)
     split = [f"{GEOMETRY}.{field.name}" for field in POINT]
-    split += [] if first is None else _scattered(first)
+    split += [] if first is None else _columns_to_split(first)
     options: dict[str, Any] = {
         "compression": "zstd", "compression_level": LEVEL, "write_page_checksum": True,
         "use_dictionary": [name for name in schema.names if name not in {*split, GEOMETRY}],
@@ -304,7 +304,7 @@ def _in_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
     return pa.RecordBatch.from_arrays(columns, schema=schema)
 
 
-def _scattered(batch: pa.RecordBatch) -> list[str]:
+def _columns_to_split(batch: pa.RecordBatch) -> list[str]:
     """Return the float columns that take less room split by bytes than with a dictionary."""
     names = [field.name for field in batch.schema if pa.types.is_float32(field.type)]
     return [
@@ -349,7 +349,7 @@ class _Dimension:
         if self.kind is np.int64:
             column = pc.fill_null(pc.cast(column, pa.int64()), MISSING)
         elif not pa.types.is_floating(column.type):
-            column = pc.cast(column, pa.float64(), safe=False)  # whole ones of 64 bits lose digits
+            column = pc.cast(column, pa.float64(), safe=False)  # 64-bit integers lose digits
         return np.asarray(column.to_numpy(zero_copy_only=False), dtype=self.kind)
 
 

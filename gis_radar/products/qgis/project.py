@@ -1,7 +1,4 @@
-"""Write the QGIS project of a folder of results.
-
-The plugin's reports go on from such a project.
-"""
+"""Write the QGIS project of a folder of results, which the plugin's reports start from."""
 
 from __future__ import annotations
 
@@ -51,7 +48,7 @@ from gis_radar.products.qgis.project_xml import LayerSource, ProjectContent, Tim
 from gis_radar.scans import SIGHT_LAYER, SightTiles, write_sights
 
 MAP_MARGIN = 0.05
-"""Around what was observed, as a share of its size: the road goes on a little to each side."""
+"""Margin around the observed tiles, as a share of their extent."""
 
 _TIMES = f'SELECT min("begin"), min("end"), max("end") FROM "{TIMES}"'  # noqa: S608 - our own name
 
@@ -82,20 +79,20 @@ def write_qgis_project(
     sensors : str or Path, optional
         GeoPackage of :func:`gis_radar.poses.write_sensors`.
     sight : str or Path, optional
-        GeoPackage of :func:`gis_radar.scans.write_sights`: what the sensors see, off at first.
+        GeoPackage of :func:`gis_radar.scans.write_sights`: what the sensors see, hidden at first.
     lanes : str or Path, optional
-        GeoPackage with the layers `lanes` and `stop_lines`, as of :func:`gis_radar.write_tiles`.
+        GeoPackage with the layers `lanes` and `stop_lines`, from :func:`gis_radar.write_tiles`.
     footprints : str or Path, optional
         GeoPackage of :meth:`gis_radar.Dataset.write_footprints`: the project then plays single
         vehicles, half second by half second.
     title : str
-        Of the project and the layout; by default the file's name.
+        Title of project and layout; by default the file's name.
     timezone : str
-        Of the times on layout and map, such as `Europe/Berlin`.
+        Time zone of the times on layout and map, such as `Europe/Berlin`.
     source : str
         Source of the data, for the layout.
     language : str
-        Of the names of layers, of legends and the layout: `en` or `de`.
+        Language of names of layers, legends and layout: `en` or `de`.
 
     Raises
     ------
@@ -116,11 +113,15 @@ def write_qgis_project(
     package = Path(heatmap) / "heatmap.gpkg"
     with opened_package(package, what="a heat map", hint=Text("make it with: gis-radar heatmap")):
         crs, box = _observed_box(package)
-        played = _time_range(package)
-        measure = _measure(package)
-        layers = _heatmap_layers(Path(heatmap).resolve(), measure, played.step_s if played else 0.0)
+        time_range = _time_range(package)
+        measure = _shown_measure(package)
+        layers = _heatmap_layers(
+            Path(heatmap).resolve(), measure, time_range.step_s if time_range else 0.0
+        )
     if sensors is not None:
-        layers |= _drawn(Path(sensors).resolve(), (SENSORS, UNCERTAINTY, VIEWS), read_style)
+        layers |= _layers_with_rows(
+            Path(sensors).resolve(), (SENSORS, UNCERTAINTY, VIEWS), read_style
+        )
     if sight is not None:
         qml = files("gis_radar.scans.sight").joinpath("sight.qml").read_text(encoding="utf-8")
         layers["gis_radar_sight"] = LayerSource(Path(sight).resolve(), qml, SIGHT_LAYER)
@@ -130,13 +131,13 @@ def write_qgis_project(
         layers["gis_radar_footprints"] = LayerSource(
             Path(footprints).resolve(), footprint_style(), FOOTPRINTS
         )
-        played = played and played._replace(step_s=SHOWN_S)
-    played = played and played._replace(timezone=timezone)
+        time_range = time_range and time_range._replace(step_s=SHOWN_S)
+    time_range = time_range and time_range._replace(timezone=timezone)
     with speaking(language):
-        time = _local_time(*_recorded(package, played), timezone) if played else ""
+        time = _local_time(*_recorded_span(package, time_range), timezone) if time_range else ""
     content = ProjectContent(
         title=title or path.stem, time=time,
-        source=source, crs=crs, box=box, layers=layers, played=played, measure=measure,
+        source=source, crs=crs, box=box, layers=layers, played=time_range, measure=measure,
         language=language,
     )  # fmt: skip
     write_project_file(path, project_xml(content, path.resolve().parent))
@@ -166,9 +167,9 @@ def write_site_project(
         Whether the single vehicles of the dataset are written as a layer that the project plays;
         without it, an earlier such layer is deleted.
     title : str
-        Of the project; by default the folder's name.
+        Title of the project; by default the folder's name.
     timezone, source, language : str
-        As :func:`write_qgis_project` takes them.
+        As for :func:`write_qgis_project`.
     reporter : Reporter
         Receives a warning where an edited project is in the way.
 
@@ -203,9 +204,13 @@ def write_site_project(
     return [path for path in (sensors, sight, vehicles, project) if path is not None]
 
 
-def _lane_layers(path: Path) -> dict[str, LayerSource]:
+def _lane_layers(tiles: Path) -> dict[str, LayerSource]:
     """Return the layers of lanes of a file of tiles, if it has any."""
-    return _drawn(path, (LANES_LAYER, STOP_LINES_LAYER), lane_style) if path.is_file() else {}
+    return (
+        _layers_with_rows(tiles, (LANES_LAYER, STOP_LINES_LAYER), lane_style)
+        if tiles.is_file()
+        else {}
+    )
 
 
 def _write_sight(folder: Path, dataset: Dataset | None) -> Path | None:
@@ -234,10 +239,10 @@ def _write_footprints(folder: Path, dataset: Dataset | None, reporter: Reporter)
 
 def _poses(folder: Path, dataset: Dataset | None) -> list[Path]:
     """Return the poses of the sensors that the heat map shows, by name."""
-    found = {path.parent.name: path for path in (folder / "sensors").glob("*/track.csv")}
-    found |= {path.parent.name: path for path in (folder / "sensors").glob("*/pose.json")}
-    shown = found.keys() if dataset is None else dataset.sensors
-    return [found[name] for name in sorted(found) if name in shown]
+    paths = {path.parent.name: path for path in (folder / "sensors").glob("*/track.csv")}
+    paths |= {path.parent.name: path for path in (folder / "sensors").glob("*/pose.json")}
+    shown = paths.keys() if dataset is None else dataset.sensors
+    return [paths[name] for name in sorted(paths) if name in shown]
 
 
 def _observed_box(package: Path) -> tuple[CRS, Box]:
@@ -262,10 +267,10 @@ def _time_range(package: Path) -> TimeRange | None:
     return TimeRange(begin, end, round(length_s, 3))
 
 
-def _recorded(package: Path, played: TimeRange) -> tuple[str, str]:
+def _recorded_span(package: Path, played: TimeRange) -> tuple[str, str]:
     """Return begin and end of the recorded time, as the last interval may end later."""
-    told = pyogrio.read_info(package, layer=WIDE)["layer_metadata"] or {}
-    return told.get("begin", played.begin), told.get("end", played.end)
+    metadata = pyogrio.read_info(package, layer=WIDE)["layer_metadata"] or {}
+    return metadata.get("begin", played.begin), metadata.get("end", played.end)
 
 
 def _local_time(since: str, until: str, timezone: str) -> str:
@@ -274,20 +279,20 @@ def _local_time(since: str, until: str, timezone: str) -> str:
     return whole_span(begin, end, zone_of(timezone))
 
 
-def _drawn(
+def _layers_with_rows(
     path: Path, tables: Sequence[str], style_of: Callable[[str], str]
 ) -> dict[str, LayerSource]:
     """Return layers of a file that have rows, so that legends name no empty ones."""
-    there = {str(name) for name, _ in pyogrio.list_layers(path)}
+    names = {str(name) for name, _ in pyogrio.list_layers(path)}
     return {
         f"gis_radar_{table}": LayerSource(path, style_of(table), table)
         for table in tables
-        if table in there
+        if table in names
         and pyogrio.read_info(path, layer=table, force_feature_count=True)["features"] > 0
     }
 
 
-def _measure(package: Path) -> str:
+def _shown_measure(package: Path) -> str:
     """Return the measure of a heat map: occupancy, where it was made with vehicles."""
     fields = pyogrio.read_info(package, layer=WIDE)["fields"]
     return "occupancy" if "occupancy" in fields else "hit_share"

@@ -18,7 +18,7 @@ from pyproj import CRS
 from gis_radar.base import Box, class_label, name_of, translated, utc_offsets, zone_of
 from gis_radar.products.heatmap import style
 
-_FRAMES_A_SECOND = "2"  # vehicles move as fast as they drove
+_FRAMES_A_SECOND = "2"  # steps of 0.5 s: vehicles move in real time
 _DATE = {"en": "yyyy-MM-dd", "de": "dd.MM.yyyy"}
 _LEGEND_WIDTH = 28  # letters that fit beside the map
 _LIMITS = ("xmin", "ymin", "xmax", "ymax")
@@ -72,7 +72,7 @@ def project_xml(content: ProjectContent, home: Path) -> str:
     _fill_time(root, content.played, content.language)
     if "gis_radar_footprints" in content.layers:
         _element_at(root, "ProjectTimeSettings").set("frameRate", _FRAMES_A_SECOND)
-    _fill_place(root, content.crs, content.box)
+    _fill_crs_and_extent(root, content.crs, content.box)
     if content.measure != "hit_share":
         _rename_layers(root, content.measure)
     _translate(root, content.language)
@@ -134,15 +134,15 @@ def _sheet(content: ProjectContent) -> Element:
         )
     else:
         layout.remove(_item(layout, "source"))
-    _explain(layout, content)
+    _keep_explanation(layout, content)
     chart = _item(layout, "map")
     width, height, _ = chart.attrib["size"].split(",")
     box = fit_box(content.box, float(width), float(height))
-    _element_at(chart, "Extent").attrib |= _limits(box)
+    _element_at(chart, "Extent").attrib |= _extent_values(box)
     return layout
 
 
-def _explain(layout: Element, content: ProjectContent) -> None:
+def _keep_explanation(layout: Element, content: ProjectContent) -> None:
     """Keep on the sheet only the explanation of its measure, in its language."""
     for measure in style.MAP_WORDS:
         item = _item(layout, f"meaning {measure}")
@@ -225,7 +225,7 @@ def _fill_time(root: Element, played: TimeRange | None, language: str) -> None:
     settings.attrib |= {"timeStep": f"{step:g}", "timeStepUnit": "min" if minutes else "s"}
 
 
-_FIGURES = "yyyy-MM-ddTHH:mm:ss"  # of the map's time: UTC, whatever QGIS takes them for
+_FIGURES = "yyyy-MM-ddTHH:mm:ss"  # format of the map's time, whose figures are UTC
 _TIMED = ("gis_radar_by_interval", "gis_radar_footprints")  # layers that have a time
 
 
@@ -273,17 +273,17 @@ def _by_time(figures: str, values: list[tuple[datetime, str]]) -> str:
     return text
 
 
-def _fill_place(root: Element, crs: CRS, box: Box) -> None:
-    for name, value in _limits(box).items():
+def _fill_crs_and_extent(root: Element, crs: CRS, box: Box) -> None:
+    for name, value in _extent_values(box).items():
         _element_at(root, f"mapcanvas/extent/{name}").text = value
-    _element_at(root, "ProjectViewSettings/DefaultViewExtent").attrib |= _limits(box)
+    _element_at(root, "ProjectViewSettings/DefaultViewExtent").attrib |= _extent_values(box)
     name = name_of(crs)
     for system in root.iter("spatialrefsys"):
         SubElement(system, "wkt").text = crs.to_wkt()
         SubElement(system, "authid").text = name if name.count(":") == 1 else ""
 
 
-def _limits(box: Box) -> dict[str, str]:
+def _extent_values(box: Box) -> dict[str, str]:
     return {name: f"{value:.3f}" for name, value in zip(_LIMITS, box, strict=True)}
 
 

@@ -43,7 +43,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-_HOW = {
+_AGGREGATES = {
     **dict.fromkeys(
         ("frames", "doubled", "repeated", "high", "detections", "moving", "wild", "hits", "share",
          "shift_us"), "sum",
@@ -54,14 +54,16 @@ _REDUCE = {"sum": np.add, "min": np.minimum, "max": np.maximum}
 
 
 def _sums(rows: Columns, number: int, hours: Integers) -> pd.DataFrame:
-    """Return the sums over frames of a sensor by the hours that they are in."""
+    """Return the aggregates of the frames of a sensor by hour."""
     hit, seen = rows["tiles_hit"], rows["tiles_seen"]
     share = hit / np.maximum(seen, 1)
     high = (share > HIGH).astype(np.int64)
     of_frames = rows | {"hits": hit, "fewest": hit, "most": hit, "share": share, "high": high,
                         "seen": seen, "frames": np.ones(len(hit), np.int64)}  # fmt: skip
     starts = np.flatnonzero(np.diff(hours, prepend=-1))
-    sums = {name: _REDUCE[how].reduceat(of_frames[name], starts) for name, how in _HOW.items()}
+    sums = {
+        name: _REDUCE[how].reduceat(of_frames[name], starts) for name, how in _AGGREGATES.items()
+    }
     return pd.DataFrame({"number": number, "hour": hours[starts], **sums})
 
 
@@ -125,51 +127,57 @@ def count_frames(
     end_us = max(each.last_us for each in times.values())
     before: dict[int, Columns] = {}
     done = 0
-    lost: list[Gap] = []
-    for number, mine in _frames(dataset):
-        lost += _compare(mine, before.get(number, mine), number, times[number].cycle_us)
-        before[number] = {name: column[-1:] for name, column in mine.items()}
-        parts.append(_sums(mine, number, hour_begins(mine["time_us"], zone)))
-        done += len(mine["time_us"])
+    gaps: list[Gap] = []
+    for number, frames in _frames(dataset):
+        gaps += _mark_and_find_gaps(
+            frames, before.get(number, frames), number, times[number].cycle_us
+        )
+        before[number] = {name: column[-1:] for name, column in frames.items()}
+        parts.append(_sums(frames, number, hour_begins(frames["time_us"], zone)))
+        done += len(frames["time_us"])
         reporter.progress(STAGE, done, None)
     for number, each in times.items():
         # As if a frame came just beyond both ends, so that frames missing up to there count, too.
         room_us = min(0.55 * each.cycle_us, LONGEST_CYCLE_S * 1e6)
-        lost.append((number, int(begin_us - room_us), each.first_us))
-        lost.append((number, each.last_us, int(end_us + room_us)))
-    found = pd.concat(parts)
-    hours = np.unique(found["hour"].to_numpy(np.int64))
-    every = [(number, hour) for number in sorted(times) for hour in hours.tolist()]
-    dropped = _dropped(hours, lost, times)
-    counts = found.groupby(["number", "hour"]).agg(_HOW).reindex(every, fill_value=0)
-    return counts.assign(dropped=[dropped.get(each, 0) for each in every]).reset_index()
+        gaps.append((number, int(begin_us - room_us), each.first_us))
+        gaps.append((number, each.last_us, int(end_us + room_us)))
+    parts_joined = pd.concat(parts)
+    hours = np.unique(parts_joined["hour"].to_numpy(np.int64))
+    all_pairs = [(number, hour) for number in sorted(times) for hour in hours.tolist()]
+    dropped = _dropped(hours, gaps, times)
+    totals = (
+        parts_joined.groupby(["number", "hour"]).agg(_AGGREGATES).reindex(all_pairs, fill_value=0)
+    )
+    return totals.assign(dropped=[dropped.get(each, 0) for each in all_pairs]).reset_index()
 
 
-def _compare(mine: Columns, before: Columns, number: int, cycle_us: float) -> list[Gap]:
+def _mark_and_find_gaps(
+    frames: Columns, before: Columns, number: int, cycle_us: float
+) -> list[Gap]:
     """Mark frames that are doubled or repeated; return the gaps in which frames are missing.
 
     The first frame is compared with the row `before`, which may be itself: then it is neither.
     """
-    gap, of_sum, of_count = (
-        np.diff(mine[name], prepend=before[name][:1])
+    gap, checksum_change, count_change = (
+        np.diff(frames[name], prepend=before[name][:1])
         for name in ("time_us", "checksum", "detections")
     )
-    later = np.ones(len(gap), np.bool_)
-    later[0] = before is not mine
-    same = (of_sum == 0) & (of_count == 0) & (mine["detections"] > 0)
-    mine["repeated"] = (later & same).astype(np.int64)
-    mine["doubled"] = (later & (gap < cycle_us / 2)).astype(np.int64)
-    wide = np.flatnonzero(gap > 1.5 * cycle_us)
-    time = mine["time_us"]
-    return [(number, int(time[i] - gap[i]), int(time[i])) for i in wide]
+    has_previous = np.ones(len(gap), np.bool_)
+    has_previous[0] = before is not frames
+    is_equal = (checksum_change == 0) & (count_change == 0) & (frames["detections"] > 0)
+    frames["repeated"] = (has_previous & is_equal).astype(np.int64)
+    frames["doubled"] = (has_previous & (gap < cycle_us / 2)).astype(np.int64)
+    after_gap = np.flatnonzero(gap > 1.5 * cycle_us)
+    time = frames["time_us"]
+    return [(number, int(time[i] - gap[i]), int(time[i])) for i in after_gap]
 
 
 def _dropped(
-    hours: Integers, lost: list[Gap], times: dict[int, FrameTimes]
+    hours: Integers, gaps: list[Gap], times: dict[int, FrameTimes]
 ) -> dict[tuple[int, int], int]:
     """Count the frames missing in gaps, by sensor and hour, of hours in which any has a frame."""
-    found: dict[tuple[int, int], int] = defaultdict(int)
-    for number, begin_us, end_us in lost:
+    counts: dict[tuple[int, int], int] = defaultdict(int)
+    for number, begin_us, end_us in gaps:
         cycle_us = times[number].cycle_us
         missing = round((end_us - begin_us) / cycle_us) - 1
         if missing < 1 or not np.isfinite(cycle_us):
@@ -179,5 +187,5 @@ def _dropped(
             first = max(np.ceil((hour * 1e6 - begin_us) / cycle_us), 1)
             last = min(np.ceil(((hour + HOUR_S) * 1e6 - begin_us) / cycle_us) - 1, missing)
             if last >= first:
-                found[number, hour] += int(last - first + 1)
-    return found
+                counts[number, hour] += int(last - first + 1)
+    return counts

@@ -125,9 +125,9 @@ class Quality:
     without_elevation: frozenset[str] = frozenset()
     verdicts: Mapping[str, str] = field(default_factory=dict)
 
-    def verdict(self, told: str) -> str:
+    def verdict(self, text: str) -> str:
         """Return a verdict of the table as a text that can be translated."""
-        return self.verdicts.get(told, told)
+        return self.verdicts.get(text, text)
 
     def figures(self) -> dict[str, str]:
         """Return a line for each sensor: how many hours are good, and the faults of the others."""
@@ -216,7 +216,7 @@ def measure_quality(
     Parameters
     ----------
     dataset : Dataset, str or Path
-        As from :func:`gis_radar.open_dataset`, or its folder.
+        From :func:`gis_radar.open_dataset`, or its folder.
     timezone : str
         Time zone of hours, days and weekdays, such as Europe/Berlin.
     reporter : Reporter
@@ -242,35 +242,39 @@ def measure_quality(
     zone = zone_of(timezone)
     dataset = open_dataset(dataset, reporter=reporter)
     times = frame_times(dataset)
-    gone = [hour for hour, each in dataset.records().items() if FRAMES.name in each.dropped]
-    why = Text("measuring was interrupted, or recordings are empty")
-    if gone:
-        why = Text("frames up to {} were deleted after the time to keep", hour_text(max(gone) + 1))
+    dropped_hours = [
+        hour for hour, each in dataset.records().items() if FRAMES.name in each.dropped
+    ]
+    hint = Text("measuring was interrupted, or recordings are empty")
+    if dropped_hours:
+        hint = Text(
+            "frames up to {} were deleted after the time to keep", hour_text(max(dropped_hours) + 1)
+        )
     if not times:
-        raise InputError("{}: holds no frame", dataset.folder, hint=why)
-    if gone:
-        reporter.warn("{}: {}, and are not judged", dataset.folder, why)
+        raise InputError("{}: holds no frame", dataset.folder, hint=hint)
+    if dropped_hours:
+        reporter.warn("{}: {}, and are not judged", dataset.folder, hint)
     counts = count_frames(dataset, times, zone, reporter)
-    poses = _poses(dataset.poses())
-    # A sensor that came later lacks nothing before it.
-    begun = counts["frames"].gt(0).groupby(counts["number"]).cummax()
+    poses = _poses_by_sensor(dataset.poses())
+    # Hours before the first frame of a sensor have no row.
+    since_first_frame = counts["frames"].gt(0).groupby(counts["number"]).cummax()
     sensors = dataset.sensors
-    rows = [_row(each, sensors, poses, zone) for each in counts[begun].itertuples()]
+    rows = [_row(each, sensors, poses, zone) for each in counts[since_first_frame].itertuples()]
     recordings = dataset.recordings()
-    level = set(recordings.loc[~recordings["has_elevation"], "sensor"])
+    without_elevation = set(recordings.loc[~recordings["has_elevation"], "sensor"])
     verdicts = {row["verdict"]: row["verdict"] for row in rows}
     return Quality(
         table=pd.DataFrame(rows), timezone=timezone,
-        without_elevation=frozenset(level), verdicts=verdicts,
+        without_elevation=frozenset(without_elevation), verdicts=verdicts,
     )  # fmt: skip
 
 
 Poses = list[tuple[float, str]]
 
 
-def _poses(table: pd.DataFrame) -> dict[str, Poses]:
+def _poses_by_sensor(table: pd.DataFrame) -> dict[str, Poses]:
     """Return by sensor the times (s) at which its poses were found, or NaN, and their texts."""
-    found: dict[str, set[tuple[float, str]]] = {}
+    by_sensor: dict[str, set[tuple[float, str]]] = {}
     for document in table["document"]:
         pose = json.loads(document)
         text = ", ".join(
@@ -278,10 +282,10 @@ def _poses(table: pd.DataFrame) -> dict[str, Poses]:
             for name, unit in (("easting", "E"), ("northing", "N"), ("height", "m"))
         )
         angles = " ".join(f"{name} {pose[name]:.2f}" for name in ("yaw", "pitch", "roll"))
-        found.setdefault(pose["sensor"], set()).add((_time_of(pose), f"{text}, {angles}"))
+        by_sensor.setdefault(pose["sensor"], set()).add((_time_of(pose), f"{text}, {angles}"))
     return {  # those of known times first; two NaN do not compare
         sensor: sorted(poses, key=lambda pose: (np.isnan(pose[0]), np.nan_to_num(pose[0]), pose[1]))
-        for sensor, poses in found.items()
+        for sensor, poses in by_sensor.items()
     }
 
 
@@ -296,8 +300,8 @@ def _pose_at(poses: Poses, second: int) -> tuple[str, float]:
     """Return the pose that was in force, and its age in hours."""
     if not poses:
         return "", float("nan")
-    held = [pose for pose in poses if pose[0] < second + HOUR_S] or poses[:1]
-    since, text = held[-1]
+    begun = [pose for pose in poses if pose[0] < second + HOUR_S] or poses[:1]
+    since, text = begun[-1]
     return text, (second - since) / HOUR_S
 
 

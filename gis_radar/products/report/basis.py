@@ -39,8 +39,8 @@ DAY_S = 86_400.0
 MOST_HOURS = 168  # rows of the table as read; the CSV file holds all
 
 
-class Findings(NamedTuple):
-    """What page, paper and tables are made of."""
+class ReportData(NamedTuple):
+    """Data of a report, from which page, PDF and tables are made."""
 
     results: Results
     title: str
@@ -65,18 +65,18 @@ def recorded_s(results: Results) -> float:
     return results.dataset.frame_steps().steps * STEP_S
 
 
-# Names of the totals of lanes, their length, tiles, and tiles that something was on.
+# Names of the totals of lanes, their length, tiles, and tiles occupied or hit.
 OCCUPIED_TOTALS = ("lanes_visible", "lane_length_visible_m", "tiles_visible", "tiles_occupied")
 HIT_TOTALS = ("lanes_observed", "lane_length_observed_m", "tiles_observed", "tiles_hit")
 
 
-def totals_of(found: Findings) -> dict[str, Any]:
+def totals_of(data: ReportData) -> dict[str, Any]:
     """Count the totals of the whole time; the highest lane is None where none may be named."""
-    heat, table, measure = found.results.heat, found.table, found.results.heat.measure
+    heat, table, measure = data.results.heat, data.table, data.results.heat.measure
     (part_s, base_s), length_m = part_and_base(heat), heat.tiles["length_m"].to_numpy(np.float64)
     seen = base_s > 0
-    lanes, length, tiles, touched = OCCUPIED_TOTALS if measure == "occupancy" else HIT_TOTALS
-    seconds = recorded_s(found.results)
+    lanes, length, tiles, used = OCCUPIED_TOTALS if measure == "occupancy" else HIT_TOTALS
+    seconds = recorded_s(data.results)
     totals = {
         "recorded_s": round(seconds, 2) if np.isfinite(seconds) else None,
         "lanes": len(table),
@@ -84,7 +84,7 @@ def totals_of(found: Findings) -> dict[str, Any]:
         "lane_length_m": round(float(length_m.sum()), 2),
         length: round(float(length_m[seen].sum()), 2),
         tiles: int(seen.sum()),
-        touched: int(np.count_nonzero(part_s[seen])),
+        used: int(np.count_nonzero(part_s[seen])),
     }
     known = heat.occupancy_shares()
     if known is None or not seen.any():
@@ -99,24 +99,24 @@ def totals_of(found: Findings) -> dict[str, Any]:
         "highest_lane_tracks": None if top is None else int(top["tracks"]),
         "mean_occupancy": round(mean, 6),
         "mean_occupancy_se": round(error, 6),
-        **found.results.traffic,
+        **data.results.traffic,
     }
 
 
-def facts_of(found: Findings) -> list[Fact]:
+def facts_of(data: ReportData) -> list[Fact]:
     """Return the figures at the top, each with what it rests on."""
-    total, measure = totals_of(found), found.results.heat.measure
+    total, measure = totals_of(data), data.results.heat.measure
     base = "visible" if measure == "occupancy" else "observed"
-    sensors, lasts = found.results.sensors, total["recorded_s"]
-    length, whole = total[f"lane_length_{base}_m"], total["lane_length_m"]
+    sensors, recorded = data.results.sensors, total["recorded_s"]
+    length, all_m = total[f"lane_length_{base}_m"], total["lane_length_m"]
     names = listed(sensors) if len(sensors) < 5 else ""
     facts = [
-        Fact(tr("Recorded"), tr(NOT_KNOWN) if lasts is None else seconds_text(lasts),
-             _span_text(found)),
+        Fact(tr("Recorded"), tr(NOT_KNOWN) if recorded is None else seconds_text(recorded),
+             _span_text(data)),
         Fact(tr("Sensors"), str(len(sensors)) if sensors else tr(NOT_KNOWN), names),
         Fact(
             tr("Lane length visible" if measure == "occupancy" else "Lane length observed"),
-            tr("{part} of {all} m", part=figure_text(length), all=figure_text(whole)),
+            tr("{part} of {all} m", part=figure_text(length), all=figure_text(all_m)),
             tr("{part} of {all} lanes", part=total[f"lanes_{base}"], all=total["lanes"]),
         ),
     ]  # fmt: skip
@@ -127,21 +127,21 @@ def facts_of(found: Findings) -> list[Fact]:
         facts.append(Fact(tr("Tracks of vehicles"), figure_text(total["vehicles"]), heavy))
     mean = percent(total["mean_occupancy"], off=total["mean_occupancy_se"])
     facts.append(Fact(tr("Mean occupancy"), mean, tr("of all road that was visible")))
-    return [*facts, _highest(found)]
+    return [*facts, _highest(data)]
 
 
-def _span_text(found: Findings) -> str:
+def _span_text(data: ReportData) -> str:
     """Return how long the time is from begin to end."""
-    begin, end = found.results.heat.whole.span()
+    begin, end = data.results.heat.whole.span()
     return tr("in {time} from begin to end", time=seconds_text((end - begin).total_seconds()))
 
 
-def _highest(found: Findings) -> Fact:
+def _highest(data: ReportData) -> Fact:
     """Return the lane of the highest occupancy, where one may be named."""
-    name, top = tr("Highest lane"), found.table.iloc[0]
+    name, top = tr("Highest lane"), data.table.iloc[0]
     if top["rank"] != 1:
         return Fact(name, tr("none to be named"), tr("see: Lanes"))
-    ranked = int((found.table["rank"] > 0).sum())
+    ranked = int((data.table["rank"] > 0).sum())
     rests = tr(
         "{tracks}, {share} of its length; first of {lanes}",
         tracks=plural(int(top["tracks"]), "{n} track", "{n} tracks"),
@@ -163,110 +163,113 @@ def as_high_as(table: pd.DataFrame) -> list[str]:
     return [str(lane) for lane in others.loc[near, "lane"]]
 
 
-def basis_of(found: Findings) -> Table:
-    """Return what the report rests on: a row a thing, with what follows from it."""
+def basis_of(data: ReportData) -> Table:
+    """Return the table of what the report rests on, and what follows from it."""
     rows = [
-        recorded_row(found), _seen(found), *_tracked(found), *_counted(found), *_ranked(found),
-        _placed(found.results), _hidden(found.results), _delivered(found), _made_of(found.results),
+        recorded_row(data), _seen_row(data), *_tracked_rows(data), *_counted_rows(data),
+        *_ranked_rows(data), _placed_row(data.results), _hidden_row(data.results),
+        _delivered_row(data), _sources_row(data.results),
     ]  # fmt: skip
     columns = text_columns(tr("What"), tr("Here"), tr("What follows"))
     caption = tr("What the figures of this report rest on")
     return Table(name="basis", caption=caption, columns=columns, rows=rows)
 
 
-def recorded_row(found: Findings) -> list[str]:
+def recorded_row(data: ReportData) -> list[str]:
     """Return how much was recorded, and what it holds for.
 
     Parameters
     ----------
-    found : Findings
-        What the report shows.
+    data : ReportData
+        Data of the report.
 
     Returns
     -------
     list of str
-        Title, seconds by sensor, and what follows, in the language of who reads.
+        Title, seconds by sensor, and what follows, in the current language.
     """
-    runs = recorded_runs(found.results)
-    each = [f"{name} {seconds_text(part.steps * STEP_S)}" for name, part in runs.items()]
-    seconds = recorded_s(found.results)
-    if not each:
-        here, follows = tr(NOT_KNOWN), tr("How much was recorded is not known.")
+    runs = recorded_runs(data.results)
+    by_sensor = [f"{name} {seconds_text(part.steps * STEP_S)}" for name, part in runs.items()]
+    seconds = recorded_s(data.results)
+    if not by_sensor:
+        value, follows = tr(NOT_KNOWN), tr("How much was recorded is not known.")
     else:
-        here = seconds_text(seconds) + (f" ({', '.join(each)})" if len(each) < 13 else "")
+        value = seconds_text(seconds) + (
+            f" ({', '.join(by_sensor)})" if len(by_sensor) < 13 else ""
+        )
         follows = tr("Holds for this time, and not for other hours or days.")
         if seconds < SHORT_S:
             follows = tr("A few cycles of a signal: nothing about a usual hour or day.")
         elif round(seconds) < DAY_S:  # the last frame ends a day some milliseconds early
             follows = tr("Less than a day: nothing about the hours that were not recorded.")
-    return [tr("Recorded"), f"{here}; {found.clock.name}", follows]
+    return [tr("Recorded"), f"{value}; {data.clock.name}", follows]
 
 
-def _seen(found: Findings) -> list[str]:
-    total, measure = totals_of(found), found.results.heat.measure
+def _seen_row(data: ReportData) -> list[str]:
+    total, measure = totals_of(data), data.results.heat.measure
     base = "visible" if measure == "occupancy" else "observed"
     part, whole = total[f"lane_length_{base}_m"], total["lane_length_m"]
-    here = tr(
+    value = tr(
         "{part} of {all} m of lane ({share})",
         part=figure_text(part), all=figure_text(whole), share=percent(part / whole, 0),
     )  # fmt: skip
     text = "Road that no sensor saw has no value: it is hatched in grey, and is not 0 %."
-    return [tr("Road seen"), here, tr(text)]
+    return [tr("Road seen"), value, tr(text)]
 
 
-def _tracked(found: Findings) -> list[list[str]]:
+def _tracked_rows(data: ReportData) -> list[list[str]]:
     """Return what is known of vehicles, in reports of occupancy."""
-    if found.results.heat.measure != "occupancy":
+    if data.results.heat.measure != "occupancy":
         return []
-    total = totals_of(found)
-    here, follows = tr(NOT_KNOWN), tr("How many vehicles the figures rest on is not known.")
+    total = totals_of(data)
+    value, follows = tr(NOT_KNOWN), tr("How many vehicles the figures rest on is not known.")
     if "vehicles" in total:
         heavy = figure_text(total["heavy"])
         tracks = plural(total["vehicles"], "{n} track", "{n} tracks")
-        here = tr("{tracks}, {heavy} of heavy vehicles", tracks=tracks, heavy=heavy)
+        value = tr("{tracks}, {heavy} of heavy vehicles", tracks=tracks, heavy=heavy)
         follows = tr("No count of vehicles: a track may be a piece of a vehicle's way.")
-    return [[tr("Vehicles followed"), here, follows]]
+    return [[tr("Vehicles followed"), value, follows]]
 
 
-def _counted(found: Findings) -> list[list[str]]:
-    """Return that volumes, speeds, turns and queues are not in the report, where that is so."""
-    if found.traffic is not None:
+def _counted_rows(data: ReportData) -> list[list[str]]:
+    """Return a row with the reason if volumes, speeds, turns and queues are not in the report."""
+    if data.traffic is not None:
         return []
     name = tr("Volumes, speeds, turns, queues")
-    if found.results.dataset is None:
+    if data.results.dataset is None:
         return [[name, tr(NOT_KNOWN), tr("They are in the dataset, which is not in the folder.")]]
-    if not found.results.dataset.has_vehicles:
+    if not data.results.dataset.has_vehicles:
         text = "Vehicles were not looked for: this report has no volumes, speeds, turns or queues."
         return [[name, tr("none"), tr(text)]]
     return [[name, tr("none"), tr("No lane was visible in this time.")]]
 
 
-def _ranked(found: Findings) -> list[list[str]]:
+def _ranked_rows(data: ReportData) -> list[list[str]]:
     """Return which lanes are compared, in reports of occupancy."""
-    if found.results.heat.measure != "occupancy":
+    if data.results.heat.measure != "occupancy":
         text = "Hits compare one place over time; lanes are in the order of their numbers."
         return [[tr("Lanes compared"), tr("none"), tr(text)]]
-    number, all_of_them = int(found.table["rank"].gt(0).sum()), len(found.table)
-    here = tr("{part} of {all} lanes are ranked", part=number, all=all_of_them)
-    return [[tr("Lanes compared"), here, tr("The table of lanes says by which rule.")]]
+    number, all_of_them = int(data.table["rank"].gt(0).sum()), len(data.table)
+    value = tr("{part} of {all} lanes are ranked", part=number, all=all_of_them)
+    return [[tr("Lanes compared"), value, tr("The table of lanes says by which rule.")]]
 
 
-def _placed(results: Results) -> list[str]:
-    """Return how well it is known where the sensors stand."""
-    known = []
+def _placed_row(results: Results) -> list[str]:
+    """Return the standard deviations of the sensors' places and yaws."""
+    texts = []
     for pose in results.poses:
         sigma = pose.parsed_evidence().sigma
         if {"easting", "northing", "yaw"} <= set(sigma):
             across = float(np.hypot(sigma["easting"], sigma["northing"]))
             turned = plus_minus(sigma["yaw"], 2, "°")
-            known.append(f"{pose.sensor} {plus_minus(across, 2, ' m')}, {turned}")
-    here = "; ".join(known) or tr(NOT_KNOWN)
+            texts.append(f"{pose.sensor} {plus_minus(across, 2, ' m')}, {turned}")
+    value = "; ".join(texts) or tr(NOT_KNOWN)
     text = "What was measured may lie aside by that much; an angle of 1° is 1 m at 57 m."
-    return [tr("Where sensors stand"), here, tr(text)]
+    return [tr("Where sensors stand"), value, tr(text)]
 
 
-def _hidden(results: Results) -> list[str]:
-    """Return whether what stands beside the road is known to hide it."""
+def _hidden_row(results: Results) -> list[str]:
+    """Return whether an airborne scan tells what hides the road."""
     if results.dataset is None:
         return [tr("What hides road"), tr(NOT_KNOWN), ""]
     if results.dataset.manifest.settings["sight"] == VIEW_ONLY:
@@ -276,21 +279,21 @@ def _hidden(results: Results) -> list[str]:
     return [tr("What hides road"), tr("from an airborne scan"), tr(text)]
 
 
-def _delivered(found: Findings) -> list[str]:
-    """Return in how much of what sensors delivered no test found a fault."""
+def _delivered_row(data: ReportData) -> list[str]:
+    """Return in how many hours of sensors the tests of data quality found faults."""
     name = tr("What sensors delivered")
-    if found.quality is None:
+    if data.quality is None:
         return [name, tr(NOT_KNOWN), ""]
-    table = found.quality.table
+    table = data.quality.table
     good, hours = int(table["verdict"].eq(GOOD).sum()), len(table)
-    here = tr("no fault in what was recorded")
+    value = tr("no fault in what was recorded")
     if good < hours:
-        here = tr("faults in {bad} of {all} hours of sensors", bad=hours - good, all=hours)
+        value = tr("faults in {bad} of {all} hours of sensors", bad=hours - good, all=hours)
     text = "An hour counts as soon as some of it was recorded: see the seconds in the table."
-    return [name, here, tr(text)]
+    return [name, value, tr(text)]
 
 
-def _made_of(results: Results) -> list[str]:
+def _sources_row(results: Results) -> list[str]:
     sources = "; ".join(results.credits) or tr(NOT_KNOWN)
     return [
         tr("Map and data"),
@@ -299,54 +302,53 @@ def _made_of(results: Results) -> list[str]:
     ]
 
 
-def remarks_of(found: Findings) -> list[str]:
-    """Return what to know before reading on: each a sentence of its own."""
-    results = found.results
+def remarks_of(data: ReportData) -> list[str]:
+    """Return the remarks at the top of the report, a sentence each."""
+    results = data.results
     return [
         *(tr("No result for sensor {name}: {why}", name=name, why=tr(why))
           for name, why in results.lost.items()),
-        *(tr(each) for each in own_remarks(found)),
+        *(tr(each) for each in own_remarks(data)),
         *results.warnings,
         *(tr(each) for each in results.missing),
     ]  # fmt: skip
 
 
-def own_remarks(found: Findings) -> list[Text]:
-    """Return what this report finds by itself: too short a time, faults of what was delivered."""
-    begin, end = found.results.heat.whole.span()
-    seconds = np.fmin(recorded_s(found.results), (end - begin).total_seconds())
+def own_remarks(data: ReportData) -> list[Text]:
+    """Return the remarks that the report itself adds: too short a time, faults of recordings."""
+    begin, end = data.results.heat.whole.span()
+    seconds = np.fmin(recorded_s(data.results), (end - begin).total_seconds())
     remarks = []
     if seconds < SHORT_S:
         span = seconds_text(seconds)
         remarks.append(
             Text("Recorded were {} only: a few cycles of a signal, and no usual day", span)
         )
-    if found.results.dataset is not None and not found.results.warnings:  # else a run says it
-        remarks += [Text("{}", doubt) for doubt in found.results.dataset.doubts]
-    if found.quality is not None:
+    if data.results.dataset is not None and not data.results.warnings:  # else the run has warned
+        remarks += [Text("{}", doubt) for doubt in data.results.dataset.doubts]
+    if data.quality is not None:
         remarks += [
-            Text("Sensor {}", localised(line, found.clock.zone))
-            for line in found.quality.warnings()
+            Text("Sensor {}", localised(line, data.clock.zone)) for line in data.quality.warnings()
         ]
     return remarks
 
 
-def quality_table(found: Findings) -> Table:
+def quality_table(data: ReportData) -> Table:
     """Return what sensors delivered by hour, those with a fault first where there are many."""
-    columns, quality = _hour_columns(found), found.quality
+    columns, quality = _hour_columns(data), data.quality
     note, rows = tr("What sensors delivered is not known."), []
     if quality is not None:
-        table = quality.table.assign(recorded_s=_recorded_in(quality.table, found.results))
+        table = quality.table.assign(recorded_s=_recorded_in(quality.table, data.results))
         note = ""
         if len(table) > MOST_HOURS:
-            faulty = table["verdict"].ne(GOOD).sort_values(ascending=False, kind="stable").index
-            table = table.loc[faulty].head(MOST_HOURS)
+            order = table["verdict"].ne(GOOD).sort_values(ascending=False, kind="stable").index
+            table = table.loc[order].head(MOST_HOURS)
             text = "Here {part} of {all} rows, those with a fault first."
             note = tr(text, part=MOST_HOURS, all=figure_text(len(quality.table)))
         rows = text_rows((row for _, row in table.iterrows()), columns)
     return Table(
         name="quality",
-        caption=tr("Measurements by sensor and hour ({zone})", zone=found.clock.name),
+        caption=tr("Measurements by sensor and hour ({zone})", zone=data.clock.name),
         columns=columns, rows=rows, note=note,
         files=[(names.QUALITY, tr("all sensors and hours"))] if quality is not None else [],
     )  # fmt: skip
@@ -365,9 +367,9 @@ def _recorded_in(table: pd.DataFrame, results: Results) -> list[float]:
     ]
 
 
-def _hour_columns(found: Findings) -> list[Column]:
-    """Return how an hour of a sensor is read."""
-    clock, quality = found.clock, found.quality
+def _hour_columns(data: ReportData) -> list[Column]:
+    """Return the columns of the table of hours of sensors."""
+    clock, quality = data.clock, data.quality
 
     def number(name: str, digits: int = 0) -> Callable[[pd.Series], str]:
         return lambda row: figure_text(row[name], digits)
@@ -404,42 +406,47 @@ def trust_table(results: Results, clock: Clock) -> Table:
     Parameters
     ----------
     results : Results
-        What the report is made of.
+        The results.
     clock : Clock
-        Of the site, for times in the evidence.
+        Clock of the site, for times in the evidence.
 
     Returns
     -------
     Table
-        With sensors whose recordings are in the heat map, and those that were left out.
+        Table of the sensors whose recordings are in the heat map, and of those left out.
     """
-    known = results.findings
-    names = sorted({*results.sensors, *results.lost, *known})
-    rows = [_row(name, known.get(name), results, clock) for name in names]
+    findings = results.findings
+    names = sorted({*results.sensors, *results.lost, *findings})
+    rows = [_trust_cells(name, findings.get(name), results, clock) for name in names]
     columns = text_columns(tr("Sensor"), tr("Verdict"), tr("Evidence"), tr("What to do"))
     return Table(
         name="trust",
         caption=tr("Whether pose, recordings and map of each sensor fit together"),
         columns=columns,
         rows=rows,
-        note=" ".join(_notes(results, known)),
+        note=" ".join(_trust_notes(results, findings)),
     )
 
 
-def _row(name: str, found: Finding | None, results: Results, clock: Clock) -> list[str]:
-    if found is None:
-        lost = results.lost.get(name, "")
-        return [name, tr(NOT_CHECKED), tr(lost) if lost else NO_FIGURE, NO_FIGURE]
-    verdict = tr(found.verdict_told)
-    if found.refused:
+def _trust_cells(name: str, finding: Finding | None, results: Results, clock: Clock) -> list[str]:
+    if finding is None:
+        reason = results.lost.get(name, "")
+        return [name, tr(NOT_CHECKED), tr(reason) if reason else NO_FIGURE, NO_FIGURE]
+    verdict = tr(finding.verdict_told)
+    if finding.refused:
         text = "{verdict}, left out" if name in results.lost else "{verdict}, accepted anyway"
         verdict = tr(text, verdict=verdict)
-    return [name, verdict, tr(localised(found.reason, clock.zone)), tr(found.advice) or NO_FIGURE]
+    return [
+        name,
+        verdict,
+        tr(localised(finding.reason, clock.zone)),
+        tr(finding.advice) or NO_FIGURE,
+    ]
 
 
-def _notes(results: Results, known: dict[str, Finding]) -> list[str]:
+def _trust_notes(results: Results, findings: dict[str, Finding]) -> list[str]:
     """Return in sentences how many sensors fit, and what the verdicts mean."""
-    shown = [known.get(name) for name in results.sensors]
+    shown = [findings.get(name) for name in results.sensors]
     fit = sum(each is not None and not each.doubt for each in shown)
     wrong = sum(each is not None and each.verdict == WRONG for each in shown)
     notes = [

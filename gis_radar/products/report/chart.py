@@ -22,38 +22,38 @@ from gis_radar.base import (
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.report.content import Chart, Strip
 
-STRIPS, MOST_CHARTS = 14, 4  # lanes of a chart, which fills a page; as many charts
-TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # of the scale
-MOST_TICKS = 7
+STRIPS, MOST_CHARTS = 14, 4  # lanes of a chart, which fills a page; most charts
+TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # highest values that the scale may have
+MOST_TICKS = 7  # times below a chart
 ROUND_S = (
     *(5, 10, 20, 30, 60, 120, 300, 600, 900, 1800),
     *(hours * 3600 for hours in (1, 2, 3, 4, 6, 12, 24)),
-)  # between the times below a chart
-STREET_LETTERS = 20  # beside a strip
+)  # distances between the times below a chart
+STREET_LETTERS = 20  # most letters of a street beside a strip
 ACROSS, UP = 1000, 100  # units of a strip on the page, to the right and upwards
 
 
 def draw_lanes_over_time(
-    heat: HeatMap, each: pd.DataFrame, table: pd.DataFrame, clock: Clock
+    heat: HeatMap, by_interval: pd.DataFrame, table: pd.DataFrame, clock: Clock
 ) -> list[Chart]:
     """Draw the share of each lane by interval, with its standard error; nothing of one interval.
 
     Parameters
     ----------
     heat : HeatMap
-        Whose intervals.
-    each : DataFrame
-        From :func:`gis_radar.products.report.lanes.sums_of`: its sums by lane and interval.
+        The heat map.
+    by_interval : DataFrame
+        Its sums by lane and interval, from :func:`gis_radar.products.report.lanes.sums_of`.
     table : DataFrame
         From :func:`gis_radar.products.report.lanes.lane_table`: lanes with a share, in this order.
     clock : Clock
-        Whose times stand below.
+        Clock by which the times below are written.
     """
     if len(heat.timeline) < 2:
         return []
     lanes = table[table["share"].notna()].head(STRIPS * MOST_CHARTS)
     share, error = (
-        each[name].unstack(sort=False)[lanes["lane"]]  # noqa: PD010 - a value each
+        by_interval[name].unstack(sort=False)[lanes["lane"]]  # noqa: PD010 - a value each
         for name in ("share", "share_se")
     )
     if not np.isfinite(share).any(axis=None):
@@ -63,15 +63,15 @@ def draw_lanes_over_time(
     charts = []
     for first in range(0, len(lanes), STRIPS):
         strips = [
-            (_named(row), share[row["lane"]].to_numpy(), error[row["lane"]].to_numpy())
+            (_strip_name(row), share[row["lane"]].to_numpy(), error[row["lane"]].to_numpy())
             for _, row in lanes.iloc[first : first + STRIPS].iterrows()
         ]
         charts.append(_chart(heat, strips, top, clock))
     return charts
 
 
-def _named(row: pd.Series) -> str:
-    """Return how a strip is called."""
+def _strip_name(row: pd.Series) -> str:
+    """Return the name of a lane's strip: its street, number and direction."""
     known = shorten(str(row.get("street") or ""), STREET_LETTERS, placeholder="\u2026")
     street = street_label(known, row.get("street_part"))
     number = f"{row['lane']} {direction(row['east_m'], row['north_m'])}"
@@ -79,7 +79,7 @@ def _named(row: pd.Series) -> str:
 
 
 def edges_of(spans: Sequence[tuple[datetime, datetime]]) -> tuple[list[datetime], list[int]]:
-    """Return the edges of intervals and of gaps between them, and which each is; -1 for a gap."""
+    """Return the edges of intervals and gaps, and the number of the interval in each; -1: a gap."""
     edges, interval = [spans[0][0]], list[int]()
     for number, (begin, end) in enumerate(spans):
         if begin > edges[-1]:
@@ -100,7 +100,7 @@ def _chart(
 
     drawn = [(name, spread(share), spread(error)) for name, share, error in strips]
     return chart_over(
-        edges, drawn, clock, caption=_caption(heat.measure), alt=_described(heat, strips, clock),
+        edges, drawn, clock, caption=_caption(heat.measure), alt=_alt_text(heat, strips, clock),
         heading=_heading(heat.measure), top=f"{top * 100:g}",
     )  # fmt: skip
 
@@ -114,11 +114,11 @@ def chart_over(
     Parameters
     ----------
     edges : sequence of datetime
-        Of the intervals.
+        Edges of the intervals.
     strips : iterable of (name, share, error)
         As for :func:`strip_of`, from top to bottom.
     clock : Clock
-        By which the times below are shown.
+        Clock by which the times below are written.
     **words
         The texts of the chart.
     """
@@ -136,11 +136,11 @@ def strip_of(name: str, place: Floats, share: Floats, error: Floats) -> Strip:
     Parameters
     ----------
     name : str
-        What it shows.
+        Name of the strip.
     place : (n + 1,) array
-        Of the edges of the intervals, from 0 to 1.
+        Places of the edges of the intervals, from 0 to 1.
     share, error : (n,) array
-        Of each interval, of the scale; NaN where nothing was seen.
+        Value and error of each interval, as shares of the scale; NaN where nothing was seen.
 
     Returns
     -------
@@ -164,7 +164,7 @@ def strip_of(name: str, place: Floats, share: Floats, error: Floats) -> Strip:
 
 
 def _runs(which: Booleans) -> list[slice]:
-    """Return the runs of intervals that are meant."""
+    """Return the runs of intervals for which `which` is true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8)))
     return [slice(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 
@@ -185,11 +185,11 @@ def times_below(
     Parameters
     ----------
     edges : sequence of datetime
-        Of the intervals.
+        Edges of the intervals.
     seconds : (n,) array
-        The same, from the begin.
+        The edges as seconds from the first one.
     clock : Clock
-        By which they are shown.
+        Clock by which they are written.
 
     Returns
     -------
@@ -202,7 +202,7 @@ def times_below(
 
 
 def _round_times(edges: Sequence[datetime], seconds: Floats, clock: Clock) -> list[int]:
-    """Return the edges at round times of the day, as few as have room; none where none are."""
+    """Return the edges at round times of the day, at most `MOST_TICKS`; none if there are none."""
     local = [each.astimezone(clock.zone) for each in edges]
     of_day = [(each.hour * 60 + each.minute) * 60 + each.second for each in local]
     for apart in ROUND_S:
@@ -233,8 +233,8 @@ def _caption(measure: str) -> str:
     return tr(text)
 
 
-def _described(heat: HeatMap, strips: Sequence[tuple[str, Floats, Floats]], clock: Clock) -> str:
-    """Return the chart in words: of each lane, its highest interval."""
+def _alt_text(heat: HeatMap, strips: Sequence[tuple[str, Floats, Floats]], clock: Clock) -> str:
+    """Return a description of the chart: the highest interval of each lane."""
     lines = []
     for name, share, _ in strips:
         if np.isfinite(share).any():

@@ -12,7 +12,7 @@ import pandas as pd
 
 from gis_radar.base import figure_text, listed, percent, plus_minus, tr
 
-QUEUES = "queues"  # the chapter whose figures may show ways of single vehicles
+QUEUES = "queues"  # the chapter whose figures may show trajectories of single vehicles
 HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 LOOKS = {
     "confirms": "the airborne scan confirms it",
@@ -23,26 +23,26 @@ LOOKS = {
 
 
 class ReportWords(NamedTuple):
-    """How a report calls what its map shows: in English, for :func:`gis_radar.base.words.tr`.
+    """Words of a report for the measure of its map: English, for :func:`gis_radar.base.words.tr`.
 
     Parameters
     ----------
     kind : str
-        Over the title.
+        Kind of the report, above its title.
     title : str
-        After the name of the site.
+        Subject of the report, after the name of the site.
     share, base, tile : str
-        Heading of a share, what it is a share of, and that of one tile.
+        Name of a share, of what it is a share, and the name of the share of one tile.
     seen : str
-        Heading of what a share is known of.
+        Name of the part of a lane that has a share.
     intro : str
-        How to read the map.
+        Explanation of the map.
     nothing, none : str
-        Where no tile has a share; where no share is over 0.
+        Texts if no tile has a share, and if no share is over 0.
     touched : str
-        How many tiles have a share over 0.
+        Text on the tiles with a share over 0.
     unseen_one, unseen_many : str
-        How many lanes have no share.
+        Texts on one lane, and on several lanes, without a share.
     """
 
     kind: str
@@ -91,11 +91,11 @@ class Column(NamedTuple):
     Parameters
     ----------
     title, unit : str
-        What stands over it, the unit small.
+        Heading, and the unit in small letters below it.
     text : callable
-        Returns its cell of what a row is made of.
+        Returns the text of a cell, given the item of its row.
     is_number : bool
-        Numbers stand right.
+        Whether its cells are numbers, which are aligned right.
     """
 
     title: str
@@ -106,22 +106,22 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table as it is read: all cells are text, the first of a row names it.
+    """A table of a page: all cells are text, and the first cell of a row names the row.
 
     Parameters
     ----------
     name : str
-        One word, for its layout.
+        One word, by which the page styles it.
     caption : str
-        What it holds.
+        Caption.
     columns : sequence of Column
-        From left to right.
+        Columns from left to right.
     rows : sequence of sequence of str
-        From top to bottom.
+        Cells of the rows, from top to bottom.
     note : str
-        What to know, below it.
+        Remarks below the table.
     files : sequence of (name, text)
-        The files beside the report that hold all of it, and what they hold.
+        Files beside the report with all rows, and what each holds.
     """
 
     name: str
@@ -143,14 +143,14 @@ def text_rows(items: Iterable[Any], columns: Sequence[Column]) -> list[list[str]
 
 
 class Fact(NamedTuple):
-    """A figure at the top.
+    """A key figure at the top of a page.
 
     Parameters
     ----------
     name, value : str
-        What it is, and how much.
+        Its name and its value, with the unit.
     rests : str
-        What it rests on.
+        What the value rests on.
     """
 
     name: str
@@ -159,7 +159,7 @@ class Fact(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """Words and what they mean, as pairs in the order in which they are read."""
+    """Pairs of a word and its definition, in the order of the page."""
 
     terms: Sequence[tuple[str, str]]
 
@@ -175,13 +175,13 @@ class Figure:
     width, height : int
         Pixels.
     title : str
-        For a map, its time.
+        Time of a map; else empty.
     caption : str
-        Below it.
+        Caption.
     alt : str
-        What it shows, for who cannot see it.
+        Description of the picture, for screen readers.
     narrow : bytes
-        PNG for a phone, with larger words; empty where it is the same.
+        PNG for a phone, with larger letters; empty where it is the same.
     """
 
     png: bytes
@@ -194,12 +194,12 @@ class Figure:
 
 
 class Strip(NamedTuple):
-    """One lane over the time, as the page draws it.
+    """One lane over time, as paths of SVG.
 
     Parameters
     ----------
     name : str
-        Of the lane, in one line or two.
+        Name of the lane, in one line or two.
     line, band : str
         Paths, 1000 units wide and 100 high, y downwards: the share, and its standard error.
     unseen : sequence of (begin, length)
@@ -214,22 +214,22 @@ class Strip(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
-    """Strips over time, which the page draws as wide as it is.
+    """Strips over time, which the page draws over its whole width.
 
     Parameters
     ----------
     caption : str
-        Below it.
+        Caption.
     alt : str
-        What it shows, for who cannot see it.
+        Description of the chart, for screen readers.
     heading, below : str
-        What the strips show, and in which zone times are.
+        What the strips show, and the time zone of the times.
     top : str
         The highest value of the scale.
     strips : sequence of Strip
-        From top to bottom.
+        Strips from top to bottom.
     times : sequence of (place, label)
-        Below the last: as shares of the width.
+        Times below the last strip; places are shares of the width.
     """
 
     caption: str
@@ -248,15 +248,15 @@ class MapSeries:
     Parameters
     ----------
     whole : Figure
-        The whole time.
+        Map of the whole time.
     frames : sequence of Figure
-        The intervals, as large as `whole`; none where the heat map has but one.
+        Maps of the intervals, as large as `whole`; none if the heat map has a single one.
     overlay, narrow : bytes
-        PNG with scale, north and sensors, to go over each of them; with larger words for a phone.
+        PNG with scale, north and sensors, laid over each map; with larger letters for a phone.
     caption : str
-        Below the map.
+        Caption.
     note : str
-        That not all intervals are shown singly, where it is so.
+        Remark that each map shows several intervals together; else empty.
     """
 
     whole: Figure
@@ -275,7 +275,7 @@ class Chapter(NamedTuple):
     name, title : str
         One word for links, and the heading.
     parts : sequence of Table, Figure, Chart or Terms
-        From top to bottom.
+        Its parts from top to bottom.
     """
 
     name: str
@@ -285,36 +285,36 @@ class Chapter(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Content:
-    """All of a report.
+    """Content of a report.
 
     Parameters
     ----------
     title, subtitle : str
-        What it is about, and when.
+        Name of the site, and the time.
     zone : str
-        In which time zone all times are.
+        Time zone of all times.
     until : datetime
         End of the data.
     intro : str
-        How to read the map.
+        Explanation of the map.
     facts : sequence of Fact
-        The figures worth a look.
+        Key figures.
     remarks : sequence of str
-        What to know before reading on, in sentences.
+        Sentences to read first.
     basis : Table
         What the figures rest on.
     questions : sequence of Chapter
-        What comes before the map: traffic, a question each.
+        Chapters on traffic, before the map; each answers a question.
     map : MapSeries
         The map.
     chapters : sequence of Chapter
-        What follows.
+        Chapters after the map.
     made_by : str
         The software.
     measure : str
-        What the map shows: `occupancy` or `hit_share`.
+        Measure of the map: `occupancy` or `hit_share`.
     shows_ways : bool
-        Whether a picture shows the ways of single vehicles.
+        Whether a picture shows the trajectories of single vehicles.
     """
 
     title: str
@@ -334,11 +334,17 @@ class Content:
     measure: str = "hit_share"
 
 
-def tie_words(tie: Any) -> str:
-    """Return how many vehicles tie a pose to others, and how certain it is without them."""
+def joint_words(joint: Any) -> str:
+    """Return how many vehicles were shared with other sensors, and the pose's error without them.
+
+    Parameters
+    ----------
+    joint : mapping
+        Entry `together` of a pose, from a joint calibration; anything else gives an empty text.
+    """
     try:
-        before = [float(tie["gained"][name]["before"]) for name in ("easting", "northing")]
-        others, shared = listed([str(each) for each in tie["sensors"]]), int(tie["pairs"])
+        before = [float(joint["gained"][name]["before"]) for name in ("easting", "northing")]
+        others, shared = listed([str(each) for each in joint["sensors"]]), int(joint["pairs"])
     except (KeyError, TypeError, ValueError):
         return ""
     return tr(
@@ -349,18 +355,18 @@ def tie_words(tie: Any) -> str:
 
 def how_found(evidence: Mapping[str, Any]) -> str:
     """Return how a pose was found, and on what evidence, in words."""
-    known = HOW_FOUND.get(str(evidence.get("method")), "given, not found by gis_radar")
-    words = [tr(known)]
+    origin = HOW_FOUND.get(str(evidence.get("method")), "given, not found by gis_radar")
+    words = [tr(origin)]
     fitness = evidence.get("fitness")
     if isinstance(fitness, int | float) and not isinstance(fitness, bool):
         share = percent(float(fitness), 0)
         words.append(tr("{share} of the vehicle paths lie on the lanes", share=share))
     if evidence.get("observable") is False:
         words.append(tr("the scene leaves part of it open"))
-    if isinstance(look := evidence.get("scan_check"), dict) and look.get("verdict"):
-        words.append(tr(LOOKS.get(str(look["verdict"]), str(look["verdict"]))))
-    if tie := tie_words(evidence.get("together")):
-        words.append(tie)
+    if isinstance(check := evidence.get("scan_check"), dict) and check.get("verdict"):
+        words.append(tr(LOOKS.get(str(check["verdict"]), str(check["verdict"]))))
+    if joint := joint_words(evidence.get("together")):
+        words.append(joint)
     return "; ".join(words)
 
 

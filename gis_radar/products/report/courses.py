@@ -39,16 +39,16 @@ from gis_radar.products.report.chart import times_below
 from gis_radar.products.report.content import Figure
 
 MOST_COURSES = 3  # lanes, which fill two thirds of a page
-WINDOW_S = 900.0  # of a diagram: in more, ways of vehicles are a grey field
+WINDOW_S = 900.0  # time in a diagram: over more, the lines of vehicles merge into grey
 COURSE_IN, COURSE_DPI = (7.2, 1.9), 150  # of one lane
 NARROW_COURSE_IN = 1.7  # its height on a phone
-BEYOND_M, LEAST_M, MOST_M = 12.0, 45.0, 250.0  # shown beyond the line; before it
-LEAST_ABOVE_M = 2.0  # shown beyond a line with which its lane ends
-AROUND = 1.5  # shown before the line, of the longest queue
+BEYOND_M, LEAST_M, MOST_M = 12.0, 45.0, 250.0  # shown beyond the line; least and most before it
+LEAST_ABOVE_M = 2.0  # shown beyond a stop line at the end of its lane
+AROUND = 1.5  # shown before the line, as a multiple of the longest queue
 BROKEN_STEPS = 3 * TRACK_EVERY_STEPS  # without a state, after which a line ends
 QUEUE, UNSEEN = "#ba1c4d", "#d5dade"
-LETTERS_PT, NARROW_PT = 8.0, 6.5
-TITLE_LETTERS = 95.0  # of a title, by inches of width and points of its letters
+LETTERS_PT, NARROW_PT = 8.0, 6.5  # size of letters; on a phone
+TITLE_LETTERS = 95.0  # letters in a title x points of a letter / inches of width
 
 
 class LongQueue(NamedTuple):
@@ -69,27 +69,27 @@ def draw_courses(
     Parameters
     ----------
     dataset : Dataset
-        With exact tables, else nothing is drawn.
+        The dataset; without exact tables nothing is drawn.
     queues : sequence of LongQueue
         Lanes from top to bottom.
     span : (datetime, datetime)
-        What the report shows; of more than 15 minutes those around each queue.
+        Time of the report; of more than 15 minutes, 15 minutes around each queue are drawn.
     clock : Clock
-        For the times below.
+        Clock for the times below.
     ways : bool
-        Whether the ways of vehicles are drawn, or the queues alone.
+        Whether the trajectories of vehicles are drawn, or the queues alone.
 
     Returns
     -------
     list of Figure
         One figure, or none.
     """
-    parts = [(each, *_window(each.moment, *span)) for each in queues]
-    drawn = [(*part, _course(dataset, part[0].lane, *part[1:])) for part in parts]
-    if not all(each for *_, each in drawn):
+    windows = [(each, *_window(each.moment, *span)) for each in queues]
+    courses = [(*part, _course(dataset, part[0].lane, *part[1:])) for part in windows]
+    if not all(each for *_, each in courses):
         return []
     wide, narrow = (
-        _drawn(drawn, (width_in, height_in), letters_pt, clock, ways=ways)
+        _diagrams(courses, (width_in, height_in), letters_pt, clock, ways=ways)
         for width_in, height_in, letters_pt in (
             (*COURSE_IN, LETTERS_PT), (NARROW_IN, NARROW_COURSE_IN, NARROW_PT),
         )
@@ -117,7 +117,7 @@ _WAYS = Text(
 
 
 def _window(moment: datetime, begin: datetime, end: datetime) -> tuple[datetime, datetime]:
-    """Return the time that a diagram shows: that around a moment, within what there is."""
+    """Return the time that a diagram shows: `WINDOW_S` around a moment, within the report's."""
     length = min(timedelta(seconds=WINDOW_S), end - begin)
     first = min(max(moment - length / 2, begin), end - length)
     return first, first + length
@@ -130,8 +130,8 @@ def _course(dataset: Dataset, lane: int, begin: datetime, end: datetime) -> list
     return traffic.courses(dataset.records(span), lane, span) if span else []
 
 
-def _drawn(
-    drawn: Sequence[tuple[LongQueue, datetime, datetime, list[QueueCourse]]],
+def _diagrams(
+    courses: Sequence[tuple[LongQueue, datetime, datetime, list[QueueCourse]]],
     size_in: tuple[float, float], letters_pt: float, clock: Clock, *, ways: bool,
 ) -> Image.Image:  # fmt: skip
     """Return the diagrams of lanes below each other."""
@@ -139,10 +139,10 @@ def _drawn(
     dpi = COURSE_DPI if width_in > NARROW_IN else 2 * COURSE_DPI
     with mpl.rc_context(FONTS | {"font.size": letters_pt, "axes.titlesize": "medium"}):
         figure = MplFigure(
-            figsize=(width_in, height_in * len(drawn)), dpi=dpi, layout="constrained"
+            figsize=(width_in, height_in * len(courses)), dpi=dpi, layout="constrained"
         )
-        axes = figure.subplots(len(drawn), 1, squeeze=False)[:, 0]
-        for ax, (queue, begin, end, parts) in zip(axes, drawn, strict=True):
+        axes = figure.subplots(len(courses), 1, squeeze=False)[:, 0]
+        for ax, (queue, begin, end, parts) in zip(axes, courses, strict=True):
             for part in parts:
                 _draw(ax, part, begin, ways=ways)
             near, far = np.concatenate([each.seen[:, 2:] for each in parts]).T
@@ -155,26 +155,31 @@ def _drawn(
 
 
 def _draw(ax: Axes, course: QueueCourse, begin: datetime, *, ways: bool) -> None:
-    """Draw what was seen, ways and the queue of one hour; seconds from `begin` to the right."""
+    """Draw visible road, queue and trajectories of one hour; x is seconds from `begin`."""
 
-    def at(steps: Floats | Integers) -> Floats:
+    def to_s(steps: Floats | Integers) -> Floats:
         return np.asarray(steps, np.float64) / STEPS_PER_SECOND - begin.timestamp()
 
     first, after, near, far = course.seen.T
-    corners = [(at(first), near), (at(after), near), (at(after), far), (at(first), far)]
+    corners = [
+        (to_s(first), near),
+        (to_s(after), near),
+        (to_s(after), far),
+        (to_s(first), far),
+    ]
     boxes = np.stack([np.column_stack(each) for each in corners], axis=1)
     ax.add_collection(PolyCollection(list(boxes), facecolors="white", edgecolors="white", lw=0.3))
     back = np.nan_to_num(course.back_m)
     ax.fill_between(
-        at(course.back_step), 0.0, back, step="post", color=QUEUE, alpha=0.3, lw=0.0, zorder=3
+        to_s(course.back_step), 0.0, back, step="post", color=QUEUE, alpha=0.3, lw=0.0, zorder=3
     )
     shown = np.where(course.back_m > 0.0, course.back_m, np.nan)
-    ax.step(at(course.back_step), shown, where="post", color=QUEUE, lw=1.1, zorder=4)
+    ax.step(to_s(course.back_step), shown, where="post", color=QUEUE, lw=1.1, zorder=4)
     if not ways:
         return
     new = np.diff(course.vehicle, prepend=-1) != 0
     new |= np.diff(course.step, prepend=0) > BROKEN_STEPS
-    points = np.column_stack([at(course.step), course.to_line_m])
+    points = np.column_stack([to_s(course.step), course.to_line_m])
     lines = np.split(points, np.flatnonzero(new)[1:])
     ax.add_collection(LineCollection(lines, colors=INK, linewidths=0.45, alpha=0.75, zorder=5))
 

@@ -16,7 +16,7 @@ from gis_radar.products.heatmap.intervals import When
 from gis_radar.products.heatmap.occupancy import surest
 from gis_radar.products.report.content import utc
 
-BUSY = 0.2  # a class break of all heat maps
+BUSY = 0.2  # least share of a busy tile; a class break of all heat maps
 # Compared with each other are lanes that are known well enough.
 LEAST_TRACKS = 10  # of vehicles that followed it: of ten, chance alone moves a share by a third
 LEAST_SEEN = 0.5  # share of its length: less may be its queue alone, or all but its queue
@@ -24,14 +24,16 @@ MOST_ERROR = 0.5  # standard error, as a share of the occupancy: beyond, 0 is wi
 
 
 def part_and_base(heat: HeatMap, interval: When = None) -> tuple[Floats, Floats]:
-    """Return what a share of each tile is made of: seconds occupied and visible, or of hits.
+    """Return the two times whose quotient is the share of each tile, seconds.
+
+    They are occupied and visible, or hit and observed where no vehicles are known.
 
     Parameters
     ----------
     heat : HeatMap
-        Whose tiles.
+        The heat map.
     interval : optional
-        Which, as for :meth:`HeatMap.shares`.
+        The interval, as for :meth:`HeatMap.shares`.
     """
     known = heat.occupancy_shares(interval)
     if known is None:
@@ -54,15 +56,15 @@ def sums_of(heat: HeatMap, *, each: bool = False) -> pd.DataFrame:
     Parameters
     ----------
     heat : HeatMap
-        Whose tiles.
+        The heat map.
     each : bool
         Whether each interval has its own rows, as for :meth:`HeatMap.by_lane`.
 
     Returns
     -------
     DataFrame
-        As of :meth:`HeatMap.by_lane`, with the seconds of all tiles of a lane together: `part_s`,
-        `base_s`, tile-seconds occupied and visible, of hits hit and observed; `share`, their
+        The table of :meth:`HeatMap.by_lane`, with seconds summed over the tiles of a lane: `part_s`
+        and `base_s`, occupied and visible (hit and observed without vehicles); `share`, their
         quotient, NaN where there is none, and its standard error `share_se`, NaN for hits; `hit_s`,
         `observed_s`, `hit_share`.
     """
@@ -86,7 +88,9 @@ def tracks_of(dataset: Dataset | None, lanes: Sequence[Lane]) -> Integers | None
     return counts
 
 
-def lane_table(heat: HeatMap, each: pd.DataFrame, tracks: Integers | None = None) -> pd.DataFrame:
+def lane_table(
+    heat: HeatMap, by_interval: pd.DataFrame, tracks: Integers | None = None
+) -> pd.DataFrame:
     """Return one row a lane: those that are ranked by their occupancy, then the others.
 
     Hits are not ranked: their lanes stay in the order of their numbers. What was not visible
@@ -95,11 +99,11 @@ def lane_table(heat: HeatMap, each: pd.DataFrame, tracks: Integers | None = None
     Parameters
     ----------
     heat : HeatMap
-        What is reported.
-    each : DataFrame
-        Its sums by lane and interval, of :func:`sums_of`.
+        The heat map.
+    by_interval : DataFrame
+        Its sums by lane and interval, from :func:`sums_of`.
     tracks : array, optional
-        How many tracks followed each lane, of :func:`tracks_of`.
+        Number of tracks that followed each lane, from :func:`tracks_of`.
 
     Returns
     -------
@@ -116,35 +120,35 @@ def lane_table(heat: HeatMap, each: pd.DataFrame, tracks: Integers | None = None
     tiles, shares, known = heat.tiles, heat.shown(), heat.occupancy_shares()
     error = np.full(len(tiles), np.nan) if known is None else known.occupancy_se
     length, centre = tiles["length_m"].to_numpy(np.float64), quads(tiles).mean(axis=1)
-    by_lane = {int(str(lane)): rows for lane, rows in each.groupby(level=LANE_COLUMN)}
+    by_lane = {int(str(lane)): rows for lane, rows in by_interval.groupby(level=LANE_COLUMN)}
     rows = []
     for i, lane in enumerate(lanes_of(tiles)):
-        mine, long = shares[lane.rows], length[lane.rows]
-        seen = np.isfinite(mine)
-        top = surest(mine, error[lane.rows]) if seen.any() else 0
-        before = int(np.searchsorted(np.cumsum(long[::-1]), LANE_EXIT_M))
-        east, north = centre[lane.rows[-1]] - centre[lane.rows[max(len(long) - 1 - before, 0)]]
-        spot_m = long[: top + 1].sum() - long[top] / 2
+        shares_of_lane, lengths = shares[lane.rows], length[lane.rows]
+        seen = np.isfinite(shares_of_lane)
+        top = surest(shares_of_lane, error[lane.rows]) if seen.any() else 0
+        before = int(np.searchsorted(np.cumsum(lengths[::-1]), LANE_EXIT_M))
+        east, north = centre[lane.rows[-1]] - centre[lane.rows[max(len(lengths) - 1 - before, 0)]]
+        top_m = lengths[: top + 1].sum() - lengths[top] / 2
         rows.append(
             {
                 "lanelets": lane.lanelets,
                 "subtype": str(tiles["subtype"].iloc[lane.rows[0]]),
                 "east_m": float(east),
                 "north_m": float(north),
-                "busiest_spot": mine[top],
+                "busiest_spot": shares_of_lane[top],
                 "busiest_spot_se": error[lane.rows[top]] if seen.any() else np.nan,
-                "busiest_spot_m": spot_m if seen.any() else np.nan,
-                "busy_m": long[mine >= BUSY].sum() if seen.any() else np.nan,
+                "busiest_spot_m": top_m if seen.any() else np.nan,
+                "busy_m": lengths[shares_of_lane >= BUSY].sum() if seen.any() else np.nan,
                 "tracks": -1 if tracks is None else int(tracks[i]),
                 **_busiest(heat, by_lane[lane.number]),
             }
         )
-    whole = sums_of(heat).reset_index().rename(columns={"seen_m": "base_m"})
-    return _in_order(pd.concat([whole, pd.DataFrame(rows)], axis=1), heat.measure)
+    sums = sums_of(heat).reset_index().rename(columns={"seen_m": "base_m"})
+    return _in_order(pd.concat([sums, pd.DataFrame(rows)], axis=1), heat.measure)
 
 
 def _in_order(table: pd.DataFrame, measure: str) -> pd.DataFrame:
-    """Return the lanes in the order in which they are read, with their ranks."""
+    """Return the lanes in the order of the report's table, with their ranks."""
     table = table.assign(why=[_why_not(row, measure) for _, row in table.iterrows()])
     table["place"] = table["share"].isna() * 2 + table["why"].ne("")
     by_share = measure == "occupancy"
@@ -179,10 +183,10 @@ def _why_not(row: pd.Series, measure: str) -> str:
 
 
 def _busiest(heat: HeatMap, rows: pd.DataFrame) -> dict[str, object]:
-    """Return the busiest interval of a lane; nothing where there is but one, or nothing in any."""
+    """Return the busiest interval of a lane; missing values for a single one, or shares of 0."""
     base = rows["base_s"].to_numpy(np.float64)
-    fair = (base > 0) & (base >= 0.5 * base.max(initial=0.0))
-    share = np.where(fair, rows["share"], -1.0)
+    is_fair = (base > 0) & (base >= 0.5 * base.max(initial=0.0))
+    share = np.where(is_fair, rows["share"], -1.0)
     if len(rows) < 2 or not share.max() > 0.0:
         none = dict.fromkeys(("busiest_share", "busiest_share_se"), np.nan)
         return {"busiest_begin": pd.NaT, "busiest_end": pd.NaT, **none}
@@ -240,9 +244,11 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
     _write(path, shown, columns)
 
 
-def write_lane_intervals(path: Path, heat: HeatMap, each: pd.DataFrame, clock: Clock) -> None:
+def write_lane_intervals(
+    path: Path, heat: HeatMap, by_interval: pd.DataFrame, clock: Clock
+) -> None:
     """Write one row a lane and interval, also where nothing was hit or seen."""
-    rows = each.reset_index()
+    rows = by_interval.reset_index()
     times = [(utc(begin), utc(end), clock.iso(begin)) for begin, end in heat.timeline.spans()]
     lanes = len(rows) // len(times)
     for k, name in enumerate(("begin_utc", "end_utc", "begin_local")):

@@ -47,18 +47,18 @@ from gis_radar.scans import (
     draw_sight,
 )
 
-ASPECT = (0.55, 1.25)  # height by width: lowest, which the scale needs, and highest
+ASPECT = (0.55, 1.25)  # height over width: least, which the scale bar needs, and greatest
 MOST_FRAMES = 96  # pictures in time: a day of quarter hours
 MOST_PIXELS = 2_200_000  # of a picture
 ALL_PIXELS = 70_000_000  # of all together: a browser holds four bytes of each
 STAGE = "drawing the maps"
 
 SIGHT_IN = 3.4  # width of a sensor's picture: alone on a phone's page its words can be read
-MOST_SIGHTS = 6  # sensors of which it is drawn what they see
+MOST_SIGHTS = 6  # sensors whose sight is drawn
 
 
 def lay_out(heat: HeatMap) -> MapPicture:
-    """Lay the picture of all maps of a report: the more maps, the coarser."""
+    """Return the pixels that all maps of a report share: the more maps, the coarser."""
     maps = len(_groups(heat)) + 1
     corners = quads(heat.tiles)
     extent = map_extent(corners, heat.shares().observed_s > 0, ASPECT)
@@ -71,13 +71,13 @@ def draw_maps(results: Results, picture: MapPicture, clock: Clock, reporter: Rep
     Parameters
     ----------
     results : Results
-        With the heat map, the sensors that it shows, and whose data they are.
+        The heat map, the poses of its sensors, and the sources of the data.
     picture : MapPicture
-        Its pixels.
+        Pixels of the maps.
     clock : Clock
-        For the labels.
+        Clock for the labels.
     reporter : Reporter
-        Where progress goes.
+        Receives progress.
     """
     heat, poses, sources = results.heat, results.poses, results.credits
     groups, frames = _groups(heat), []
@@ -120,7 +120,7 @@ def _groups(heat: HeatMap) -> list[slice]:
 
 
 def _map(picture: MapPicture, heat: HeatMap, label: str, group: slice | None = None) -> Figure:
-    text = _sentence(heat, group)
+    sentence = _sentence(heat, group)
     alt = "Map of occupancy, {time}. {text}"
     if heat.measure == "hit_share":
         alt = "Map of radar hits, {time}. {text}"
@@ -129,8 +129,8 @@ def _map(picture: MapPicture, heat: HeatMap, label: str, group: slice | None = N
         width=picture.grid.width,
         height=picture.grid.height,
         title=label,
-        caption=text,
-        alt=tr(alt, time=label, text=text),
+        caption=sentence,
+        alt=tr(alt, time=label, text=sentence),
     )
 
 
@@ -184,7 +184,7 @@ def draw_sights(results: Results) -> list[Figure]:
 
 
 def _sight_picture(sights: Sequence[Sight], tiles: SightTiles, *, columns: int) -> Image.Image:
-    """Return what sensors see, so many side by side."""
+    """Return the pictures of what sensors see, in a number of columns."""
     rows = math.ceil(len(sights) / columns)
     with mpl.rc_context(FONTS):
         size_in = (SIGHT_IN * columns, SIGHT_IN * rows)

@@ -33,8 +33,8 @@ from gis_radar.products.report.printing import MISSING
 
 
 def page_of(content: Content) -> str:
-    """Return the page; all text of others is escaped, and the policy lets nothing else in."""
-    named = style.MAP_WORDS[content.measure]
+    """Return the page; texts are escaped, and its policy loads nothing from elsewhere."""
+    map_words = style.MAP_WORDS[content.measure]
     hatched = {style.NOT_OBSERVED: "unseen", style.UNCERTAIN: "unsure"}
     legend = [
         (hatched.get(colour, f"class-{colour[1:]}"), colour, label)
@@ -47,12 +47,12 @@ def page_of(content: Content) -> str:
     )
     return render_page(
         _part("page.html"),
-        css=classes + _sizes_and_foot(content.map),
+        css=classes + _size_and_page_css(content.map),
         script=_part("page.js"),
         report=content,
         legend=legend,
-        legend_title=tr(named.title),
-        legend_subtitle=tr(named.subtitle),
+        legend_title=tr(map_words.title),
+        legend_subtitle=tr(map_words.subtitle),
         words=WORDS[content.measure],
     )
 
@@ -98,8 +98,8 @@ def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-def _sizes_and_foot(part: MapSeries) -> str:
-    """Return how large the map may be, in the window and on paper, and the numbers of pages."""
+def _size_and_page_css(part: MapSeries) -> str:
+    """Return CSS for the size of the map, in the window and on paper, and for page numbers."""
     shape = f"{part.whole.width} / {part.whole.height}"
     page = tr("Page {n} of {all}", n='" counter(page) "', all='" counter(pages) "')
     return (
@@ -118,7 +118,7 @@ def _data_uri(picture: bytes) -> str:
 def _environment() -> Environment:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        finalize=bound, loader=FunctionLoader(_part),
+        finalize=bound_percents, loader=FunctionLoader(_part),
     )  # fmt: skip
     environment.globals |= {"tr": tr, "data_uri": _data_uri, "share": _share}
     return environment
@@ -129,7 +129,7 @@ def _share(part: float) -> str:
     return f"{part * 100:.6g}%"
 
 
-def bound(value: Any) -> Any:
+def bound_percents(value: Any) -> Any:
     """Return a text in which no line ends between a number and its percent sign."""
     is_plain = isinstance(value, str) and not isinstance(value, Markup)
     return re.sub(r"(\d) %", rf"\1{THIN_SPACE}%", value) if is_plain else value
@@ -139,8 +139,8 @@ def _part(name: str) -> str:
     return files("gis_radar.products.report").joinpath(name).read_text(encoding="utf-8")
 
 
-FONT = "DejaVu Sans of Matplotlib"  # the same letters, whatever fonts the machine has
-LETTERS = {"normal": "DejaVuSans.ttf", "bold": "DejaVuSans-Bold.ttf"}
+FONT = "DejaVu Sans of Matplotlib"  # the same on every machine
+FONT_FILES = {"normal": "DejaVuSans.ttf", "bold": "DejaVuSans-Bold.ttf"}
 
 
 def write_pdf(content: Content, path: Path) -> None:
@@ -152,7 +152,7 @@ def write_pdf(content: Content, path: Path) -> None:
     Parameters
     ----------
     content : Content
-        What to write.
+        Content of the report.
     path : Path
         The file. The same content gives the same bytes.
 
@@ -164,9 +164,9 @@ def write_pdf(content: Content, path: Path) -> None:
     still = replace(content, map=replace(content.map, frames=()))
     with scratch_folder() as folder:
         (folder / "page.html").write_text(page_of(still), encoding="utf-8")
-        (folder / "letters.css").write_text(_letters(), encoding="utf-8")
-        # Not the time of writing: what was made of the same data is the same.
-        made = content.until.isoformat(timespec="seconds")
+        (folder / "letters.css").write_text(_font_css(), encoding="utf-8")
+        # Not the time of writing, so that the same data give the same bytes.
+        date = content.until.isoformat(timespec="seconds")
         command = (
             sys.executable,
             "-P",
@@ -174,27 +174,27 @@ def write_pdf(content: Content, path: Path) -> None:
             "gis_radar.products.report.printing",
             folder,
             path,
-            made,
+            date,
         )
-        with Path(os.devnull).open("rb") as nothing, (folder / "said").open("w+b") as said:
+        with Path(os.devnull).open("rb") as nothing, (folder / "said").open("w+b") as error_file:
             code = run_child(
-                list(map(str, command)), stdin=nothing, stderr=said, waiting=lambda _: None,
+                list(map(str, command)), stdin=nothing, stderr=error_file, waiting=lambda _: None,
                 environment={**os.environ, "TMPDIR": str(folder)},
             )  # fmt: skip
-            said.seek(0)
-            lines = said.read().decode(errors="replace").strip().splitlines()
+            error_file.seek(0)
+            lines = error_file.read().decode(errors="replace").strip().splitlines()
     if code not in {0, MISSING}:
         reason = lines[-1] if lines and code > 0 else Text("WeasyPrint ended with {}", code)
         raise OutputError("{}: cannot be written: {}", path, reason)
 
 
-def _letters() -> str:
-    """Return CSS that sets all words in the letters that Matplotlib brings along."""
+def _font_css() -> str:
+    """Return CSS that sets all text in the font that Matplotlib brings along."""
     folder = Path(mpl.get_data_path()) / "fonts" / "ttf"
     faces = [
         f'@font-face {{ font-family: "{FONT}"; font-weight: {weight}; '
         f"src: url({(folder / name).as_uri()}); }}"
-        for weight, name in LETTERS.items()
+        for weight, name in FONT_FILES.items()
     ]
     family = f'{{ font-family: "{FONT}"; }}'
     return "\n".join([*faces, f"body {family} @page {family}"])

@@ -33,14 +33,15 @@ from gis_radar.products.heatmap.picture import (
 from gis_radar.products.report.content import Figure
 
 PLAN_IN = 6.0  # width of the figure of lanes: the narrower, the larger its words
-MOST_LABELS = 60
-LETTERS_PT = 7.5
+MOST_LABELS = 60  # numbers on the plan: more are illegible
+LETTERS_PT = 7.5  # size of the numbers
 GLYPH = (0.68, 1.25)  # width of a bold figure and height of its line, of the size of the letters
-TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)  # where on a lane its number may stand
-ASIDE_PT = (14.0, 22.0, 32.0, 46.0, 64.0, 90.0)  # or how far beside it, at the end of a line
-AROUND_PT, AROUND = (46.0, 64.0, 90.0, 125.0, 175.0), 24  # or in so many directions of its middle
-SCALE_IN = (2.2, 0.75)  # the corner of the scale bar
-# Four tints that neighbours can take in turn, told apart without colour by their numbers.
+# Places to try for the number of a lane: on it, as shares of its length;
+TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)
+ASIDE_PT = (14.0, 22.0, 32.0, 46.0, 64.0, 90.0)  # beside it, at the end of a line, points;
+AROUND_PT, AROUND = (46.0, 64.0, 90.0, 125.0, 175.0), 24  # around its middle, in 24 directions.
+SCALE_IN = (2.2, 0.75)  # size of the corner with the scale bar
+# Tints that lanes take in turn; where two look alike, their numbers distinguish them.
 TINTS = ("#cfe3f5", "#f7dfb2", "#d8ead0", "#ead6ea")
 
 
@@ -64,7 +65,7 @@ def draw_plan(tiles: gpd.GeoDataFrame, picture: MapPicture, table: pd.DataFrame)
     tiles : GeoDataFrame
         All tiles.
     picture : MapPicture
-        The piece of the map.
+        Grid of pixels and extent of the map.
     table : DataFrame
         From :func:`~gis_radar.products.report.lanes.lane_table`: lanes with a share are named, the
         first where they are too many.
@@ -76,15 +77,15 @@ def draw_plan(tiles: gpd.GeoDataFrame, picture: MapPicture, table: pd.DataFrame)
     inside = ((place > 0.0) & (place < 1.0)).all(axis=1)
     shown = [lane for lane in lanes if inside[lane.rows].any()]
     known = set(table.loc[table["share"].notna(), "lane"].tolist()[:MOST_LABELS])
-    ways = {
+    middles = {
         lane.number: centres[lane.rows[np.abs(place[lane.rows] - 0.5).max(axis=1) < 0.48]]
         for lane in shown
         if lane.number in known
     }
-    ground = _tinted(picture, len(tiles), lanes)
+    ground = _lanes_in_tints(picture, len(tiles), lanes)
     tips = [centres[lane.rows] for lane in shown if inside[lane.rows[-1]]]
     drawn = {
-        width_in: _drawn(picture, width_in, [centres[lane.rows] for lane in shown], tips, ways)
+        width_in: _overlay(picture, width_in, [centres[lane.rows] for lane in shown], tips, middles)
         for width_in in (PLAN_IN, NARROW_IN)
     }
     wide, narrow = (Image.alpha_composite(ground, over).convert("RGB") for over in drawn.values())
@@ -103,14 +104,14 @@ def draw_plan(tiles: gpd.GeoDataFrame, picture: MapPicture, table: pd.DataFrame)
     )
 
 
-def _drawn(
+def _overlay(
     picture: MapPicture,
     width_in: float,
     lines: Sequence[Floats],
     tips: Sequence[Floats],
-    ways: dict[int, Floats],
+    middles: dict[int, Floats],
 ) -> Image.Image:
-    """Return lines, arrows, numbers and scale of a figure so wide, on nothing."""
+    """Return lines, arrows, numbers and scale as a transparent image of a figure's width."""
     west, east, south, north = picture.grid.bounds
     with mpl.rc_context(FONTS):
         figure, ax = picture.blank(width_in)
@@ -119,14 +120,14 @@ def _drawn(
             _add_tip(ax, way)
         point_m = (east - west) / (width_in * 72.0)
         bounds = shapely.box(west, south, east, north)
-        for number, placed in place_numbers(ways, point_m, bounds).items():
+        for number, placed in place_numbers(middles, point_m, bounds).items():
             _add_number(ax, number, placed)
         add_corner_scale(figure, ax)
         return image_of_figure(figure).convert("RGBA")
 
 
 def place_numbers(
-    ways: dict[int, Floats], point_m: float, bounds: shapely.Polygon
+    middles: dict[int, Floats], point_m: float, bounds: shapely.Polygon
 ) -> dict[int, PlacedNumber]:
     """Return where the numbers of lanes stand, so that none covers another and none is missing.
 
@@ -135,7 +136,7 @@ def place_numbers(
 
     Parameters
     ----------
-    ways : dict
+    middles : dict
         By number, the middles of the tiles of a lane within the map, (n, 2), metres.
     point_m : float
         Metres of the map to a point of the letters' size.
@@ -145,52 +146,52 @@ def place_numbers(
     _, south, east, _ = bounds.bounds
     wide, high = (each * 72.0 * point_m for each in SCALE_IN)
     taken = [shapely.box(east - wide, south, east, south + high)]
-    found: dict[int, PlacedNumber] = {}
-    for number in sorted(ways, key=lambda each: (len(ways[each]), each)):
-        if not len(ways[number]):
+    placed: dict[int, PlacedNumber] = {}
+    for number in sorted(middles, key=lambda each: (len(middles[each]), each)):
+        if not len(middles[number]):
             continue
-        best, least = None, np.inf
-        for each in _candidates(ways[number], str(number), point_m):
+        best_place, least_covered = None, np.inf
+        for each in _candidates(middles[number], str(number), point_m):
             covered = float(shapely.area(shapely.intersection(taken, each.box)).sum())
             covered += each.box.area - float(shapely.intersection(each.box, bounds).area)
-            if covered < least:
-                best, least = each, covered
-            if not least:
+            if covered < least_covered:
+                best_place, least_covered = each, covered
+            if not least_covered:
                 break
-        if best is not None:
-            found[number] = best
-            taken.append(best.box)
-    return found
+        if best_place is not None:
+            placed[number] = best_place
+            taken.append(best_place.box)
+    return placed
 
 
-def _candidates(way: Floats, text: str, point_m: float) -> Iterator[PlacedNumber]:
+def _candidates(middles: Floats, text: str, point_m: float) -> Iterator[PlacedNumber]:
     """Yield where a number may stand: along its lane, beside it, then all around its middle."""
     half = np.array([GLYPH[0] * len(text), GLYPH[1]]) * LETTERS_PT * point_m / 2.0
-    at = np.unique((np.array(TRIES) * (len(way) - 1)).astype(int), return_index=True)
+    at = np.unique((np.array(TRIES) * (len(middles) - 1)).astype(int), return_index=True)
     spots: Integers = at[0][np.argsort(at[1])]
     for k in spots:
-        ahead = _ahead(way, int(k))
-        turn = (np.degrees(np.arctan2(ahead[1], ahead[0])) + 90.0) % 180.0 - 90.0
-        yield PlacedNumber(way[k], float(turn), _box(way[k], half, turn))
+        direction = _direction_at(middles, int(k))
+        turn = (np.degrees(np.arctan2(direction[1], direction[0])) + 90.0) % 180.0 - 90.0
+        yield PlacedNumber(middles[k], float(turn), _box(middles[k], half, turn))
     for aside in ASIDE_PT:
         for k in spots[:5]:
-            ahead = _ahead(way, int(k))
-            length = float(np.hypot(*ahead))
+            direction = _direction_at(middles, int(k))
+            length = float(np.hypot(*direction))
             if not length:
                 continue
-            left = np.array([-ahead[1], ahead[0]]) / length
+            left = np.array([-direction[1], direction[0]]) / length
             for side in (left, -left):
-                middle = way[k] + side * aside * point_m
-                yield PlacedNumber(middle, 0.0, _box(middle, half, 0.0), way[k])
-    foot = way[len(way) // 2]
+                middle = middles[k] + side * aside * point_m
+                yield PlacedNumber(middle, 0.0, _box(middle, half, 0.0), middles[k])
+    foot = middles[len(middles) // 2]
     for aside in AROUND_PT:
         for angle in np.arange(AROUND) * (2.0 * np.pi / AROUND):
             middle = foot + aside * point_m * np.array([np.cos(angle), np.sin(angle)])
             yield PlacedNumber(middle, 0.0, _box(middle, half, 0.0), foot)
 
 
-def _ahead(way: Floats, k: int) -> Floats:
-    return np.asarray(way[min(k + 2, len(way) - 1)] - way[max(k - 2, 0)])
+def _direction_at(middles: Floats, k: int) -> Floats:
+    return np.asarray(middles[min(k + 2, len(middles) - 1)] - middles[max(k - 2, 0)])
 
 
 def _box(middle: Floats, half: Floats, turn: float) -> shapely.Polygon:
@@ -216,7 +217,7 @@ def _add_number(ax: Axes, number: int, placed: PlacedNumber) -> None:
     )  # fmt: skip
 
 
-def _tinted(picture: MapPicture, tiles: int, lanes: Sequence[Lane]) -> Image.Image:
+def _lanes_in_tints(picture: MapPicture, tiles: int, lanes: Sequence[Lane]) -> Image.Image:
     """Return the lanes in tints; where they overlap, the shortest is on top."""
     longest_first = sorted(lanes, key=lambda each: -len(each.rows))
     place = np.zeros(tiles, np.int64)
@@ -228,9 +229,9 @@ def _tinted(picture: MapPicture, tiles: int, lanes: Sequence[Lane]) -> Image.Ima
     return image_of_pixels(pixels, rgb(PAPER, SOFT, *TINTS)).convert("RGBA")
 
 
-def _add_tip(ax: Axes, way: Floats) -> None:
+def _add_tip(ax: Axes, middles: Floats) -> None:
     """Draw an arrow at a lane's end."""
-    if len(way) < 4:
+    if len(middles) < 4:
         return
     look = {"arrowstyle": "-|>", "color": INK, "lw": 0.7, "mutation_scale": 7}
-    ax.annotate("", tuple(way[-1]), tuple(way[-4]), arrowprops=look)
+    ax.annotate("", tuple(middles[-1]), tuple(middles[-4]), arrowprops=look)

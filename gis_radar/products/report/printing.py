@@ -8,7 +8,7 @@ from pathlib import Path
 MISSING = 69  # exit code where WeasyPrint, or a system library that it calls, is missing
 
 
-def print_page(folder: Path, path: str, made: str) -> None:
+def print_page(folder: Path, path: str, date: str) -> None:
     """Write `page.html` of a folder as PDF, by its style and `letters.css`.
 
     Parameters
@@ -17,8 +17,8 @@ def print_page(folder: Path, path: str, made: str) -> None:
         The folder.
     path : str
         The PDF.
-    made : str
-        Its date, ISO 8601.
+    date : str
+        Date of the PDF, ISO 8601.
     """
     try:
         from weasyprint import CSS, HTML, LOGGER  # noqa: PLC0415 - of the extra pdf
@@ -26,15 +26,15 @@ def print_page(folder: Path, path: str, made: str) -> None:
         from weasyprint.urls import URLFetcher  # noqa: PLC0415
     except (ImportError, OSError):
         sys.exit(MISSING)
-    LOGGER.setLevel("CRITICAL")  # it remarks on each rule that is for browsers
+    LOGGER.setLevel("CRITICAL")  # it warns of each CSS rule that is for browsers
     fonts = FontConfiguration()
     # The page brings its pictures along; nothing else is fetched.
-    reader = URLFetcher(allowed_protocols=("data", "file"))
-    letters = CSS(folder / "letters.css", font_config=fonts, url_fetcher=reader)
-    page = HTML(string=(folder / "page.html").read_text(encoding="utf-8"), url_fetcher=reader)
-    paper = page.render(stylesheets=[letters], font_config=fonts)
-    paper.metadata.created = made
-    paper.write_pdf(path, pdf_tags=True)
+    fetcher = URLFetcher(allowed_protocols=("data", "file"))
+    font_css = CSS(folder / "letters.css", font_config=fonts, url_fetcher=fetcher)
+    page = HTML(string=(folder / "page.html").read_text(encoding="utf-8"), url_fetcher=fetcher)
+    document = page.render(stylesheets=[font_css], font_config=fonts)
+    document.metadata.created = date
+    document.write_pdf(path, pdf_tags=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""From a folder of results to a report of them: facts, lanes and quality in words and tables."""
+"""Write the report of a folder of results: key figures, lanes and quality in words and tables."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from gis_radar.products.heatmap.picture import MapPicture
 from gis_radar.products.quality.quality import Quality, measure_quality
 from gis_radar.products.report import names
 from gis_radar.products.report.basis import (
-    Findings,
+    ReportData,
     as_high_as,
     basis_of,
     facts_of,
@@ -100,9 +100,9 @@ class Report:
     Parameters
     ----------
     outputs : sequence of Path
-        The files: the page, the paper, and the tables.
+        The files: the page, the PDF, and the tables.
     summary : dict
-        Figures worth a look.
+        Key figures.
     """
 
     outputs: Sequence[Path]
@@ -132,7 +132,8 @@ def write_report(
     """Write a report for people without QGIS: `report.html`, `report.pdf`, and tables as CSV.
 
     The page opens without a network and asks for nothing; it needs no script but for the slider.
-    What the folder does not hold is named as not known. The same results give the same files.
+    Results that are missing in the folder are named as not known. The same results give the same
+    files.
 
     Parameters
     ----------
@@ -141,22 +142,22 @@ def write_report(
     output : str or Path, optional
         Folder that the report goes to; by default `folder`.
     title : str, optional
-        By default that of the site or heat map, or the name of the folder.
+        Title; by default that of the site or heat map, or the name of the folder.
     timezone : str, optional
-        Whose clocks the report's times follow, such as Europe/Berlin; by default the site's, or
-        those of the heat map's picture.
+        Time zone of the report's times, such as Europe/Berlin; by default that of the site, or of
+        the heat map's picture.
     language : str, optional
-        `en` or `de`, of all that is read; by default the site's, or that of the heat map's picture.
-        The tables as CSV are the same in every language.
+        Language of all text, `en` or `de`; by default the site's, or that of the heat map's
+        picture. The tables as CSV are the same in every language.
     csv_locale : str
         `de` writes them as a German spreadsheet opens them: semicolons, decimal commas, and the
         mark of UTF-8.
     dataset : str or Path, optional
-        What the heat map was made of, where it is not `dataset` in `folder`.
+        The dataset that the heat map was made of, if it is not `dataset` in `folder`.
     ways : bool
-        Whether diagrams of queues show the ways of single vehicles to the stop line.
+        Whether diagrams of queues show the trajectories of single vehicles to the stop line.
     reporter : Reporter
-        Where progress goes.
+        Receives progress.
 
     Returns
     -------
@@ -178,25 +179,25 @@ def write_report(
     heat = results.heat
     spoken = language or str(results.site.get("language") or heat.labels.language)
     with csv_for(csv_locale), speaking(known_language(spoken)):
-        found = _find(results, title or _named(results, folder), timezone, reporter)
-        content = _content(found, reporter, ways=ways)
-        outputs = _write(folder if output is None else Path(output), found, content, reporter)
-        return Report(outputs=outputs, summary=_summary(found, content))
+        data = _gather(results, title or _default_title(results, folder), timezone, reporter)
+        content = _content(data, reporter, ways=ways)
+        outputs = _write(folder if output is None else Path(output), data, content, reporter)
+        return Report(outputs=outputs, summary=_summary(data, content))
 
 
-def _named(results: Results, folder: Path) -> str:
+def _default_title(results: Results, folder: Path) -> str:
     return str(results.site.get("title") or results.heat.labels.title or folder.resolve().name)
 
 
-def _find(results: Results, title: str, timezone: str | None, reporter: Reporter) -> Findings:
-    """Work out what page, paper and tables are made of."""
+def _gather(results: Results, title: str, timezone: str | None, reporter: Reporter) -> ReportData:
+    """Compute the data of page, PDF and tables."""
     heat = results.heat
     zone = timezone or results.timezone
     sums = sums_of(heat, each=True)
     table = lane_table(heat, sums, tracks_of(results.dataset, lanes_of(heat.tiles)))
-    known = [results.streets.get(int(lane), ("", "")) for lane in table["lane"]]
-    table["street"], table["street_part"] = zip(*known, strict=True) if known else ((), ())
-    return Findings(
+    streets = [results.streets.get(int(lane), ("", "")) for lane in table["lane"]]
+    table["street"], table["street_part"] = zip(*streets, strict=True) if streets else ((), ())
+    return ReportData(
         results=results,
         title=title,
         clock=_clock(heat, zone),
@@ -228,9 +229,9 @@ def _quality(results: Results, timezone: str, reporter: Reporter) -> Quality | N
     return measure_quality(dataset, timezone=timezone, reporter=reporter)
 
 
-def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -> list[Path]:
+def _write(place: Path, data: ReportData, content: Content, reporter: Reporter) -> list[Path]:
     """Write all files, which appear together or not at all."""
-    writers = _writers(found, content)
+    writers = _writers(data, content)
     before = [place / name for name in names.REPORT_FILES] if (place / names.PAGE).is_file() else []
     with folder_to_fill(place), atomic_writes(place / names.PAGE) as (private, places):
         for done, (name, write) in enumerate(writers.items(), start=1):
@@ -238,136 +239,139 @@ def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -
             if (private / name).is_file():
                 places[private / name] = place / name
             reporter.progress("writing the report", done, len(writers))
-    made = list(places.values())
-    for path in before:  # what the last report had and this one has not
-        if path not in made:
+    written = list(places.values())
+    for path in before:  # files that only the earlier report had
+        if path not in written:
             path.unlink(missing_ok=True)
-    if place / names.PAPER not in made:
+    if place / names.PDF not in written:
         reporter.warn(
             "{} is not written: WeasyPrint, or Pango, which it calls, is missing (pip "
             "install gis_radar[pdf]); a browser prints {} alike",
-            names.PAPER,
+            names.PDF,
             names.PAGE,
         )
-    return made
+    return written
 
 
-def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], object]]:
+def _writers(data: ReportData, content: Content) -> dict[str, Callable[[Path], object]]:
     """Return the writer of each file."""
-    clock, heat, quality = found.clock, found.results.heat, found.quality
+    clock, heat, quality = data.clock, data.results.heat, data.quality
     writers: dict[str, Callable[[Path], object]] = {
         names.PAGE: lambda path: path.write_text(page_of(content), encoding="utf-8", newline="\n"),
-        names.PAPER: lambda path: write_pdf(content, path),
-        names.LANES: lambda path: write_lanes(path, found.table, clock, heat.measure),
-        names.LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, found.lanes, clock),
+        names.PDF: lambda path: write_pdf(content, path),
+        names.LANES: lambda path: write_lanes(path, data.table, clock, heat.measure),
+        names.LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, data.lanes, clock),
     }
     if quality is not None:
         writers[names.QUALITY] = quality.write_rows
-    if (traffic := found.traffic) is not None:
+    if (traffic := data.traffic) is not None:
         writers[names.TRAFFIC] = lambda path: write_lane_traffic(path, traffic)
         writers[names.TURNS] = lambda path: write_turn_traffic(path, traffic)
     return writers
 
 
-def _summary(found: Findings, content: Content) -> dict[str, Any]:
+def _summary(data: ReportData, content: Content) -> dict[str, Any]:
     """Return the figures as numbers, None where not known; the page has them in words."""
-    begin, end = found.results.heat.whole.span()
+    begin, end = data.results.heat.whole.span()
     return {
         "title": content.title,
         "begin": utc(begin),
         "end": utc(end),
-        "timezone": str(found.clock.zone),
+        "timezone": str(data.clock.zone),
         "pictures": len(content.map.frames) + 1,
-        "sensors": found.results.sensors,
-        **totals_of(found),
+        "sensors": data.results.sensors,
+        **totals_of(data),
         "facts": {fact.name: " ".join(filter(None, [fact.value, fact.rests and f"({fact.rests})"]))
                   for fact in content.facts},
         "basis": [[each.title for each in content.basis.columns], *map(list, content.basis.rows)],
-        "found": _english_remarks(found),
+        "found": _english_remarks(data),
         "remarks": list(content.remarks),
     }  # fmt: skip
 
 
-def _english_remarks(found: Findings) -> list[Text]:
-    """Return what it finds for a run's log: all there is English until the console translates."""
+def _english_remarks(data: ReportData) -> list[Text]:
+    """Return the report's remarks in English, as logs keep them; the console translates."""
     with speaking("en"):
-        return own_remarks(found)
+        return own_remarks(data)
 
 
-def _content(found: Findings, reporter: Reporter, *, ways: bool) -> Content:
-    """Put the findings into words."""
-    results, clock = found.results, found.clock
+def _content(data: ReportData, reporter: Reporter, *, ways: bool) -> Content:
+    """Return the content of the report: texts, tables and pictures."""
+    results, clock = data.results, data.clock
     picture = lay_out(results.heat)
-    questions = traffic_chapters(found.traffic, clock, ways=ways) if found.traffic else []
+    questions = traffic_chapters(data.traffic, clock, ways=ways) if data.traffic else []
     queues = (part for each in questions if each.name == QUEUES for part in each.parts)
     ways &= any(isinstance(part, Figure) for part in queues)
     begin, end = results.heat.whole.span()
     return Content(
-        title=found.title,
+        title=data.title,
         subtitle=clock.whole(begin, end),
         zone=clock.name,
         until=end,
         intro=tr(WORDS[results.heat.measure].intro),
-        facts=facts_of(found),
-        remarks=remarks_of(found),
-        basis=basis_of(found),
+        facts=facts_of(data),
+        remarks=remarks_of(data),
+        basis=basis_of(data),
         questions=questions,
         shows_ways=ways,
         map=draw_maps(results, picture, clock, reporter),
-        chapters=_chapters(found, picture),
+        chapters=_chapters(data, picture),
         made_by=made_by(),
         measure=results.heat.measure,
     )
 
 
-def _chapters(found: Findings, picture: MapPicture) -> list[Chapter]:
-    """Return what follows the map."""
-    results, clock = found.results, found.clock
-    lanes = _lanes(found, intervals=len(results.heat.timeline) > 1)
+def _chapters(data: ReportData, picture: MapPicture) -> list[Chapter]:
+    """Return the chapters after the map."""
+    results, clock = data.results, data.clock
+    lanes = _lanes(data, intervals=len(results.heat.timeline) > 1)
     sensors = sensor_table(results)
     sources = [settings_of(results), sources_of(results)]
-    plan = draw_plan(results.heat.tiles, picture, found.table)
-    over_time = draw_lanes_over_time(results.heat, found.lanes, found.table, clock)
+    plan = draw_plan(results.heat.tiles, picture, data.table)
+    over_time = draw_lanes_over_time(results.heat, data.lanes, data.table, clock)
     return [
         Chapter("trust", tr("Can this be trusted?"), [trust_table(results, clock)]),
         Chapter("lanes", tr("Lanes"), [plan, lanes]),
         *([Chapter("time", tr("The lanes over time"), over_time)] if over_time else []),
         Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results)]),
-        Chapter("quality", tr("What sensors delivered"), [quality_table(found)]),
+        Chapter("quality", tr("What sensors delivered"), [quality_table(data)]),
         Chapter("settings", tr("Settings and sources"), sources),
-        Chapter("words", tr("What the words mean"), [_terms(found)]),
+        Chapter("words", tr("What the words mean"), [_terms(data)]),
     ]
 
 
-def _terms(found: Findings) -> Terms:
-    """Return what the words of a report mean, of what it shows."""
+def _terms(data: ReportData) -> Terms:
+    """Return the definitions of the words that the report uses."""
     text = (
         files("gis_radar.products.report").joinpath("definitions.toml").read_text(encoding="utf-8")
     )
     groups = tomllib.loads(text)
-    others = {"hits" if found.results.heat.measure == "occupancy" else "occupancy"}
-    others |= set() if found.traffic else {"traffic"}
+    others = {"hits" if data.results.heat.measure == "occupancy" else "occupancy"}
+    others |= set() if data.traffic else {"traffic"}
     chosen = [name for name in groups if name not in others]
     pairs = [pair for name in chosen for pair in groups[name].items()]
     return Terms(tuple((tr(term), tr(meaning)) for term, meaning in pairs))
 
 
-def _lanes(found: Findings, *, intervals: bool) -> Table:
-    """Return the lanes with a share as they are read, from what `lane_table` returns."""
-    table, measure = found.table, found.results.heat.measure
-    seen, words = table[table["share"].notna()], WORDS[measure]
-    shown = seen.head(MOST_LANES)
-    columns = lane_columns(found.clock, measure)
+def _lanes(data: ReportData, *, intervals: bool) -> Table:
+    """Return the table of the lanes with a share, from the rows of `lane_table`."""
+    table, measure = data.table, data.results.heat.measure
+    known, words = table[table["share"].notna()], WORDS[measure]
+    shown = known.head(MOST_LANES)
+    columns = lane_columns(data.clock, measure)
     columns = columns if intervals else columns[:-1]
     notes = [] if measure == "hit_share" else [_ranking(table)]
-    if unseen := len(table) - len(seen):
+    if unseen := len(table) - len(known):
         notes.append(plural(unseen, words.unseen_one, words.unseen_many))
-    if len(seen) > len(shown):
-        text = tr("Here are {part} of {all} lanes.", part=len(shown), all=figure_text(len(seen)))
+    if len(known) > len(shown):
+        text = tr("Here are {part} of {all} lanes.", part=len(shown), all=figure_text(len(known)))
         notes.append(text)
     if measure == "occupancy":
         notes.append(tr("± is the standard error."))
     notes.append(tr("Where lanes cross, their tiles overlap, and a vehicle there counts on each."))
+    csv_files = [(names.LANES, tr("all lanes"))]
+    if intervals:
+        csv_files.append((names.LANES_BY_INTERVAL, tr("each lane in each interval")))
     return Table(
         name="lanes",
         caption=tr("Lanes by occupancy")
@@ -376,15 +380,8 @@ def _lanes(found: Findings, *, intervals: bool) -> Table:
         columns=columns,
         rows=text_rows((row for _, row in shown.iterrows()), columns),
         note=" ".join(notes),
-        files=_files((names.LANES, "all lanes"), *([_BY_INTERVAL] if intervals else [])),
+        files=csv_files,
     )
-
-
-_BY_INTERVAL = (names.LANES_BY_INTERVAL, "each lane in each interval")
-
-
-def _files(*given: tuple[str, str]) -> list[tuple[str, str]]:
-    return [(name, tr(text)) for name, text in given]
 
 
 def _ranking(table: pd.DataFrame) -> str:
@@ -407,19 +404,19 @@ def _ranking(table: pd.DataFrame) -> str:
 
 
 def lane_columns(clock: Clock, measure: str) -> list[Column]:
-    """Return how a lane is read; the last is of its highest interval.
+    """Return the columns of the table of lanes; the last is of the highest interval.
 
     Parameters
     ----------
     clock : Clock
-        Of the intervals.
+        Clock of the intervals.
     measure : str
-        What lanes are compared by; those columns that only vehicles give are left out for others.
+        Measure of the map; for hit share, columns that need vehicles are left out.
 
     Returns
     -------
     list of Column
-        With titles in the language of who reads.
+        Columns with titles in the current language.
     """
     words = WORDS[measure]
 
@@ -437,7 +434,7 @@ def lane_columns(clock: Clock, measure: str) -> list[Column]:
         place = f"{figure_text(row['busiest_spot_m'])}{THIN_SPACE}m"
         share = percent(row["busiest_spot"], 0, off=row["busiest_spot_se"])
         text = tr("{share} at {place}", share=share, place=place)
-        return text.replace(f" {place}", f"{THIN_SPACE}{place}")  # no line ends before it
+        return text.replace(f" {place}", f"{THIN_SPACE}{place}")  # so that no line breaks before it
 
     def leads_to(row: pd.Series) -> str:
         street = street_label(row["street"], row["street_part"])

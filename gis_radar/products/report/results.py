@@ -47,11 +47,11 @@ class Results:
     Parameters
     ----------
     name : str
-        Of the heat map's folder.
+        Name of the heat map's folder.
     heat : HeatMap
         The heat map.
     dataset : Dataset or None
-        What it was made of; None where it is not there.
+        The dataset that it was made of; None if it is missing.
     poses : sequence of Pose
         The last pose of each sensor that the heat map shows, by name, where it is in the map's
         coordinate system.
@@ -63,7 +63,7 @@ class Results:
     run : mapping
         The `run.json` of `gis-radar run`; empty where the steps were made one by one.
     missing : sequence of str
-        What is not there, in sentences.
+        Sentences on what is missing.
     """
 
     name: str
@@ -94,24 +94,24 @@ class Results:
 
     @property
     def stages(self) -> list[dict[str, Any]]:
-        """How the stages of the run ended."""
+        """Stages of the run, with figures, warnings and errors."""
         return list(self.run.get("stages") or [])
 
     @property
     def traffic(self) -> dict[str, int]:
-        """How many vehicles the run followed; empty where that is not known."""
+        """Numbers of vehicles, heavy ones and passages of the run; empty where not known."""
         found = (each.get("figures") or {} for each in self.stages if each["name"] == "measure")
         names = ("vehicles", "heavy", "passages")
         return {n: int(each[n]) for each in found for n in names if n in each}
 
     @property
     def lost(self) -> dict[str, str]:
-        """The sensors of the site that the heat map does not show, and why."""
+        """By sensor of the site that the heat map does not show, the reason."""
         return lost_sensors(self.run)
 
     @property
     def findings(self) -> dict[str, Finding]:
-        """Whether pose and recordings of sensors fit, as the run or the dataset tells."""
+        """By sensor, the finding whether its pose and recordings fit, from dataset or run."""
         records = [] if self.dataset is None else [self.dataset.manifest.checks]
         records += [(each.get("figures") or {}).get("findings") or {} for each in self.stages]
         return {
@@ -123,7 +123,7 @@ class Results:
 
     @property
     def warnings(self) -> list[str]:
-        """The warnings of the run, each once, after the stages that raised it."""
+        """The warnings of the run, each once, with the names of the stages that raised it."""
         raised: dict[str, list[str]] = {}
         for each in self.stages:
             stage = tr(str(each["name"]))
@@ -133,7 +133,7 @@ class Results:
 
     @property
     def credits(self) -> list[str]:
-        """The sources of map and scan and whom to name, each once."""
+        """The sources of map and scan, and attributions, each once."""
         parts = [self.site.get("map"), self.site.get("scan")]
         named = [str(part["source"]) for part in parts if part and part.get("source")]
         named += map(str, self.site.get("attribution") or self.heat.labels.sources)
@@ -172,18 +172,18 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
     """
     run, place = read_run(folder), _heat_map(folder)
     heat = read_heatmap(place)
-    measured, missing = _dataset(folder, heat, dataset)
-    if measured is None:
+    of_map, missing = _dataset(folder, heat, dataset)
+    if of_map is None:
         missing.append(
             "The dataset that the heat map was made of is not in the folder: what the sensors "
             "delivered, their poses and the filters are not known."
         )
     if not run:
         missing.append("The folder is not that of a run: settings are listed only as far as known.")
-    if measured is not None and measured.has_vehicles:
-        measured, left_out = as_stated(measured, run.get("site") or {})
+    if of_map is not None and of_map.has_vehicles:
+        of_map, left_out = as_stated(of_map, run.get("site") or {})
         missing += left_out
-    poses = _poses(folder, measured)
+    poses = _poses(folder, of_map)
     missing += [
         Text(
             "The pose of sensor {} is in {}, the map in {}: it is left out.",
@@ -197,7 +197,7 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
     return Results(
         name=place.name,
         heat=heat,
-        dataset=measured,
+        dataset=of_map,
         poses=[pose for pose in poses if same_plane(pose.crs, heat.crs)],
         streets=_streets(folder),
         figures=any((folder / "sensors").glob("*/localization.png")),
@@ -223,25 +223,25 @@ def _heat_map(folder: Path) -> Path:
     for place in (folder, folder / "heatmap"):
         if (place / PACKAGE).is_file():
             return place
-    found = sorted(path.parent for path in folder.glob(f"*/{PACKAGE}"))
-    if len(found) > 1:
-        names = ", ".join(path.name for path in found)
+    folders = sorted(path.parent for path in folder.glob(f"*/{PACKAGE}"))
+    if len(folders) > 1:
+        names = ", ".join(path.name for path in folders)
         raise InputError("{}: holds several heat maps: {}", folder, names, hint="name one of them")
-    if not found:
+    if not folders:
         raise InputError(
             "{}: holds no heat map", folder, hint="make one with: gis-radar run, gis-radar heatmap"
         )
-    return found[0]
+    return folders[0]
 
 
 def _dataset(folder: Path, heat: HeatMap, given: Path | None) -> tuple[Dataset | None, list[str]]:
-    """Return the dataset of the heat map's tiles, and what to know of another one."""
+    """Return the dataset of the heat map's tiles, and a sentence if the folder's is another."""
     place = given or folder / DATASET
     if given is None and not place.is_dir():
         return None, []
-    found = open_dataset(place)
-    if found.manifest.fingerprint == heat.fingerprint:
-        return found, []
+    dataset = open_dataset(place)
+    if dataset.manifest.fingerprint == heat.fingerprint:
+        return dataset, []
     if given is not None:
         raise InputError(
             "{}: the heat map was not made with the tiles of {}",
@@ -269,18 +269,18 @@ def _streets(folder: Path) -> dict[int, tuple[str, str]]:
 
 
 def _poses(folder: Path, dataset: Dataset | None) -> list[Pose]:
-    """Return the pose that each sensor had last, by the dataset, or by the files beside."""
-    found: dict[str, Pose] = {}
+    """Return the last pose of each sensor, from the dataset, else from pose files."""
+    by_sensor: dict[str, Pose] = {}
     if dataset is not None:
         for document in dataset.poses()["document"]:
             pose = pose_from_dict(json.loads(document), what=Text("{}: a pose", dataset.folder))
-            before = found.get(pose.sensor)
-            if before is None or before.parsed_evidence().time <= pose.parsed_evidence().time:
-                found[pose.sensor] = pose
+            earlier = by_sensor.get(pose.sensor)
+            if earlier is None or earlier.parsed_evidence().time <= pose.parsed_evidence().time:
+                by_sensor[pose.sensor] = pose
     elif (folder / "sensors").is_dir():
         for path in sorted((folder / "sensors").glob("*/pose.json")):
-            found[path.parent.name] = read_track(path).poses[-1]
-    return [found[name] for name in sorted(found)]
+            by_sensor[path.parent.name] = read_track(path).poses[-1]
+    return [by_sensor[name] for name in sorted(by_sensor)]
 
 
 def read_run(folder: Path) -> dict[str, Any]:
@@ -295,12 +295,12 @@ def read_run(folder: Path) -> dict[str, Any]:
 
 
 def sensor_table(results: Results) -> Table:
-    """Return where sensors stand, how well that is known, and how it was found.
+    """Return the table of the sensors' poses, with their errors and how they were found.
 
     Parameters
     ----------
     results : Results
-        Whose sensors.
+        The results.
     """
     columns = _sensor_columns()
     rows = text_rows(results.poses, columns)
@@ -323,10 +323,10 @@ def sensor_table(results: Results) -> Table:
 
 
 def _sensor_columns() -> list[Column]:
-    """Return how a pose is read."""
+    """Return the columns of the table of sensors."""
 
     def angles(pose: Pose) -> str:
-        both = [_measured(pose, name, 1).replace(" ", THIN_SPACE) for name in ("pitch", "roll")]
+        both = [_with_sigma(pose, name, 1).replace(" ", THIN_SPACE) for name in ("pitch", "roll")]
         return ", ".join(both)
 
     def sees(pose: Pose) -> str:
@@ -335,9 +335,9 @@ def _sensor_columns() -> list[Column]:
 
     return [
         Column(tr("Sensor"), "", lambda pose: str(pose.sensor), False),
-        Column(tr("Easting"), "m", lambda pose: _measured(pose, "easting", 2)),
-        Column(tr("Northing"), "m", lambda pose: _measured(pose, "northing", 2)),
-        Column(tr("Height"), "m", lambda pose: _measured(pose, "height", 2)),
+        Column(tr("Easting"), "m", lambda pose: _with_sigma(pose, "easting", 2)),
+        Column(tr("Northing"), "m", lambda pose: _with_sigma(pose, "northing", 2)),
+        Column(tr("Height"), "m", lambda pose: _with_sigma(pose, "height", 2)),
         Column(tr("Looks to"), tr("from grid north"), _looks_to),
         Column(tr("Pitch, roll"), tr("degrees"), angles),
         Column(tr("Sees"), tr("range, width"), sees),
@@ -345,7 +345,7 @@ def _sensor_columns() -> list[Column]:
     ]
 
 
-def _measured(
+def _with_sigma(
     pose: Pose, name: str, digits: int, value: float | None = None, unit: str = ""
 ) -> str:
     """Return a number of a pose, or another value for it, with its standard deviation."""
@@ -357,4 +357,4 @@ def _measured(
 def _looks_to(pose: Pose) -> str:
     ahead = pose.R_map_sensor[:2, 0]
     bearing = math.degrees(math.atan2(ahead[0], ahead[1])) % 360.0
-    return f"{direction(*ahead)}, {_measured(pose, 'yaw', 1, bearing, '°')}"
+    return f"{direction(*ahead)}, {_with_sigma(pose, 'yaw', 1, bearing, '°')}"

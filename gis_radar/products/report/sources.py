@@ -16,11 +16,11 @@ def settings_of(results: Results) -> Table:
     """Return the settings in effect, as far as the folder holds them."""
     rows = [
         [tr("Coordinates"), f"{results.heat.crs.name}, {name_of(results.heat.crs)[:24]}"],
-        [tr("Intervals"), _interval(results)],
-        [tr("Tiles"), _tiles(results)],
-        *([name, text] for name, text in _filters(results)),
+        [tr("Intervals"), _interval_text(results)],
+        [tr("Tiles"), _tiles_text(results)],
+        *([name, text] for name, text in _filter_rows(results)),
         [tr("Fingerprint of the tiles"), results.heat.fingerprint],
-        [tr("Software"), _software(results)],
+        [tr("Software"), _software_text(results)],
     ]
     columns = text_columns(tr("What"), tr("Setting"))
     return Table(name="settings", caption=tr("Settings"), columns=columns, rows=rows)
@@ -34,12 +34,12 @@ def sources_of(results: Results) -> Table:
             (tr("Map"), results.site.get("map")),
             (tr("Scan"), results.site.get("scan")),
         )
-        if part and (text := _file(part))
+        if part and (text := _file_text(part))
     ]
     rows += [
         [
             tr("Recording of {sensor}", sensor=each.sensor),
-            f"{Path(each.path).name}, {_detections(int(each.rows))}",
+            f"{Path(each.path).name}, {_detections_text(int(each.rows))}",
         ]
         for each in _recordings(results)
     ]
@@ -51,7 +51,7 @@ def sources_of(results: Results) -> Table:
     return Table(name="sources", caption=tr("Data sources"), columns=columns, rows=rows)
 
 
-def _detections(amount: int) -> str:
+def _detections_text(amount: int) -> str:
     return plural(amount, "{n} detection", "{n} detections")
 
 
@@ -60,13 +60,13 @@ def made_by() -> str:
     return f"gis_radar {version('gis_radar')}"
 
 
-def _file(part: Mapping[str, Any]) -> str:
+def _file_text(part: Mapping[str, Any]) -> str:
     files = part.get("files") or [part.get("road")] if "files" in part else [part.get("file")]
     named = listed([Path(each).name for each in files if each])
     return f"{named} ({part['source']})" if part.get("source") else named
 
 
-def _interval(results: Results) -> str:
+def _interval_text(results: Results) -> str:
     timeline = results.heat.timeline
     if len(timeline) < 2:
         return tr("none: the whole time only")
@@ -80,7 +80,7 @@ def _interval(results: Results) -> str:
     return tr("{n} intervals of {length}", n=figure_text(len(timeline)), length=text)
 
 
-def _tiles(results: Results) -> str:
+def _tiles_text(results: Results) -> str:
     tiles = results.heat.tiles
     length = float(tiles["length_m"].median())
     return tr(
@@ -88,7 +88,7 @@ def _tiles(results: Results) -> str:
     )
 
 
-def _filters(results: Results) -> Iterator[tuple[str, str]]:
+def _filter_rows(results: Results) -> Iterator[tuple[str, str]]:
     """Yield which detections count, how long frames are valid, and how clocks were corrected."""
     if results.dataset is None:
         yield tr("Detections that count"), tr(NOT_KNOWN)
@@ -128,7 +128,7 @@ def _filters_in_words(filters: Mapping[str, Any]) -> str:
     return "; ".join(words) or tr("all, standing and moving")
 
 
-def _software(results: Results) -> str:
+def _software_text(results: Results) -> str:
     known = results.run.get("software") or {}
     if known.get("gis_radar"):
         return f"gis_radar {known['gis_radar']} (code {known.get('code', NOT_KNOWN)})"

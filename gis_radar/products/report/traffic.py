@@ -53,35 +53,36 @@ from gis_radar.products.report.courses import MOST_COURSES, WINDOW_S, LongQueue,
 from gis_radar.products.traffic import service_levels, write_table
 from gis_radar.products.traffic_picture import draw_turning_diagram
 
-# The longest time that intervals of a length are for: some 30 points a strip, then 96 a day.
+# Lengths of intervals, each with the longest time (s) that it is used for: some 30 points a strip,
+# then 96 a day.
 INTERVALS = (("1min", 1800.0), ("5min", 10_800.0), ("15min", np.inf))
-STRIPS, MOST_CHARTS = 12, 2  # lanes of a chart, which fills a page; as many charts
-LEAST_INTERVALS = 3  # of a profile: two values are no course, and the table has their mean
+STRIPS, MOST_CHARTS = 12, 2  # lanes of a chart, which fills a page; most charts
+LEAST_INTERVALS = 3  # for a chart over time: of two values the table has the mean
 MOST_LANES = 60  # rows of the table as read; the CSV file holds all
 MOST_QUEUES = 6  # lanes of the table of queues
-LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it: less is no queue to speak of
+LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it
 TURNS_IN, TURNS_DPI = 7.2, 150  # width of the turning diagram
 LEVEL = Text("Level of service")
 NOT_SEEN, TOO_LITTLE = "not seen", "too little seen"
 
 
 class ReportedTraffic(NamedTuple):
-    """What a report says of traffic.
+    """Traffic in a report.
 
     Parameters
     ----------
     dataset : Dataset
-        Where it is from.
+        The dataset that it is from.
     begin, end : datetime
-        Of the time that the report shows.
+        Time of the report.
     interval : str
         Length of the intervals.
     lanes, turns : GeoDataFrame
-        By interval, as of :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
+        By interval, from :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
     by_lane, by_turn : GeoDataFrame
         The same over all intervals.
     network : LaneNetwork
-        Of the site.
+        Network of the site.
     """
 
     dataset: Dataset
@@ -96,16 +97,16 @@ class ReportedTraffic(NamedTuple):
 
     @property
     def length_s(self) -> float:
-        """Length of an interval."""
+        """Length of an interval, seconds."""
         return float(interval_steps(self.interval)) / STEPS_PER_SECOND
 
     @property
     def hours(self) -> float:
-        """How long the intervals are together."""
+        """Total length of the intervals, hours."""
         return len(set(self.lanes["begin"])) * self.length_s / 3600.0
 
     def clock(self, clock: Clock) -> Clock:
-        """Return clocks for the intervals, which may begin before what was recorded."""
+        """Return a clock for the intervals, which may begin before the first recording."""
         begin, end = self.lanes["begin"].min(), self.lanes["end"].max()
         return replace(
             clock, first=min(clock.first, begin.to_pydatetime()),
@@ -119,9 +120,9 @@ def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None
     Parameters
     ----------
     dataset : Dataset or None
-        That the heat map was made of.
+        The dataset of the heat map.
     heat : HeatMap
-        Whose time.
+        The heat map, whose time counts.
     """
     if dataset is None or not dataset.has_vehicles or heat.measure != "occupancy":
         return None
@@ -147,18 +148,18 @@ def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None
 
 
 def write_lane_traffic(path: Path, traffic: ReportedTraffic) -> None:
-    """Write the traffic of lanes by interval: columns as of `gis-radar traffic`."""
-    write_table(traffic.lanes.assign(name=_english(traffic, traffic.lanes["lane"])), path)
+    """Write the traffic of lanes by interval, with the columns of `gis-radar traffic`."""
+    write_table(traffic.lanes.assign(name=_english_names(traffic, traffic.lanes["lane"])), path)
 
 
 def write_turn_traffic(path: Path, traffic: ReportedTraffic) -> None:
-    """Write the volumes of turns by interval: columns as of `gis-radar traffic`."""
-    ends = {f"{end}_name": _english(traffic, traffic.turns[f"{end}_lane"])
+    """Write the volumes of turns by interval, with the columns of `gis-radar traffic`."""
+    ends = {f"{end}_name": _english_names(traffic, traffic.turns[f"{end}_lane"])
             for end in ("from", "to")}  # fmt: skip
     write_table(traffic.turns.assign(**ends), path)
 
 
-def _english(traffic: ReportedTraffic, lanes: pd.Series) -> pd.Series:
+def _english_names(traffic: ReportedTraffic, lanes: pd.Series) -> pd.Series:
     """Return the names of lanes in English, as all tables are."""
     with speaking("en"):
         named = lane_names(traffic.dataset.layer(LANES_LAYER), traffic.network)
@@ -171,11 +172,11 @@ def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> l
     Parameters
     ----------
     traffic : ReportedTraffic
-        What is known.
+        The traffic.
     clock : Clock
-        Of the site.
+        Clock of the site.
     ways : bool
-        Whether diagrams of queues show the ways of vehicles.
+        Whether diagrams of queues show the trajectories of vehicles.
     """
     clock = traffic.clock(clock)
     chapters = [
@@ -190,12 +191,12 @@ def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> l
     return chapters
 
 
-def _before_lines(traffic: ReportedTraffic) -> set[int]:
+def _lanes_with_stop_lines(traffic: ReportedTraffic) -> set[int]:
     network = traffic.network
     return set(network.lane[network.has_stop_line].tolist())
 
 
-def _roads(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
+def _lanes_by_name(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
     """Return the lanes over the whole time: those with stop lines by name, then the others.
 
     Lanes within the junction are left out: they are turns.
@@ -203,12 +204,12 @@ def _roads(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
     network = traffic.network
     inside = set(network.lane[network.connector].tolist())
     rows = traffic.by_lane[~traffic.by_lane["lane"].isin(inside)]
-    later = ~rows["lane"].isin(_before_lines(traffic))
+    later = ~rows["lane"].isin(_lanes_with_stop_lines(traffic))
     rows = rows.assign(later=later, order=rows["name"].map(by_number))
     return rows.sort_values(["later", "order"], ignore_index=True)
 
 
-def _estimated(row: pd.Series) -> str:
+def _volume_text(row: pd.Series) -> str:
     """Return a volume an hour with its standard error, or why there is none."""
     if pd.isna(row["volume"]):
         return tr(TOO_LITTLE if row["visible_share"] > 0.0 else NOT_SEEN)
@@ -217,13 +218,13 @@ def _estimated(row: pd.Series) -> str:
 
 def _volume_table(traffic: ReportedTraffic) -> Table:
     """Return volumes, speeds and queues, a row a lane."""
-    known = _roads(traffic).assign(hours=traffic.hours)
-    shown = known.head(MOST_LANES)
-    columns = _volume_columns(_before_lines(traffic))
+    rows = _lanes_by_name(traffic).assign(hours=traffic.hours)
+    shown = rows.head(MOST_LANES)
+    columns = _volume_columns(_lanes_with_stop_lines(traffic))
     return Table(
         name="volumes", caption=tr("Traffic of lanes over the whole time"), columns=columns,
         rows=text_rows((row for _, row in shown.iterrows()), columns),
-        note=" ".join(_volume_notes(traffic, known, len(shown))),
+        note=" ".join(_volume_notes(traffic, rows, len(shown))),
         files=[(names.TRAFFIC, tr("each lane in each interval, with further measures"))],
     )  # fmt: skip
 
@@ -239,13 +240,13 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
     def queue(row: pd.Series) -> str:
         if row["lane"] not in before_lines:
             return NO_FIGURE
-        return tr(NOT_SEEN) if pd.isna(row["queue_max_m"]) else _longest(row)
+        return tr(NOT_SEEN) if pd.isna(row["queue_max_m"]) else longest_queue_text(row)
 
     return [
         Column(tr("Lane"), "", lambda row: str(row["name"]), False),
         Column(tr("No."), tr("on the plan"), lambda row: str(row["lane"])),
         Column(tr("Counted"), tr("vehicles"), counted),
-        Column(tr("Volume"), tr("veh/h"), _estimated),
+        Column(tr("Volume"), tr("veh/h"), _volume_text),
         Column(tr("Heavy"), tr("of those counted"), heavy),
         Column(tr("Mean speed"), tr("km/h, waiting included"),
                lambda row: figure_text(row["speed_kmh"])),
@@ -253,15 +254,21 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
     ]  # fmt: skip
 
 
-def _longest(row: pd.Series) -> str:
-    """Return the longest queue of a lane in metres: at least so many where sight ends there."""
+def longest_queue_text(row: pd.Series) -> str:
+    """Return the longest queue of a lane, m; `at least` where it reaches the end of sight.
+
+    Parameters
+    ----------
+    row : Series
+        Row of :meth:`gis_radar.Dataset.traffic`, whose `queue_max_m` is known.
+    """
     text = figure_text(float(row["queue_max_m"]))
     ends_in_sight = row["queue_max_m"] < row["sight_m"] - JOINED_M
     return text if ends_in_sight or row["queue_max_m"] == 0.0 else tr("at least {m}", m=text)
 
 
-def _volume_notes(traffic: ReportedTraffic, known: pd.DataFrame, shown: int) -> list[str]:
-    """Return how the table is to be read, and what it does not tell."""
+def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> list[str]:
+    """Return notes on the table: definitions, missing values, lanes without a row."""
     seconds = (traffic.end - traffic.begin).total_seconds()
     notes = [
         tr("Vehicles are counted at the stop line, elsewhere in the middle of the lane. Volume is "
@@ -270,28 +277,28 @@ def _volume_notes(traffic: ReportedTraffic, known: pd.DataFrame, shown: int) -> 
            time=seconds_text(seconds)),
     ]  # fmt: skip
     share = percent(LEAST_SHARE, 0)
-    if known["volume"].isna().any():
+    if rows["volume"].isna().any():
         notes.append(
             tr("Not seen: the place of counting was not visible, which is not 0; too little seen: "
                "under {share} of the time.", share=share)
         )  # fmt: skip
     if missing := len(traffic.network.lane) - len(traffic.by_lane):
         notes.append(plural(missing, WORDS["occupancy"].unseen_one, WORDS["occupancy"].unseen_many))
-    if len(known) > shown:
-        notes.append(tr("Here are {part} of {all} lanes.", part=shown, all=len(known)))
+    if len(rows) > shown:
+        notes.append(tr("Here are {part} of {all} lanes.", part=shown, all=len(rows)))
     return notes
 
 
 def _volume_charts(traffic: ReportedTraffic, clock: Clock) -> list[Chart]:
     """Draw the volume of lanes before stop lines by interval, of others where there are none."""
-    rows = _roads(traffic)
+    rows = _lanes_by_name(traffic)
     rows = rows[rows["volume"].notna()]
-    before = rows["lane"].isin(_before_lines(traffic))
+    before = rows["lane"].isin(_lanes_with_stop_lines(traffic))
     return _charts(traffic, rows[before] if before.any() else rows, _VOLUMES, clock)
 
 
 class _Profile(NamedTuple):
-    """What strips over time show: columns of a value and its error, by how much to divide them."""
+    """Content of strips: columns of value and error, tops of scales, whether per hour, words."""
 
     columns: Sequence[str]
     tops: Sequence[float]
@@ -306,7 +313,7 @@ _VOLUMES = _Profile(
     Text("Volume of each lane in intervals of {length}, all on one scale; the band is its "
          "standard error. Hatched grey: not seen."),
 )  # fmt: skip
-_BACKS = _Profile(
+_LONGEST_QUEUES = _Profile(
     ("queue_max_m", "unknown"), (20, 50, 100, 200, 300, 500), False,
     Text("Lane; longest queue, metres"),
     Text("Longest queue of each lane in intervals of {length}, all on one scale. Hatched grey: the "
@@ -317,7 +324,7 @@ _BACKS = _Profile(
 def _charts(
     traffic: ReportedTraffic, lanes: pd.DataFrame, profile: _Profile, clock: Clock
 ) -> list[Chart]:
-    """Draw a strip a lane, as far as they fill some pages; nothing of too few intervals."""
+    """Draw a strip for each lane, up to `MOST_CHARTS` charts; none of too few intervals."""
     if len(set(traffic.lanes["begin"])) < LEAST_INTERVALS or lanes.empty:
         return []
     lanes = lanes.head(STRIPS * MOST_CHARTS)
@@ -355,7 +362,7 @@ def _chart(
 
 def _turning_diagram(traffic: ReportedTraffic) -> Figure:
     """Draw the turning diagram, for the page and for a phone."""
-    drawn = [_turns_drawn(traffic, width_in) for width_in in (TURNS_IN, NARROW_IN)]
+    drawn = [_turning_image(traffic, width_in) for width_in in (TURNS_IN, NARROW_IN)]
     wide, narrow = (each.quantize(128, dither=Image.Dither.NONE) for each in drawn)
     return Figure(
         png=png(wide), narrow=png(for_a_phone(narrow)), width=wide.width, height=wide.height,
@@ -368,7 +375,7 @@ def _turning_diagram(traffic: ReportedTraffic) -> Figure:
     )  # fmt: skip
 
 
-def _turns_drawn(traffic: ReportedTraffic, width_in: float) -> Image.Image:
+def _turning_image(traffic: ReportedTraffic, width_in: float) -> Image.Image:
     wide = width_in > NARROW_IN
     with mpl.rc_context(FONTS):
         dpi = TURNS_DPI if wide else 2 * TURNS_DPI
@@ -398,7 +405,8 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
         return with_error(mine["volume"].sum() / hours, error / hours)
 
     titles = [Column(tr("From lane"), "", str, False), Column(tr("No."), tr("on the plan"), str)]
-    titles += [Column(_capital(tr(TURN_WORDS[way])), tr("veh/h"), str) for way in ways]
+    words = [tr(TURN_WORDS[way]) for way in ways]
+    titles += [Column(word[:1].upper() + word[1:], tr("veh/h"), str) for word in words]
     return Table(
         name="turns", caption=tr("Turns over the whole time"), columns=titles,
         rows=[
@@ -411,10 +419,6 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
     )  # fmt: skip
 
 
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
 def _queues(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Table | Figure | Chart]:
     """Return where vehicles queue: a table, and the course of the longest queues."""
     queues = traffic.by_lane[traffic.by_lane["queue_max_m"] >= LEAST_QUEUE_M]
@@ -422,35 +426,37 @@ def _queues(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Table
     if queues.empty:
         return []
     table = traffic.lanes.dropna(subset="queue_max_m").sort_values("queue_max_m", kind="stable")
-    most = table.groupby("lane").last()
+    longest_by_lane = table.groupby("lane").last()
     longest = [
         LongQueue(
             int(row["lane"]), str(row["name"]), float(row["queue_max_m"]),
-            most.loc[row["lane"], ["begin", "end"]].mean().to_pydatetime(),
+            longest_by_lane.loc[row["lane"], ["begin", "end"]].mean().to_pydatetime(),
         )
         for _, row in queues.head(MOST_COURSES).iterrows()
     ]  # fmt: skip
     span = (traffic.begin, traffic.end)
-    long = int((traffic.end - traffic.begin).total_seconds() > WINDOW_S)  # more than diagrams show
+    long = int((traffic.end - traffic.begin).total_seconds() > WINDOW_S)  # diagrams show a part
     return [
         *draw_courses(traffic.dataset, longest, span, replace(clock, to_seconds=True), ways=ways),
-        _queue_table(traffic, queues, most, clock),
-        *_charts(traffic, queues.head(MOST_QUEUES), _BACKS, clock)[:long],
+        _queue_table(traffic, queues, longest_by_lane, clock),
+        *_charts(traffic, queues.head(MOST_QUEUES), _LONGEST_QUEUES, clock)[:long],
     ]
 
 
 def _queue_table(
-    traffic: ReportedTraffic, queues: pd.DataFrame, most: pd.DataFrame, clock: Clock
+    traffic: ReportedTraffic, queues: pd.DataFrame, longest_by_lane: pd.DataFrame, clock: Clock
 ) -> Table:
     def when(row: pd.Series) -> str:
-        span = most.loc[row["lane"]]
+        span = longest_by_lane.loc[row["lane"]]
         return clock.span(span["begin"].to_pydatetime(), span["end"].to_pydatetime())
 
     def figure(name: str) -> Column:
         title, unit = _OF_QUEUES[name]
         longest = name == "queue_max_m"
         return Column(
-            tr(title), tr(unit), _longest if longest else lambda row: figure_text(float(row[name]))
+            tr(title),
+            tr(unit),
+            longest_queue_text if longest else lambda row: figure_text(float(row[name])),
         )
 
     several = len(set(traffic.lanes["begin"])) > 1
@@ -463,9 +469,9 @@ def _queue_table(
           if name != "queue_max_m" and queues[name].notna().any()),
     ]  # fmt: skip
     levels = service_levels(queues, "hcm")
-    told = ""
+    level_note = ""
     if levels.notna().any():
-        told = " " + tr("Levels of service are those of signals, by the delay on the lane.")
+        level_note = " " + tr("Levels of service are those of signals, by the delay on the lane.")
         queues = queues.assign(los=levels.fillna(NO_FIGURE))
         columns.append(Column(tr(LEVEL), "HCM", lambda row: str(row["los"])))
     rows = [row for _, row in queues.head(MOST_QUEUES).iterrows()]
@@ -476,7 +482,7 @@ def _queue_table(
             "A queue is who stands, from the stop line back, with no more than 10 m of visible "
             "road free: a vehicle that was missed cuts it there, so it may be longer. 'At least' "
             "is where it reaches as far as the radars see. Nothing follows about why vehicles wait."
-        ) + told,
+        ) + level_note,
     )  # fmt: skip
 
 
