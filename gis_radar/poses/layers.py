@@ -22,7 +22,7 @@ from gis_radar.base import (
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, ellipse
 
 SENSORS, VIEWS, UNCERTAINTY = "sensors", "views", "uncertainty"
-_SIGMA = (*POSITION, *ANGLES)
+_COMPONENTS = (*POSITION, *ANGLES)
 _EVIDENCE = ("fitness", "converged", "observable", "method", "time", "frames")
 
 
@@ -76,9 +76,9 @@ def _row(pose: Pose) -> dict[str, Any]:
     evidence = {name: pose.evidence.get(name) for name in _EVIDENCE}
     return {
         "sensor": pose.sensor,
-        **{name: getattr(pose, name) for name in _SIGMA},
-        **{f"sigma_{name}": sigma.get(name, math.nan) for name in _SIGMA},
-        **{name: None if found is None else str(found) for name, found in evidence.items()},
+        **{name: getattr(pose, name) for name in _COMPONENTS},
+        **{f"sigma_{name}": sigma.get(name, math.nan) for name in _COMPONENTS},
+        **{name: None if value is None else str(value) for name, value in evidence.items()},
         **vars(pose.view or View()),
     }
 
@@ -90,11 +90,11 @@ def _views(poses: Sequence[Pose]) -> gpd.GeoDataFrame:
 
 
 def _ellipses(poses: Sequence[Pose]) -> gpd.GeoDataFrame:
-    known = [(pose, cov) for pose in poses if (cov := pose.plane_covariance()) is not None]
+    stated = [(pose, cov) for pose in poses if (cov := pose.plane_covariance()) is not None]
     rows = {
-        "sensor": [pose.sensor for pose, _ in known],
-        "sigma_easting": [math.sqrt(cov[0, 0]) for _, cov in known],
-        "sigma_northing": [math.sqrt(cov[1, 1]) for _, cov in known],
+        "sensor": [pose.sensor for pose, _ in stated],
+        "sigma_easting": [math.sqrt(cov[0, 0]) for _, cov in stated],
+        "sigma_northing": [math.sqrt(cov[1, 1]) for _, cov in stated],
     }
-    shapes = [ellipse(pose.position[:2], cov) for pose, cov in known]
+    shapes = [ellipse(pose.position[:2], cov) for pose, cov in stated]
     return gpd.GeoDataFrame(rows, geometry=shapes, crs=poses[0].crs)

@@ -130,7 +130,7 @@ def track(
             follower.cycle(end)
     follower.finish(str(opened.path))
     found = track_of(problem, start, follower.rows)
-    for line in found.poses.vague(begin, follower.now.time):
+    for line in found.poses.warn_uncertain(begin, follower.now.time):
         reporter.warn(line)
     return found
 

@@ -41,7 +41,7 @@ from gis_radar.calibration.single.localization import (
     warn_of_open,
 )
 from gis_radar.calibration.single.moving import (
-    RIGHT,
+    NO_OFFSET,
     Span,
     best_end,
     common_time,
@@ -357,7 +357,7 @@ def adjust_poses(
         Without a pose for any sensor where all contradict each other. Sensors with recordings that
         cannot be read have no correspondences.
     """
-    right = {name: (clocks or {}).get(name, RIGHT) for name in recordings}
+    right = {name: (clocks or {}).get(name, NO_OFFSET) for name in recordings}
     paths = {name: [each] if isinstance(each, Path) else each for name, each in recordings.items()}
     why: dict[str, str] = {}
     spans: dict[str, list[Span]] = {name: [] for name in paths}
@@ -416,7 +416,7 @@ def _lanes_of_all(
 
 def _sigma_s(clock: SensorClock) -> float | None:
     """Return the standard deviation of a measured clock, seconds; None where it is not known."""
-    known = clock is not RIGHT and math.isfinite(clock.sigma_s)
+    known = clock is not NO_OFFSET and math.isfinite(clock.sigma_s)
     return clock.sigma_s if known else None
 
 

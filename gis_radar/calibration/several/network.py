@@ -52,7 +52,7 @@ from gis_radar.calibration.several.placing import (
     find_place,
     preference,
 )
-from gis_radar.calibration.single.moving import RIGHT
+from gis_radar.calibration.single.moving import NO_OFFSET
 from gis_radar.calibration.timing.clock_offsets import measured_offset
 from gis_radar.calibration.timing.clocks import SensorClock, adjust_network, reached
 from gis_radar.calibration.timing.lane_detections import lane_detections
@@ -135,7 +135,7 @@ class _Member:
     start: Floats = field(default_factory=lambda: np.zeros(PLANAR))  # step from its own answer
     away: Floats = field(default_factory=lambda: np.zeros(PLANAR))
     loose: bool = False  # its own answer did not fix the place: correspondences chose the start
-    clock: SensorClock = RIGHT  # its assumed clock
+    clock: SensorClock = NO_OFFSET  # its assumed clock
     free: bool = False  # its clock, off or not measured, is estimated with the poses
 
     @property
@@ -213,14 +213,14 @@ class _Network:
 
         Where its vehicles clearly agree better at another time, its clock is off by that time.
         """
-        member.clock, member.free = RIGHT, False
+        member.clock, member.free = NO_OFFSET, False
         choices, found = self._among_placed(member)
         clock = next(filter(None, map(self._clock_of, choices)), None)
         if clock is not None:
             member.clock = clock
             then, there = self._among_placed(member)
             if there.inside is None or preference(there.inside.scores, found.in_time) < LAG_CLEAR:
-                member.clock = RIGHT
+                member.clock = NO_OFFSET
             else:
                 member.free, choices, found = True, then, there
         if found.inside is not None and found.inside.ahead:

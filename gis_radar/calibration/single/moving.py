@@ -14,7 +14,7 @@ from gis_radar.calibration.timing.clocks import SensorClock
 from gis_radar.recordings import Recording, RollingWindow, open_recording
 
 STAGE = "reading traces"
-RIGHT = SensorClock(offset_s=0.0)  # a clock that is right
+NO_OFFSET = SensorClock(offset_s=0.0)  # a clock that is right
 
 
 class MovingWindow(RollingWindow):
@@ -81,7 +81,7 @@ class Span:
         return max(min(self.end, end) - max(self.begin, begin), 0.0)
 
 
-def read_span(path: Path, clock: SensorClock = RIGHT) -> Span:
+def read_span(path: Path, clock: SensorClock = NO_OFFSET) -> Span:
     """Read when a recording begins and ends.
 
     Raises
@@ -150,7 +150,7 @@ def best_end(spans: Mapping[str, Sequence[Span]], length_s: float) -> float:
     return max(ends, key=lambda end: round(recorded(end)), default=0.0)
 
 
-def read_until(spans: Sequence[Span], end: float, clock: SensorClock = RIGHT) -> Moving:
+def read_until(spans: Sequence[Span], end: float, clock: SensorClock = NO_OFFSET) -> Moving:
     """Return a sensor's moving detections in the last frames until a time.
 
     Raises

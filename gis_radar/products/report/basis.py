@@ -430,7 +430,7 @@ def _row(name: str, found: Finding | None, results: Results, clock: Clock) -> li
     if found is None:
         lost = results.lost.get(name, "")
         return [name, tr(NOT_CHECKED), tr(lost) if lost else NO_FIGURE, NO_FIGURE]
-    verdict = tr(found.verdict_told)
+    verdict = tr(found.shown_verdict)
     if found.refused:
         text = "{verdict}, left out" if name in results.lost else "{verdict}, accepted anyway"
         verdict = tr(text, verdict=verdict)
