@@ -216,7 +216,7 @@ def test_closeness_is_that_of_the_next_structure(look):
     away, _ = KDTree(cells * CELL_M).query(look.standing.points[:, :2])
     expected = np.exp(-0.5 * (away / CLOSE_M) ** 2)
     # the field is sampled at the centres of cells and distances count between centres
-    assert np.abs(alignment.at((0.0, 0.0, 0.0)) - expected).mean() < 0.05
+    assert np.abs(alignment.closeness_at((0.0, 0.0, 0.0)) - expected).mean() < 0.05
     assert look.closeness.mean() == pytest.approx(look.score)
 
 

@@ -28,7 +28,7 @@ from gis_radar.base import (
 )
 from gis_radar.calibration.range_scale import measure_range_scale
 from gis_radar.calibration.registration.traces import LEAST_FRAMES, Moving
-from gis_radar.calibration.scan.pose_update import closed_along, updated_by_scan
+from gis_radar.calibration.scan.pose_update import fix_open_direction, updated_by_scan
 from gis_radar.calibration.scan.scan_check import (
     CLEAR_SIGMAS,
     LEAST_COVERED,
@@ -329,7 +329,7 @@ def localize_with_scan(
     if found.pose.evidence.get("method") != "lane":
         return found  # the paper's method is kept as it is
     look = look_at(recording, found.pose)
-    moved, closed = closed_along(found.pose, look)
+    moved, closed = fix_open_direction(found.pose, look)
     if closed is not found.pose:
         look = look_at(recording, closed)
     pose = updated_by_scan(moved, look)  # by the same scan: it does not count twice
