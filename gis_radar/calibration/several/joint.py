@@ -38,7 +38,7 @@ from gis_radar.calibration.single.localization import (
     read_ground,
     refuse_both,
     start_in_map,
-    warn_of_open,
+    warn_unobservable,
 )
 from gis_radar.calibration.single.moving import (
     NO_OFFSET,
@@ -222,7 +222,7 @@ def locate_all(
     if check is not None:
         compare = partial(check, reporter=SILENT)
         localizers = [
-            partial(localize_with_scan, localize=localizer, look_at=compare, reporter=reporter)
+            partial(localize_with_scan, localize=localizer, check_pose=compare, reporter=reporter)
             for localizer in localizers
         ]
     answers, refused = _localize_each(recordings, localizers, reporter)
@@ -256,7 +256,7 @@ def locate_all(
         }
     known = placed | confirmed
     found = {name: known[name] for name in used if name in known}
-    warn_of_open(found.values(), scanned=check is not None, reporter=reporter)
+    warn_unobservable(found.values(), scanned=check is not None, reporter=reporter)
     reasons = {name: error.message for name, error in refused.items()} | solved.refused
     unanswered = {name: text for name, text in reasons.items() if name not in found}
     return JointCalibration(found=found, refused=unanswered, pairs=solved.pairs)

@@ -54,7 +54,7 @@ from gis_radar.calibration.several.placing import (
 )
 from gis_radar.calibration.single.moving import NO_OFFSET
 from gis_radar.calibration.timing.clock_offsets import measured_offset
-from gis_radar.calibration.timing.clocks import SensorClock, adjust_network, reached
+from gis_radar.calibration.timing.clocks import SensorClock, adjust_network, sum_offsets
 from gis_radar.calibration.timing.lane_detections import lane_detections
 from gis_radar.poses import Pose
 
@@ -309,7 +309,7 @@ class _Network:
     def _confirmed_group(self, name: str) -> set[str]:
         """Return the sensors linked with one by agreeing pairs, itself included."""
         agreeing = self.agreeing - self.clashes.keys()
-        return set(reached(dict.fromkeys(agreeing, 0.0), name))
+        return set(sum_offsets(dict.fromkeys(agreeing, 0.0), name))
 
     def adjust(self) -> tuple[Adjusted, dict[Names, Correspondences]]:
         """Pair tracks and adjust poses in turn until they converge; set `away` of all sensors."""
