@@ -140,11 +140,11 @@ def test_a_lasting_habit_becomes_the_reference_and_memory_is_bounded(cells, taug
     memory = Memory(detectors(cells, np.zeros(2))[0])
     for k, block in enumerate(taught):
         memory.push(block, block.across_m, 60.0 * k)
-    assert len(taught) - memory.learnt <= BLOCKS[-1]
+    assert len(taught) - memory.learnt_blocks <= BLOCKS[-1]
     for k in range(200):
         seen = taught[k % 40]
         memory.push(seen, seen.across_m + 0.2, 60.0 * (40 + k))
-    assert len(taught) + 200 - memory.learnt == BLOCKS[-1]
+    assert len(taught) + 200 - memory.learnt_blocks == BLOCKS[-1]
     assert memory.reference.vehicles < 1.2 * 60 * 12  # 0.2 h
     mean = np.linalg.lstsq(memory.reference.weight, memory.reference.gradient, rcond=None)[0]
     seen = np.diag(memory.reference.weight) > 100.0
@@ -186,7 +186,7 @@ def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taug
     size = len(known) + design.shape[1]
     square, force = np.zeros((size, size)), np.zeros(size)
     for k, part in enumerate(parts):
-        weight, gradient = part.over(known)
+        weight, gradient = part.expanded(known)
         rows = np.hstack([np.eye(len(known)), design * (k >= 31)])
         square += rows.T @ weight @ rows
         force += rows.T @ gradient

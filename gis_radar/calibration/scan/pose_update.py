@@ -59,7 +59,7 @@ def fix_open_direction(pose: Pose, check: ScanCheck) -> tuple[Pose, Pose]:
     ----------
     pose : Pose
         With its covariance, by traffic.
-    look : ScanCheck
+    check : ScanCheck
         The check of this pose.
 
     Returns
@@ -105,7 +105,7 @@ def _best_place_along(
 
     Parameters
     ----------
-    pose, look
+    pose, check
         As for :func:`fix_open_direction`.
     direction : (3,) array
         Step of easting, northing (m), yaw (rad) for a metre along it.
@@ -148,7 +148,7 @@ def updated_by_scan(pose: Pose, check: ScanCheck) -> Pose | None:
     ----------
     pose : Pose
         With its covariance, by traffic.
-    look : ScanCheck
+    check : ScanCheck
         The check of this pose, or of one nearby.
 
     Returns
