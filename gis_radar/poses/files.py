@@ -278,6 +278,7 @@ def _rows_of(path: Path) -> list[dict[str, str]]:
 
 
 def _pose_of_row(row: dict[str, Any], what: str, shared: dict[str, CRS]) -> Pose:
+    """Return the pose of a row; `shared` caches coordinate systems, whose parsing is slow."""
     known = {"sensor", "crs", "quaternion", *QUATERNION_FIELDS, *POSITION, *ANGLES, *VIEW_FIELDS,
              *SIGMA_FIELDS}  # fmt: skip
     record: dict[str, Any] = {"sensor": row.get("sensor") or None, "crs": None}

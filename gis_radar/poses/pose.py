@@ -371,6 +371,7 @@ def _number(value: Any, what: str) -> float:
 
 
 def _view(record: Any, what: str) -> View | None:
+    """Return the view of a pose file's record, checked; None where there is none."""
     if record is None:
         return None
     names = View.__dataclass_fields__
@@ -385,6 +386,7 @@ def _view(record: Any, what: str) -> View | None:
 
 
 def _check_quaternion(pose: Pose, quaternion: Any, what: str) -> None:
+    """Refuse a quaternion that contradicts the angles of a pose."""
     if quaternion is None:
         return
     if not isinstance(quaternion, list | tuple) or len(quaternion) != 4:

@@ -129,6 +129,7 @@ class Excerpt:
         return self._where(~late, ~since), self._where(late, since)
 
     def _where(self, on_tracks: Booleans, moving: Booleans) -> Excerpt:
+        """Return the selected detections, of the thinned ones on tracks and of all moving ones."""
         names = ("time", "points", "range_rate", "vehicle", "pose")
         return replace(
             self, track=self.track[moving], moving_pose=self.moving_pose[moving],
@@ -207,6 +208,7 @@ def _segment_begins(spans: Sequence[tuple[float, float]], count: int) -> list[Fl
 def _read_rows(
     recordings: Sequence[Recording], begins: Sequence[Floats], clock: SensorClock
 ) -> _Rows:
+    """Read the segments of all recordings, with times corrected by the clock."""
     empty = np.empty(0), np.empty((0, 3)), np.empty(0), np.empty(0, np.int64)
     columns = [empty]
     for number, (recording, segment_begins) in enumerate(zip(recordings, begins, strict=True)):
@@ -235,6 +237,7 @@ def _read_segments(recording: Recording, begins: Floats) -> Iterator[Detections]
 
 
 def _excerpt(rows: _Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
+    """Return the excerpt of detections: tracks, thinned samples and faults; no scene change yet."""
     moves = np.abs(rows.range_rate) > MIN_SPEED_MPS
     frames = np.unique(rows.time)
     moving = Moving(

@@ -85,6 +85,7 @@ def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str,
 
 
 def _clocks_apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:
+    """Return the finding that a sensor's clock is ahead of another's, or behind."""
     ahead = Text(
         "by vehicles that both see, this one is {:.2f} \u00b1 {:.2f} s ahead", ahead_s, sigma_s
     )

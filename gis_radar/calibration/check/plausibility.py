@@ -188,6 +188,7 @@ def judge(
 
 
 def _judge_excerpt(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding:
+    """Return the finding of the first check that has one; the last check always has one."""
     scale = None if excerpt.too_fast else measure_range_scale(excerpt.moving)
     scale_known = scale is not None and scale.known
     finding = (
@@ -219,6 +220,7 @@ def _judge_excerpt(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose])
 
 
 def _too_little_traffic(excerpt: Excerpt) -> Finding | None:
+    """Return the finding that there are fewer than `LEAST_VEHICLES`, if so."""
     if excerpt.vehicles >= LEAST_VEHICLES:
         return None
     evidence = Text("{} vehicles move, {} are needed", excerpt.vehicles, LEAST_VEHICLES)

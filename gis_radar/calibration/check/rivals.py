@@ -104,7 +104,7 @@ class Rival:
     def off(self, pose: Pose) -> tuple[float, float]:
         """Return by how much this explanation corrects a pose: metres in the plane, deg of yaw."""
         actual = self.turned(pose)
-        turn = (actual.yaw - pose.yaw + 180.0) % 360.0 - 180.0
+        turn = _within_half_turn(actual.yaw - pose.yaw)
         return float(np.hypot(*(actual.position - pose.position)[:2])), turn
 
     def assumes_two_mistakes(self, pose: Pose) -> bool:
@@ -121,7 +121,7 @@ class Rival:
         """
         mine, others = self.turned(pose), other.turned(pose)
         turns = [
-            abs((getattr(mine, name) - getattr(others, name) + 180.0) % 360.0 - 180.0) < least
+            abs(_within_half_turn(getattr(mine, name) - getattr(others, name))) < least
             for name, least in zip(TURNS, SAME_DEG, strict=True)
         ]
         alike = (self.axes, self.against, self.scale) == (other.axes, other.against, other.scale)
@@ -362,6 +362,7 @@ def signs_lost(excerpt: Excerpt) -> Rival | None:
 
 
 def _of_another(name: str, other: Pose) -> Rival:
+    """Return the explanation that the recording is of another sensor of the site."""
     return Rival(
         cause=Text("recording and pose are mixed up: the recording fits the pose of {}", name),
         advice=Text("give this recording with the pose of {}", name),
@@ -386,17 +387,17 @@ def search_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Rival]:
         The map.
     """
     pose = excerpt.usual
-    near = lanes.around(pose, lanes.reach_m(excerpt))
-    if near is None or not np.isfinite(excerpt.moving.points).all():
+    lanes_near = lanes.around(pose, lanes.reach_m(excerpt))
+    if lanes_near is None or not np.isfinite(excerpt.moving.points).all():
         return []
-    scene = Scene(lanes=near, samples=thin(*excerpt.as_usual))
+    scene = Scene(lanes=lanes_near, samples=thin(*excerpt.as_usual))
     rivals = []
     for axes, variant in ((Axes.GIVEN, scene), (Axes.MIRRORED, scene.of(mirrored(scene.samples)))):
         for hypothesis in find_hypotheses(variant, heading=None)[:SEARCHED]:
             state = hypothesis.fit.state
             if np.hypot(*state.position[:2]) > FARTHEST_M:
                 continue
-            place = state.position + np.append(near.origin, 0.0)
+            place = state.position + np.append(lanes_near.origin, 0.0)
             yaw, pitch, roll = np.degrees(state.yaw_pitch_roll).tolist()
             searched = replace(
                 pose, easting=float(place[0]), northing=float(place[1]), height=float(place[2]),

@@ -368,6 +368,7 @@ class Follower:
         self.watch.restart()
 
     def _warn_of_move(self, new: Estimate, move: Floats) -> None:
+        """Report a move, with its size and time."""
         when = iso_from_step(int(step_of(np.array(new.time))))
         self._reporter.warn(
             "{} was moved by about {:.2f} m and {:.2f} deg around {}",

@@ -196,15 +196,17 @@ class MoveTest:
         """
         suspected, ratio = None, self.scatter.ratio
         for length_s in LENGTHS_S:
-            part = self.newest(length_s)
-            if part.moving.begin - self.traffic.moving.begin < LEAST_BEFORE_S:
+            newest_part = self.newest(length_s)
+            if newest_part.moving.begin - self.traffic.moving.begin < LEAST_BEFORE_S:
                 break  # too little data for the pose before
-            expected = self.expected(part.moving.begin)
-            fit = self.fitter.fit(part, expected, reflection_m, near=KNOCK, schedule=FAR_WINDOW)
+            expected = self.expected(newest_part.moving.begin)
+            fit = self.fitter.fit(
+                newest_part, expected, reflection_m, near=KNOCK, schedule=FAR_WINDOW
+            )
             if fit is None:
                 continue
             if not fit.trusted:
-                searched = self.fitter.find(part, expected, reflection_m, near=KNOCK)
+                searched = self.fitter.find(newest_part, expected, reflection_m, near=KNOCK)
                 if searched is None and fit.on_lanes:
                     continue  # a fit that did not converge is no contradiction
                 if searched is None:
@@ -215,7 +217,7 @@ class MoveTest:
             self.scatter.add(score_of_fit)
             if score_of_fit < ratio * SUSPECT:
                 continue
-            gain, agree = self._likelihood_gain(part, expected, fit)
+            gain, agree = self._likelihood_gain(newest_part, expected, fit)
             score_of_fit = min(score_of_fit, gain)
             if score_of_fit < ratio * SUSPECT:
                 continue

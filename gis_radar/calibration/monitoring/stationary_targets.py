@@ -165,6 +165,7 @@ class StationaryTargets:
         self._store(place.copy(), rate, np.zeros(len(rate)), np.zeros(len(rate)))
 
     def _store(self, place: Floats, rate: Floats, age: Floats, absent: Floats) -> None:
+        """Replace all targets: positions, hits a frame, blocks in the mean, blocks of absence."""
         self.place, self.rate = place, rate  # means; hits a frame
         self._age = age  # number of blocks in the mean
         self._absent = absent  # blocks since it was last seen
@@ -222,12 +223,14 @@ class StationaryTargets:
             self._search()
 
     def _cell_indices(self, polar: Floats) -> tuple[Integers, Integers]:
+        """Return row (range) and column (azimuth) in the map of hits."""
         size = [CELL_M, CELL_RAD]
         cell = ((polar[:, :2] + [0.0, np.pi]) / size).astype(np.int64)
         far, round_ = self._hits.shape
         return np.minimum(cell[:, 0], far - 1), cell[:, 1] % round_
 
     def _target_medians(self, polar: Floats, label: Integers, frames: int) -> Floats:
+        """Return the median of each target's detections; NaN where a target is absent."""
         medians, labelled = np.full((len(self), 3), np.nan), label != NONE
         polar, label = polar[labelled], label[labelled]
         count = np.bincount(label, minlength=len(self))

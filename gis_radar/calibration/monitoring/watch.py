@@ -118,6 +118,7 @@ class Watch:
     def _move_by_vehicles(
         self, traffic: WindowTraffic, state: State, time: float
     ) -> Displacement | None:
+        """End a block of vehicles if it is due; return the move of highest score, if any."""
         if self._cells is None:
             self._cells = cells_along(self._fitter.lanes(traffic.samples()))
             self._state, self._vehicles_since = state, time

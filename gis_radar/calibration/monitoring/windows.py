@@ -280,6 +280,7 @@ class WindowFitter:
             self._reflections = after.mean.reflection, known
 
     def _prior(self, centre: State, near: Floats) -> Prior:
+        """Return the prior about a state, with 1 sigma `near` and the adapted reflections."""
         information = prior_at(centre).information.copy()
         information[POSE, POSE] = np.diag(near**-2.0)
         if self._reflections is not None:

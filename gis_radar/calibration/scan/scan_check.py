@@ -235,6 +235,7 @@ def require_scans_near(
 def _no_points_error(
     scans: Sequence[str | Path], reach_m: float, what: str, place: Sequence[float], crs: CRS
 ) -> InputError:
+    """Return the error that no scan has points near a place."""
     names = ", ".join(str(scan) for scan in scans[:3]) + (" ..." if len(scans) > 3 else "")
     return InputError(
         "{}: no point within {:.0f} m of {}",
@@ -347,15 +348,17 @@ def _verdict(
     at_pose = alignment.here
     fits = Text("{:.0%} of what stands lies on the scan's canopy and walls", at_pose.score)
     elsewhere = best.beyond(SAME_M, SAME_DEG)
-    other = best if elsewhere else rival
+    alternative = best if elsewhere else rival
     if elsewhere and alignment.z_score(best, at_pose) >= BETTER_SIGMAS:
         return DOUBTS, Text("{}, but {:.0%} {}", fits, best.score, best.words())
     if covered < LEAST_COVERED:
         return UNCLEAR, Text("the scan covers {:.0%} of what stands in view", covered)
     if alignment.z_score_over_chance(chance) < BETTER_SIGMAS:
         return DOUBTS, Text("{}, hardly more than by chance ({:.0%})", fits, chance)
-    if other is not None and (elsewhere or alignment.z_score(best, other) < CLEAR_SIGMAS):
+    if alternative is not None and (
+        elsewhere or alignment.z_score(best, alternative) < CLEAR_SIGMAS
+    ):
         return UNDECIDED, Text(
-            "{}, and {:.0%} {}: both may be right", fits, other.score, other.words()
+            "{}, and {:.0%} {}: both may be right", fits, alternative.score, alternative.words()
         )
     return CONFIRMS, Text("{}, by chance {:.0%}; most of all {}", fits, chance, best.words())

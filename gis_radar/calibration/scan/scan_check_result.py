@@ -146,7 +146,7 @@ class ScanCheck:
 
         `best_east_m`, `best_north_m` and `best_turn_deg` are the offset of the highest score.
         """
-        found: dict[str, Any] = {
+        values: dict[str, Any] = {
             "verdict": self.verdict,
             "reason": self.reason,
             "standing_cells": len(self.standing),
@@ -155,7 +155,7 @@ class ScanCheck:
         if self.best is not None:
             beside = np.array([[self.best.ahead_m, self.best.left_m]])
             east, north = (self.level.to_map(beside)[0] - self.pose.position[:2]).tolist()
-            found |= {
+            values |= {
                 "covered": round(self.covered, 3),
                 "score": round(self.score, 3),
                 "chance": round(self.chance, 3),
@@ -165,8 +165,8 @@ class ScanCheck:
                 "best_turn_deg": round(self.best.turn_deg, 2),
             }
         if self.rival is not None:
-            found |= {"rival_score": round(self.rival.score, 3), "z_score": round(self.z_score, 2)}
-        return found
+            values |= {"rival_score": round(self.rival.score, 3), "z_score": round(self.z_score, 2)}
+        return values
 
     def draw(self, path: str | Path) -> None:
         """Draw static cells over the scan's canopy, roofs and walls, as a PNG.

@@ -199,8 +199,8 @@ def adjust(
             if edge in held:
                 continue
             index, weight = _unknowns_of(edge, n), weights[edge]
-            known, gradients = matched.normal_equations(weight, step[index])
-            information[np.ix_(index, index)] += known
+            edge_information, gradients = matched.normal_equations(weight, step[index])
+            information[np.ix_(index, index)] += edge_information
             padded = np.zeros((len(weight), len(prior)))
             padded[:, index] = gradients
             scores.append(padded)

@@ -150,7 +150,7 @@ def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -
     )  # fmt: skip
 
 
-def faces(seen: Moments) -> tuple[Floats, Floats, Floats]:
+def faces(moments: Moments) -> tuple[Floats, Floats, Floats]:
     """Return which faces of vehicles a sensor sees, and the share of the side.
 
     Returns
@@ -160,9 +160,9 @@ def faces(seen: Moments) -> tuple[Floats, Floats, Floats]:
     (m,) array
         Share of detections on the side, 0 to 1; the others are on front or rear.
     """
-    sight = seen.arm[:, FLAT] / np.maximum(np.hypot(*seen.arm[:, FLAT].T), 1e-9)[:, None]
-    cosine = np.sum(sight * seen.along, axis=1)
-    sine = sight[:, 1] * seen.along[:, 0] - sight[:, 0] * seen.along[:, 1]
+    sight = moments.arm[:, FLAT] / np.maximum(np.hypot(*moments.arm[:, FLAT].T), 1e-9)[:, None]
+    cosine = np.sum(sight * moments.along, axis=1)
+    sine = sight[:, 1] * moments.along[:, 0] - sight[:, 0] * moments.along[:, 1]
     side_weight = MODEL.side_strength * np.abs(sine)
     return np.sign(cosine), np.sign(sine), side_weight / (side_weight + np.abs(cosine))
 
@@ -287,9 +287,9 @@ def _gap_rows(
     poses, constants = np.zeros((len(a), 2, 2 * PLANAR)), np.zeros((len(a), 2, FACES))
     clocks, bearings = np.zeros((len(a), 2, 2)), np.zeros((len(a), 2, 2))
     variance = np.full((len(a), 2), MOMENT_SIGMA_M**2)
-    for k, (seen, at, sign) in enumerate(((one, a, 1.0), (other, b, -1.0))):
-        ahead, left, side = (each[at] for each in faces(seen))
-        arm, ends, sides = seen.arm[at, :2], (1.0 - side) * ahead, side * left
+    for k, (moments, rows, sign) in enumerate(((one, a, 1.0), (other, b, -1.0))):
+        ahead, left, side = (each[rows] for each in faces(moments))
+        arm, ends, sides = moments.arm[rows, :2], (1.0 - side) * ahead, side * left
         reflecting, mixed = np.column_stack([ends, sides]), side * (1.0 - side)
         gap += sign * reflecting * half
         turn = np.einsum("rij,rj->ri", axes, np.column_stack([-arm[:, 1], arm[:, 0]]))
@@ -300,10 +300,10 @@ def _gap_rows(
         constants[:, 1, 1] += sign * sides
         constants[:, 0, 2] -= sign * mixed * ahead * half[0]
         constants[:, 1, 2] += sign * mixed * left * half[1]
-        clocks[:, 0, k] = sign * seen.speed[at]
+        clocks[:, 0, k] = sign * moments.speed[rows]
         # variance of detections that are uniform along a side, and across an end
         share = np.column_stack([side, 1.0 - side])
-        variance += half**2 * (share / 3.0 + mixed[:, None]) / seen.count[at][:, None]
+        variance += half**2 * (share / 3.0 + mixed[:, None]) / moments.count[rows][:, None]
     return Rows(
         pair=pair, tracks=tracks, gap=gap, poses=poses, constants=constants, clocks=clocks,
         bearings=bearings, variance=variance, place=one.points[a][:, FLAT],

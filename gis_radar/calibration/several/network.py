@@ -370,6 +370,7 @@ class _Network:
         }
 
     def _keep_assigned(self, rows: Rows, covariance: Floats) -> Rows:
+        """Return the rows of the optimal assignment of tracks."""
         gap, covariances = mean_gaps(rows, covariance)
         chi2 = np.einsum("pi,pij,pj->p", gap, np.linalg.inv(covariances), gap)
         assigned = np.zeros(len(chi2), dtype=bool)

@@ -116,6 +116,7 @@ def start_states(place: Floats, yaw: float | None, count: int) -> list[State]:
 
 
 def _run_icp(o3d: Any, source: Any, target: Any, start: State) -> Any:
+    """Return Open3D's result of ICP from a start, in stages of `DISTANCES_M`."""
     T_map_sensor = np.eye(4)  # noqa: N806 - frames name a transform
     T_map_sensor[:3, :3], T_map_sensor[:3, 3] = start.R_map_sensor, start.position
     pipeline = o3d.pipelines.registration

@@ -148,17 +148,18 @@ def rough_offset(
 
 
 def _best_lag(agreement: Floats, shift_s: Floats, allowed: Booleans) -> float:
-    width, apart = PEAK_BINS, APART_BINS
+    """Return the shift (s) of the highest peak; refuse one that does not exceed all others."""
+    width, least_apart = PEAK_BINS, APART_BINS
     summed = scipy.ndimage.uniform_filter1d(agreement, width, mode="constant") * width
     background = scipy.ndimage.uniform_filter1d(summed, AROUND_BINS, mode="constant")
     score = (summed - background) / np.sqrt(background + 1.0)
     filled = allowed & (background > 0.0)
-    if summed[allowed].max(initial=0.0) < ROUGH_PAIRS or filled.sum() < apart:
+    if summed[allowed].max(initial=0.0) < ROUGH_PAIRS or filled.sum() < least_apart:
         raise NoAnswerError("they see too little common traffic")
     scale = 1.4826 * np.median(np.abs(score[filled] - np.median(score[filled])))
     score = np.where(allowed, score / max(scale, 0.5), -np.inf)
     best = int(score.argmax())
-    elsewhere = np.abs(np.arange(len(score)) - best) > apart
+    elsewhere = np.abs(np.arange(len(score)) - best) > least_apart
     second = float(score[elsewhere & allowed].max(initial=0.0))
     if score[best] < max(ROUGH_SCORE, ROUGH_RATIO * second):
         raise NoAnswerError("no lag stands out in their common traffic")
