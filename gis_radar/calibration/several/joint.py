@@ -239,27 +239,28 @@ def locate_all(
     for name in confirmed:
         reporter.warn("{}; what stands in the scan confirms that of {}", solved.refused[name], name)
     if not solved.poses and not confirmed:
-        raise NoAnswerError(
-            Text("; ").join(dict.fromkeys(solved.refused.values())), hint=CLASH_HINT
-        )
-    for name, reason in solved.unmatched.items():
-        if name in solved.poses and len(used) > 1:
-            reporter.warn("{}: {}", name, reason)
+        reasons = Text("; ").join(dict.fromkeys(solved.refused.values()))
+        raise NoAnswerError(reasons, hint=CLASH_HINT)
+    if len(used) > 1:
+        _warn_unmatched(solved, reporter)
     placed = {
         name: _with_pose(answers[name][solved.chosen[name]], solved.poses[name])
         for name in used if name in solved.poses
     }  # fmt: skip
     if check is not None:
-        placed = {
-            name: found.with_scan_check(check(used[name], found.pose))
-            for name, found in placed.items()
-        }
-    known = placed | confirmed
-    found = {name: known[name] for name in used if name in known}
+        placed = {n: each.with_scan_check(check(used[n], each.pose)) for n, each in placed.items()}
+    found = {name: (placed | confirmed)[name] for name in used if name in placed | confirmed}
     warn_unobservable(found.values(), scanned=check is not None, reporter=reporter)
-    reasons = {name: error.message for name, error in refused.items()} | solved.refused
-    unanswered = {name: text for name, text in reasons.items() if name not in found}
+    texts = {name: error.message for name, error in refused.items()} | solved.refused
+    unanswered = {name: text for name, text in texts.items() if name not in found}
     return JointCalibration(found=found, refused=unanswered, pairs=solved.pairs)
+
+
+def _warn_unmatched(solved: Solved, reporter: Reporter) -> None:
+    """Warn of sensors with a pose but without correspondences."""
+    for name, reason in solved.unmatched.items():
+        if name in solved.poses:
+            reporter.warn("{}: {}", name, reason)
 
 
 def _confirmed_by_scan(
