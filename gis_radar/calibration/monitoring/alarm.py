@@ -401,6 +401,7 @@ class Memory:
         return moves
 
     def _displacement(self, total: Habits, newest: Habits, blocks: int, now: float) -> Displacement:
+        """Return the move between the blocks before and the newest ones, with its score."""
         moved = list(self.detector.moved)
         mean, covariance = self._solve_move(total, newest)
         before = max(total.vehicles - newest.vehicles, 1.0)

@@ -335,9 +335,9 @@ class Follower:
         self._fitter.adapt(window_fit)
         return replace(row, estimate=corrected(prior, window_fit.measurement), corrected=True)
 
-    def _expected(self, seen: float, time: float) -> Estimate:
-        """Return the pose at `time`, predicted from the data before `seen` (UNIX seconds)."""
-        return predicted(self._estimate_before(seen), time)
+    def _expected(self, before: float, time: float) -> Estimate:
+        """Return the pose at `time`, predicted from the data until `before` (UNIX seconds)."""
+        return predicted(self._estimate_before(before), time)
 
     def _estimate_before(self, time: float) -> Estimate:
         """Return the latest estimate that used no data after a time, else the first."""

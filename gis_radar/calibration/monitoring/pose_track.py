@@ -62,6 +62,7 @@ def _draw_bands(
 
 
 def _draw_events(ax: Any, time: np.ndarray, events: np.ndarray, idle: Booleans) -> None:
+    """Draw bands where the pose was not corrected or a fit was rejected, and lines at moves."""
     kinds = (
         (idle & (events == ""), QUIET, "no correction"),
         (events == REJECTED, REJECT, REJECTED),

@@ -99,6 +99,7 @@ def data_alone(fit: Fit, prior: Prior) -> Measurement:
 
 
 def _scaled_covariance(covariance: Floats, scale: Floats, unit: Floats) -> Floats:
+    """Return a covariance in units of `unit`, scaled by a matrix, in metres and radians."""
     scaled = scale @ covariance @ scale.T * np.outer(unit, unit)
     return np.asarray((scaled + scaled.T) / 2.0)
 

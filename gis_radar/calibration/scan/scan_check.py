@@ -345,6 +345,7 @@ def _comparison_fields(cells: Standing, structure: Structure) -> dict[str, Any]:
 def _verdict(
     alignment: Alignment, best: PoseOffset, rival: PoseOffset | None, chance: float, covered: float
 ) -> tuple[str, str]:
+    """Return verdict and reason of a scan check."""
     at_pose = alignment.here
     fits = Text("{:.0%} of what stands lies on the scan's canopy and walls", at_pose.score)
     elsewhere = best.beyond(SAME_M, SAME_DEG)

@@ -299,6 +299,7 @@ def read_structure(
 
 
 def _structure(columns: ScanColumns, *, classified: bool) -> Structure:
+    """Return the structures in the columns of a scan, with small gaps filled."""
     distance, index = nearest_known(np.isfinite(columns.top))
     top, plants, building = (
         np.where(distance <= GAP_CELLS, grid[index], np.nan)

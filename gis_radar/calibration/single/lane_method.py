@@ -228,6 +228,7 @@ def _distinct(answers: list[Hypothesis]) -> list[Hypothesis]:
 def _ambiguous_error(
     problem: Problem, answer: Hypothesis, rival: Hypothesis, answers: tuple[Localization, ...]
 ) -> AmbiguousError:
+    """Return the error that two poses fit, with both and the localizations of all that fit."""
     gap = rival.fit.state.difference(answer.fit.state)
     return AmbiguousError(
         "{}: ambiguous, two poses {:.1f} m and {:.1f} deg apart put {:.0%} and {:.0%} of "
@@ -252,6 +253,7 @@ def _localization(
     hypotheses: list[Hypothesis],
     z_score: float,
 ) -> Localization:
+    """Return the localization of an accepted hypothesis, with its evidence."""
     known = certainty(best.fit, rival=best.rival)
     samples = scene.samples
     evidence = {
