@@ -20,7 +20,7 @@ from gis_radar.calibration.monitoring.alarm import (
     Displacement,
     Memory,
     detectors,
-    habits_of,
+    normal_equations,
 )
 from gis_radar.calibration.monitoring.kalman_filter import KNOCK, Estimate, Innovation, Measurement
 from gis_radar.calibration.monitoring.lane_places import LanePlaces, cells_along, lane_places
@@ -154,7 +154,7 @@ def test_a_lasting_habit_becomes_the_reference_and_memory_is_bounded(cells, taug
 def test_habits_are_the_normal_equations_of_vehicles_with_a_place_of_their_own(cells, taught):
     seen, count = taught[0], len(cells)
     sway = np.full(count, 0.4)
-    found = habits_of(seen, seen.across_m, sigma=(0.3, sway, 1.0), time=0.0)
+    found = normal_equations(seen, seen.across_m, sigma=(0.3, sway, 1.0), time=0.0)
     shown = found.cell
     assert 0 < len(shown) <= count
     weight, gradient = np.zeros((count, count)), np.zeros(count)
@@ -178,7 +178,7 @@ def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taug
     for k, seen in enumerate(taught):
         memory.push(seen, seen.across_m, 60.0 * k)
     found = {each.seconds: each for each in memory.displacements(2400.0)}[540.0]
-    parts = [habits_of(s, s.across_m, sigma=detector.sigma, time=0.0) for s in taught]
+    parts = [normal_equations(s, s.across_m, sigma=detector.sigma, time=0.0) for s in taught]
     known = np.unique(np.concatenate([part.cell for part in parts]))
     stretches = int(cells.stretch.max()) + 1
     effects = np.eye(stretches)[cells.stretch]

@@ -77,7 +77,7 @@ MOVE = 6  # number of components of a move
 
 
 @dataclass(frozen=True, kw_only=True)
-class Habits:
+class NormalEquations:
     """Normal equations of the mean offset or height in each cell, from some vehicles.
 
     Parameters
@@ -100,7 +100,7 @@ class Habits:
     vehicles: float = 0.0
     time: float = 0.0
 
-    def __add__(self, other: Habits) -> Habits:
+    def __add__(self, other: NormalEquations) -> NormalEquations:
         """Return the sum of both normal equations."""
         cell = np.union1d(self.cell, other.cell)
         (weight, gradient), (other_weight, other_gradient) = (
@@ -109,7 +109,7 @@ class Habits:
         )
         vehicles = self.vehicles + other.vehicles
         time_sum = self.vehicles * self.time + other.vehicles * other.time
-        return Habits(
+        return NormalEquations(
             cell=cell,
             weight=weight + other_weight,
             gradient=gradient + other_gradient,
@@ -127,7 +127,7 @@ class Habits:
         gradient[place] = self.gradient
         return weight, gradient
 
-    def scaled(self, share: float) -> Habits:
+    def scaled(self, share: float) -> NormalEquations:
         """Return the normal equations times `share`: the rest is forgotten."""
         return replace(
             self,
@@ -136,7 +136,7 @@ class Habits:
             vehicles=share * self.vehicles,
         )
 
-    def marginal(self, keep: Booleans) -> Habits:
+    def marginal(self, keep: Booleans) -> NormalEquations:
         """Return the normal equations of some cells, with the means of the others eliminated."""
         if keep.all():
             return self
@@ -151,14 +151,14 @@ class Habits:
         )
 
 
-NO_EVIDENCE = Habits(
+NO_EVIDENCE = NormalEquations(
     cell=np.empty(0, dtype=np.int64), weight=np.empty((0, 0)), gradient=np.empty(0)
 )
 
 
-def habits_of(
+def normal_equations(
     places: LanePlaces, value: Floats, *, sigma: tuple[float, Floats, float], time: float
-) -> Habits:
+) -> NormalEquations:
     """Return the normal equations of vehicles, with their random effects eliminated.
 
     The rows of a vehicle have the covariance `driver^2 11' + diag(sway^2 + hit^2/n)`.
@@ -186,7 +186,7 @@ def habits_of(
     weighted[places.vehicle[known], column] = precision * value[known]
     weight = np.diag(rows.sum(axis=0)) - (rows * gain[:, None]).T @ rows
     gradient = weighted.sum(axis=0) - rows.T @ (gain * weighted.sum(axis=1))
-    return Habits(
+    return NormalEquations(
         cell=cell, weight=weight, gradient=gradient, vehicles=float(places.vehicles), time=time
     )
 
@@ -240,7 +240,7 @@ class ChangeDetector:
     stretch_m : float
         1 sigma of the change of a stretch.
     sigma : (float, (c,) array, float)
-        As for :func:`habits_of`.
+        As for :func:`normal_equations`.
     edge_m : (float, float)
         Absolute value up to which a value is not tapered, and that from which on it is 0; infinite
         for no taper.
@@ -327,7 +327,7 @@ class Memory:
         self.detector = detector
         self.reference = NO_EVIDENCE
         self.learnt_blocks = 0
-        self._recent: deque[Habits] = deque()
+        self._recent: deque[NormalEquations] = deque()
         self._scatter = np.zeros(2)  # sum of squares, and number of blocks
         self._slope = np.zeros(2)  # sum of slopes of `ChangeDetector.taper`, and their number
         effects = np.eye(int(detector.stretch.max(initial=-1)) + 1)[detector.stretch]
@@ -344,12 +344,12 @@ class Memory:
         """Add a block; blocks that are no longer tested are added to the reference."""
         value, slope = self.detector.taper(value)
         self._slope += [np.nansum(slope), np.isfinite(slope).sum()]
-        self._recent.append(habits_of(places, value, sigma=self.detector.sigma, time=time))
+        self._recent.append(normal_equations(places, value, sigma=self.detector.sigma, time=time))
         most_recent = SHARE * (self.learnt_blocks + len(self._recent))
         while len(self._recent) > min(max(most_recent, BLOCKS[-2]), BLOCKS[-1]):
             self._join_reference(self._recent.popleft())
 
-    def _join_reference(self, block: Habits) -> None:
+    def _join_reference(self, block: NormalEquations) -> None:
         """Add a block to the reference, which forgets by its time constant."""
         if self.learnt_blocks >= WARM_UP and block.vehicles >= LEAST_VEHICLES:
             self._measure_scatter(block)
@@ -361,7 +361,7 @@ class Memory:
             share = 1.0 - min(BLOCK_S / HOUR_S / REFERENCE_H, forgotten)
         self.reference = self.reference.scaled(share) + block
 
-    def _measure_scatter(self, block: Habits) -> None:
+    def _measure_scatter(self, block: NormalEquations) -> None:
         """Add the scatter of a block about the reference.
 
         The residual `b - A m` has the covariance `A + A A_ref^-1 A` for independent vehicles.
@@ -400,7 +400,9 @@ class Memory:
                 moves.append(self._displacement(total, part, number, now))
         return moves
 
-    def _displacement(self, total: Habits, newest: Habits, blocks: int, now: float) -> Displacement:
+    def _displacement(
+        self, total: NormalEquations, newest: NormalEquations, blocks: int, now: float
+    ) -> Displacement:
         """Return the move between the blocks before and the newest ones, with its score."""
         moved = list(self.detector.moved)
         mean, covariance = self._solve_move(total, newest)
@@ -417,7 +419,7 @@ class Memory:
         seconds = blocks * BLOCK_S
         return Displacement(score=score, seconds=seconds, move=move, covariance=full_covariance)
 
-    def _solve_move(self, total: Habits, newest: Habits) -> tuple[Floats, Floats]:
+    def _solve_move(self, total: NormalEquations, newest: NormalEquations) -> tuple[Floats, Floats]:
         """Return the move and its covariance, with the cells' means and habits eliminated."""
         detector = self.detector
         involved = np.flatnonzero(np.any(self._effects[newest.cell] != 0.0, axis=0))
