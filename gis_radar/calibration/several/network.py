@@ -68,7 +68,6 @@ CLOCK_SIGMAS = 4.0  # least offset of a clock that is reported, in standard devi
 FIRM_PAIRS = 20
 FIXED_M = 1.0  # largest 1 sigma, in any direction, of a pose that counts as fixed
 PAIRING_ROUNDS = 6  # rounds of pairing and adjustment; two or three are enough
-
 CONVERGED = 1e-4  # a smaller step ends the adjustment, metres and radians
 CLASH_HINT = Text("check both guesses, and the clocks of both sensors: gis-radar clocks")
 
@@ -142,6 +141,12 @@ class _Member:
     def pose(self) -> Pose:
         """The chosen pose of single localization."""
         return self.station.poses[self.choice]
+
+    @property
+    def fixed(self) -> bool:
+        """Whether single localization fixes the pose."""
+        poses = self.station.poses
+        return len(poses) == 1 and longest_m(planar_covariance(poses[0])) < FIXED_M
 
 
 class _Network:
@@ -238,9 +243,8 @@ class _Network:
 
         All clock offsets are tried where its pose is not fixed and its clock was not measured.
         """
-        choices, poses = self.choices(member), member.station.poses
-        fixed = len(poses) == 1 and longest_m(planar_covariance(poses[0])) < FIXED_M
-        reach_s = 0.0 if fixed or member.station.clock_s is not None else REACH_S
+        choices = self.choices(member)
+        reach_s = 0.0 if member.fixed or member.station.clock_s is not None else REACH_S
         return choices, find_place(choices, self.placed, reach_s=reach_s)
 
     def _measured_clock(self, choice: Choice) -> SensorClock | None:
@@ -282,9 +286,8 @@ class _Network:
             return False
         member.free |= member.station.clock_s is None  # its place depends on its clock
         member.choice, member.start, member.loose = placing.inside.choice, placing.inside.step, True
-        covariance = choices[member.choice].covariance
-        covariance_on_grid = self._grid_covariance(covariance)
-        self.placed[name] = self.choice(member, member.choice, member.start, covariance_on_grid)
+        covariance = self._grid_covariance(choices[member.choice].covariance)
+        self.placed[name] = self.choice(member, member.choice, member.start, covariance)
         self.agreeing |= {self._pair(other, name) for other, n in placing.inside.pairs.items() if n}
         return True
 
@@ -415,8 +418,6 @@ class _Network:
             sigmas_s = [self._clock_sigma_s(self.all[name]) for name in pair]
             if abs(ahead_s) > CLOCK_SIGMAS * math.hypot(*sigmas_s, sigma_s):
                 offsets[pair] = ahead_s
-        if not offsets:
-            return False
         named = [name for pair in offsets for name in reversed(pair) if not self.all[name].free]
         if not named:
             return False
