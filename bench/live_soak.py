@@ -50,7 +50,7 @@ from gis_radar.live import (
     read_live_site,
     write_broker_files,
 )
-from gis_radar.live.now.map_of_now import Seen
+from gis_radar.live.now.map_of_now import SensorReport
 from gis_radar.live.wire.buffer import Waiting
 from gis_radar.live.wire.payload import POSE_BYTES, varint
 from gis_radar.measures import road_near
@@ -217,7 +217,7 @@ class TimedFusion(Fusion):
         super()._finish()
         self.finish_s = time.monotonic() - begin
 
-    def _count(self, step: int, frames: dict[str, Seen]) -> None:
+    def _count(self, step: int, frames: dict[str, SensorReport]) -> None:
         super()._count(step, frames)
         now_us = time.time() * 1e6
         begin_us = step * STEP_US
@@ -236,7 +236,7 @@ def fuse(folder: Path) -> None:
     fusion.ages[:] = 0
     rows: list[dict[str, float]] = []
 
-    def look() -> None:
+    def check() -> None:
         before = fusion.ages.copy()
         while not fusion.finishing.wait(LOOK_S):  # writing the rest takes memory of its own
             write()
@@ -265,7 +265,7 @@ def fuse(folder: Path) -> None:
         fresh.write_text(json.dumps(figures))
         fresh.replace(fresh.with_suffix(".json"))
 
-    threading.Thread(target=look, daemon=True).start()
+    threading.Thread(target=check, daemon=True).start()
     with stopped_by_signals() as stop:
         fusion.run(stop)
     write()
@@ -393,12 +393,12 @@ def mosquitto_here() -> str:
 
 
 def soak(
-    folder: Path, *, sensors: int, processes: int, seconds: float, vehicles: bool, go_on: bool,
+    folder: Path, *, sensors: int, processes: int, seconds: float, vehicles: bool, advance: bool,
     kills: list[tuple[float, str]],
 ) -> Figures:  # fmt: skip
     """Run all programs, and return the figures; `kills` are seconds and names of what is killed."""
     names = [f"S{k:04d}" for k in range(sensors)]
-    if not go_on:
+    if not advance:
         write_site(folder, names, free_port(), vehicles=vehicles)
     load, (own, others) = os.getloadavg(), cores_apart()
     centre, senders = Centre(folder, own), list[subprocess.Popen[bytes]]()
@@ -513,7 +513,7 @@ def main() -> None:
         found = soak(
             given.folder, sensors=given.sensors, processes=given.processes,
             seconds=given.seconds or 60.0 * given.minutes, vehicles=given.vehicles,
-            go_on=given.go_on,
+            go_on=given.advance,
             kills=[(60.0 * float(at), name) for at, name in
                    zip(given.kill[::2], given.kill[1::2], strict=True)],
         )  # fmt: skip

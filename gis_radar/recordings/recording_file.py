@@ -89,7 +89,7 @@ class RecordingFile:
         refuse_positions_in_other_units(points, str(self._place))
         if self.elevation is None:
             self.elevation = _measures_elevation([frame for _, frame in self._waiting])
-        self._waiting = [(time, self._level(frame)) for time, frame in self._waiting]
+        self._waiting = [(time, self._with_uniform_heights(frame)) for time, frame in self._waiting]
         self.empty_frames += sum(len(frame) == 0 for _, frame in self._waiting)
         self.detections += sum(len(frame) for _, frame in self._waiting)
         table = self._table()
@@ -101,7 +101,7 @@ class RecordingFile:
                 self._writer = pq.ParquetWriter(self.path, schema, **options)
             self._writer.write_table(table, row_group_size=ROWS_IN_GROUP)
 
-    def _level(self, frame: Frame) -> Frame:
+    def _with_uniform_heights(self, frame: Frame) -> Frame:
         """Return a frame whose detections all have a height, or none has, by `elevation`."""
         given = np.isfinite(frame.points[:, 2])
         if self.elevation and not given.all():

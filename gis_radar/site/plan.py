@@ -11,7 +11,7 @@ from gis_radar.base import GisRadarError, Text
 from gis_radar.products import REPORT_FILES
 from gis_radar.site import stages
 from gis_radar.site.settings import ConvertTable, Sensor, Site
-from gis_radar.site.together import FOUND, RECORDED, SEVERAL
+from gis_radar.site.together import CANDIDATES_FILE, POSE_FILE, RECORDING_FILE
 
 OWNED = (
     "road.", "tiles.gpkg", "sensors", "dataset", "heatmap", "sight.gpkg",
@@ -80,19 +80,19 @@ class Stage:
         given = self.inputs.values()
         return tuple(p for each in given for p in ([each] if isinstance(each, Path) else each))
 
-    def asking(self, number: int | None) -> Stage:
+    def reading_first(self, number: int | None) -> Stage:
         """Return the stage with at most `number` of the files that are read in turn."""
         if number is None or not self.in_turn:
             return self
         files = self.inputs[self.in_turn]
-        asked = files if isinstance(files, Path) else files[:number]
-        return replace(self, inputs={**self.inputs, self.in_turn: asked})
+        files_read = files if isinstance(files, Path) else files[:number]
+        return replace(self, inputs={**self.inputs, self.in_turn: files_read})
 
     @property
     def arguments(self) -> dict[str, Any]:
         """The function's arguments without its outputs; of the parts, those that exist."""
-        there = {name: [p for p in paths if p.exists()] for name, paths in self.parts.items()}
-        return {**self.inputs, **there, **self.options}
+        existing = {name: [p for p in paths if p.exists()] for name, paths in self.parts.items()}
+        return {**self.inputs, **existing, **self.options}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +192,7 @@ def _conversion(sensor: Sensor, folder: Path) -> Stage:
         work=stages.convert_stage,
         inputs={"recordings": sensor.foreign},
         options=(sensor.convert or ConvertTable()).model_dump(),
-        outputs=(folder / "sensors" / sensor.name / RECORDED,),
+        outputs=(folder / "sensors" / sensor.name / RECORDING_FILE,),
         phases=2,
         sensor=sensor.name,
     )
@@ -223,7 +223,7 @@ def _localization(site: Site, sensor: Sensor, folder: Path) -> Stage:
             **sensor.model_dump(include={"guess", "heading", "compass", "method"}),
             "scan_crs": site.scan.crs if site.scan else None,
         },
-        outputs=(place / FOUND, place / "localization.png", place / SEVERAL),
+        outputs=(place / POSE_FILE, place / "localization.png", place / CANDIDATES_FILE),
         phases=5 if scans else 3,
         sensor=sensor.name,
         in_turn="recordings",
@@ -256,7 +256,12 @@ def _together(site: Site, folder: Path) -> Iterator[Stage]:
             recordings=tuple(path for paths in ours.values() for path in paths),
             clocks=site.measure.clocks,
         ),
-        beside=((*(place / name for place in places for name in (FOUND, SEVERAL)), *converted),),
+        beside=(
+            (
+                *(place / name for place in places for name in (POSE_FILE, CANDIDATES_FILE)),
+                *converted,
+            ),
+        ),
         options={
             **_map_options(site),
             "sensors": {name: len(paths) for name, paths in ours.items()},
@@ -283,17 +288,17 @@ def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
             name=Text("pose {}", sensor.name),
             work=stages.tied_pose_stage,
             inputs={"together": folder / "together.json"},
-            beside=((place / FOUND,),),
+            beside=((place / POSE_FILE,),),
             options=options,
             outputs=(place / "pose.json",),
             sensor=sensor.name,
         )
-    pose = sensor.pose or place / FOUND
+    pose = sensor.pose or place / POSE_FILE
     is_track = pose.suffix.lower() == ".csv"
     return Stage(
         name=Text("pose {}", sensor.name),
         work=stages.pose_stage,
-        inputs={"pose": pose} | ({} if sensor.pose else {"candidates": place / SEVERAL}),
+        inputs={"pose": pose} | ({} if sensor.pose else {"candidates": place / CANDIDATES_FILE}),
         options={**options, "given": sensor.pose is not None},
         outputs=(place / ("track.csv" if is_track else "pose.json"),),
         sensor=sensor.name,

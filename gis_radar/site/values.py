@@ -37,7 +37,7 @@ from gis_radar.base import (
     zone_of,
 )
 
-_WILD = frozenset("*?[")
+_WILDCARDS = frozenset("*?[")
 
 Steps = tuple[str | int, ...]
 Value = TypeVar("Value")
@@ -158,7 +158,7 @@ def _files(value: Any, info: ValidationInfo, *, folders: bool = False) -> tuple[
         raise Unfit
     found: dict[Path, None] = {}
     for pattern in map(_text, patterns):
-        if _WILD & {*pattern}:
+        if _WILDCARDS & {*pattern}:
             found |= dict.fromkeys(_matches(pattern, _folder(info), folders=folders))
         else:
             found[_file(pattern, info, folders=folders)] = None
@@ -171,10 +171,10 @@ def _expanded(text: str) -> Path:
 
 
 def _matches(pattern: str, folder: Path, *, folders: bool) -> list[Path]:
-    whole = _expanded(pattern)
-    root = Path(whole.anchor) if whole.is_absolute() else folder
+    expanded = _expanded(pattern)
+    root = Path(expanded.anchor) if expanded.is_absolute() else folder
     try:
-        found = root.glob(str(whole.relative_to(whole.anchor)))
+        found = root.glob(str(expanded.relative_to(expanded.anchor)))
         matches = sorted(path for path in found if folders or path.is_file())
     except (ValueError, OSError) as error:
         raise Unfit(hint=first_line(error)) from error

@@ -53,7 +53,7 @@ from gis_radar.calibration.several.placing import (
     preference,
 )
 from gis_radar.calibration.single.moving import RIGHT
-from gis_radar.calibration.timing.clock_offsets import measured_offset
+from gis_radar.calibration.timing.clock_offsets import ODD_DRIFT, measured_offset
 from gis_radar.calibration.timing.clocks import SensorClock, adjust_network, reached
 from gis_radar.calibration.timing.lane_detections import lane_detections
 from gis_radar.poses import Pose
@@ -219,7 +219,10 @@ class _Network:
         if clock is not None:
             member.clock = clock
             then, there = self._among_placed(member)
-            if there.inside is None or preference(there.inside.scores, found.in_time) < LAG_CLEAR:
+            if there.inside is None or not (
+                self._runs_off(member)
+                or preference(there.inside.scores, found.in_time) >= LAG_CLEAR
+            ):
                 member.clock = RIGHT
             else:
                 member.free, choices, found = True, then, there
@@ -245,6 +248,14 @@ class _Network:
         """Return whether a sensor's own answer leaves its place open."""
         poses = member.station.poses
         return len(poses) > 1 or longest_m(planar_covariance(poses[0])) >= FIXED_M
+
+    def _runs_off(self, member: _Member) -> bool:
+        """Return whether the rate of a clock is wrong, which no certain pose explains.
+
+        No preference of the vehicles is needed: a clock that is right in the middle of a short
+        recording is nearly right in all of it.
+        """
+        return abs(member.clock.drift_ppm) > 1e6 * ODD_DRIFT and not self._open(member)
 
     def _clock_of(self, choice: Choice) -> SensorClock | None:
         """Return a sensor's clock where it clearly differs from those of the placed sensors."""

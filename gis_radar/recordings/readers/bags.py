@@ -76,7 +76,7 @@ def typestore(connection: Any) -> Any:
     rosbags.typesys.store.Typestore
         Holds the topic's type and all types in it.
     """
-    from rosbags.interfaces import MessageDefinitionFormat as Described  # noqa: PLC0415
+    from rosbags.interfaces import MessageDefinitionFormat as DefinitionFormat  # noqa: PLC0415
     from rosbags.typesys import (  # noqa: PLC0415
         Stores,
         get_types_from_idl,
@@ -85,21 +85,25 @@ def typestore(connection: Any) -> Any:
     )
 
     definition = connection.msgdef
-    if definition.format == Described.NONE:
+    if definition.format == DefinitionFormat.NONE:
         store = get_typestore(Stores.ROS2_HUMBLE)
         for name, text in DEFINITIONS.items():
             store.register(get_types_from_msg(text, name))
         return store
     store = get_typestore(Stores.EMPTY)
-    if definition.format == Described.MSG:
+    if definition.format == DefinitionFormat.MSG:
         store.register(get_types_from_msg(definition.data, connection.msgtype))
     else:
         store.register(get_types_from_idl(definition.data))
     return store
 
 
-STORAGE = (".bag", ".db3", ".mcap")
-MENDED_BY = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 FILE .recover"}
+ENDINGS = (".bag", ".db3", ".mcap")
+REPAIR_COMMANDS = {
+    ".bag": "rosbag reindex",
+    ".mcap": "mcap recover",
+    ".db3": "sqlite3 FILE .recover",
+}
 MESSAGES_A_REPORT = 256  # between two reports of progress
 Decode = Callable[[bytes], Any]
 
@@ -108,7 +112,7 @@ def _accepts(source: str) -> bool:
     path = Path(source)
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
-    return path.is_file() and path.suffix.lower() in STORAGE
+    return path.is_file() and path.suffix.lower() in ENDINGS
 
 
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
@@ -188,12 +192,12 @@ def _messages(
 
 
 def _damaged(source: str, error: Exception) -> InputError:
-    mended = MENDED_BY.get(Path(source).suffix.lower(), "ros2 bag reindex")
+    repair = REPAIR_COMMANDS.get(Path(source).suffix.lower(), "ros2 bag reindex")
     return InputError(
         "{}: cannot be read as a bag: {}",
         source,
         first_line(error),
-        hint=Text("a bag that was cut off: {}", mended),
+        hint=Text("a bag that was cut off: {}", repair),
     )
 
 
@@ -232,7 +236,7 @@ class _Topic:
     def _from_rows(self, rows: Any, message: Any, recorded: float) -> Iterator[Frame]:
         layout = self._layout(rows.dtype)
         # A cloud without speeds is a lidar's, unless the user asks for it by name.
-        if not (layout.is_radar or (layout.placed and self._context.sensor)):
+        if not (layout.is_radar or (layout.has_positions and self._context.sensor)):
             return
         stamp = _seconds(message.header.stamp)
         frame = layout.frame(
@@ -254,7 +258,7 @@ class _Topic:
             except UsageError as error:
                 hint = Text("{}; {} takes one topic of several", error.hint, "--sensor")
                 raise UsageError("{}: {}", self._name, error.message, hint=hint) from error
-            if layout.placed and not layout.is_radar:
+            if layout.has_positions and not layout.is_radar:
                 fields = ", ".join(names)
                 self._context.reporter.log(
                     Text("{}: no speeds among the fields {}", self._name, fields)
@@ -330,6 +334,6 @@ FORMAT = Format(
     takes=".bag (ROS 1), a folder with metadata.yaml, .db3 or .mcap (ROS 2)",
     accepts=_accepts,
     frames=_frames,
-    endings=STORAGE,
+    endings=ENDINGS,
     rank=1,
 )
