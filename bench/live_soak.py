@@ -236,7 +236,7 @@ def fuse(folder: Path) -> None:
     fusion.ages[:] = 0
     rows: list[dict[str, float]] = []
 
-    def check() -> None:
+    def look() -> None:
         before = fusion.ages.copy()
         while not fusion.finishing.wait(LOOK_S):  # writing the rest takes memory of its own
             write()
@@ -265,7 +265,7 @@ def fuse(folder: Path) -> None:
         fresh.write_text(json.dumps(figures))
         fresh.replace(fresh.with_suffix(".json"))
 
-    threading.Thread(target=check, daemon=True).start()
+    threading.Thread(target=look, daemon=True).start()
     with stopped_by_signals() as stop:
         fusion.run(stop)
     write()
@@ -393,12 +393,12 @@ def mosquitto_here() -> str:
 
 
 def soak(
-    folder: Path, *, sensors: int, processes: int, seconds: float, vehicles: bool, advance: bool,
+    folder: Path, *, sensors: int, processes: int, seconds: float, vehicles: bool, go_on: bool,
     kills: list[tuple[float, str]],
 ) -> Figures:  # fmt: skip
     """Run all programs, and return the figures; `kills` are seconds and names of what is killed."""
     names = [f"S{k:04d}" for k in range(sensors)]
-    if not advance:
+    if not go_on:
         write_site(folder, names, free_port(), vehicles=vehicles)
     load, (own, others) = os.getloadavg(), cores_apart()
     centre, senders = Centre(folder, own), list[subprocess.Popen[bytes]]()
@@ -513,7 +513,7 @@ def main() -> None:
         found = soak(
             given.folder, sensors=given.sensors, processes=given.processes,
             seconds=given.seconds or 60.0 * given.minutes, vehicles=given.vehicles,
-            go_on=given.advance,
+            go_on=given.go_on,
             kills=[(60.0 * float(at), name) for at, name in
                    zip(given.kill[::2], given.kill[1::2], strict=True)],
         )  # fmt: skip

@@ -93,7 +93,7 @@ class Console(Reporter):
 
     language: str
 
-    def in_users_language(self, text: str) -> str:
+    def translated(self, text: str) -> str:
         """Return a text in the user's language."""
         with in_language(self.language):
             return tr(text)
@@ -121,11 +121,11 @@ class JsonConsole(Console):
 
     def progress(self, stage: str, done: int, total: int | None) -> None:
         """Write the progress of a stage."""
-        self._write(event="progress", stage=self.in_users_language(stage), done=done, total=total)
+        self._write(event="progress", stage=self.translated(stage), done=done, total=total)
 
     def log(self, message: str, level: Level = "info") -> None:
         """Write a remark."""
-        text = one_line(self.in_users_language(message))
+        text = one_line(self.translated(message))
         self._write(event="log", level=level, message=text)
 
     def result(self, result: Result) -> None:
@@ -138,13 +138,10 @@ class JsonConsole(Console):
 
     def error(self, error: GisRadarError) -> None:
         """Write what went wrong; the code is the exit code."""
-        message = one_line(self.in_users_language(error.message), MOST_ERROR_CHARACTERS)
-        hint = one_line(self.in_users_language(error.hint))
+        message = one_line(self.translated(error.message), MOST_ERROR_CHARACTERS)
+        hint = one_line(self.translated(error.hint))
         parts = [
-            {
-                name: one_line(self.in_users_language(getattr(part, name)))
-                for name in ("message", "hint")
-            }
+            {name: one_line(self.translated(getattr(part, name))) for name in ("message", "hint")}
             for part in error.parts
         ]
         further = {"parts": parts} if parts else {}
@@ -198,7 +195,7 @@ class TerminalConsole(Console):
         if not self._rich.is_terminal:
             self._print_shares(stage, done, total)
         if stage not in self._tasks:
-            self._tasks[stage] = self._bars.add_task(self.in_users_language(stage), total=total)
+            self._tasks[stage] = self._bars.add_task(self.translated(stage), total=total)
         self._bars.update(self._tasks[stage], completed=done, total=total)
         if done == total and len(self._tasks) > MOST_BARS:
             self._bars.update(self._tasks[stage], visible=False)
@@ -210,9 +207,7 @@ class TerminalConsole(Console):
             self._shares[stage] = f" {100 * done // total} %" if total else ""
         if self._shares and monotonic() - self._printed_at >= SILENT_S:
             self._printed_at = monotonic()
-            shares = [
-                f"{self.in_users_language(name)}{each}" for name, each in self._shares.items()
-            ]
+            shares = [f"{self.translated(name)}{each}" for name, each in self._shares.items()]
             self._shares.clear()  # a stage that failed or has no end would stay for ever
             text = one_line(", ".join(shares))
             self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -220,8 +215,8 @@ class TerminalConsole(Console):
     def log(self, message: str, level: Level = "info") -> None:
         """Print a remark."""
         self._printed_at = monotonic()
-        prefix = f"{self.in_users_language('warning')}: " if level == "warning" else ""
-        text = one_line(self.in_users_language(message))
+        prefix = f"{self.translated('warning')}: " if level == "warning" else ""
+        text = one_line(self.translated(message))
         self._rich.print(f"{prefix}{text}", markup=False, highlight=False, soft_wrap=True)
 
     def result(self, result: Result) -> None:
@@ -263,8 +258,8 @@ class TerminalConsole(Console):
             self.error(part)
         if error.parts:
             return
-        hint = f" ({one_line(self.in_users_language(error.hint))})" if error.hint else ""
-        message = one_line(self.in_users_language(error.message), MOST_ERROR_CHARACTERS)
+        hint = f" ({one_line(self.translated(error.hint))})" if error.hint else ""
+        message = one_line(self.translated(error.message), MOST_ERROR_CHARACTERS)
         text = f"gis-radar: {message}{hint}"
         self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
 

@@ -98,13 +98,10 @@ def _successors_of(
         {k for k in near if k != i} | {position[ref] for ref in refs if ref in position}
         for i, (near, refs) in enumerate(zip(touching, stated, strict=True))
     ]
-    with_predecessor = {k for each in successors for k in each}
+    reached = {k for each in successors for k in each}
     near = joining(at.starts, at.ends, TOUCH_M)
     return {
-        ref: [
-            ids[k]
-            for k in sorted(each | {k for k in close if not each or k not in with_predecessor})
-        ]
+        ref: [ids[k] for k in sorted(each | {k for k in close if not each or k not in reached})]
         for ref, each, close in zip(ids, successors, near, strict=True)
     }
 

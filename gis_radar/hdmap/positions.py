@@ -215,9 +215,8 @@ def _with_geographic(
     if both.sum() < 2:
         return _by_commoner_kind(osm, projected, geographic, local, target, origin)
     # Compared in the site's UTM zone: the scale of another --crs would count as a disagreement.
-    off = _scale_error(
-        osm.local[both], _project(osm.geographic[both], _utm_zone_of(osm.geographic[both]))
-    )
+    zone = _utm_zone_of(osm.geographic[both])
+    off = _scale_error(osm.local[both], _project(osm.geographic[both], zone))
     if off > SCALE_TOLERANCE:
         reason = Text("latitudes and longitudes differ from them in scale by {:.2g} %", 100.0 * off)
         return _placed_by_local(osm.local, projected[both] - osm.local[both], origin, reason)

@@ -165,11 +165,8 @@ class Edge:
             if self._frames_to_retry <= 0:
                 self._start_following(frame)
         step = int(np.rint(frame.time[0] * 1e6)) // STEP_US
-        if (
-            self._newest_pose is not None
-            and step > self._last_step
-            and self._use_pose(self._newest_pose)
-        ):
+        newest = self._newest_pose
+        if newest is not None and step > self._last_step and self._use_pose(newest):
             self._newest_pose = None
         if self._follower is None and not self._doubted:
             self._start_following(frame)

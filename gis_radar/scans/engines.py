@@ -87,9 +87,9 @@ class Pipeline:
             around it, read for the ground filter, is left out again.
         """
         site = box_with_margin(self.roads.area.bounds, self.margin_m)
-        area = (
-            site if within is None else _intersection(site, box_with_margin(within, self.margin_m))
-        )
+        area = site
+        if within is not None:
+            area = _intersection(site, box_with_margin(within, self.margin_m))
         groups = [self._group(area, classified=is_classified) for is_classified in (True, False)]
         stages = [stage for group in groups for stage in group]
         if all(groups):

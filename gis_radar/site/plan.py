@@ -246,6 +246,7 @@ def _together(site: Site, folder: Path) -> Iterator[Stage]:
     if not tied:
         return
     places = [folder / "sensors" / each.name for each in tied]
+    found = (place / name for place in places for name in (POSE_FILE, CANDIDATES_FILE))
     ours, converted = _all_recordings(tied, folder)
     yield Stage(
         name=Text("poses together"),
@@ -256,12 +257,7 @@ def _together(site: Site, folder: Path) -> Iterator[Stage]:
             recordings=tuple(path for paths in ours.values() for path in paths),
             clocks=site.measure.clocks,
         ),
-        beside=(
-            (
-                *(place / name for place in places for name in (POSE_FILE, CANDIDATES_FILE)),
-                *converted,
-            ),
-        ),
+        beside=((*found, *converted),),
         options={
             **_map_options(site),
             "sensors": {name: len(paths) for name, paths in ours.items()},

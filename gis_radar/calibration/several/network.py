@@ -68,7 +68,6 @@ CLOCK_SIGMAS = 4.0  # standard deviations beyond which a clock's offset is remar
 FIRM_PAIRS = 20
 FIXED_M = 1.0  # where 1 sigma along its weakest direction is larger, a pose is searched along it
 PAIRING_ROUNDS = 6  # rounds of pairing and fitting; two or three are enough
-
 AT_REST = 1e-4  # a smaller step ends the adjustment, metres and radians
 CLASH_HINT = Text("check both guesses, and the clocks of both sensors: gis-radar clocks")
 
@@ -219,10 +218,10 @@ class _Network:
         if clock is not None:
             member.clock = clock
             then, there = self._among_placed(member)
-            if there.inside is None or not (
-                self._runs_off(member)
-                or preference(there.inside.scores, found.in_time) >= LAG_CLEAR
-            ):
+            # a certain pose explains no wrong rate, which shows little in a short recording
+            is_rate = abs(clock.drift_ppm) > 1e6 * ODD_DRIFT and not self._open(member)
+            least = -np.inf if is_rate else LAG_CLEAR
+            if there.inside is None or preference(there.inside.scores, found.in_time) < least:
                 member.clock = RIGHT
             else:
                 member.free, choices, found = True, then, there
@@ -248,14 +247,6 @@ class _Network:
         """Return whether a sensor's own answer leaves its place open."""
         poses = member.station.poses
         return len(poses) > 1 or longest_m(planar_covariance(poses[0])) >= FIXED_M
-
-    def _runs_off(self, member: _Member) -> bool:
-        """Return whether the rate of a clock is wrong, which no certain pose explains.
-
-        No preference of the vehicles is needed: a clock that is right in the middle of a short
-        recording is nearly right in all of it.
-        """
-        return abs(member.clock.drift_ppm) > 1e6 * ODD_DRIFT and not self._open(member)
 
     def _clock_of(self, choice: Choice) -> SensorClock | None:
         """Return a sensor's clock where it clearly differs from those of the placed sensors."""

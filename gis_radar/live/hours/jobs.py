@@ -158,11 +158,9 @@ class HourJobs:
         self._log_backlog(now_s, due)
         quarter = self._due_quarter(now_s, newest)
         self._running_quarter = int(now_s * 1e6) // QUARTER_US
-        to_retry = (
-            h
-            for h, each in self._unmeasured.items()
-            if self._running_quarter >= each.tried_in + each.quarters_to_wait
-        )
+        now = self._running_quarter
+        failed = self._unmeasured.items()
+        to_retry = (h for h, each in failed if now >= each.tried_in + each.quarters_to_wait)
         hours = sorted({*due, *to_retry})
         if quarter is not None and self.behind_s < BACKLOG_S:  # first, as the page shows it
             left_out = quarter - self._measured_quarter - 1 if self._measured_quarter else 0

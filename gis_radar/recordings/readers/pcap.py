@@ -72,7 +72,6 @@ class Packet(NamedTuple):
 
 class _Interface(NamedTuple):
     link: int
-    snap: int
     ticks: int
     offset_s: int
 
@@ -192,7 +191,7 @@ def _block_length(size: int, position: int) -> int:
 
 
 def _interface(body: bytes, order: str) -> _Interface:
-    link, snap = struct.unpack_from(order + "HxxI", body)
+    (link,) = struct.unpack_from(order + "Hxx4x", body)  # and the longest length, unused
     ticks, offset_s, at = 1_000_000, 0, 8
     while at + 4 <= len(body) - 4:
         code, length = struct.unpack_from(order + "HH", body, at)
@@ -204,7 +203,7 @@ def _interface(body: bytes, order: str) -> _Interface:
         elif code == _OFFSET and length == 8:
             (offset_s,) = struct.unpack(order + "q", value)
         at += 4 + length + -length % 4
-    return _Interface(link=link, snap=snap, ticks=ticks, offset_s=offset_s)
+    return _Interface(link=link, ticks=ticks, offset_s=offset_s)
 
 
 def _packet(kind: int, body: bytes, order: str, interfaces: list[_Interface]) -> Packet:

@@ -270,9 +270,8 @@ class SightScan:
         for window in windows:
             bounds = window.grid.bounds
             if window.points == 0:
-                raise self._no_points_error(
-                    next(p for p in poses if self._window(p).bounds == bounds)
-                )
+                pose = next(p for p in poses if self._window(p).bounds == bounds)
+                raise self._no_points_error(pose)
             roads = road_heights(self.tiles.quads, self.tiles.height, window.grid)
             self._refuse_other_heights(window, roads)
             self._windows[bounds] = find_obstacles(window, roads, classified=ground >= LEAST_GROUND)
