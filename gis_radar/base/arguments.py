@@ -139,6 +139,7 @@ def _kinds(annotation: str) -> tuple[tuple[str, str], ...]:
 
 
 def _is_of(value: Any, name: str, inner: str) -> bool:
+    """Return whether a value is of the type `name`, a list with elements of the types `inner`."""
     if name in _LISTS:
         kinds = _kinds(inner)
         if not _is_list(value) or (

@@ -60,6 +60,7 @@ def table_card(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]
 
 
 def _text(value: Any) -> str:
+    """Return a value as a cell shows it: numbers with six digits, lists with commas."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
@@ -72,6 +73,7 @@ def _text(value: Any) -> str:
 
 
 def _table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
+    """Return rows of texts as an HTML table, with a head, or with the first column as names."""
     lines = []
     if head:
         cells = "".join(f'<th style="{_NAME_CELL}">{escape(name)}</th>' for name in head)
@@ -84,6 +86,7 @@ def _table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
 
 
 def _card_html(title: str, table: str, picture: bytes) -> str:
+    """Return a title, a table and a picture beside it as one element of HTML."""
     image = ""
     if picture:
         data = b64encode(picture).decode("ascii")

@@ -225,6 +225,7 @@ class TerminalConsole(Console):
             self._print(result)
 
     def _print(self, result: Result) -> None:
+        """Print figures line by line, each table, a query's rows, the outputs, and advice."""
         out = rich.console.Console()
         table = Table(show_header=False, box=None, pad_edge=False)
         tables = []
@@ -427,6 +428,7 @@ def _error_of(error: Exception) -> GisRadarError:
 
 
 def _fail(console: Console, error: GisRadarError) -> NoReturn:
+    """Write an error, and exit with its code; say so where memory ran out."""
     cause = error.__cause__
     while cause is not None:
         if isinstance(cause, MemoryError):  # a reader may have taken it for a damaged file

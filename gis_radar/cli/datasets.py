@@ -281,6 +281,7 @@ def dataset(
 
 
 def _matched(old: gr.Dataset, new: Path, output: Path) -> dict[str, int]:
+    """Write the matches of a dataset's lanes with those of a new map; return how many changed."""
     table = gr.match_lanes(old, new)
     dataset_room.write_lane_matches(table, output)
     same = table["same"]

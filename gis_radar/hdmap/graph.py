@@ -181,6 +181,7 @@ def _sampled(
 
 
 def _successors(graph: LaneGraph, table: gpd.GeoDataFrame) -> list[Integers]:
+    """Return the positions of each lanelet's successors: those stated, and those by `JOIN_M`."""
     position = {ref: index for index, ref in enumerate(graph.lanelet_id.tolist())}
     starts, ends = graph.first[:-1], graph.first[1:] - 1
     successors = []

@@ -113,6 +113,7 @@ def is_sound(left: Floats, right: Floats) -> bool:
 
 
 def _require_extent(left: Floats, right: Floats) -> None:
+    """Refuse bounds without length, of impossible length, or without an area between them."""
     for side, bound in (("left", left), ("right", right)):
         if len(bound) < 2 or bound_length(bound) < NO_LENGTH_M:
             raise CannotMendError(Text("the {} bound has no length", Text(side)))
@@ -131,6 +132,7 @@ def _closed(bound: Floats) -> bool:
 
 
 def _without_loops(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
+    """Return the bounds without small loops; add a repair for each that had one."""
     cleaned = []
     for side, bound in (("left", left), ("right", right)):
         cleaned.append(without_loops(bound, side))
@@ -156,6 +158,7 @@ def _gap(a: Floats, b: Floats) -> float:
 
 
 def _with_start_apart(left: Floats, right: Floats) -> tuple[Floats, Floats]:
+    """Return the bounds with their common first points moved apart, across the mean direction."""
     shared = min(len(left), len(right))
     gaps = np.hypot(*(left[:shared, :2] - right[:shared, :2]).T)
     touching = int(np.argmax(gaps >= NO_WIDTH_M)) if np.any(gaps >= NO_WIDTH_M) else shared
@@ -213,6 +216,7 @@ def _without_fold_backs(left: Floats, right: Floats, repairs: list[str]) -> tupl
 
 
 def _unfolded_both(left: Floats, right: Floats, penalty_m: float) -> tuple[Floats, Floats]:
+    """Return the bounds without stretches that run backwards, at most `_PASSES` of them."""
     for _ in range(_PASSES):
         ribbon = ribbon_between(left, right, penalty_m)
         if len(ribbon.left_wrong):

@@ -214,6 +214,7 @@ class _Collector:
         self.refuse("document types and entities are refused, a Lanelet2 map has none")
 
     def _start(self, name: str, attributes: dict[str, str]) -> None:
+        """Take the begin of an element: open a node, way or relation, or add to the open one."""
         self.depth += 1
         if self.depth > DEEPEST:
             self.refuse(Text("elements are nested {} deep, a map's are three", DEEPEST))
@@ -238,6 +239,7 @@ class _Collector:
             self.place = _place(attributes.get("lon", ""), attributes.get("lat", ""))
 
     def _end(self, name: str) -> None:
+        """Take the end of an element: keep the node, way or relation unless its id was used."""
         self.depth -= 1
         if name not in {"node", "way", "relation"} or self.deleted:
             return
@@ -256,6 +258,7 @@ class _Collector:
             self.relations[self.id] = Relation(members=tuple(self.members), tags=self.tags)
 
     def _id(self, name: str, text: str | None) -> int:
+        """Return an id of 64 bits; refuse any other text."""
         try:
             number = int(text or "")
         except ValueError:

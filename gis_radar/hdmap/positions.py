@@ -189,6 +189,7 @@ def _utm_zone_of(geographic: Floats) -> CRS:
 def _without_geographic(
     osm: OsmMap, target: CRS | None, origin: tuple[float, float] | None
 ) -> tuple[Floats, CRS, tuple[str, ...]]:
+    """Return local metres shifted by `origin`, where latitudes and longitudes are empty."""
     what = Text("{}: its latitudes and longitudes are empty", osm.path)
     if origin is None:
         raise InputError(
@@ -210,6 +211,7 @@ def _with_geographic(
     target: CRS,
     origin: tuple[float, float] | None,
 ) -> tuple[Floats, tuple[str, ...]]:
+    """Return projected positions, or local metres where their scales differ, with remarks."""
     projected = _project(osm.geographic, target)
     both = geographic & local & _known(projected)
     if both.sum() < 2:
@@ -262,6 +264,7 @@ def _unused_origin_remark(origin: tuple[float, float] | None, reason: str) -> tu
 def _placed_by_local(
     local: Floats, shifts: Floats, origin: tuple[float, float] | None, reason: str
 ) -> tuple[Floats, tuple[str, ...]]:
+    """Return local metres shifted by `origin`, or by the mean of `shifts`, and remarks on that."""
     by = Text("placed by local_x, local_y ({})", reason)
     if origin is not None:
         return local + np.asarray(origin), (Text("{} and {}", by, "--origin"),)

@@ -142,6 +142,7 @@ def _used(osm: OsmMap, relations: dict[int, Relation]) -> Any:
 def _assembled(
     osm: OsmMap, relations: dict[int, Relation], xyz: Floats, reporter: Reporter
 ) -> tuple[list[_Lanelet], list[_Problem]]:
+    """Return the lanelets that can be made of relations, and the problems of all others."""
     lanelets: list[_Lanelet] = []
     problems: list[_Problem] = []
     for done, (ref, relation) in enumerate(relations.items()):
@@ -215,6 +216,7 @@ def _lanelet(
 
 
 def _lanelet_table(osm: OsmMap, lanelets: list[_Lanelet], crs: CRS) -> gpd.GeoDataFrame:
+    """Return lanelets as the table of :class:`LaneletMap`."""
     tags = [lanelet.relation.tags for lanelet in lanelets]
     successors = _successors(lanelets)
     predecessors: dict[int, list[int]] = defaultdict(list)
@@ -279,6 +281,7 @@ def problem_table(problems: Sequence[_Problem], crs: CRS) -> gpd.GeoDataFrame:
 
 
 def _remarks(osm: OsmMap, problems: list[_Problem]) -> tuple[str, ...]:
+    """Return remarks on skipped elements, and how many lanelets have problems."""
     areas = sum(relation.type in {"multipolygon", "area"} for relation in osm.relations.values())
     skipped = {
         "areas skipped": areas,
@@ -417,6 +420,7 @@ def heights_filled(left: Floats, right: Floats) -> tuple[Floats, Floats]:
 
 
 def _interpolated(bound: Floats) -> Floats:
+    """Return a bound whose missing heights are interpolated along it."""
     given = np.isfinite(bound[:, 2])
     if given.all():
         return bound

@@ -143,6 +143,7 @@ def own_columns(tiles: gpd.GeoDataFrame) -> list[str]:
 
 
 def _chosen(lanelets: gpd.GeoDataFrame, subtypes: Collection[str] | None) -> gpd.GeoDataFrame:
+    """Return the lanelets to tile, by id: of some subtypes, or all that vehicles may use."""
     if subtypes is None:
         chosen = lanelets[~lanelets["subtype"].isin(ON_FOOT_OR_BICYCLE)]
     else:
@@ -163,6 +164,7 @@ def _chosen(lanelets: gpd.GeoDataFrame, subtypes: Collection[str] | None) -> gpd
 def _log_not_tiled(
     lanelets: gpd.GeoDataFrame, chosen: gpd.GeoDataFrame, reporter: Reporter
 ) -> None:
+    """Log how many lanelets of each subtype get no tiles."""
     counts = Counter(lanelets["subtype"])
     counts.subtract(chosen["subtype"])
     others = [f"{count} {subtype}" for subtype, count in counts.most_common() if count]
@@ -453,6 +455,7 @@ def _coordinates(line: shapely.LineString) -> Floats:
 def _warn_of_cut_corners(
     lanelets: gpd.GeoDataFrame, rungs_by_lanelet: list[Floats], reporter: Reporter
 ) -> None:
+    """Warn where tiles differ from their lanelet's area by more than `AREA_TOLERANCE`."""
     shapes = lanelets.geometry.array
     tiled = np.array([_tiled_area(rungs) for rungs in rungs_by_lanelet])
     off = shapely.area(shapely.symmetric_difference(shapes, tiled)) / shapely.area(shapes)

@@ -61,6 +61,7 @@ class Edge:
         self._frames_to_retry = 0  # frames until a pose that traffic refused is followed again
 
     def _read_pose(self, tiles: gpd.GeoDataFrame) -> Pose:
+        """Return the pose of the sensor's file, in the tiles' CRS, with its name and view there."""
         pose = read_track(self._file.pose).poses[-1]
         what = Text("the pose of {}", pose.sensor)
         require_same(pose.crs, tiles.crs, what=what, other_what="the tiles")
@@ -110,6 +111,7 @@ class Edge:
         return {"frames": self.frames, "not_sent": self.not_sent, "lost": self.outbox.lost}
 
     def _figures(self, buffer: DiskBuffer) -> dict[str, object]:
+        """Return the figures of a status message."""
         return {
             "fingerprint": self._road.fingerprint,
             "frames": self.frames,
@@ -132,6 +134,7 @@ class Edge:
         return PoseFollower.of(self._file, start, begin, doubted=doubted, reporter=self._reporter)
 
     def _work(self, stop: Event) -> None:
+        """Process frames until stopped or the source ends; then wait for fusion to store all."""
         for frame in self.source():
             if stop.is_set():
                 break

@@ -209,6 +209,7 @@ class Fusion:
         self._folder_lock.close()
 
     def _take(self, link: Link) -> None:
+        """Handle received messages, at most `MESSAGES_AT_ONCE`; wait `WAIT_S` for the first."""
         message = link.take(WAIT_S)
         for _ in range(MESSAGES_AT_ONCE):
             if message is None:
@@ -297,6 +298,7 @@ class Fusion:
                 self.sensors[name].health.alarm("pose", doubt)
 
     def _acknowledge(self, sensor: SensorState) -> None:
+        """Publish what fusion has stored of a sensor's stream."""
         if self.link is None or not self.link.connected:
             return
         sensor.due, name = False, sensor.health.name
@@ -310,6 +312,7 @@ class Fusion:
         sensor.acknowledged = mark.number
 
     def _finish(self) -> None:
+        """Store what came, measure the hours that are over, and write the files a last time."""
         self._jobs.stop()
         self._commit(wait=True)
         if self.vehicles is not None:
@@ -361,6 +364,7 @@ class Fusion:
 
 
 def _require_heights(site: LiveSite, road: SightTiles) -> None:
+    """Refuse a filter by clearance where the tiles have no heights."""
     if site.filters().clearance is not None and np.isnan(road.height).all():
         raise InputError(
             "{}: the tiles have no road heights, which clearance needs",

@@ -247,6 +247,7 @@ class Intake:
             sensor.health.alarm("damaged", error.message)
 
     def _handle_status(self, sensor: SensorState, message: Received) -> None:
+        """Take counts, alarms and the stream from a sensor's status message."""
         record = read_record(message.payload, what="a status")
         online = record.get("state") == ONLINE
         sensor.health.alarm(
@@ -265,6 +266,7 @@ class Intake:
             self._use_stream(sensor, stream)
 
     def _use_stream(self, sensor: SensorState, stream: str) -> None:
+        """Receive another stream of a sensor from now on; raise an alarm where two take turns."""
         if stream == sensor.stream:
             return
         now = time.monotonic()
@@ -279,6 +281,7 @@ class Intake:
             del sensor.numbers[next(iter(sensor.numbers))]
 
     def _handle_numbered(self, sensor: SensorState, message: Received) -> None:
+        """Spool and count a message with frames if it is the next of its stream."""
         envelope, content = unpack_message(message.payload)
         self._use_stream(sensor, envelope.stream.hex())
         if not self._follows(sensor, envelope):
@@ -403,6 +406,7 @@ class Intake:
             del sensor.poses[next(iter(sensor.poses))]
 
     def _place_pose(self, name: str, found: PoseContent) -> PlacedPose:
+        """Return a received pose with the tiles in its sight; refuse one of another place."""
         what = Text("the pose of {}", name)
         pose = pose_from_dict(found.pose, what=what)
         if pose.sensor != name:

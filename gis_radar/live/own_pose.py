@@ -137,6 +137,7 @@ class PoseFollower:
         self._thread.join()
 
     def _work(self) -> None:
+        """Run on the thread: follow until closed; a refusal or an error becomes a result."""
         try:
             self._follow()
         except NoAnswerError as error:
@@ -149,6 +150,7 @@ class PoseFollower:
                 self._frames.get_nowait()
 
     def _follow(self) -> None:
+        """Push frames to the follower, and run a cycle every `CYCLE_S`."""
         while (frame := self._frames.get()) is not None and not self._ended.is_set():
             now = float(frame.time[0])
             if now >= self._due:
@@ -158,6 +160,7 @@ class PoseFollower:
             self._follower.push(frame)
 
     def _cycle(self, time: float) -> None:
+        """Fit the pose to the last window, and put it into the results with its trust."""
         known = {id(row) for row in self._follower.rows}
         self._follower.cycle(time)
         rows = self._follower.rows

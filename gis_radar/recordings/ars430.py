@@ -109,6 +109,7 @@ class PacketGroup:
 
 
 def _columns(message: Any) -> dict[str, Column]:
+    """Return the fields of a packet's detections as columns."""
     listed = _first_field(message, LIST)
     columns: dict[str, Column] = {
         name: np.array([_first_field(each, names) for each in listed], dtype=np.float32)

@@ -138,6 +138,7 @@ class Layout:
         return "x" if "x" in self.sources else "range"
 
     def _read(self, name: str, values: Values) -> Column:
+        """Return the values of a column, degrees as radians; NaN where there is no field for it."""
         if name in self.sources:
             read = _signed(self.sources[name], values)
             if name in POLAR[1:]:

@@ -315,6 +315,7 @@ def convert(
 def _refuse_options(
     formats: list[Format], place: Path, *, clock: Clock, duration_s: float | None
 ) -> None:
+    """Refuse options that do not fit the inputs or each other."""
     if not formats:
         raise UsageError("no input given")
     if clock not in CLOCKS:
@@ -344,6 +345,7 @@ def _read(form: Format, source: str, context: ReaderContext) -> Generator[Frame]
 
 
 def _report(result: Conversion, reporter: Reporter) -> None:
+    """Log what each recording holds, and what was left out."""
     if len(result.recordings) > 1:
         reporter.log(
             Text("{} sensors, a recording each ({} takes one)", len(result.recordings), "--sensor")

@@ -130,6 +130,7 @@ def refuse_many_columns(count: int, path: Path) -> None:
 
 
 def _refuse_delimiters(header: str, expected: tuple[str, ...], path: Path) -> None:
+    """Refuse a header whose expected names another sign than a comma separates."""
     for delimiter, word in DELIMITERS.items():
         found = {name.strip(' "') for name in header.split(delimiter)}
         if len(found.intersection(expected)) > 1:

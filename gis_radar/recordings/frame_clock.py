@@ -89,6 +89,7 @@ class FrameClock:
         return self._time(frame), frame
 
     def _decide(self) -> None:
+        """Choose the clock by the first frames, and warn where it is not the sensor's as it is."""
         if self._clock != "auto":
             self.used.append(self._stamp if self._clock == "sensor" else self._clock)
             return
@@ -139,6 +140,7 @@ class FrameClock:
         return line
 
     def _time(self, frame: Frame) -> float:
+        """Return the time of a frame by the clock that counts now; refuse an impossible one."""
         recorder = self.used[-1] == "recorder"
         if not recorder and self._clock == "auto":
             reason = self._fault(frame) or self._jump(frame)

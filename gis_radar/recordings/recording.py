@@ -241,6 +241,7 @@ def open_table(path: Path) -> Recording:
 
 
 def _open_parquet(path: Path) -> Recording:
+    """Open a Parquet file after checks of its columns and their types."""
     with pq.ParquetFile(path) as file:
         refuse_many_columns(file.metadata.num_columns, path)
         _require_columns(file.schema_arrow.names, path)
@@ -271,6 +272,7 @@ VIEWS = {pa.string_view(): pa.string(), pa.binary_view(): pa.binary()}
 
 
 def _require_columns(names: list[str], path: Path) -> None:
+    """Refuse a table that lacks a column of a recording, or has one twice."""
     missing = [name for name in COLUMNS if name not in names]
     if missing:
         column = Text("{}: recording lacks the column {}", path, ", ".join(missing))
@@ -369,6 +371,7 @@ def _further(batch: pa.RecordBatch) -> pa.RecordBatch:
 
 
 def _refuse_times(time: Floats, path: Path, row: int, last: float) -> None:
+    """Refuse times that are no numbers, of impossible years, or before the row above."""
     _refuse_rows(~np.isfinite(time), Text("{}: time is not a finite number", path), row)
     years = Text("{}: time is outside the years {} to {}", path, FIRST_YEAR, LAST_YEAR)
     _refuse_rows(~in_known_years(time), years, row, hint=UNIX_SECONDS_HINT)
@@ -383,6 +386,7 @@ def _refuse_times(time: Floats, path: Path, row: int, last: float) -> None:
 
 
 def _refuse_positions(points: Floats, path: Path, row: int) -> None:
+    """Refuse positions that are infinite, half missing, or farther than `FARTHEST_M`."""
     if np.all(np.abs(points) <= FARTHEST_M):
         return
     gaps = np.isnan(points)

@@ -85,6 +85,7 @@ class RecordingFile:
                 self._writer.close()
 
     def _write(self) -> None:
+        """Write the waiting frames as row groups; the first decides columns and elevation."""
         points = np.concatenate([frame.points for _, frame in self._waiting])
         refuse_positions_in_other_units(points, str(self._place))
         if self.elevation is None:
@@ -114,6 +115,7 @@ class RecordingFile:
         return frame
 
     def _table(self) -> pa.Table:
+        """Return the waiting frames as a table; note columns that the file does not have."""
         schema = None
         if self._writer is not None:
             schema = self._writer.schema

@@ -122,6 +122,7 @@ def _solve_heights(
     weight: Floats,
     stiffness: float,
 ) -> Floats:
+    """Return the heights of nodes that minimise squared distances and bending."""
     weighted = at_points.multiply(weight[:, None]).tocsr()
     normal = at_points.T @ weighted + stiffness * bending
     # Keeps the matrix regular: parts with too few points for a plane are level, at middle height.

@@ -137,6 +137,7 @@ class Pipeline:
         return [*stages, {"type": "filters.range", "limits": limits, "tag": kind}]
 
     def _read(self, number: int, scan: Scan, area: Box) -> list[dict[str, Any]]:
+        """Return the stages that read a scan, crop it, and bring it into the map's CRS."""
         box = reprojected_box(area, self.roads.crs, scan.crs)
         # The file's own system may be compound; heights must stay as they are.
         stages: list[dict[str, Any]] = [
@@ -239,6 +240,7 @@ def engine_of(name: str, *, reporter: Reporter = QUIET) -> tuple[str, Engine]:
 
 
 def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter) -> Selection:
+    """Put the points on the roads into a store, read batch by batch by laspy."""
     total, done, on_road = sum(scan.points for scan in scans), 0, 0
     classified: list[bool] = []
     times: list[float] = []
@@ -262,6 +264,7 @@ def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter)
 def _fill_by_pdal(
     runner: PdalRunner, store: PointStore, scans: Sequence[Scan], reporter: Reporter
 ) -> Selection:
+    """Put the points on the roads into a store, selected by PDAL's pipeline."""
     shares = [ground_share(scan, reporter=reporter) for scan in scans]
     classified = tuple(share >= LEAST_GROUND for share in shares)
     roads = store.blocks.roads

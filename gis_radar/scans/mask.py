@@ -270,6 +270,7 @@ def mask_road(
 
 
 def _no_overlap(scans: Sequence[Scan], roads: Roads) -> InputError:
+    """Return the error for scans without a point on the roads."""
     names = ", ".join(str(scan.path) for scan in scans[:3]) + (" ..." if len(scans) > 3 else "")
     west, south, east, north = roads.area.bounds
     return InputError(
@@ -348,6 +349,7 @@ def _refuse_empty(mask: RoadMask, scans: Sequence[Scan]) -> None:
 
 
 def _report(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
+    """Log the engine and skipped scans; warn of roads outside, few points, and other heights."""
     reporter.log(Text("scans read by {}", mask.engine))
     skipped = len(opened) - len(mask.pipeline.scans)
     if skipped:

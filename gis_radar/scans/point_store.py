@@ -195,6 +195,7 @@ def _clipped(shapes: Any, boxes: list[Box]) -> list[Any]:
 
 
 def _states(shape: Any, cells: Grid) -> NDArray[np.uint8]:
+    """Return the state of each cell: `OUTSIDE`, `INSIDE` or `EDGE` of the roads."""
     inside = centres_in(shape, cells)
     edge = _rasterised([shapely.boundary(shape)], cells, touched=True)
     # Neighbours of which one is inside and one outside are on the edge, despite rounding.

@@ -160,6 +160,7 @@ def _read_polygons(path: Path, crs: Any, layer: str | None, reporter: Reporter) 
 
 
 def _given_crs(crs: Any, path: Path) -> CRS:
+    """Return the CRS that the user states for a layer without one."""
     if crs is None:
         raise CrsError(
             "{}: has no coordinate system", path, hint=Text("state it: {} EPSG:25832", "--map-crs")
@@ -328,6 +329,7 @@ def roads_of_map(roads: LaneletMap, *, source: str = "the map") -> Roads:
 
 
 def _projected(table: gpd.GeoDataFrame, crs: Any, path: str | Path) -> gpd.GeoDataFrame:
+    """Return a table in `crs`, else in the site's UTM zone if it is in degrees."""
     if crs is None and table.crs.is_geographic:
         west, south, east, north = table.to_crs(4326).total_bounds
         crs = utm_zone((west + east) / 2.0, (south + north) / 2.0)

@@ -264,6 +264,7 @@ def box_with_margin(box: Box, margin_m: float) -> Box:
 
 
 def _points_inside(record: Any, box: Box) -> Points:
+    """Return the points of a record that lie in a box and are not withheld."""
     x, y = (
         np.asarray(record[axis], np.float64) * scale + offset
         for axis, scale, offset in zip("XY", record.scales, record.offsets, strict=False)

@@ -170,6 +170,7 @@ def _map_options(site: Site) -> dict[str, Any]:
 
 
 def _road(site: Site, folder: Path) -> Iterator[Stage]:
+    """Yield the stage that makes the road's surface: a mask of scans, or a copy."""
     scan = site.scan
     if scan is not None and scan.road is not None:
         outputs = (folder / "road.laz",)
@@ -187,6 +188,7 @@ def _road(site: Site, folder: Path) -> Iterator[Stage]:
 
 
 def _conversion(sensor: Sensor, folder: Path) -> Stage:
+    """Return the stage that converts a sensor's recordings in other formats."""
     return Stage(
         name=Text("convert {}", sensor.name),
         work=stages.convert_stage,
@@ -206,6 +208,7 @@ def _recordings(sensor: Sensor, folder: Path) -> tuple[Path, ...]:
 
 
 def _localization(site: Site, sensor: Sensor, folder: Path) -> Stage:
+    """Return the stage that finds a sensor's pose from its own recordings."""
     place = folder / "sensors" / sensor.name
     scans = _scans(site)
     return Stage(
@@ -242,6 +245,7 @@ def _tied(site: Site) -> list[Sensor]:
 
 
 def _together(site: Site, folder: Path) -> Iterator[Stage]:
+    """Yield the stage that adjusts the poses of sensors together, where there are several."""
     tied = _tied(site)
     if not tied:
         return
@@ -277,6 +281,7 @@ def _all_recordings(
 
 
 def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
+    """Return the stage that writes the pose of a sensor that all later stages use."""
     place = folder / "sensors" / sensor.name
     options: dict[str, Any] = {"sensor": sensor.name, "view": _view(sensor)}
     if sensor in _tied(site):
@@ -302,6 +307,7 @@ def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
 
 
 def _tiles(site: Site, folder: Path) -> Stage:
+    """Return the stage that splits the lanes into tiles."""
     return Stage(
         name=Text("tiles"),
         work=stages.tiles_stage,

@@ -332,6 +332,7 @@ def _with_sensor_name(name: str, error: GisRadarError) -> GisRadarError:
 
 
 def _stage_record(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
+    """Return the entry of a stage in `run.json`."""
     stage, error = outcome.stage, outcome.error
     return {
         "name": stage.name,

@@ -95,6 +95,7 @@ class ScanTable(TomlTable):
 
     @model_validator(mode="after")
     def _has_one_source(self) -> Self:
+        """Refuse a table with both `files` and `road`, or with neither."""
         if bool(self.files) == (self.road is not None):
             both = "both files and road are" if self.files else "neither files nor road is"
             raise Unfit(
@@ -164,6 +165,7 @@ class ViewTable(TomlTable):
 
     @model_validator(mode="after")
     def _ranges_ascend(self) -> Self:
+        """Refuse a least range that is not below the greatest."""
         if not self.min_range_m < self.max_range_m:
             raise Unfit(
                 message=Text(

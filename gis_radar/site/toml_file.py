@@ -190,6 +190,7 @@ def _template(
 
 
 def _reference(table: type[TomlTable], path: str, title: str) -> Iterator[str]:
+    """Yield the lines of the reference of a table and of those below it."""
     keys, subtables = _keys_and_subtables(table, path)
     yield from (f"### {title}", "", "| key | value | what it is |", "|---|---|---|")
     for name, field in keys.items():
@@ -220,6 +221,7 @@ def _header(path: str, field: FieldInfo) -> str:
 
 
 def _default(field: FieldInfo) -> str:
+    """Return `required`, or the default of a key as TOML writes it."""
     if field.is_required():
         return "required"
     extra = field.json_schema_extra

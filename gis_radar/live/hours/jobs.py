@@ -151,6 +151,7 @@ class HourJobs:
             self._choose(now_s, newest, full=full)
 
     def _choose(self, now_s: float, newest: Mapping[str, float], *, full: bool) -> None:
+        """Choose the next job: first a quarter that is due, then hours, then recordings alone."""
         if not self._is_resumed:  # the first job failed
             self._next = resume_hours
             return

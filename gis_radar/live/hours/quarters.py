@@ -124,6 +124,7 @@ def read_quarters(
 def _quarter_measures(
     begin: int, counts: pd.DataFrame, traffic: pd.DataFrame | None, tiles: gpd.GeoDataFrame
 ) -> QuarterMeasures:
+    """Return the measures of a quarter from its counts by tile and its traffic by lane."""
     ids = tiles["tile_id"].to_numpy(np.int64)
     place = np.searchsorted(ids, counts["tile_id"].to_numpy(np.int64))
     lanes, lane_of_tile = lanes_with_tiles(tiles)

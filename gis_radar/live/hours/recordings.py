@@ -155,6 +155,7 @@ def _frames(
 
 
 def _warn_of_differing(sensor: str, count: int, path: Path, reporter: Reporter) -> None:
+    """Warn of frames that were left out for another of the same time."""
     if count:
         reporter.warn(
             "{}: {:,} frames differ from others of the same time and are left out of {}: "

@@ -168,6 +168,7 @@ class Spool:
         return self.marks.get(sensor, {}).get(stream, Mark(0, 0))
 
     def _append(self, data: bytes) -> None:
+        """Append bytes to the open file and sync it; on failure cut it back to its old end."""
         try:
             with output_errors(self._path):
                 rest = memoryview(data)

@@ -159,6 +159,7 @@ class NowFilter:
             del self._known[next(iter(self._known))]
 
     def _persons(self) -> set[int]:
+        """Return the numbers of bodies that are persons, by cross sections and greatest speeds."""
         numbers = [*self._known]
         rcs = np.array([usual_rcs(np.array(each.rcs)) for each in self._known.values()])
         max_speed = np.array([each.max_speed for each in self._known.values()])

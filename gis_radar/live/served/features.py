@@ -251,6 +251,7 @@ def _filtered(layer: gpd.GeoDataFrame, query: Mapping[str, str]) -> gpd.GeoDataF
 
 
 def _box(text: str) -> shapely.Polygon:
+    """Return the polygon of `west,south,east,north`, or of six numbers with heights."""
     try:
         parts = [float(part) for part in text.split(",")]
     except ValueError:

@@ -123,6 +123,7 @@ class LanePush:
         return added
 
     def _measures(self, number: int, counts: Integers) -> list[LaneMeasure]:
+        """Return the hit share of each observed lane in an interval."""
         place, begin = self._place, number * self._steps
         percent = 100.0 * share_of(*(place.totals_by_lane(each) for each in counts))
         observed_s = STEP_S * place.means_by_lane(counts[1])
@@ -151,6 +152,7 @@ class LanePush:
                 self._failed(error)
 
     def _take_sent(self, work: Future[int]) -> None:
+        """Drop the measures that the server has taken, or plan a retry."""
         try:
             refused = work.result()
         except Exception as error:  # noqa: BLE001 - whatever it is, fusion goes on

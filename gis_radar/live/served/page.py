@@ -321,6 +321,7 @@ def _permille(share: float) -> int | None:
 
 
 def _sensor(place: Place, state: ShownSensor) -> dict[str, Any]:
+    """Return the state of a sensor as the page shows it."""
     where, view = None, None
     if state.pose is not None:
         where = [round(each, DEGREES) for each in place.degrees_of(state.pose)]
@@ -355,6 +356,7 @@ def _language(request: Request) -> str:
 
 
 def _page(place: Place, language: str, *, followed: bool) -> str:
+    """Return the page as HTML in a language."""
     with in_language(language):
         words = {"online": tr("online"), "offline": tr("offline"), "late": tr("no connection"),
                  "hit": tr("{n} tiles are hit now"),

@@ -168,6 +168,7 @@ class Service:
         return self._ask(path, json.dumps(record).encode())
 
     def _ask(self, path: str, body: bytes | None) -> Any:
+        """Return the JSON of a response: to a POST with a body, else to a GET."""
         request = urllib.request.Request(  # noqa: S310 - http and https alone, checked
             f"{self.root}/{path}", data=body, headers=dict(self.headers)
         )
@@ -284,6 +285,7 @@ class LaneServer:
         return begins, -math.inf if is_complete else min(begins)
 
     def _create(self, measures: Sequence[LaneMeasure]) -> int:
+        """Post measures in one request; return how many the server did not store."""
         arrays = []
         for stream, group in groupby(measures, lambda each: each.stream):
             values = [_values(each) for each in group]
@@ -308,6 +310,7 @@ class LaneServer:
         return f"{self._site}/lane/{lane}"
 
     def _datastream(self, lane: int, measure: str, name: str) -> dict[str, Any]:
+        """Return the Datastream of a lane's measure, with the ids of the entities that it names."""
         about = MEASURES[measure]
         unit, symbol, word = about.unit
         observed = {  # a city's server may have a "speed" of its own
@@ -333,6 +336,7 @@ class LaneServer:
         }  # fmt: skip
 
     def _thing(self, lane: int) -> dict[str, Any]:
+        """Return the Thing of a lane, with its line as Location."""
         about, name = f"{self._names[lane]}, {self._place.title}", self._thing_name(lane)
         location = {"name": name, "description": about, "encodingType": "application/geo+json",
                     "location": self._shapes[lane]}  # fmt: skip

@@ -314,6 +314,7 @@ class ShownMap:
         return {name: (count - before.get(name, 0)) / passed_s for name, count in counts.items()}
 
     def _shown(self, name: str, sensor: SensorState, rate: float) -> ShownSensor:
+        """Return the state of a sensor as it is shown."""
         health = sensor.health
         alarms = dict(health.alarms)
         return ShownSensor(

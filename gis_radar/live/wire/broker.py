@@ -155,6 +155,7 @@ class Link:
         self._client = self._new_client(will)
 
     def _new_client(self, will: tuple[str, bytes] | None) -> Client:
+        """Return paho's client with log-in, TLS, will and callbacks; refuse a missing paho."""
         try:
             from paho.mqtt import client as mqtt  # noqa: PLC0415 - an extra
             from paho.mqtt.enums import CallbackAPIVersion  # noqa: PLC0415
@@ -233,6 +234,7 @@ class Link:
     # Callbacks, which paho calls in its thread.
 
     def _on_connect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
+        """Subscribe once the broker accepts the link."""
         self._refusing = bool(reason.is_failure)
         if self._refusing:
             self._log_once(
@@ -250,6 +252,7 @@ class Link:
         self._log_once(Text("{}; trying on", _why_no_link(sys.exc_info()[1], self._address)))
 
     def _on_disconnect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
+        """Log why the link ended, and reconnect slowly where another program has the same name."""
         was, self._connected = self._connected, False
         if not was and _code(reason) and not self._refusing:
             self._log_once(
@@ -301,6 +304,7 @@ def _code(reason: Any) -> int:
 
 
 def _tls_context(authority: Path | None) -> ssl.SSLContext:
+    """Return a TLS context from version 1.2 on, by the system's authorities or by one's own."""
     try:
         context = ssl.create_default_context(cafile=authority)
     except (OSError, ssl.SSLError) as error:

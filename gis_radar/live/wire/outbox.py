@@ -138,6 +138,7 @@ class Outbox:
         self._send()
 
     def _send(self) -> None:
+        """Send waiting messages, as many ahead of the acknowledgement as allowed now."""
         ahead = min(self._ahead, UNACKNOWLEDGED)
         while not self.empty and (room := ahead - self._unacknowledged) > 0:
             waiting = list(self._buffer.read_after(self._sent, min(room, AT_ONCE)))
@@ -183,6 +184,7 @@ class Outbox:
         self._drop_error = ""
 
     def _take_acknowledgement(self, payload: bytes) -> None:
+        """Take an acknowledgement: drop stored messages, or send missing ones again."""
         try:
             acknowledgement = Acknowledgement.unpack(payload)
         except InputError as error:

@@ -74,6 +74,7 @@ class Replay:
             loop_number += 1
 
     def _once(self) -> Frames:
+        """Yield the recorded frames once, at the chosen speed."""
         start, first = time.monotonic(), None
         for frame in frames_of_recording(self.path):
             first = float(frame.time[0]) if first is None else first

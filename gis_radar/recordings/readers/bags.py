@@ -192,6 +192,7 @@ def _messages(
 
 
 def _damaged(source: str, error: Exception) -> InputError:
+    """Return the error for a bag that cannot be read, with the command that may repair it."""
     repair = REPAIR_COMMANDS.get(Path(source).suffix.lower(), "ros2 bag reindex")
     return InputError(
         "{}: cannot be read as a bag: {}",
@@ -234,6 +235,7 @@ class _Topic:
             self._context.counts["damaged_frames"] += 1
 
     def _from_rows(self, rows: Any, message: Any, recorded: float) -> Iterator[Frame]:
+        """Yield the frame of a cloud or a list of detections; nothing of a lidar's."""
         layout = self._layout(rows.dtype)
         # A cloud without speeds is a lidar's, unless the user asks for it by name.
         if not (layout.is_radar or (layout.has_positions and self._context.sensor)):
@@ -251,6 +253,7 @@ class _Topic:
         yield _without_invalid(frame, rows)
 
     def _layout(self, kind: np.dtype[Any]) -> Layout:
+        """Return, and cache, which fields of a message are which columns."""
         names = kind.names or ()
         if names not in self._layouts:
             try:
@@ -268,6 +271,7 @@ class _Topic:
         return self._layouts[names]
 
     def _from_packets(self, message: Any, recorded: float) -> Iterator[Frame]:
+        """Yield a frame for each detection list among the datagrams of a message."""
         for packet in getattr(message, "packets", [message]):
             data = packet.payload if hasattr(packet, "payload") else packet.data
             payload = np.asarray(data, dtype=np.uint8).tobytes()

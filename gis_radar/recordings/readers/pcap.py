@@ -132,6 +132,7 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packet, int]]:
+    """Yield the packets of a pcap file from behind its magic number, with positions."""
     head = _read_exactly(stream, 20)
     (link,) = struct.unpack_from(order + "I", head, 16)
     link &= 0xFFFF  # the upper half is about checksums at the end
@@ -151,6 +152,7 @@ def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packe
 
 
 def _read_pcapng(stream: BinaryIO) -> Iterator[tuple[Packet, int]]:
+    """Yield the packets of a pcapng file from behind its first four bytes, with positions."""
     order, kind, position = "<", _SECTION, 0
     interfaces: list[_Interface] = []
     start = _read_exactly(stream, 4)
@@ -191,6 +193,7 @@ def _block_length(size: int, position: int) -> int:
 
 
 def _interface(body: bytes, order: str) -> _Interface:
+    """Return link type and clock of an interface description block."""
     (link,) = struct.unpack_from(order + "Hxx4x", body)  # and the longest length, unused
     ticks, offset_s, at = 1_000_000, 0, 8
     while at + 4 <= len(body) - 4:
@@ -207,6 +210,7 @@ def _interface(body: bytes, order: str) -> _Interface:
 
 
 def _packet(kind: int, body: bytes, order: str, interfaces: list[_Interface]) -> Packet:
+    """Return the packet of a simple, an enhanced or an obsolete packet block."""
     if kind == _SIMPLE:
         number, high, low, start = 0, 0, 0, 4
         (length,) = struct.unpack_from(order + "I", body)
@@ -356,6 +360,7 @@ class Datagrams:
         return Datagram(source, port, content[8 : length or len(content)])
 
     def _reassemble(self, packet: Packet, start: int, flags: int, fragment: bytes) -> bytes | None:
+        """Add a fragment to its datagram; return the content once it is complete."""
         at = (flags & _FRAGMENT_OFFSET) * 8
         if at + len(fragment) > LONGEST_PACKET:
             return None
@@ -436,6 +441,7 @@ def _datagrams(
 
 
 def _warn(source: str, datagrams: Datagrams, context: ReaderContext) -> None:
+    """Count and warn of incomplete datagrams and of packets captured in part."""
     if datagrams.incomplete:
         context.counts["incomplete_datagrams"] += datagrams.incomplete
         context.reporter.warn(
@@ -453,6 +459,7 @@ def _warn(source: str, datagrams: Datagrams, context: ReaderContext) -> None:
 def _no_detections_error(
     source: str, datagrams: Datagrams, messages: Counter[str], sensors: Counter[str]
 ) -> NothingHereError:
+    """Return the error for a capture without the frames asked for: what there is instead."""
     if sensors:
         return NothingHereError(
             "{}: nothing from that sensor",

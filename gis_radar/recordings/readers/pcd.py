@@ -159,6 +159,7 @@ def read_pcd(path: Path) -> Column:
 
 
 def _header(file: Any) -> _Header:
+    """Read the header: types of the fields, number of points, form of the data."""
     words: dict[str, list[str]] = {}
     while "DATA" not in words:
         line = file.readline(LONGEST_HEADER)
@@ -193,6 +194,7 @@ def _header(file: Any) -> _Header:
 
 
 def _from_text(body: bytes, header: _Header) -> Column:
+    """Return points of numbers in text, as a structured array."""
     width = sum(math.prod(header.dtype[name].shape) for name in header.dtype.names or ())
     values = body.split()
     if len(values) < header.points * width:

@@ -75,6 +75,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
 
 
 def _names(path: Path, columns: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the columns of a table; refuse a name that is there twice."""
     expected = (*(name for known in NAMES.values() for name in known), *columns.values())
     try:
         if path.suffix.lower() == ".csv":
@@ -117,6 +118,7 @@ def _partial_frames(path: Path, layout: Layout, context: ReaderContext) -> Itera
 def _frames_of_batch(
     batch: pa.RecordBatch, layout: Layout, path: Path, context: ReaderContext
 ) -> Iterator[Frame]:
+    """Yield a frame for each run of rows of one time in a batch."""
     time = _seconds(batch.column(layout.sources["time"]), path, context.time_unit)
     columns = {name: _numpy(batch.column(name)) for name in batch.schema.names}
     for target, field in layout.sources.items():
@@ -129,6 +131,7 @@ def _frames_of_batch(
 
 
 def _frame_of(all_rows: Frame, rows: slice, time: float) -> Frame:
+    """Return some rows as a frame; a single row of NaN has no detections."""
     # A single row of NaN stands for a frame without detections.
     blank = rows.stop - rows.start == 1 and np.isnan(all_rows.points[rows]).all()
     if blank and np.isnan(all_rows.range_rate[rows]).all():
@@ -138,6 +141,7 @@ def _frame_of(all_rows: Frame, rows: slice, time: float) -> Frame:
 
 
 def _joined(first: Frame, second: Frame) -> Frame:
+    """Return two parts of one frame as one."""
     both = {
         name: np.concatenate([first.further[name], second.further[name]]) for name in first.further
     }

@@ -203,6 +203,7 @@ _EXAMPLE = f"such as {SCHEME}{GROUP}:{PORT}?interface=10.13.1.1"
 
 @contextmanager
 def _listening(source: str, group: str, port: int, interface: str) -> Iterator[socket.socket]:
+    """Open a socket that receives the datagrams of a group, or of this machine's address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         try:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -83,6 +83,7 @@ def write_sights(
 
 
 def _rows(number: int, sight: Sight) -> pd.DataFrame:
+    """Return the rows of a pose in the layer: its tiles in view, with state and obstacle."""
     place = np.flatnonzero(sight.state != OUT_OF_VIEW)
     return pd.DataFrame(
         {

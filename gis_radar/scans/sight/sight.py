@@ -260,6 +260,7 @@ class SightScan:
         return Grid(cell_m=CELL_M, west=west, south=south, columns=count, rows=count)
 
     def _read(self, grids: Sequence[Grid], poses: Sequence[Pose]) -> None:
+        """Read the scans into windows around poses, and keep the obstacles found in each."""
         windows = [ScanColumns(grid=grid) for grid in grids]
         boxes = np.array([grid.bounds for grid in grids])
         box = (*boxes[:, :2].min(axis=0).tolist(), *boxes[:, 2:].max(axis=0).tolist())
@@ -300,6 +301,7 @@ class SightScan:
             )
 
     def _no_points_error(self, pose: Pose) -> InputError:
+        """Return the error for a pose without a scanned point in its window."""
         names = ", ".join(str(scan.path) for scan in self.scans[:3])
         more, reach_m = " ..." if len(self.scans) > 3 else "", (pose.view or View()).max_range_m
         return InputError(
