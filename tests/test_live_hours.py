@@ -336,7 +336,7 @@ class JobsHere(HourJobs):
 def test_what_an_earlier_run_left_is_taken_up_again_after_a_failure(tmp_path, pool, monkeypatch):
     made = SpooledSite(tmp_path)
     recorded_at(made, FULL_US - 5_000_000, ["R1"])
-    monkeypatch.setattr(jobs_module, "AGAIN_S", 0.0)
+    monkeypatch.setattr(jobs_module, "RETRY_S", 0.0)
     jobs = HourJobs(made.site, Quarters(), process=lambda: pool, reporter=Lines())
     jobs.resume(made.spool.closed)
     pool.future.set_exception(BrokenExecutor())
@@ -439,7 +439,7 @@ def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):
         jobs.poll_at(end_s + 60.0 * minutes, end_s + 60.0 * minutes)
         jobs.end(error=OSError(28, "no space"))
         assert jobs.poll_at(end_s + 60.0 * minutes, end_s) is None  # not at once
-        clock.now_s += jobs_module.AGAIN_S
+        clock.now_s += jobs_module.RETRY_S
     behind = [line for line in said.lines if "measuring is behind" in line]
     assert ["16 min" in behind[0], "40 min" in behind[1], len(behind)] == [True, True, 2]
     assert jobs.figures()["hours_behind_seconds"] == 3000.0
@@ -469,7 +469,7 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, mo
             return True
         return False
 
-    monkeypatch.setattr(jobs_module, "AGAIN_S", 0.0)
+    monkeypatch.setattr(jobs_module, "RETRY_S", 0.0)
     jobs = HourJobs(made.site, Quarters(), reporter=said, process=process)
     jobs.resume([])
     wait_for(multiprocessing.active_children)

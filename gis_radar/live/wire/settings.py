@@ -117,7 +117,7 @@ class LiveSensor(Sensor):
     """What it recorded; not needed here."""
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
+    def _is_consistent(self) -> Self:
         return self
 
 
@@ -130,7 +130,7 @@ class LiveSite(Site):
     """The radars, a table each."""
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
+    def _is_consistent(self) -> Self:
         names = [each.name for each in self.sensor]
         for place, name in enumerate(names):
             at = ("sensor", place, "name")
