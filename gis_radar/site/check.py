@@ -179,8 +179,8 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     for done, sensor in enumerate(site.sensor):
         reporter.progress("reading recordings", done, len(site.sensor))
         counts = _ViewCounts()
-        ours = [path for path in sensor.recordings if path not in sensor.foreign]
-        spans = [(*counts.add(open_recording(path)), path) for path in ours]
+        readable = [path for path in sensor.recordings if path not in sensor.foreign]
+        spans = [(*counts.add(open_recording(path)), path) for path in readable]
         sensor_checks[sensor.name] = _sensor_check(sensor, spans, counts, warnings)
         if spans:
             recorded[sensor.name] = spans
@@ -265,14 +265,14 @@ def _check_poses(
     """
     given, without_pose = dict[str, RecordedSensor](), dict[str, RecordedSensor]()
     for each in site.sensor:
-        ours = [open_recording(path) for path in each.recordings if path not in each.foreign]
-        if not ours:
+        readable = [open_recording(path) for path in each.recordings if path not in each.foreign]
+        if not readable:
             continue
-        recorded = RecordedSensor(recordings=ours, clock=clocks.get(each.name))
+        recorded = RecordedSensor(recordings=readable, clock=clocks.get(each.name))
         if each.pose is None:
             without_pose[each.name] = recorded
         else:
-            given[each.name] = replace(recorded, tracks=[read_track(each.pose)] * len(ours))
+            given[each.name] = replace(recorded, tracks=[read_track(each.pose)] * len(readable))
     masked = site.scan and site.scan.road
     road = read_road(masked, roads.crs) if masked else np.empty((0, 3))
     lanes = LaneMap(lanelets=roads.lanelets, road=road)

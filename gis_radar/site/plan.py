@@ -203,8 +203,8 @@ def _conversion(sensor: Sensor, folder: Path) -> Stage:
 def _recordings(sensor: Sensor, folder: Path) -> tuple[Path, ...]:
     """Return the recordings of a sensor for later stages: converted ones in place of foreign."""
     foreign = set(sensor.foreign)
-    ours = (path for path in sensor.recordings if path not in foreign)
-    return (*ours, *(_conversion(sensor, folder).outputs if foreign else ()))
+    readable = (path for path in sensor.recordings if path not in foreign)
+    return (*readable, *(_conversion(sensor, folder).outputs if foreign else ()))
 
 
 def _localization(site: Site, sensor: Sensor, folder: Path) -> Stage:
@@ -251,20 +251,20 @@ def _together(site: Site, folder: Path) -> Iterator[Stage]:
         return
     places = [folder / "sensors" / each.name for each in tied]
     found = (place / name for place in places for name in (POSE_FILE, CANDIDATES_FILE))
-    ours, converted = _all_recordings(tied, folder)
+    readable, converted = _all_recordings(tied, folder)
     yield Stage(
         name=Text("poses together"),
         work=stages.together_stage,
         inputs=_given(
             map_file=site.map.file,
             road=folder / "road.laz",
-            recordings=tuple(path for paths in ours.values() for path in paths),
+            recordings=tuple(path for paths in readable.values() for path in paths),
             clocks=site.measure.clocks,
         ),
         beside=((*found, *converted),),
         options={
             **_map_options(site),
-            "sensors": {name: len(paths) for name, paths in ours.items()},
+            "sensors": {name: len(paths) for name, paths in readable.items()},
         },
         outputs=(folder / "together.json",),
         phases=2,
@@ -275,9 +275,11 @@ def _all_recordings(
     sensors: Sequence[Sensor], folder: Path
 ) -> tuple[dict[str, list[Path]], list[Path]]:
     """Return recordings that need no conversion, by sensor, and all converted recordings."""
-    ours = {each.name: [p for p in each.recordings if p not in each.foreign] for each in sensors}
+    readable = {
+        each.name: [p for p in each.recordings if p not in each.foreign] for each in sensors
+    }
     foreign = [each for each in sensors if each.foreign]
-    return ours, [path for each in foreign for path in _conversion(each, folder).outputs]
+    return readable, [path for each in foreign for path in _conversion(each, folder).outputs]
 
 
 def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
@@ -333,14 +335,14 @@ def _measure(site: Site, folder: Path) -> Stage:
     clocks = filters.pop("clocks")
     filters["elevation_error_deg"] = filters.pop("elevation_error")
     poses = {each.name: _pose(site, each, folder).outputs[0] for each in site.sensor}
-    ours, converted = _all_recordings(site.sensor, folder)
+    readable, converted = _all_recordings(site.sensor, folder)
     return Stage(
         name=Text("measure"),
         work=stages.measure_stage,
         inputs=_given(
             map_file=site.map.file,
             tile_file=folder / "tiles.gpkg",
-            recordings=tuple(path for paths in ours.values() for path in paths),
+            recordings=tuple(path for paths in readable.values() for path in paths),
             clocks=clocks,
             scans=_scans(site),
         ),
@@ -349,7 +351,7 @@ def _measure(site: Site, folder: Path) -> Stage:
         options={
             "sensors": {
                 each.name: {
-                    "recordings": len(ours[each.name]),
+                    "recordings": len(readable[each.name]),
                     # a pose has its view already
                     "view": _view(each) if poses[each.name].suffix == ".csv" else None,
                     "cycle": each.cycle,

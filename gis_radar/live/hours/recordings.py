@@ -121,9 +121,9 @@ def make_parts(folder: Path, spooled: Path, reporter: Reporter = QUIET) -> None:
                 _warn_of_differing(sensor, differing, path, reporter)
     with output_errors(spooled):
         if file.damaged:
-            aside = spooled.replace(spooled.with_suffix(".damaged"))
+            renamed = spooled.replace(spooled.with_suffix(".damaged"))
             reporter.warn(
-                "{}: damaged records are left out; the file is kept as {}", spooled, aside
+                "{}: damaged records are left out; the file is kept as {}", spooled, renamed
             )
         else:
             spooled.unlink()
@@ -296,9 +296,9 @@ def join_parts(folder: Path, sensor: str, hour: int, reporter: Reporter) -> Path
         for _ in open_recording(path).read():
             pass
     except InputError as error:
-        aside = path.with_suffix(".refused")
-        reporter.warn("{}: put aside as {}", error.message, aside.name)
-        path.replace(aside)
+        renamed = path.with_suffix(".refused")
+        reporter.warn("{}: put aside as {}", error.message, renamed.name)
+        path.replace(renamed)
         return None
     return path
 

@@ -11,8 +11,8 @@ import numpy as np
 from gis_radar.base import STEP_US, Booleans, Integers, iso_from_step
 from gis_radar.measures import valid_steps
 
-MOST_STEPS = 1_200  # most steps closed at once: after a longer pause the map begins anew
-BACK_STEPS = 40  # the map begins anew if a clock is set back by more: 2 s
+MOST_STEPS = 1_200  # most steps closed at once: after a longer pause the map starts from zero
+BACK_STEPS = 40  # clocks set back by more, 2 s, make the map start from zero
 
 
 class SensorReport(NamedTuple):

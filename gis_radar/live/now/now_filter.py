@@ -143,7 +143,7 @@ class NowFilter:
         self._show()
 
     def _learn(self, detections: MapDetections, number: np.ndarray, states: Floats) -> None:
-        """Record cross sections and speeds, by which walkers are told from vehicles."""
+        """Record cross sections and speeds, by which persons are distinguished from vehicles."""
         still = np.abs(detections.range_rate) < MOVING_MPS
         known = usual_rcs(detections.rcs[still])
         self._still_rcs = known if np.isnan(self._still_rcs) else self._still_rcs

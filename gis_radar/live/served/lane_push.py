@@ -218,8 +218,8 @@ def _read(path: Path, reporter: Reporter) -> tuple[list[LaneMeasure], set[int]]:
     except FileNotFoundError:
         return [], set()
     except (OSError, ValueError, TypeError, KeyError, ArithmeticError, RecursionError):
-        aside = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
+        renamed = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
         with suppress(OSError):  # if it cannot be renamed, the next waiting measures replace it
-            path.rename(aside)
-        reporter.warn("{}: it is damaged, and put aside as {}", path, aside.name)
+            path.rename(renamed)
+        reporter.warn("{}: it is damaged, and put aside as {}", path, renamed.name)
         return [], set()

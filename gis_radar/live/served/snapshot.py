@@ -216,7 +216,7 @@ class Snapshot:
         return classes_of(self.hit_share())
 
     def occupancy_classes(self) -> Integers:
-        """Return each tile's class of occupancy, alike; -1 where it was not visible."""
+        """Return each tile's class of occupancy, as `classes` does; -1 where it was not visible."""
         if self.quarter is None:
             return np.full(len(self.observed), NOT_OBSERVED)
         return classes_of(self.quarter.occupancy())

@@ -247,7 +247,7 @@ class _Topic:
             sensor_time=stamp,
             recorder_time=recorded,
             stamp="header stamp",
-            # Empty clouds without a stamp are all equal, but not doubles.
+            # Empty clouds without a stamp are all equal, but no duplicates.
             identity=(stamp, hash(rows.tobytes())) if stamp else None,
         )
         yield _without_invalid(frame, rows)
