@@ -158,7 +158,7 @@ def off_by(value: float, error: float, digits: int = 0) -> str:
 
 def share_off(share: float, error: float) -> str:
     """Return a share as percent with its standard error, rounded up as by :func:`off_by`."""
-    return percent(share, off=np.ceil(error * 1000.0) / 1000.0)
+    return percent(share, error=np.ceil(error * 1000.0) / 1000.0)
 
 
 def _longest(row: pd.Series) -> str:

@@ -15,9 +15,9 @@ from gis_radar.base import (
     UsageError,
     add_layer,
     atomic_write,
-    dress_layers,
-    keep_styles,
+    copy_saved_styles,
     require_same,
+    style_layers,
 )
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, ellipse
 
@@ -57,8 +57,8 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
         for name, table in layers.items():
             add_layer(table, part, name, geometry_type=kinds[name])
         styles = {name: read_style(name) for name in layers}
-        dress_layers(part, styles, name="sensor", about="where a sensor stands and looks")
-        keep_styles(part, earlier=path)
+        style_layers(part, styles, name="sensor", about="where a sensor stands and looks")
+        copy_saved_styles(part, earlier=path)
 
 
 def read_style(layer: str) -> str:

@@ -53,7 +53,7 @@ from gis_radar.calibration.several.placing import (
     preference,
 )
 from gis_radar.calibration.single.moving import NO_OFFSET
-from gis_radar.calibration.timing.clock_offsets import measured_offset
+from gis_radar.calibration.timing.clock_offsets import ODD_DRIFT, measured_offset
 from gis_radar.calibration.timing.clocks import SensorClock, adjust_network, sum_offsets
 from gis_radar.calibration.timing.lane_detections import lane_detections
 from gis_radar.poses import Pose
@@ -225,8 +225,10 @@ class _Network:
         if clock is not None:
             member.clock = clock
             shifted_choices, shifted = self._compare_with_placed(member)
-            now = placing.scores_in_time
-            if shifted.inside is not None and preference(shifted.inside.scores, now) >= OFFSET_Z:
+            # a fixed pose explains no wrong rate, which shows little in a short recording
+            is_rate = abs(clock.drift_ppm) > 1e6 * ODD_DRIFT and member.fixed
+            least, now = -np.inf if is_rate else OFFSET_Z, placing.scores_in_time
+            if shifted.inside is not None and preference(shifted.inside.scores, now) >= least:
                 member.free, choices, placing = True, shifted_choices, shifted
             else:
                 member.clock = NO_OFFSET
@@ -457,9 +459,8 @@ class _Network:
 
     def unmatched(self, pairs: Mapping[Names, int], held: Mapping[Names, int]) -> dict[str, str]:
         """Return the sensors without correspondences, each with the reason."""
-        matched = {name for pair in pairs for name in pair}
-        names = [name for name in self.all if name not in matched and name not in self.refused]
-        return {name: self._why_unmatched(name, held) for name in names}
+        known = {name for pair in pairs for name in pair} | self.refused.keys()
+        return {name: self._why_unmatched(name, held) for name in self.all if name not in known}
 
     def _why_unmatched(self, name: str, held: Mapping[Names, int]) -> str:
         compared = {pair: number for pair, number in held.items() if name in pair}

@@ -22,8 +22,8 @@ from gis_radar.base import (
     UsageError,
     as_points,
     looks_like_degrees,
-    moved_position,
     paths_of,
+    reprojected_position,
     yaw_from_compass,
 )
 from gis_radar.calibration.range_scale import measure_range_scale
@@ -262,7 +262,7 @@ def start_in_map(
     """Return guess (m) and heading (degrees from grid east) in the coordinate system of a map."""
     place = tuple(float(number) for number in guess)
     if guess_crs is not None:
-        place = moved_position(place, guess_crs, roads.crs)
+        place = reprojected_position(place, guess_crs, roads.crs)
     if compass is not None:
         heading = yaw_from_compass(compass, roads.crs, place[0], place[1])
     return place, heading

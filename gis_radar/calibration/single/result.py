@@ -237,7 +237,7 @@ class Localization:
         beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]
         size_in = (SIZE_IN, WITH_ONE_IN, WITH_TWO_IN)[len(beside)]
         rows = [["traces", *beside]] if len(beside) < 2 else [["traces", "traces"], beside]
-        with picture_file(path, size_in, DPI, tight=True, letters_pt=LETTERS_PT) as figure:
+        with picture_file(path, size_in, DPI, tight=True, font_pt=LETTERS_PT) as figure:
             panels = figure.subplot_mosaic(rows)
             self.plot(roads, road_points, ax=panels["traces"]).set_anchor("N")
             if len(beside) == 2:  # shown as wide as the others on a phone, it needs larger letters

@@ -18,9 +18,9 @@ from gis_radar.base import (
     InputError,
     Text,
     csv_rows,
+    in_language,
     interval_steps,
     listed,
-    speaking,
     stated_moment,
     step_at,
     text_in,
@@ -130,14 +130,14 @@ def signal_cycles(
     """
     require_vehicles(dataset)
     network, hours = _exact(dataset, dataset.span(begin, end))
-    with speaking(language):
+    with in_language(language):
         names = np.array(lane_names(dataset.layer(LANES_LAYER), network), object)
     at = {str(each): k for name in (names, network.lane) for k, each in enumerate(name.tolist())}
     known = None if signals is None else read_signals(signals, at, zone_of(dataset.timezone))
     if off := [lane for lane in known or () if not network.has_stop_line[lane]]:
         raise InputError("{}: lane {} has no stop line", signals, int(network.lane[off[0]]))
     found = [each for hour in hours for each in cycles(network, *hour, known=known)]
-    with speaking(language):
+    with in_language(language):
         reason = [tr(each.reason) if each.reason else "" for each in found]
     table = pd.DataFrame(found, columns=list(Cycle._fields))
     place, zone = table["lane"].to_numpy(np.int64), zone_of(dataset.timezone)

@@ -23,7 +23,7 @@ from gis_radar.base import (
     NoAnswerError,
     Text,
     UsageError,
-    speaking,
+    in_language,
     tr,
 )
 from gis_radar.dataset import Dataset, LaneTraffic, day_numbers, open_dataset
@@ -80,7 +80,7 @@ def compare(
     sources = ((dataset, before), (other, after))
     rows = _rows(sources, day_numbers(days), language)
     sights = [lane_sights(source, table) for (source, _), table in zip(sources, rows, strict=True)]
-    with speaking(language):
+    with in_language(language):
         together = tr("All stop lines together")
     return _compared(rows, sights, together, dataset.doubts, other.doubts)
 

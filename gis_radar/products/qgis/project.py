@@ -23,12 +23,12 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
+    in_language,
+    long_span,
     metric_crs,
     opened_package,
     read_only,
     seconds_from_iso,
-    speaking,
-    whole_span,
     zone_of,
 )
 from gis_radar.dataset import FOOTPRINTS, SHOWN_S, Dataset, footprint_style, open_dataset
@@ -132,7 +132,7 @@ def write_qgis_project(
         )
         played = played and played._replace(step_s=SHOWN_S)
     played = played and played._replace(timezone=timezone)
-    with speaking(language):
+    with in_language(language):
         time = _local_time(*_recorded(package, played), timezone) if played else ""
     content = ProjectContent(
         title=title or path.stem, time=time,
@@ -271,7 +271,7 @@ def _recorded(package: Path, played: TimeRange) -> tuple[str, str]:
 def _local_time(since: str, until: str, timezone: str) -> str:
     """Return a span of time by the site's clock, with its zone and offset."""
     begin, end = (datetime.fromisoformat(text) for text in (since, until))
-    return whole_span(begin, end, zone_of(timezone))
+    return long_span(begin, end, zone_of(timezone))
 
 
 def _drawn(

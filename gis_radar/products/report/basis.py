@@ -125,7 +125,7 @@ def facts_of(found: Findings) -> list[Fact]:
     if "vehicles" in total:
         heavy = tr("{n} of them heavy; no count of vehicles", n=figure_text(total["heavy"]))
         facts.append(Fact(tr("Tracks of vehicles"), figure_text(total["vehicles"]), heavy))
-    mean = percent(total["mean_occupancy"], off=total["mean_occupancy_se"])
+    mean = percent(total["mean_occupancy"], error=total["mean_occupancy_se"])
     facts.append(Fact(tr("Mean occupancy"), mean, tr("of all road that was visible")))
     return [*facts, _highest(found)]
 
@@ -148,7 +148,7 @@ def _highest(found: Findings) -> Fact:
         lanes=plural(ranked, "{n} ranked lane", "{n} ranked lanes"),
         share=percent(top["base_m"] / top["length_m"], 0),
     )
-    share = percent(top["share"], off=top["share_se"])
+    share = percent(top["share"], error=top["share_se"])
     return Fact(name, f"{int(top['lane'])}: {share}", rests)
 
 

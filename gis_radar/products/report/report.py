@@ -25,11 +25,11 @@ from gis_radar.base import (
     direction,
     figure_text,
     folder_to_fill,
+    in_language,
     known_language,
     listed,
     percent,
     plural,
-    speaking,
     street_label,
     tr,
     zone_of,
@@ -177,7 +177,7 @@ def write_report(
     results = read_results(folder, None if dataset is None else Path(dataset))
     heat = results.heat
     spoken = language or str(results.site.get("language") or heat.labels.language)
-    with csv_for(csv_locale), speaking(known_language(spoken)):
+    with csv_for(csv_locale), in_language(known_language(spoken)):
         found = _find(results, title or _named(results, folder), timezone, reporter)
         content = _content(found, reporter, ways=ways)
         outputs = _write(folder if output is None else Path(output), found, content, reporter)
@@ -290,7 +290,7 @@ def _summary(found: Findings, content: Content) -> dict[str, Any]:
 
 def _english_remarks(found: Findings) -> list[Text]:
     """Return what it finds for a run's log: all there is English until the console translates."""
-    with speaking("en"):
+    with in_language("en"):
         return own_remarks(found)
 
 
@@ -304,7 +304,7 @@ def _content(found: Findings, reporter: Reporter, *, ways: bool) -> Content:
     begin, end = results.heat.whole.span()
     return Content(
         title=found.title,
-        subtitle=clock.whole(begin, end),
+        subtitle=clock.long_span(begin, end),
         zone=clock.name,
         until=end,
         intro=tr(WORDS[results.heat.measure].intro),
@@ -431,11 +431,11 @@ def lane_columns(clock: Clock, measure: str) -> list[Column]:
         if pd.isna(row["busiest_begin"]) or not apart > (row["busiest_share_se"] or 0.0):
             return NO_FIGURE
         span = clock.span(*(row[name].to_pydatetime() for name in ("busiest_begin", "busiest_end")))
-        return f"{span}: {percent(row['busiest_share'], 0, off=row['busiest_share_se'])}"
+        return f"{span}: {percent(row['busiest_share'], 0, error=row['busiest_share_se'])}"
 
     def spot(row: pd.Series) -> str:
         place = f"{figure_text(row['busiest_spot_m'])}{THIN_SPACE}m"
-        share = percent(row["busiest_spot"], 0, off=row["busiest_spot_se"])
+        share = percent(row["busiest_spot"], 0, error=row["busiest_spot_se"])
         text = tr("{share} at {place}", share=share, place=place)
         return text.replace(f" {place}", f"{THIN_SPACE}{place}")  # no line ends before it
 
@@ -448,7 +448,7 @@ def lane_columns(clock: Clock, measure: str) -> list[Column]:
         Column(tr("Rank"), "", rank, False),
         Column(tr("Leads to"), "", leads_to, False),
         Column(tr(words.share), tr(words.base),
-               lambda row: percent(row["share"], off=row["share_se"])),
+               lambda row: percent(row["share"], error=row["share_se"])),
         Column(tr("Tracks"), "",
                lambda row: figure_text(row["tracks"]) if row["tracks"] >= 0 else NO_FIGURE),
         Column(tr("Length"), "m", lambda row: figure_text(row["length_m"])),
