@@ -457,9 +457,8 @@ class _Network:
 
     def unmatched(self, pairs: Mapping[Names, int], held: Mapping[Names, int]) -> dict[str, str]:
         """Return the sensors without correspondences, each with the reason."""
-        matched = {name for pair in pairs for name in pair}
-        names = [name for name in self.all if name not in matched and name not in self.refused]
-        return {name: self._why_unmatched(name, held) for name in names}
+        known = {name for pair in pairs for name in pair} | self.refused.keys()
+        return {name: self._why_unmatched(name, held) for name in self.all if name not in known}
 
     def _why_unmatched(self, name: str, held: Mapping[Names, int]) -> str:
         compared = {pair: number for pair, number in held.items() if name in pair}
