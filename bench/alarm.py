@@ -284,7 +284,7 @@ class Both:
         self.vehicles = Alarm(sensor.cells, sensor.state.position[:2])
         self.still = StationaryTargets(search_blocks=SEARCH_BLOCKS if known is None else 2**62)
         if known is not None:
-            self.still.know(known[0].place[known[1]], known[0].rate[known[1]])
+            self.still.set_targets(known[0].place[known[1]], known[0].rate[known[1]])
 
     def batch(self, sensor: Sensor, batch: Detected, clock: float) -> list[Scores]:
         """Take a batch of detections; return the scores minute by minute."""
@@ -306,10 +306,10 @@ class Both:
         """Take a minute; return the largest scores in it, in parts of their gates."""
         largest, sees = 0.0, False
         for part in still:
-            self.still.take(part)
+            self.still.process(part)
             told = self.still.tested
-            sees = any(each.sees for each in told)
-            largest = max([largest, *(each.found.score / GATE for each in told)])
+            sees = any(each.sensitive for each in told)
+            largest = max([largest, *(each.displacement.score / GATE for each in told)])
         driven = self.vehicles.push(places, now)
         by_vehicles = 0.0 if driven is None else driven.score / alarm.GATE
         return Scores(still=largest, vehicles=by_vehicles, sees=sees)
@@ -356,7 +356,7 @@ def learnt(sensor: Sensor, batchs: Sequence[Path]) -> tuple[StationaryTargets, l
     for batch in parts:
         for minute in range(MINUTES):
             for seen in first.summaries(batch, minute):
-                first.still.take(seen)
+                first.still.process(seen)
     again = Both(sensor, (first.still, np.arange(len(first.still))))
     minutes = [
         Minute(

@@ -24,8 +24,8 @@ from gis_radar.calibration.monitoring.lane_places import WITHIN_M, LanePlaces
 from gis_radar.calibration.monitoring.stationary_targets import (
     GATE_M,
     GATE_RAD,
-    WANDER_M,
-    WANDER_RAD,
+    START_SIGMA_M,
+    START_SIGMA_RAD,
     by_move,
 )
 
@@ -42,7 +42,7 @@ SWAY = (0.005, 0.005, 0.002, np.radians(0.03), np.radians(0.03), np.radians(0.02
 WET_H = 1.0
 CAR_M = 5.0
 # where another car's target is, 1 sigma, and where it is still taken for the one that left
-BESIDE = np.array([0.5, GATE_RAD / 2.0, WANDER_RAD[1]])
+BESIDE = np.array([0.5, GATE_RAD / 2.0, START_SIGMA_RAD[1]])
 GATE = np.array([GATE_M, GATE_RAD, np.inf])
 
 
@@ -101,7 +101,7 @@ class Day:
 
 CHANGING = Day(
     shares=SHARES, stretch_m=0.05, common_m=0.03, breadth_m=0.02, obstacles=0.5, drift=1.0,
-    sway=1.0, wander=(WANDER_M, *WANDER_RAD), parked=0.33, wet=0.1,
+    sway=1.0, wander=(START_SIGMA_M, *START_SIGMA_RAD), parked=0.33, wet=0.1,
 )  # fmt: skip
 
 

@@ -50,7 +50,7 @@ from gis_radar.live import (
     read_live_site,
     write_broker_files,
 )
-from gis_radar.live.now.map_of_now import Seen
+from gis_radar.live.now.map_of_now import SensorReport
 from gis_radar.live.wire.buffer import Waiting
 from gis_radar.live.wire.payload import POSE_BYTES, varint
 from gis_radar.measures import road_near
@@ -217,7 +217,7 @@ class TimedFusion(Fusion):
         super()._finish()
         self.finish_s = time.monotonic() - begin
 
-    def _count(self, step: int, frames: dict[str, Seen]) -> None:
+    def _count(self, step: int, frames: dict[str, SensorReport]) -> None:
         super()._count(step, frames)
         now_us = time.time() * 1e6
         begin_us = step * STEP_US

@@ -11,7 +11,7 @@ from live_programs import rows_of
 import gis_radar as gr
 from gis_radar.base import step_begin
 from gis_radar.dataset.files.tables import HITS, OBSERVED
-from gis_radar.live import Lately, Place, Snapshot
+from gis_radar.live import Place, QuarterMeasures, Snapshot
 from gis_radar.live.now.now_filter import VehiclesNow
 from gis_radar.live.served.snapshot import ShownSensor
 
@@ -60,7 +60,7 @@ class Replay:
                 for name, pose in self.poses.items()
             ],
             vehicles=self.vehicles(now),
-            lately=self.lately(past),
+            quarter=self.quarter(past),
         )  # fmt: skip
 
     def vehicles(self, now):
@@ -70,7 +70,7 @@ class Replay:
                 for k, each in enumerate(middles)]  # fmt: skip
         return VehiclesNow.of(self.at / 20.0, np.array(rows).reshape(-1, 6))
 
-    def lately(self, past):
+    def quarter(self, past):
         """Return the hits as if they were occupied."""
         hits = np.bincount(self.tile[past], minlength=len(self.seen))
         visible = np.where(self.seen, self.at - self.first + 1, 0)
@@ -81,7 +81,7 @@ class Replay:
              "speed_kmh": np.where(each, 36.0, np.nan),
              "queue_max_m": np.where(each % 2, 23.4, np.nan)}
         )  # fmt: skip
-        return Lately(until_step=self.at, visible=visible, occupied=hits, lanes=lanes)
+        return QuarterMeasures(until_step=self.at, visible=visible, occupied=hits, lanes=lanes)
 
     def lane_intervals(self):
         begin = step_begin(self.first)

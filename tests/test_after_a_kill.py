@@ -178,7 +178,7 @@ def test_a_plan_moves_nothing_elsewhere(tmp_path):
     private = tmp_path / ".a.00000000.part"
     private.mkdir()
     (private / "a").write_text("hostile")
-    (private / leftovers.ALIVE).write_text("\n")
+    (private / leftovers.LOCK_NAME).write_text("\n")
     (private / leftovers.PLAN).write_text(json.dumps([["a", str(tmp_path / "sub" / "a")]]))
     (tmp_path / "sub").mkdir()
     with atomic_write(tmp_path / "a") as part:
@@ -215,7 +215,7 @@ def test_a_plan_among_temporary_files_moves_nothing(tmp_path, monkeypatch):
     private.mkdir()
     (tmp_path / "mine").write_text("mine")
     (private / "mine").write_text("hostile")
-    (private / leftovers.ALIVE).write_text("\n")
+    (private / leftovers.LOCK_NAME).write_text("\n")
     (private / leftovers.PLAN).write_text(json.dumps([["mine", str(tmp_path / "mine")]]))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with scratch_folder():
@@ -228,7 +228,7 @@ def test_a_folder_that_is_being_made_is_not_cleared(tmp_path):
     """Another run looks between the two steps: the file is there, its lock is not yet held."""
     private = tmp_path / ".a.00000000.part"
     private.mkdir()
-    handle = os.open(private / leftovers.ALIVE, os.O_RDWR | os.O_CREAT)
+    handle = os.open(private / leftovers.LOCK_NAME, os.O_RDWR | os.O_CREAT)
     try:
         leftovers.clear_abandoned(tmp_path, leftovers.PRIVATE)
         assert private.exists()
@@ -242,7 +242,7 @@ def test_a_run_that_was_killed_while_it_made_its_folder_leaves_nothing(tmp_path,
     private = tmp_path / ".a.00000000.part"
     private.mkdir()
     if locked:
-        (private / leftovers.ALIVE).touch()
+        (private / leftovers.LOCK_NAME).touch()
     with atomic_folder(tmp_path / "a", owned=("a",)) as part:
         (part / "a1").write_text("new")
     assert names(tmp_path) == ["a"]
@@ -278,7 +278,7 @@ def test_a_run_that_can_open_no_more_files_clears_nothing(tmp_path, monkeypatch)
     """Whether somebody writes there cannot be told then."""
     private = tmp_path / ".a.00000000.part"
     private.mkdir()
-    (private / leftovers.ALIVE).write_text("\n")
+    (private / leftovers.LOCK_NAME).write_text("\n")
     os.utime(private, (time.time() - 3600.0,) * 2)
 
     def refuse(*_, **__):
@@ -292,11 +292,11 @@ def test_a_run_that_can_open_no_more_files_clears_nothing(tmp_path, monkeypatch)
 
 def test_a_look_of_another_run_does_not_cost_the_lock(tmp_path):
     """The look holds the lock for a moment; the owner waits for it."""
-    (tmp_path / leftovers.ALIVE).touch()
-    handle = os.open(tmp_path / leftovers.ALIVE, os.O_RDWR)
+    (tmp_path / leftovers.LOCK_NAME).touch()
+    handle = os.open(tmp_path / leftovers.LOCK_NAME, os.O_RDWR)
     assert lock_descriptor(handle, blocking=False)
     threading.Timer(0.1, os.close, [handle]).start()
-    with leftovers.living(tmp_path):
+    with leftovers.hold_lock(tmp_path):
         assert not leftovers.is_abandoned(tmp_path)
     assert leftovers.is_abandoned(tmp_path)
 

@@ -20,7 +20,7 @@ from gis_radar.calibration.monitoring.alarm import (
     Displacement,
     Memory,
     detectors,
-    habits_of,
+    normal_equations,
 )
 from gis_radar.calibration.monitoring.kalman_filter import KNOCK, Estimate, Innovation, Measurement
 from gis_radar.calibration.monitoring.lane_places import LanePlaces, cells_along, lane_places
@@ -140,11 +140,11 @@ def test_a_lasting_habit_becomes_the_reference_and_memory_is_bounded(cells, taug
     memory = Memory(detectors(cells, np.zeros(2))[0])
     for k, block in enumerate(taught):
         memory.push(block, block.across_m, 60.0 * k)
-    assert len(taught) - memory.learnt <= BLOCKS[-1]
+    assert len(taught) - memory.learnt_blocks <= BLOCKS[-1]
     for k in range(200):
         seen = taught[k % 40]
         memory.push(seen, seen.across_m + 0.2, 60.0 * (40 + k))
-    assert len(taught) + 200 - memory.learnt == BLOCKS[-1]
+    assert len(taught) + 200 - memory.learnt_blocks == BLOCKS[-1]
     assert memory.reference.vehicles < 1.2 * 60 * 12  # 0.2 h
     mean = np.linalg.lstsq(memory.reference.weight, memory.reference.gradient, rcond=None)[0]
     seen = np.diag(memory.reference.weight) > 100.0
@@ -154,7 +154,7 @@ def test_a_lasting_habit_becomes_the_reference_and_memory_is_bounded(cells, taug
 def test_habits_are_the_normal_equations_of_vehicles_with_a_place_of_their_own(cells, taught):
     seen, count = taught[0], len(cells)
     sway = np.full(count, 0.4)
-    found = habits_of(seen, seen.across_m, sigma=(0.3, sway, 1.0), time=0.0)
+    found = normal_equations(seen, seen.across_m, sigma=(0.3, sway, 1.0), time=0.0)
     shown = found.cell
     assert 0 < len(shown) <= count
     weight, gradient = np.zeros((count, count)), np.zeros(count)
@@ -178,7 +178,7 @@ def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taug
     for k, seen in enumerate(taught):
         memory.push(seen, seen.across_m, 60.0 * k)
     found = {each.seconds: each for each in memory.displacements(2400.0)}[540.0]
-    parts = [habits_of(s, s.across_m, sigma=detector.sigma, time=0.0) for s in taught]
+    parts = [normal_equations(s, s.across_m, sigma=detector.sigma, time=0.0) for s in taught]
     known = np.unique(np.concatenate([part.cell for part in parts]))
     stretches = int(cells.stretch.max()) + 1
     effects = np.eye(stretches)[cells.stretch]
@@ -186,7 +186,7 @@ def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taug
     size = len(known) + design.shape[1]
     square, force = np.zeros((size, size)), np.zeros(size)
     for k, part in enumerate(parts):
-        weight, gradient = part.over(known)
+        weight, gradient = part.expanded(known)
         rows = np.hstack([np.eye(len(known)), design * (k >= 31)])
         square += rows.T @ weight @ rows
         force += rows.T @ gradient

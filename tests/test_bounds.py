@@ -17,7 +17,7 @@ from gis_radar.hdmap import (
     sound,
     sound_rungs,
 )
-from gis_radar.hdmap.bounds import drawn_direction, matched
+from gis_radar.hdmap.bounds import drawn_direction, ribbon_between
 from gis_radar.hdmap.mending import is_sound, mend, without_first_loop, without_loops
 
 SHIFT = np.array([678_123.25, 5_403_456.5])
@@ -111,7 +111,7 @@ def test_tiny_and_short_wide_lanelets_have_a_direction():
 def test_lanes_that_need_nothing_are_left_alone(lane):
     assume(outline(*lane).is_valid)
     assume(sound(*rungs(*lane, slices(*lane))).all())
-    assume(not len(matched(*lane).left_wrong) and not len(matched(*lane).right_wrong))
+    assume(not len(ribbon_between(*lane).left_wrong) and not len(ribbon_between(*lane).right_wrong))
     mended = mend(*lane)
     assert mended.repairs == ()
     np.testing.assert_array_equal(mended.left, lane[0])

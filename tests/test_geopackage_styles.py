@@ -111,7 +111,7 @@ writer.execute("COMMIT")
 @pytest.mark.parametrize("kind", ["EXCLUSIVE", "IMMEDIATE"])
 def test_a_file_that_another_program_writes_is_not_replaced(path, monkeypatch, kind):
     """Its styles could not be read, and what it has not saved would be gone: all stays."""
-    monkeypatch.setattr("gis_radar.base.geopackage.PATIENCE_S", 0.05)
+    monkeypatch.setattr("gis_radar.base.geopackage.LOCK_WAIT_S", 0.05)
     saved(path)
     words = [sys.executable, "-c", WRITER, path, kind]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:

@@ -78,7 +78,7 @@ def test_a_track_that_is_not_sure_of_its_pose_is_told(tmp_path, sigma, told):
     hits_of([path], [track], crossing(), tmp_path / "site", reporter=notes)
     line = "R1: from 2023-11-14T22:13:30Z to 2023-11-14T22:14:40Z its pose track is uncertain by"
     assert any(line in text for _, text in notes.messages) == told
-    assert len([*track.vague(START, START + 60.0)]) == 0  # less than a minute of it
+    assert len([*track.warn_uncertain(START, START + 60.0)]) == 0  # less than a minute of it
 
 
 def corrected(corrections, *, moved=(), **fields):

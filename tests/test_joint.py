@@ -273,9 +273,11 @@ def test_a_clock_that_is_off_is_told_and_moves_no_pose(recordings, true, tmp_pat
     assert (np.abs(errors(solved.poses["R2"], true["R2"])[:2]) < 0.3).all()
 
 
-def test_a_clock_of_another_rate_moves_no_pose(recordings, true, tmp_path):
+@pytest.mark.parametrize(("right_at", "ahead_s"), [(0.0, 4.0), (0.5, 0.0)])
+def test_a_clock_of_another_rate_moves_no_pose(recordings, true, tmp_path, right_at, ahead_s):
+    """Also where it is right in the middle of the recording, and hardly off at its ends."""
     time, xyz, rate = LONG.detections(true["R2"], noise=1, **TRAFFIC)
-    late = time - 0.01 * (time - time[0]) + 4.0
+    late = time - 0.01 * (time - np.quantile(time, right_at)) + ahead_s
     path = recording(tmp_path / "R2.parquet", late, xyz, range_rate=rate)
     solved = matched({"R1": recordings["R1"], "R2": path},
                   **{name: (stated(pose),) for name, pose in true.items()})  # fmt: skip

@@ -17,12 +17,12 @@ import gis_radar as gr
 from gis_radar.base import (
     Text,
     figure_text,
+    in_language,
     listed,
     percent,
     plural,
     restored,
     seconds_text,
-    speaking,
     tr,
     users_language,
     with_texts,
@@ -154,7 +154,7 @@ def test_a_name_before_a_text_is_taken_off():
 def test_errors_are_german_wherever_they_stand(told, german):
     assert tr(told) == told
     (read,) = restored(json.loads(json.dumps(with_texts({"told": [told]}))))["told"]
-    with speaking("de"):
+    with in_language("de"):
         assert tr(told) == tr(read) == german
 
 
@@ -233,7 +233,7 @@ def test_tables_are_the_same_in_every_language(reports):
 
 def test_german_numbers_and_days():
     moment = datetime(2025, 3, 12, 9, tzinfo=UTC)
-    with speaking("de"):
+    with in_language("de"):
         assert figure_text(1234567.891, 1) == "1\u202f234\u202f567,9"
         assert percent(0.0004) == "unter 0,1\u202f%"
         assert long_day(moment) == "12. März 2025"
@@ -259,7 +259,7 @@ def test_the_terminal_shows_figures_in_german():
     """No comma sets thousands apart where it is the decimal sign."""
     figures = {"points_in": 322924, "density_per_m2": 9.212, "easting": 690360.09,
                "sigma_yaw": 0.089, "observable": False}  # fmt: skip
-    with speaking("de"):
+    with in_language("de"):
         shown = {as_title(name): as_lines(name, value) for name, value in figures.items()}
     assert shown == {
         "gelesene Punkte": "322\u202f924", "Punkte je m²": "9,212", "Ostwert": "690\u202f360,09",
@@ -271,7 +271,7 @@ def test_the_terminal_shows_figures_in_german():
 def test_figures_by_name_are_lines_and_none_is_said():
     changed = {"queue_max_m, more": 1, "speed_kmh, less": 2}
     assert as_lines("lanes_with_a_change", changed) == "queue_max_m, more: 1\nspeed_kmh, less: 2"
-    with speaking("de"):
+    with in_language("de"):
         assert as_lines("all_stop_lines", {"n": Text("yes")}) == "n: ja"
         assert as_lines("all_stop_lines", {}) == "keine"
     assert not is_table({})

@@ -215,7 +215,7 @@ def test_fusion_on_a_disk_without_an_inode_goes_on_and_measures_once_there_is_on
         site.broker.start()
         said = Lines()
         monkeypatch.setattr("gis_radar.live.hours.jobs.SETTLE_S", 1.0)
-        monkeypatch.setattr("gis_radar.live.hours.jobs.AGAIN_S", 1.0)
+        monkeypatch.setattr("gis_radar.live.hours.jobs.RETRY_S", 1.0)
         fusion = Fusion(read_live_site(site.file), reporter=said)
         middle = Background(fusion.run)
         wait_for(lambda: fusion.link is not None and fusion.link.connected)

@@ -18,19 +18,19 @@ import gis_radar as gr
 from gis_radar.base import InputError, step_begin
 from gis_radar.calibration.findings import wrong
 from gis_radar.dataset import hour_text, read_hours
-from gis_radar.live import CUT_US, HOUR_US, Lately, recording_path
+from gis_radar.live import HOUR_OFFSET_US, HOUR_US, QuarterMeasures, recording_path
 from gis_radar.live.hours import hour_work
 from gis_radar.live.hours import jobs as jobs_module
 from gis_radar.live.hours.hour_work import (
     QUARTER_US,
-    Done,
+    JobResult,
     make_hours,
     make_quarter,
     refuse_other_settings,
-    take_up,
+    resume_hours,
 )
 from gis_radar.live.hours.jobs import DOUBTS, HourJobs
-from gis_radar.live.hours.quarters import KEPT, TRAFFIC, Quarters, read_quarters
+from gis_radar.live.hours.quarters import QUARTERS_KEPT, TRAFFIC, Quarters, read_quarters
 from gis_radar.live.hours.recordings import end_of_hour_s
 
 pytestmark = pytest.mark.usefixtures("ready_workers")
@@ -78,14 +78,14 @@ def test_an_hour_is_made_once_with_what_follows_it_and_equals_the_batch(tmp_path
     clock = Clock(end_of_hour_s(HOUR) + 20.0)
     monkeypatch.setattr(hour_work, "time", clock)
     done = measure_hours(made.site, recorded_at(made, FULL_US - 4_000_000, seconds=6.5), [HOUR])
-    assert [text for text in done.said if "not measured" in text] == []
+    assert [text for text in done.warnings if "not measured" in text] == []
     assert list(read_hours(made.site.dataset)) == [HOUR]
     first = made.parts("15")
     assert {name.partition("/")[0] for name in first} >= {"hits", "tracks", "passages", "occupied"}
     assert len(gr.open_dataset(made.site.dataset).continued()) == 0
     stamps = {path: path.stat().st_mtime_ns for path in made.site.dataset.glob("*/date=*/15.*")}
     clock.now_s += 3600.0
-    late_us = FULL_US + CUT_US + 5_000_000
+    late_us = FULL_US + HOUR_OFFSET_US + 5_000_000
     measure_hours(made.site, recorded_at(made, late_us, seconds=2.0), [HOUR + 1])
     assert list(read_hours(made.site.dataset)) == [HOUR, HOUR + 1]
     assert {path: path.stat().st_mtime_ns for path in stamps} == stamps  # not made again
@@ -116,7 +116,7 @@ def test_a_check_that_fails_loses_nothing_of_the_hour(tmp_path):
     done = make_hours(made.site, spooled, [HOUR], check=fail)
     assert list(read_hours(made.site.dataset)) == [HOUR]
     assert done.doubts == {}
-    assert "poses and recordings could not be checked: singular" in done.said
+    assert "poses and recordings could not be checked: singular" in done.warnings
 
 
 def test_an_hour_that_is_made_again_says_nothing_of_the_pose_of_now(tmp_path):
@@ -164,7 +164,7 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     assert found.lanes["speed_kmh"].dropna().between(0.0, 100.0).all()
     assert (found.lanes["queue_max_m"] > 5.0).any()
     (folder,) = (made.folder / "provisional").iterdir()
-    again = take_up(made.site, [])
+    again = resume_hours(made.site, [])
     assert again.quarters[0].lanes.equals(found.lanes)
     assert again.hours == [HOUR]
     done = measure_hours(made.site, [], [HOUR])
@@ -177,7 +177,7 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     expected = table[table["begin"] == step_begin(quarter * 18_000)].loc[shown.index, list(TRAFFIC)]
     pd.testing.assert_frame_equal(shown, expected.astype(float), rtol=1e-5)
     assert by_hour.lanes["counted"].sum() == found.lanes["counted"].sum()
-    assert take_up(made.site, []).hours == []
+    assert resume_hours(made.site, []).hours == []
 
 
 def test_a_quarter_stays_until_its_hour_is_measured(tmp_path, monkeypatch):
@@ -233,7 +233,7 @@ def test_what_comes_after_its_recording_was_removed_spoils_no_hour(tmp_path):
     before = made.parts()
     recording_path(made.folder, "R1", HOUR).unlink()
     done = measure_hours(made.site, made.add("R1", frames[-20:]), [HOUR])
-    assert any("came after its recording was removed" in text for text in done.said)
+    assert any("came after its recording was removed" in text for text in done.warnings)
     assert made.parts() == before
 
 
@@ -242,10 +242,10 @@ def test_frames_of_a_sensor_that_left_the_site_are_measured_all_the_same(tmp_pat
     made = SpooledSite(tmp_path)
     alone = replace(made.site, sensors=("R1",))
     spooled = recorded_at(made, FULL_US - 5_000_000)
-    assert take_up(alone, spooled).hours == [HOUR]
+    assert resume_hours(alone, spooled).hours == [HOUR]
     measure_hours(alone, [], [HOUR])
     assert gr.open_dataset(made.site.dataset).sensors == ["R1", "R2"]
-    assert take_up(alone, []).hours == []
+    assert resume_hours(alone, []).hours == []
     assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
 
 
@@ -275,7 +275,7 @@ def test_an_hour_that_is_not_measured_is_tried_again_ever_more_rarely(tmp_path, 
             if jobs.hours_at(now_s) is not None:
                 tried.append(quarter)
                 why = "why" if quarter < 7 else "another reason"
-                jobs.end(Done(not_measured={HOUR: why} if quarter < 15 else {}))
+                jobs.end(JobResult(not_measured={HOUR: why} if quarter < 15 else {}))
     assert tried == [0, 1, 3, 7, 15]
     assert jobs.figures()["hours_not_measured"] == 0.0
     assert [line.rpartition(": ")[2] for line in said.lines] == ["why", "another reason"]
@@ -330,22 +330,22 @@ class JobsHere(HourJobs):
         if error is not None:
             self.pool.future.set_exception(error)
         else:
-            self.pool.future.set_result(done or Done())
+            self.pool.future.set_result(done or JobResult())
 
 
 def test_what_an_earlier_run_left_is_taken_up_again_after_a_failure(tmp_path, pool, monkeypatch):
     made = SpooledSite(tmp_path)
     recorded_at(made, FULL_US - 5_000_000, ["R1"])
-    monkeypatch.setattr(jobs_module, "AGAIN_S", 0.0)
+    monkeypatch.setattr(jobs_module, "RETRY_S", 0.0)
     jobs = HourJobs(made.site, Quarters(), process=lambda: pool, reporter=Lines())
-    jobs.take_up(made.spool.closed)
+    jobs.resume(made.spool.closed)
     pool.future.set_exception(BrokenExecutor())
     jobs.poll(0.0, {})
     jobs.begin(made.spool.closed)
-    pool.future.set_result(Done())
+    pool.future.set_result(JobResult())
     jobs.poll(0.0, {})
     assert not jobs.wanted
-    assert [each[0] for each in pool.begun] == ["take_up", "take_up"]
+    assert [each[0] for each in pool.begun] == ["resume_hours", "resume_hours"]
 
 
 def test_quarters_and_hours_are_measured_once_all_frames_are_there_or_after_a_while(tmp_path, pool):
@@ -385,7 +385,7 @@ def test_a_doubt_lasts_until_the_sensor_fits(tmp_path, pool):
         now_s = end_of_hour_s(HOUR + number) + 1.0
         jobs.touch([HOUR + number])
         assert jobs.hours_at(now_s) == ("make_hours", [HOUR + number])
-        jobs.end(Done(**found))
+        jobs.end(JobResult(**found))
         jobs.poll_at(now_s, now_s)
         return jobs.doubts
 
@@ -439,7 +439,7 @@ def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):
         jobs.poll_at(end_s + 60.0 * minutes, end_s + 60.0 * minutes)
         jobs.end(error=OSError(28, "no space"))
         assert jobs.poll_at(end_s + 60.0 * minutes, end_s) is None  # not at once
-        clock.now_s += jobs_module.AGAIN_S
+        clock.now_s += jobs_module.RETRY_S
     behind = [line for line in said.lines if "measuring is behind" in line]
     assert ["16 min" in behind[0], "40 min" in behind[1], len(behind)] == [True, True, 2]
     assert jobs.figures()["hours_behind_seconds"] == 3000.0
@@ -469,9 +469,9 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, mo
             return True
         return False
 
-    monkeypatch.setattr(jobs_module, "AGAIN_S", 0.0)
+    monkeypatch.setattr(jobs_module, "RETRY_S", 0.0)
     jobs = HourJobs(made.site, Quarters(), reporter=said, process=process)
-    jobs.take_up([])
+    jobs.resume([])
     wait_for(multiprocessing.active_children)
     if idle:
         pools[0].submit(int).result()  # after what it was given before
@@ -497,9 +497,11 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, mo
 def test_quarters_of_a_day_are_kept():
     quarters = Quarters()
     lanes = pd.DataFrame({"lane": [7], "volume": [1.0]})
-    ends = [18_000 * k - 1 for k in range(1, KEPT + 9)]
-    quarters.add(Lately(until_step=end, visible=[], occupied=[], lanes=lanes) for end in ends)
+    ends = [18_000 * k - 1 for k in range(1, QUARTERS_KEPT + 9)]
+    quarters.add(
+        QuarterMeasures(until_step=end, visible=[], occupied=[], lanes=lanes) for end in ends
+    )
     table = quarters.intervals()
-    assert len(table) == KEPT
+    assert len(table) == QUARTERS_KEPT
     assert table["begin"].is_monotonic_increasing
-    assert quarters.lately().until_step == 18_000 * (KEPT + 8) - 1
+    assert quarters.newest().until_step == 18_000 * (QUARTERS_KEPT + 8) - 1

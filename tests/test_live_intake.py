@@ -18,7 +18,7 @@ from gis_radar.live import (
     spool_files,
 )
 from gis_radar.live.hours.recordings import hour_of_time
-from gis_radar.live.hours.spool import FRAMES, PASSED, POSE
+from gis_radar.live.hours.spool import FRAMES, POSE, SKIPPED
 from gis_radar.scans import find_sight
 
 DAY_US, HOUR_US = 86_400_000_000, 3_600_000_000
@@ -65,7 +65,7 @@ def test_odd_messages_are_counted_and_the_rest_goes_on(tmp_path):
     assert fed.counts["frames"] == 2
     fed.commit()
     assert fed.stored == 3
-    assert [each.kind for each in fed.spooled()] == [POSE, FRAMES, FRAMES, PASSED]
+    assert [each.kind for each in fed.spooled()] == [POSE, FRAMES, FRAMES, SKIPPED]
 
 
 def test_what_a_sensor_leaves_out_is_told_by_its_status_and_shown(fed):
@@ -217,7 +217,7 @@ def test_where_the_newest_file_of_the_spool_is_torn_the_one_before_it_tells_the_
 
 
 def test_the_map_counts_the_tiles_under_what_is_sent(fed):
-    fed.map.holds_s["R1"] = 0.1
+    fed.map.validity_s["R1"] = 0.1
     fed.frames(1, frame(NOW_US), frame(NOW_US + 100_000, x=40.0), first=True)
     (found,) = [f["R1"] for _, f in fed.windows.close(NOW_US + 260_000) if f]
     pose = fed.sensor.pose

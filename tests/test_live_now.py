@@ -70,7 +70,7 @@ def test_vehicles_of_now_are_where_the_batch_has_them(graph, batch):
             for name, content, pose, road_m in sent]  # fmt: skip
     true = found = shown = 0
     for begin in range(0, len(sent), 20):
-        now, late = following.go_on(sent[begin : begin + 20])
+        now, late = following.advance(sent[begin : begin + 20])
         assert late == 0
         step = round(now.time * STEPS_PER_SECOND) // EVERY * EVERY
         rows = batch[(batch["step"] == step) & batch["seen"]]

@@ -43,7 +43,13 @@ from gis_radar.live import (
     read_live_site,
 )
 from gis_radar.live.hours.quarters import TRAFFIC
-from gis_radar.live.served.page import HIT, VEHICLE, difference, page_server, whole_event
+from gis_radar.live.served.page import (
+    HIT_COLOUR,
+    VEHICLE_COLOUR,
+    difference,
+    page_server,
+    whole_event,
+)
 from gis_radar.live.served.snapshot import NOT_OBSERVED
 from gis_radar.products.heatmap import style
 from gis_radar.site import PageTable
@@ -350,9 +356,9 @@ def test_the_page_in_a_browser(live, address, chromium, width, language):
     clock = chromium.find_element(By.ID, "clock").text
     assert clock == f"{step_begin(live.at).astimezone(live.place.zone):%H:%M:%S}"
     picture = chromium.find_element(By.ID, "map")
-    wait_for(lambda: colours_of(picture)[VEHICLE] > 5)  # drawn after the tiles
+    wait_for(lambda: colours_of(picture)[VEHICLE_COLOUR] > 5)  # drawn after the tiles
     colours = colours_of(picture)
-    assert colours[HIT] > 20
+    assert colours[HIT_COLOUR] > 20
     assert colours[style.NOT_OBSERVED] > 200
     assert sum(colours[each.colour] for each in style.colour_classes()[1:]) > 200
     rows = chromium.find_elements(By.CSS_SELECTOR, "#sensor-rows tr")
@@ -442,9 +448,9 @@ def test_zoomed_out_the_map_and_its_legend_are_of_lanes(live, address, chromium)
 
 def test_a_little_traffic_does_not_read_as_none(live):
     snapshot = live.snapshot()
-    snapshot.lately.lanes["occupancy"] = 0.0003
+    snapshot.quarter.lanes["occupancy"] = 0.0003
     assert {each[0] for each in whole_event(live.place, snapshot)["traffic"].values()} == {1}
-    snapshot.lately.lanes["occupancy"] = 0.0
+    snapshot.quarter.lanes["occupancy"] = 0.0
     assert {each[0] for each in whole_event(live.place, snapshot)["traffic"].values()} == {0}
 
 
@@ -470,7 +476,7 @@ def test_the_page_shows_occupancy_and_tells_vehicles(live, address, chromium):
     ]  # fmt: skip
     classes = [each.colour for each in style.colour_classes()]
     painted = picture_of_tiles(chromium, "occupancy")
-    assert painted[HIT] == 0
+    assert painted[HIT_COLOUR] == 0
     assert sum(painted[each] for each in classes[1:]) > 200
     side = chromium.find_element(By.CLASS_NAME, "side").text.splitlines()
     words = (

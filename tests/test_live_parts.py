@@ -38,7 +38,7 @@ from gis_radar.live import (
     unpack_message,
 )
 from gis_radar.live.health import ALARMS
-from gis_radar.live.now.map_of_now import Seen
+from gis_radar.live.now.map_of_now import SensorReport
 from gis_radar.live.served.page import read_token
 from gis_radar.live.wire.broker import parts_of
 from gis_radar.live.wire.buffer import FullError
@@ -236,7 +236,7 @@ def test_a_buffer_of_other_tiles_is_put_aside_and_one_in_use_refused(tmp_path):
 
 
 def seen(*tiles, in_sight=()):
-    return Seen(np.array(tiles, np.int64), np.array(in_sight, np.int64))
+    return SensorReport(np.array(tiles, np.int64), np.array(in_sight, np.int64))
 
 
 def test_windows_close_in_order_at_their_lateness():
@@ -258,7 +258,7 @@ def test_windows_close_in_order_at_their_lateness():
 
 def test_a_clock_that_is_set_back_begins_the_map_anew():
     windows, current = Windows(0.2), MapOfNow(3)
-    current.holds_s["R1"] = 0.1
+    current.validity_s["R1"] = 0.1
     recent = RecentCounts(3, interval=1 << 40)
 
     def close(step):
@@ -359,10 +359,10 @@ def test_alarms_keep_their_last_words_and_end():
     health.alarm("damaged", "number 2")
     assert health.alarms == {"damaged": "number 2"}
     health.heard_s = now = time.time()
-    health.look(now + 1.0)
+    health.check(now + 1.0)
     assert health.alarms == {"damaged": "number 2"}
     health.heard_s = now + 1_000.0
-    health.look(now + 1_000.0)
+    health.check(now + 1_000.0)
     assert health.alarms == {}
 
 

@@ -14,7 +14,7 @@ from live_programs import Lines, pose_beside
 import gis_radar as gr
 from gis_radar.base import STEP_US, OutputError
 from gis_radar.live import (
-    CUT_US,
+    HOUR_OFFSET_US,
     HOUR_US,
     Envelope,
     Spool,
@@ -31,7 +31,7 @@ from gis_radar.live.hours.recordings import remove_old
 from gis_radar.live.hours.spool import FRAMES, POSE
 
 HOUR = 486_111  # since 1970: 2025-06
-BEGIN_US = HOUR * HOUR_US + CUT_US
+BEGIN_US = HOUR * HOUR_US + HOUR_OFFSET_US
 
 
 def times(path):
@@ -229,7 +229,7 @@ def test_recordings_are_kept_for_a_time_and_in_a_room(tmp_path):
     now = NOW_US // HOUR_US
     frames = selected_frames("R1")[:40]
     for hour in (now - 200, now - 5, now - 4, now - 3):
-        shift = hour * HOUR_US + CUT_US - frames[0].time_us
+        shift = hour * HOUR_US + HOUR_OFFSET_US - frames[0].time_us
         made.add("R1", [replace(each, time_us=each.time_us + shift) for each in frames])
         for path in made.spool.closed:
             make_parts(made.folder, path)
@@ -250,7 +250,7 @@ def test_where_the_room_is_full_what_is_not_measured_goes_too_and_the_newest_sta
     made = SpooledSite(tmp_path)
     now, frames = NOW_US // HOUR_US, selected_frames("R1")[:40]
     for hour in (now - 200, now - 199, now - 3):
-        shift = hour * HOUR_US + CUT_US - frames[0].time_us
+        shift = hour * HOUR_US + HOUR_OFFSET_US - frames[0].time_us
         for path in made.add("R1", [replace(f, time_us=f.time_us + shift) for f in frames]):
             make_parts(made.folder, path)
         join_parts(made.folder, "R1", hour, Lines())

@@ -18,7 +18,7 @@ from gis_radar.live import (
     frames_of_recording,
     read_edge_file,
 )
-from gis_radar.live.own_pose import Followed
+from gis_radar.live.own_pose import FollowedPose
 from gis_radar.scans import SightTiles
 
 RIGHT = gr.read_pose(SAMPLE / "R1.json")
@@ -42,7 +42,7 @@ class Script:
         if self.seen != 100 or (self.start.easting == RIGHT.easting and not self.doubted):
             return None
         refused = "" if self.trusts else "traffic lies elsewhere"
-        return Followed(pose=self.start, trusted=self.trusts, refused=refused)
+        return FollowedPose(pose=self.start, trusted=self.trusts, refused=refused)
 
     def close(self):
         self.closed = True

@@ -19,7 +19,7 @@ from live_site import LONGEST_S, SAMPLE, LiveSite, wait_for
 
 import gis_radar as gr
 from gis_radar.base import InputError
-from gis_radar.live import Fusion, Lately, Place, RecentCounts, read_live_site
+from gis_radar.live import Fusion, Place, QuarterMeasures, RecentCounts, read_live_site
 from gis_radar.live.served.lane_push import LanePush
 from gis_radar.live.served.sensorthings import HITS, LaneMeasure, LaneServer, ServerError, Service
 from gis_radar.site import SensorThingsTable
@@ -36,7 +36,7 @@ PERIOD = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z(/\d{4}-\d\d-\d\dT[
 
 
 class Server(ThreadingHTTPServer):
-    """A SensorThings service, as much of it as a push needs; `odd` keeps what breaks a rule."""
+    """A SensorThings service, as much as a push needs; `odd` keeps what breaks a rule."""
 
     daemon_threads = True
 
@@ -183,7 +183,7 @@ def push_of(server, place, folder, said=None, **more):
 def until_sent(push):
     end = time.monotonic() + LONGEST_S
     while push.waiting:
-        push.regular()
+        push.poll()
         assert time.monotonic() < end
         time.sleep(0.01)
 
@@ -226,7 +226,7 @@ def quarter_of(place, until_step, **columns):
     traffic = {"visible_share": 0.9, "volume": 7.0, "volume_se": 1.5, "speed_kmh": 31.25,
                "occupancy": 0.125, "queue_max_m": np.nan} | columns  # fmt: skip
     lanes = pd.DataFrame({"lane": place.lane_numbers}).assign(**traffic)
-    return Lately(until_step=until_step, visible=[], occupied=[], lanes=lanes)
+    return QuarterMeasures(until_step=until_step, visible=[], occupied=[], lanes=lanes)
 
 
 def test_the_traffic_of_each_quarter_arrives_once_with_its_errors(server, place, tmp_path):
@@ -359,7 +359,7 @@ def test_whatever_the_push_meets_fusion_goes_on_and_says_it_once(server, place, 
     said, end = Lines(), time.monotonic() + 1.0  # four tries
     push = push_of(server, place, tmp_path, said, interval="1min")
     count(push, place, 1200 * 10**15, 1201)  # of no year
-    wait_for(lambda: push.regular() or (said.lines and time.monotonic() > end))
+    wait_for(lambda: push.poll() or (said.lines and time.monotonic() > end))
     assert len(said.lines) == 1
     assert said.told("lane measures cannot be pushed: ")
     assert push.waiting == len(place.lane_numbers)

@@ -221,8 +221,8 @@ def test_order_and_batches_change_nothing(tmp_path, monkeypatch):
     points = hidden(ground(AROUND, slope), (3.0, 3.0, 8.0, 5.0), lambda x, y: slope(x, y) + 1.4)
     whole, _ = masked(tmp_path / "whole.laz", points)
     shuffled = np.random.default_rng(1).permutation(points)
-    monkeypatch.setattr("gis_radar.scans.scan.AT_ONCE", 997)
-    monkeypatch.setattr("gis_radar.scans.point_store.MOST_KEPT", 2_000)
+    monkeypatch.setattr("gis_radar.scans.scan.BATCH_POINTS", 997)
+    monkeypatch.setattr("gis_radar.scans.point_store.MOST_IN_MEMORY", 2_000)
     parts = np.split(shuffled, [1_000, 20_000])
     overlapping = [np.vstack([parts[0], parts[1][:500]]), *parts[1:]]
     paths = [tmp_path / f"{i}.laz" for i in range(3)]

@@ -51,7 +51,7 @@ def test_impossible_coordinates_become_unknown(tmp_path, bad):
 def test_the_first_of_two_equal_ids_counts(tmp_path):
     extra = '<node id="1" lat="1" lon="1"/><way id="5"/><relation id="6"/><relation id="6"/>'
     osm = read_osm(write_osm(tmp_path / "a.osm", {1: (0.0, 0.0)}, {5: [1]}, {}, extra=extra))
-    assert osm.doubled == (("node", 1), ("way", 5), ("relation", 6))
+    assert osm.duplicates == (("node", 1), ("way", 5), ("relation", 6))
     assert osm.ways[5].nodes == (1,)
     assert osm.geographic[0, 0] > 10.0
 

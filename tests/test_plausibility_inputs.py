@@ -20,7 +20,7 @@ import gis_radar as gr
 from gis_radar.calibration import Finding, LaneMap, RangeScale
 from gis_radar.calibration.check import explanations, fitted_pose, nearly_right, offsets
 from gis_radar.calibration.check.excerpt import read_excerpts
-from gis_radar.calibration.check.explanations import by_lanes
+from gis_radar.calibration.check.explanations import compare_explanations
 from gis_radar.calibration.check.plausibility import judge
 from gis_radar.calibration.check.rivals import GIVEN, MIRRORED, Rival, score
 from gis_radar.calibration.monitoring.kalman_filter import Measurement
@@ -256,10 +256,10 @@ def test_a_cause_is_named_only_if_all_fits_once_it_is_corrected(
 ):
     """Two degrees beside the right yaw most vehicles still drive along lanes."""
     mistake = Rival(cause="of a test", turned=lambda pose: replace(pose, yaw=pose.yaw + turn))
-    monkeypatch.setattr(explanations, "ways_to_be_wrong", lambda *_: [mistake])
+    monkeypatch.setattr(explanations, "usual_mistakes", lambda *_: [mistake])
     excerpt = next(excerpts(rows["R1"], replace(POSES["R1"], yaw=POSES["R1"].yaw + 180.0)))
     assert score(excerpt, lanes, mistake).share > explanations.LEAST_SHARE
-    found = by_lanes(excerpt, lanes, {})
+    found = compare_explanations(excerpt, lanes, {})
     assert found.verdict == WRONG
     assert ("of a test" in found.cause) is named
 
@@ -272,7 +272,7 @@ def test_signs_that_are_lost_show_where_few_approach(rows, excerpts, lanes, lost
     table = table[early | (table["range_rate"] > -MOVES_MPS)]
     if lost:
         table = table.assign(range_rate=table["range_rate"].abs())
-    found = by_lanes(next(excerpts(table)), lanes, {})
+    found = compare_explanations(next(excerpts(table)), lanes, {})
     assert found.cause == ("range rates look like absolute values" if lost else "")
 
 
@@ -282,17 +282,17 @@ def test_feet_are_named_by_lanes_where_range_rates_do_not_tell(
 ):
     table = rows["R1"].assign(**{name: factor * rows["R1"][name] for name in "xyz"})
     excerpt = next(excerpts(table))
-    found = by_lanes(excerpt, lanes, {}, (FEET, YARDS))
+    found = compare_explanations(excerpt, lanes, {}, (FEET, YARDS))
     assert found.verdict == verdict
     assert ("positions look like feet" in found.cause) is (verdict == WRONG)
     if verdict == WRONG:
-        assert "feet" not in by_lanes(excerpt, lanes, {}).cause
+        assert "feet" not in compare_explanations(excerpt, lanes, {}).cause
 
 
 def test_lanes_driven_against_are_no_likelier_than_a_pose_across_the_street(rows, excerpts, lanes):
     """A lane's traffic, seen from 7 m beside, lies on the lane of the other direction."""
     beside = replace(POSES["R1"], easting=POSES["R1"].easting - 7.0)
-    found = by_lanes(next(excerpts(one_lane(rows["R1"]), beside)), lanes, {})
+    found = compare_explanations(next(excerpts(one_lane(rows["R1"]), beside)), lanes, {})
     assert found.verdict == WRONG
     told = (
         r"its pose is off: compared with it, the sensor is 6\.\d m to the east or traffic runs ag"
@@ -306,8 +306,8 @@ def test_a_mirrored_map_and_another_place_are_two_mistakes():
     pose = POSES["R1"]
     for east_m, twofold in ((0.5, False), (12.0, True)):
         there = replace(pose, easting=pose.easting + east_m)
-        assert replace(MIRRORED.by(pose, there), fitted=6).twofold(pose) is twofold
-        assert not replace(GIVEN.by(pose, there), fitted=6).twofold(pose)
+        assert replace(MIRRORED.by(pose, there), fitted=6).assumes_two_mistakes(pose) is twofold
+        assert not replace(GIVEN.by(pose, there), fitted=6).assumes_two_mistakes(pose)
 
 
 def test_a_doubted_pose_may_be_ranges_that_are_too_long(rows, excerpts, lanes):
@@ -316,7 +316,7 @@ def test_a_doubted_pose_may_be_ranges_that_are_too_long(rows, excerpts, lanes):
     excerpt = next(excerpts(table))
     fits = Finding(sensor="R1", verdict=FITS, evidence="most drive along lanes")
     found = [
-        nearly_right.pose_off(
+        nearly_right.judge_offset(
             excerpt, lanes, fits, RangeScale(factor=factor, sigma=sigma, vehicles=30)
         )
         for factor, sigma in ((1.025, 0.02), (1.0, 0.004))
@@ -345,7 +345,7 @@ def test_objects_that_are_left_out_leave_no_gaps(rows, excerpts):
     assert 0 < len(moving) < len(excerpt.moving)
     known = np.unique(number[number != NONE])
     assert list(known) == list(range(len(known)))
-    until, since = excerpt.parted(float(rows["R1"]["time"].iloc[0]) + 20.0)
+    until, since = excerpt.split_at(float(rows["R1"]["time"].iloc[0]) + 20.0)
     assert len(until.moving) + len(since.moving) == len(excerpt.moving)
     assert not np.intersect1d(until.vehicle, since.vehicle).size
 

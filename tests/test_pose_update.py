@@ -11,7 +11,11 @@ import gis_radar as gr
 from gis_radar.calibration import Localization
 from gis_radar.calibration.registration.certainty import stated
 from gis_radar.calibration.registration.state import along_arc, from_arc, rotation
-from gis_radar.calibration.scan.pose_update import closed_along, offset_covariance, updated_by_scan
+from gis_radar.calibration.scan.pose_update import (
+    fix_open_direction,
+    offset_covariance,
+    updated_by_scan,
+)
 from gis_radar.calibration.scan.scan_check import Alignment
 from gis_radar.calibration.scan.surroundings import Standing
 from gis_radar.calibration.single import localization as localizing
@@ -49,7 +53,7 @@ def test_what_it_contradicts_or_cannot_measure_stays_as_it_is():
     look = gr.check_against_scan(R2, elsewhere, [SCAN])
     assert look.verdict == "confirms"
     assert updated_by_scan(elsewhere, look) is None
-    assert closed_along(elsewhere, look) == (elsewhere, elsewhere)  # nothing is open
+    assert fix_open_direction(elsewhere, look) == (elsewhere, elsewhere)  # nothing is open
     assert updated_by_scan(POSE, look) is POSE  # without a covariance
     given = by_traffic(POSE)
     assert updated_by_scan(given, replace(look, verdict="undecided")) is given
@@ -87,7 +91,7 @@ def test_a_direction_round_a_bend_is_closed_along_its_circle():
     along[2] = 0.05  # the road climbs
     covariance += 10.0**2 * np.outer(along, along)
     given = replace(given, evidence={"method": "lane", "observable": False, **stated(covariance)})
-    moved, closed = closed_along(given, gr.check_against_scan(R2, given, [SCAN]))
+    moved, closed = fix_open_direction(given, gr.check_against_scan(R2, given, [SCAN]))
     assert away(given) > 16.0
     assert away(closed) < 0.5
     assert abs(closed.yaw - POSE.yaw) < 1.0

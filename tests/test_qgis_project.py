@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from maps import Listener
 
 import gis_radar as gr
-from gis_radar.base import STEPS_PER_HOUR, metric_crs, moved_position
+from gis_radar.base import STEPS_PER_HOUR, metric_crs, reprojected_position
 from gis_radar.dataset import measure
 from gis_radar.poses import ellipse, write_sensors
 from gis_radar.products import write_site_project
@@ -287,14 +287,14 @@ def test_projects_that_are_refused(results, tmp_path):
 
 @pytest.mark.parametrize("code", [31467, 3857])
 def test_a_guess_in_another_system(code):
-    there = moved_position((690356.0, 5336183.0), "EPSG:25832", metric_crs(code, what=""))
-    back = moved_position((*there, 521.0), f"EPSG:{code}", metric_crs(25832, what=""))
+    there = reprojected_position((690356.0, 5336183.0), "EPSG:25832", metric_crs(code, what=""))
+    back = reprojected_position((*there, 521.0), f"EPSG:{code}", metric_crs(25832, what=""))
     assert back == pytest.approx((690356.0, 5336183.0, 521.0), abs=1e-3)
 
 
 def test_a_guess_in_degrees_is_refused():
     with pytest.raises(gr.CrsError):
-        moved_position((11.5, 48.1), "EPSG:4326", metric_crs(25832, what=""))
+        reprojected_position((11.5, 48.1), "EPSG:4326", metric_crs(25832, what=""))
 
 
 def test_a_project_in_german(results, tmp_path):

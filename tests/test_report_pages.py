@@ -14,7 +14,7 @@ from PIL import Image
 from report_site import write_results
 
 import gis_radar as gr
-from gis_radar.base import Clock, OutputError, speaking
+from gis_radar.base import Clock, OutputError, in_language
 from gis_radar.products import Fact, Table
 from gis_radar.products.report.content import Chapter, Content, Figure, MapSeries
 from gis_radar.products.report.pages import bound_percents, write_pdf
@@ -88,12 +88,12 @@ def words_of(folder, tables):
 def test_heads_and_numbers_of_lanes_are_not_broken(tmp_path):
     tables = []
     for language, lane in product(("en", "de"), ("10944738", str(2**63 - 1))):
-        with speaking(language):
+        with in_language(language):
             columns = lane_columns(None, "occupancy")
         cells = [lane, "too few tracks", "north-west", *["12.3 % ± 1.2 %"] * (len(columns) - 3)]
         tables.append((columns, cells))
     # As in a town: four digits of length, five of a lane, and why a lane has no rank.
-    with speaking("de"):
+    with in_language("de"):
         clock = Clock(zone=ZoneInfo("Europe/Berlin"), first=MOMENT, last=MOMENT)
         columns = lane_columns(clock, "occupancy")
     cells = ["17863", "zu wenig davon einsehbar", "Bahnhofsvorplatz (West), Nordost",

@@ -18,10 +18,10 @@ from gis_radar.base import (
     bearing_of,
     direction,
     figure_text,
+    in_language,
     listed,
     localised,
     percent,
-    speaking,
     tr,
     utc_offsets,
     wind_of,
@@ -74,7 +74,7 @@ def test_winds():
 def test_one_day_is_not_named_again():
     day = clock(at(2025, 6, 12, 7), at(2025, 6, 12, 10), to_seconds=False)
     assert day.span(at(2025, 6, 12, 7), at(2025, 6, 12, 8)) == "09:00 to 10:00"
-    assert day.whole(day.first, day.last) == "12 June 2025, 09:00 to 12:00"
+    assert day.long_span(day.first, day.last) == "12 June 2025, 09:00 to 12:00"
     assert day.name == "Europe/Berlin, UTC+02:00"
 
 
@@ -100,7 +100,7 @@ def test_an_hour_that_comes_twice_has_its_offset():
 def test_the_time_of_all_data_has_its_offsets_where_clocks_change():
     night = clock(at(2025, 10, 26, 0, 59, 30), at(2025, 10, 26, 1, 0, 30))
     text = "26 October 2025, 02:59:30 UTC+02:00 to 02:00:30 UTC+01:00"
-    assert night.whole(night.first, night.last) == text
+    assert night.long_span(night.first, night.last) == text
 
 
 def test_times_in_messages_are_those_of_the_site():
@@ -108,7 +108,7 @@ def test_times_in_messages_are_those_of_the_site():
     local = "no data from 2025-06-12 09:30 UTC+02:00 to 2025-06-12 09:31:40.500 UTC+02:00, 3 times"
     assert localised(told, ZoneInfo("Europe/Berlin")) == local
     away = localised(Text("{:.1f} m to the {}", 1.2, Text("south")), ZoneInfo("Europe/Berlin"))
-    with speaking("de"):  # a word among the values is still translated
+    with in_language("de"):  # a word among the values is still translated
         assert tr(away) == "1,2 m weiter Richtung Süd"
 
 
@@ -153,7 +153,7 @@ def test_parts_of_a_second_are_kept():
 def test_a_whole_day_ends_at_24_and_names_each_offset_once(begin, end, text):
     first, last = (datetime.fromisoformat(each) for each in (begin, end))
     clock = Clock(zone=ZoneInfo("Europe/Berlin"), first=first, last=last)
-    assert clock.whole_in_zone(first, last) == text
+    assert clock.long_span_in_zone(first, last) == text
 
 
 @pytest.mark.parametrize(

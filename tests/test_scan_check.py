@@ -216,7 +216,7 @@ def test_closeness_is_that_of_the_next_structure(look):
     away, _ = KDTree(cells * CELL_M).query(look.standing.points[:, :2])
     expected = np.exp(-0.5 * (away / CLOSE_M) ** 2)
     # the field is sampled at the centres of cells and distances count between centres
-    assert np.abs(alignment.at((0.0, 0.0, 0.0)) - expected).mean() < 0.05
+    assert np.abs(alignment.closeness_at((0.0, 0.0, 0.0)) - expected).mean() < 0.05
     assert look.closeness.mean() == pytest.approx(look.score)
 
 
@@ -322,7 +322,7 @@ def test_batches_and_their_order_do_not_matter(tmp_path, monkeypatch):
     halves = [
         rewritten(tmp_path / f"{i}.laz", lambda xyz, c, i=i: (xyz[i::2], c[i::2])) for i in (1, 0)
     ]
-    monkeypatch.setattr(scan_files, "AT_ONCE", 40_000)
+    monkeypatch.setattr(scan_files, "BATCH_POINTS", 40_000)
     parts = read_structure(halves, level, reach_m=100.0)
     for name in ("top", "ground", "canopy", "roof", "edge"):
         assert np.allclose(getattr(parts, name), getattr(whole, name), atol=1e-6, equal_nan=True)

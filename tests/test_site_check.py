@@ -228,17 +228,17 @@ def test_short_and_foreign_recordings(place, tmp_path):
 
 @pytest.mark.parametrize("console", [JsonConsole, TerminalConsole])
 def test_messages_in_the_language_that_is_asked_for(monkeypatch, console):
-    assert console().said("warning") == "warning"
+    assert console().translated("warning") == "warning"
     monkeypatch.setenv("GIS_RADAR_LANGUAGE", "de")
-    assert console().said("warning") == "Warnung"
+    assert console().translated("warning") == "Warnung"
     monkeypatch.setenv("GIS_RADAR_LANGUAGE", "C")
-    assert console().said("warning") == "warning"
+    assert console().translated("warning") == "warning"
 
 
 def test_programs_get_english_in_any_country(monkeypatch):
     monkeypatch.setenv("LANGUAGE", "de")
-    assert JsonConsole().said("warning") == "warning"
-    assert TerminalConsole().said("warning") == "Warnung"
+    assert JsonConsole().translated("warning") == "warning"
+    assert TerminalConsole().translated("warning") == "Warnung"
 
 
 def test_an_error_of_a_command_in_german(place, monkeypatch):
@@ -246,7 +246,7 @@ def test_an_error_of_a_command_in_german(place, monkeypatch):
     site = place(("690356.0, 5336183.0", "691356.0, 5336183.0"))
     with pytest.raises(gr.InputError) as caught:
         gr.check_site(site)
-    german = TerminalConsole().said(caught.value.message)
+    german = TerminalConsole().translated(caught.value.message)
     assert german.startswith("R1 steht ")
     assert german.endswith(" m vom nächsten Fahrstreifen der Karte entfernt")
-    assert TerminalConsole().said(caught.value.hint).startswith("die Position gilt im")
+    assert TerminalConsole().translated(caught.value.hint).startswith("die Position gilt im")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gis_radar.base import InputError, Text, speaking, tr
+from gis_radar.base import InputError, Text, in_language, tr
 from gis_radar.site import error_in_site_words
 from gis_radar.site.messages import KEYS, in_site_words
 from tools.catalogue import PACKAGE, told, trees
@@ -77,7 +77,7 @@ def test_options_with_a_key_are_values():
 def test_messages_are_in_the_words_of_the_site_file(told, shown, german):
     said = in_site_words(told, "Europe/Berlin")
     assert said == shown
-    with speaking("de"):
+    with in_language("de"):
         assert german is None or tr(said) == german
 
 

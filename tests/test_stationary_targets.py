@@ -112,11 +112,11 @@ def test_a_small_move_is_noticed_within_three_minutes_with_its_size(taught, name
     step = np.array(MOVES[name])
     yard.feed(targets, 8, step)
     told = targets.verdict(6)
-    assert told.sees
-    assert told.found.score > GATE
-    assert told.found.seconds == 120.0
-    error = told.found.move - step
-    assert error @ np.linalg.solve(told.found.covariance, error) < 22.5  # 0.1 % of chi2, 6
+    assert told.sensitive
+    assert told.displacement.score > GATE
+    assert told.displacement.seconds == 120.0
+    error = told.displacement.move - step
+    assert error @ np.linalg.solve(told.displacement.covariance, error) < 22.5  # 0.1 % of chi2, 6
     assert np.abs(error)[[0, 1]].max() < 0.05
 
 
@@ -130,9 +130,9 @@ def test_a_sensor_at_rest_is_not_moved_whatever_is_parked(taught):
     for _ in range(30):
         yard.feed(targets, points=points)
         told = targets.tested
-        worst = max(worst, *(each.found.score for each in told))
+        worst = max(worst, *(each.displacement.score for each in told))
     assert worst < GATE
-    assert told[1].sees
+    assert told[1].sensitive
 
 
 def test_targets_are_learnt_again_after_others_have_left(taught):
@@ -144,8 +144,8 @@ def test_targets_are_learnt_again_after_others_have_left(taught):
     assert targets.verdict(6) is None  # most have gone: nothing is said
     yard.feed(targets, GONE_BLOCKS + 40, points=points)
     told = targets.verdict(6)
-    assert told.sees
-    assert told.found.score < GATE
+    assert told.sensitive
+    assert told.displacement.score < GATE
     assert len(pickle.dumps(targets)) < held + 50_000  # bytes; of 22 million
     assert len(targets) < 60
 
@@ -164,14 +164,14 @@ def test_nothing_is_said_after_a_blow_in_snow_or_of_few_targets(taught, move, co
 def test_targets_that_are_told_later_begin_anew(taught):
     yard, targets = again(taught, 6)
     yard.feed(targets, 8, np.array(MOVES["ahead"]))
-    assert targets.tested[0].found.score > GATE
-    targets.know(polar_of(yard.points[:30]), np.full(30, 0.9))
+    assert targets.tested[0].displacement.score > GATE
+    targets.set_targets(polar_of(yard.points[:30]), np.full(30, 0.9))
     assert targets.tested == []
     assert targets.verdict(1) is None
     yard.feed(targets, BLOCKS[-1] + LEAST_AGE)
     assert len(targets) >= 30
     told = targets.verdict(6)
-    assert told.found.score < GATE
+    assert told.displacement.score < GATE
 
 
 def test_what_drives_or_stands_for_a_while_is_no_target():
@@ -189,13 +189,13 @@ def test_what_stands_decides_where_it_sees_and_vehicles_elsewhere():
 
     driven = shift(40.0)
     still, moved = shift(3.0), shift(35.0)
-    sees = [Verdict(found=still, sees=True, rests=True)]
+    sees = [Verdict(displacement=still, sensitive=True, at_rest=True)]
     assert decided(sees, driven) is None
-    blind = [replace(sees[0], sees=False)]
+    blind = [replace(sees[0], sensitive=False)]
     assert decided(blind, driven) is driven
     assert decided([], driven) is driven
     assert decided([], None) is None
-    assert decided([*sees, replace(sees[0], found=moved)], driven) is moved
+    assert decided([*sees, replace(sees[0], displacement=moved)], driven) is moved
 
 
 def test_the_watch_gives_a_move_in_the_axes_of_the_map_without_any_traffic():

@@ -514,7 +514,7 @@ def test_cycles_of_any_length_end(tmp_path, monkeypatch, cycle_s):
         push=lambda rows: pushed.append(len(rows)), cycle=cycle, finish=lambda _: None, rows=[],
         now=SimpleNamespace(time=START),
     )  # fmt: skip
-    found = SimpleNamespace(poses=SimpleNamespace(vague=lambda *_: ()))
+    found = SimpleNamespace(poses=SimpleNamespace(warn_uncertain=lambda *_: ()))
     monkeypatch.setattr(monitor, "WindowFitter", lambda *_, **__: None)
     monkeypatch.setattr(monitor, "Follower", lambda *_, **__: follower)
     monkeypatch.setattr(monitor, "track_of", lambda *_: found)

@@ -19,10 +19,10 @@ from gis_radar.base.arrays import Floats
 from gis_radar.base.errors import GisRadarError, InputError, UsageError
 from gis_radar.base.texts import Text
 
-Given = ParamSpec("Given")
-Answer = TypeVar("Answer")
+Params = ParamSpec("Params")
+Result = TypeVar("Result")
 
-# What is wanted, by the name in an annotation; any other name takes anything.
+# Words of messages for the types of annotations; a type that is not listed is not checked.
 _WORDS = {
     "str": Text("a text"),
     "Path": Text("a path"),
@@ -54,7 +54,7 @@ _LISTS = {"Sequence", "Collection", "tuple"}
 _MOST_SHOWN = 60  # characters of a value in a message
 
 
-def checked(function: Callable[Given, Answer], public: str) -> Callable[Given, Answer]:
+def checked(function: Callable[Params, Result], public: str) -> Callable[Params, Result]:
     """Return a function that refuses arguments which its annotations do not take.
 
     Parameters
@@ -66,7 +66,7 @@ def checked(function: Callable[Given, Answer], public: str) -> Callable[Given, A
     """
     signature = inspect.signature(function)
 
-    def call(*args: Given.args, **options: Given.kwargs) -> Answer:
+    def call(*args: Params.args, **options: Params.kwargs) -> Result:
         try:
             given = signature.bind(*args, **options).arguments
         except TypeError:  # too few or too many: Python itself states which
@@ -90,11 +90,11 @@ def require_kinds(record: Any, error: type[GisRadarError] = InputError, *, what:
     GisRadarError
         Of the class given; it states what was given and what is wanted.
     """
-    for each in fields(record):
-        value = getattr(record, each.name)
-        if value is not each.default:
-            field = Text("{}: {}", what or type(record).__name__, each.name)
-            require_kind(field, value, str(each.type), error)
+    for field_ in fields(record):
+        value = getattr(record, field_.name)
+        if value is not field_.default:
+            field = Text("{}: {}", what or type(record).__name__, field_.name)
+            require_kind(field, value, str(field_.type), error)
 
 
 def require_kind(
@@ -132,13 +132,14 @@ def as_points(points: Any) -> Floats:
 
 @cache
 def _kinds(annotation: str) -> tuple[tuple[str, str], ...]:
-    """Return the alternatives of an annotation: each a name, and what its brackets hold."""
+    """Return the alternatives of an annotation: the name of a type, and what its brackets hold."""
     found = re.findall(r"([\w.]+)(?:\[((?:[^\[\]]|\[[^\]]*\])*)\])?", annotation)
     names = [(name.rpartition(".")[2], inner) for name, inner in found if name != "..."]
     return tuple(each for each in names if each != ("str", "") or ("Path", "") not in names)
 
 
 def _is_of(value: Any, name: str, inner: str) -> bool:
+    """Return whether a value is of the type `name`, a list with elements of the types `inner`."""
     if name in _LISTS:
         kinds = _kinds(inner)
         if not _is_list(value) or (

@@ -50,11 +50,11 @@ def give_back_memory() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-Given = ParamSpec("Given")
-Answer = TypeVar("Answer")
+Params = ParamSpec("Params")
+Result = TypeVar("Result")
 
 
-def compiled(function: Callable[Given, Answer]) -> Callable[Given, Answer]:
+def compiled(function: Callable[Params, Result]) -> Callable[Params, Result]:
     """Return a function of numbers and arrays that numba compiles at its first call.
 
     Numba itself is imported then, too: it takes longer than all the modules that use it. The
@@ -71,20 +71,20 @@ def compiled(function: Callable[Given, Answer]) -> Callable[Given, Answer]:
 _COMPILES_S = 120.0  # longer than any of them takes to compile
 
 
-class _Compiled(Generic[Given, Answer]):
+class _Compiled(Generic[Params, Result]):
     """A function that becomes machine code at its first call."""
 
-    def __init__(self, function: Callable[Given, Answer]) -> None:
+    def __init__(self, function: Callable[Params, Result]) -> None:
         self.function = cast("FunctionType", function)
         self._is_begun = False
         update_wrapper(self, function)
 
-    def __call__(self, *args: Given.args, **options: Given.kwargs) -> Answer:
+    def __call__(self, *args: Params.args, **options: Params.kwargs) -> Result:
         if not self._is_begun:
             if len(args) == self.function.__code__.co_argcount:
                 self._compile_once(args)
             self._is_begun = True
-        return cast("Answer", self.machine_code(*args, **options))
+        return cast("Result", self.machine_code(*args, **options))
 
     @cached_property
     def machine_code(self) -> Any:
@@ -92,7 +92,7 @@ class _Compiled(Generic[Given, Answer]):
         import numba  # noqa: PLC0415 - 0.3 s
 
         # Compiled code calls dispatchers only: they stand for the other functions in its globals.
-        names = {name: called.machine_code for name, called in self._called.items()}
+        names = {name: called.machine_code for name, called in self._compiled_calls.items()}
         globals_ = {**self.function.__globals__, **names}
         plain = FunctionType(self.function.__code__, globals_, self.function.__name__)
         # Numba's cache looks at the name and the date of one file: the name covers all the others.
@@ -121,30 +121,32 @@ class _Compiled(Generic[Given, Answer]):
             lock.release()
 
     @property
-    def _used(self) -> dict[str, Any]:
+    def _globals_used(self) -> dict[str, Any]:
         """Global objects that the function uses, by name."""
         of = self.function.__globals__
         return {name: of[name] for name in self.function.__code__.co_names if name in of}
 
     @property
-    def _called(self) -> dict[str, _Compiled[Any, Any]]:
+    def _compiled_calls(self) -> dict[str, _Compiled[Any, Any]]:
         """Compiled functions that this one calls, by the name it uses."""
-        return {name: it for name, it in self._used.items() if isinstance(it, _Compiled)}
+        return {name: it for name, it in self._globals_used.items() if isinstance(it, _Compiled)}
 
-    def made_of(self) -> set[str]:
+    def sources(self) -> set[str]:
         """Return the sources and constants of this function and of all compiled ones it calls."""
-        constants = {repr(it) for it in self._used.items() if isinstance(it[1], int | float)}
-        called = (each.made_of() for each in self._called.values())
+        constants = {
+            repr(it) for it in self._globals_used.items() if isinstance(it[1], int | float)
+        }
+        called = (each.sources() for each in self._compiled_calls.values())
         return {Path(self.function.__code__.co_filename).read_text("utf-8")}.union(
             constants, *called
         )
 
     def _sources_digest(self) -> str:
-        """Return a digest of :meth:`made_of`: code and constants may come from other modules."""
-        return hashlib.sha256("".join(sorted(self.made_of())).encode()).hexdigest()[:16]
+        """Return a digest of :meth:`sources`: code and constants may come from other modules."""
+        return hashlib.sha256("".join(sorted(self.sources())).encode()).hexdigest()[:16]
 
 
 @compiled
-def turned(to: float, since: float) -> float:  # pragma: no cover - compiled
+def heading_difference(to: float, since: float) -> float:  # pragma: no cover - compiled
     """Return the turn from heading `since` to heading `to`, radians in [-pi, pi)."""
     return (to - since + np.pi) % (2.0 * np.pi) - np.pi

@@ -17,7 +17,7 @@ from gis_radar.base.words import WINDS
 SCALE_TOLERANCE = 0.002  # UTM stays within 0.001 in its zone; web Mercator is off by 0.5 at 48 N
 _OUTSIDE_DEG = 10.0  # outside the area of use: sites at its edge pass, other continents do not
 _SHORT_M = 100.0  # a scale is measured along it: rounding is far smaller, the scale constant
-_FITTING = Text("use the UTM zone or the national grid of the site")
+_FITTING_CRS_HINT = Text("use the UTM zone or the national grid of the site")
 
 Box: TypeAlias = tuple[float, float, float, float]
 """West, south, east, north."""
@@ -109,7 +109,9 @@ def require_true_scale(crs: CRS, easting: float, northing: float, *, what: str) 
     )
     # Some projections are true to scale once more, on the far side of the globe.
     if not _in_area_of_use(crs, longitude[0], latitude[0]):
-        raise CrsError("{}: the site lies far outside the area of {}", what, name, hint=_FITTING)
+        raise CrsError(
+            "{}: the site lies far outside the area of {}", what, name, hint=_FITTING_CRS_HINT
+        )
     scales = _scales(crs, longitude, latitude)
     worst = scales[np.argmax(np.abs(scales - 1.0))]
     if abs(worst - 1.0) > SCALE_TOLERANCE:
@@ -118,7 +120,7 @@ def require_true_scale(crs: CRS, easting: float, northing: float, *, what: str) 
             what,
             name,
             worst,
-            hint=_FITTING,
+            hint=_FITTING_CRS_HINT,
         )
 
 
@@ -211,7 +213,7 @@ def require_same(crs: CRS, other: CRS, *, what: str, other_what: str) -> None:
     CrsError
         If the two systems differ; nearly equal ones such as EPSG:25832 and EPSG:32632 differ too.
     """
-    if not same_plane(crs, other):
+    if not same_coordinates(crs, other):
         raise CrsError(
             "{} is in {}, but {} in {}",
             what,
@@ -259,7 +261,9 @@ def transformer(source: CRS, target: CRS) -> Transformer:
     return Transformer.from_crs(source, target, always_xy=True)
 
 
-def moved_position(position: tuple[float, ...], source: Any, target: CRS) -> tuple[float, ...]:
+def reprojected_position(
+    position: tuple[float, ...], source: Any, target: CRS
+) -> tuple[float, ...]:
     """Return a position (easting, northing, ...) in another CRS; further values stay the same.
 
     Raises
@@ -274,12 +278,12 @@ def moved_position(position: tuple[float, ...], source: Any, target: CRS) -> tup
     return (float(east), float(north), *position[2:])
 
 
-def same_plane(crs: CRS, other: CRS) -> bool:
+def same_coordinates(crs: CRS, other: CRS) -> bool:
     """Return whether the coordinates of both systems are the same numbers."""
     return crs == other or name_of(crs) == name_of(other)
 
 
-def moved_box(box: Box, source: CRS, target: CRS) -> Box:
+def reprojected_box(box: Box, source: CRS, target: CRS) -> Box:
     """Return the bounds in `target` of a box in `source`; an infinite box stays as it is.
 
     Raises
@@ -287,7 +291,7 @@ def moved_box(box: Box, source: CRS, target: CRS) -> Box:
     CrsError
         If the box lies outside the area of `target`.
     """
-    if same_plane(source, target) or not np.isfinite(box).all():
+    if same_coordinates(source, target) or not np.isfinite(box).all():
         return box
     # Straight edges become curves: look at many points of them.
     west, south, east, north = transformer(source, target).transform_bounds(*box, densify_pts=21)

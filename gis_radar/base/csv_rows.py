@@ -1,4 +1,4 @@
-"""Rows of CSV tables of people, as spreadsheets write them, too."""
+"""Read rows of CSV tables that people write, by hand or by a spreadsheet."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ _EMPTY = re.compile(r"\A(?:sep=.|[\s;,\"])*\n")
 def csv_rows(path: str | Path, wrong: Text) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     """Return the header of a table, and the rows that are not empty with their line numbers.
 
-    As Excel writes it in Germany, too: semicolons, Windows-1252.
+    Both commas and semicolons separate, both UTF-8 and Windows-1252 are read: Excel in Germany
+    writes the latter.
 
     Parameters
     ----------
     path : str or Path
         The file.
     wrong : Text
-        What is said of a file that is no table.
+        Message for a file that is no table, such as `not a table of signals`.
 
     Raises
     ------
@@ -76,12 +77,21 @@ def text_in(row: Mapping[Any, Any], name: str) -> str:
 
 
 def stated_moment(text: str, zone: ZoneInfo, what: str) -> Any:
-    """Return a time (datetime with its zone); without one it is by the clocks of a zone.
+    """Return a time in UTC; one without an offset is local time of a zone.
+
+    Parameters
+    ----------
+    text : str
+        As :func:`moment_in` takes it, or as Excel in Germany writes it.
+    zone : ZoneInfo
+        Zone of a time without an offset.
+    what : str
+        Name of the time, for the message.
 
     Raises
     ------
     InputError
-        If it is none; `what` says of what.
+        If it is no time.
     """
     if german := _GERMAN.fullmatch(text):
         day, month, year, hour, rest = german.groups()

@@ -23,8 +23,8 @@ from gis_radar.base.leftovers import (
     clear_abandoned,
     clear_scratch,
     hidden_stem,
+    hold_lock,
     leftovers,
-    living,
     private_pattern,
 )
 from gis_radar.base.progress import QUIET, Reporter
@@ -161,12 +161,12 @@ def atomic_writes(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
         If the folder around `path` does not exist, or a place cannot be written.
     """
     places: dict[Path, Path] = {}
-    with _beside(path) as private:
+    with _private_folder(path) as private:
         yield private, places
         for place in places.values():
             if place.is_dir():
                 raise OutputError("{}: is a folder", place, hint="name a file for the output")
-        # `path` moves last. If this run is killed between two moves, the next one ends the plan.
+        # `path` moves last. If this run is killed between two moves, the next run makes the rest.
         order = sorted(places.items(), key=lambda each: each[1] == path)
         if len(order) > 1:
             plan = json.dumps([[part.name, str(place.absolute())] for part, place in order])
@@ -229,7 +229,7 @@ def atomic_folder(
     if path.exists():
         _refuse_working_folder(path)
         refuse_foreign(path, owned)
-    with only_writer(path, reporter=reporter), _beside(path, alone=True) as private:
+    with only_writer(path, reporter=reporter), _private_folder(path, alone=True) as private:
         _restore(path)
         fresh = private / path.name
         fresh.mkdir()
@@ -252,7 +252,7 @@ def _replace_folder(path: Path, fresh: Path, earlier: Path) -> None:
 
 
 def _restore(path: Path) -> None:
-    """Bring back a folder that a run moved aside before it was killed; we hold its lock."""
+    """Bring back a folder that a killed run had moved aside; the caller holds its lock."""
     for earlier in leftovers(path, "before"):
         if path.exists():
             shutil.rmtree(earlier, ignore_errors=True)
@@ -291,23 +291,23 @@ def refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
 
 
 @contextmanager
-def _beside(path: Path, *, alone: bool = False) -> Iterator[Path]:
+def _private_folder(path: Path, *, alone: bool = False) -> Iterator[Path]:
     """Yield a private folder on the same file system as `path`; it is gone afterwards."""
     if any("\ud800" <= letter <= "\udfff" for letter in str(path)):
         raise OutputError("{}: the name is not UTF-8, which libraries need to write it", path)
     clear_abandoned(path.absolute().parent, private_pattern(path, "part"), alone=alone)
     private = path.with_name(f"{hidden_stem(path)}.{secrets.token_hex(4)}.part")
-    # Noted before it exists, for `_clear_up`: an interruption may come at any moment.
+    # Noted before it exists, for `_remove_unfinished`: an interruption may come at any moment.
     _unfinished.add(private)
-    spare = list[int]()  # file descriptors kept for the removal: the block may use up all others
+    spare_descriptors = list[int]()  # for the removal: the block may use up all others
     try:
         with output_errors(path):
-            spare += (os.open(os.devnull, os.O_RDONLY) for _ in range(_CLEARING_FILES))
+            spare_descriptors += (os.open(os.devnull, os.O_RDONLY) for _ in range(_CLEARING_FILES))
             private.mkdir(mode=0o700)
-        with living(private), writing_errors(path):
+        with hold_lock(private), writing_errors(path):
             yield private
     finally:
-        for each in spare:
+        for each in spare_descriptors:
             os.close(each)
         shutil.rmtree(private, ignore_errors=True)
         _unfinished.discard(private)
@@ -333,7 +333,7 @@ def scratch_folder() -> Iterator[Path]:
         with output_errors(root):
             made = tempfile.TemporaryDirectory(prefix=SCRATCH, ignore_cleanup_errors=True)
             name = Path(held.enter_context(made))
-            held.enter_context(living(name))
+            held.enter_context(hold_lock(name))
         yield name
 
 
@@ -362,13 +362,13 @@ def writing_errors(path: Path) -> Iterator[None]:
         # Arrow, GDAL and SQLite set no errno, only the text; some not even that.
         says_full = any(text in str(error).lower() for text in _FULL_TEXTS)
         if number in FULL or says_full or (of_writer and _is_full(path)):
-            raise _full(path) from error
+            raise _disk_full_error(path) from error
         if of_writer:
             raise OutputError("{}: cannot be written: {}", path, reason) from error
         raise
 
 
-def _full(path: Path) -> OutputError:
+def _disk_full_error(path: Path) -> OutputError:
     return OutputError(
         "{}: cannot be written: the disk is full", path, hint="make room and call it again"
     )
@@ -383,8 +383,8 @@ def _is_full(path: Path) -> bool:
 
 
 @atexit.register
-def _clear_up() -> None:
-    """Remove private folders whose removal a second interruption broke off."""
+def _remove_unfinished() -> None:
+    """Remove at exit the private folders whose removal a second interruption broke off."""
     for private in tuple(_unfinished):
         shutil.rmtree(private, ignore_errors=True)
 
@@ -407,7 +407,7 @@ def output_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         if error.errno in FULL:
-            raise _full(path) from error
+            raise _disk_full_error(path) from error
         reason = os.strerror(error.errno) if error.errno else str(error)
         raise OutputError("{}: cannot be written: {}", path, reason) from error
 
@@ -440,7 +440,7 @@ def only_writer(
     """
     lock = lock or path.with_name(f"{hidden_stem(path)}.lock")
     with output_errors(path):
-        handle = _taken(lock, path, reporter, waits=waits)
+        handle = _lock_descriptor(lock, path, reporter, waits=waits)
     try:
         with output_errors(path):
             os.truncate(handle, 0)
@@ -457,8 +457,8 @@ def only_writer(
                 lock.unlink()
 
 
-def _taken(lock: Path, path: Path, reporter: Reporter, *, waits: bool) -> int:
-    """Return the descriptor of the locked file; made anew if the last holder has removed it."""
+def _lock_descriptor(lock: Path, path: Path, reporter: Reporter, *, waits: bool) -> int:
+    """Return the descriptor of the locked file; open it again if its last holder has removed it."""
     from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
 
     while True:

@@ -28,12 +28,12 @@ from gis_radar.base.texts import Text
 GPKG_VERSION = "1.2"
 """The version of the GeoPackages that we write: the GDAL of QGIS 3.40 warns of later ones."""
 
-_WRITTEN = f"{FILE_DATE}T00:00:00.000Z"
-_DATE_OF_GDAL = "OGR_CURRENT_DATE"
+_FILE_TIME = f"{FILE_DATE}T00:00:00.000Z"
+_GDAL_DATE_OPTION = "OGR_CURRENT_DATE"
 
 SQLITE = b"SQLite format 3\0"
-_KINDS = {b"GPKG", b"GP10", b"GP11"}  # application ids of GeoPackage 1.0, 1.1 and later
-_KIND_AT = 68  # bytes, in SQLite's header
+_APPLICATION_IDS = {b"GPKG", b"GP10", b"GP11"}  # application ids of GeoPackage 1.0, 1.1 and later
+_APPLICATION_ID_AT = 68  # bytes, in SQLite's header
 DAMAGE = (
     pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, sqlite3.Error,
     shapely.errors.ShapelyError, pa.ArrowException, OSError, ValueError, TypeError, LookupError,
@@ -42,11 +42,12 @@ DAMAGE = (
 """Errors that libraries raise for a damaged file."""
 _LOCKED = "database is locked"  # in SQLite's message
 _HELD_HINT = "end editing it there, or close it, and try again; nothing is lost"
-PATIENCE_S = 2.0  # wait for a program that is about to end its writing
-_OTHER = (*DAMAGE[:2], sqlite3.OperationalError)  # another layer, table or format than asked for
+LOCK_WAIT_S = 2.0  # wait for a program that is about to end its writing
+# Errors for another layer, table or format than asked for: the file itself is not damaged.
+_WRONG_CONTENT = (*DAMAGE[:2], sqlite3.OperationalError)
 
 # The table as QGIS makes it; GDAL and QGIS look for it by this name.
-_TABLE = """
+_CREATE_STYLES = """
 CREATE TABLE layer_styles (
     id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
     f_table_catalog TEXT(256),
@@ -63,11 +64,11 @@ CREATE TABLE layer_styles (
     update_time DATETIME DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
 )
 """
-_CONTENTS = """
+_ADD_STYLES_TABLE = """
 INSERT INTO gpkg_contents (table_name, data_type, identifier, description, last_change)
 VALUES ('layer_styles', 'attributes', 'layer_styles', '', ?)
 """
-_STYLE = """
+_ADD_STYLE = """
 INSERT INTO layer_styles (
     f_table_catalog, f_table_schema, f_table_name, f_geometry_column,
     styleName, styleQML, styleSLD, useAsDefault, description, owner, update_time
@@ -109,7 +110,10 @@ def opened_package(path: str | Path, *, what: str, hint: str = "") -> Iterator[P
     with library_errors(path, what=what, hint=hint):
         with Path(path).open("rb") as file:
             head = file.read(100)
-        if not head.startswith(SQLITE) or head[_KIND_AT : _KIND_AT + 4] not in _KINDS:
+        if (
+            not head.startswith(SQLITE)
+            or head[_APPLICATION_ID_AT : _APPLICATION_ID_AT + 4] not in _APPLICATION_IDS
+        ):
             raise InputError("{}: not {}: it is no GeoPackage", path, what, hint=hint)
         yield plain_place(path)
 
@@ -162,13 +166,13 @@ def library_errors(
                 raise InputError(
                     "{}: another program has it locked", path, hint=_HELD_HINT
                 ) from error
-            wrong = Text("not {}", what) if isinstance(error, _OTHER) else "damaged"
+            wrong = Text("not {}", what) if isinstance(error, _WRONG_CONTENT) else "damaged"
             raise InputError("{}: {}: {}", path, wrong, first_line(error), hint=hint) from error
     for text in dict.fromkeys(str(each.message).partition("\n")[0] for each in caught):
         reporter.warn("{}: {}", path, text)
 
 
-_FIELDS = """
+_CREATE_FIELDS = """
 CREATE TABLE IF NOT EXISTS gpkg_data_columns (
     table_name TEXT NOT NULL,
     column_name TEXT NOT NULL,
@@ -181,17 +185,17 @@ CREATE TABLE IF NOT EXISTS gpkg_data_columns (
     CONSTRAINT gdc_tn UNIQUE (table_name, name)
 )
 """
-_EXTENSION = """
+_ADD_SCHEMA_EXTENSION = """
 INSERT INTO gpkg_extensions (table_name, column_name, extension_name, definition, scope)
 SELECT 'gpkg_data_columns', NULL, 'gpkg_schema',
     'http://www.geopackage.org/spec121/#extension_schema', 'read-write'
 WHERE NOT EXISTS (SELECT 1 FROM gpkg_extensions WHERE table_name = 'gpkg_data_columns')
 """
-_DESCRIPTION = """
+_ADD_METADATA = """
 INSERT INTO gpkg_metadata (md_scope, md_standard_uri, mime_type, metadata)
 VALUES ('dataset', 'http://mrcc.com/qgis.dtd', 'text/xml', ?)
 """
-_DESCRIBES = """
+_ADD_METADATA_REFERENCE = """
 INSERT INTO gpkg_metadata_reference (
     reference_scope, table_name, column_name, row_id_value, timestamp, md_file_id, md_parent_id
 )
@@ -217,14 +221,14 @@ def describe_layers(database: sqlite3.Connection, notes: Mapping[str, LayerNotes
     notes : mapping
         Notes by layer; fields that the layer does not have are left out.
     """
-    database.execute(_FIELDS)
-    database.execute(_EXTENSION)
+    database.execute(_CREATE_FIELDS)
+    database.execute(_ADD_SCHEMA_EXTENSION)
     for layer, about in notes.items():
-        there = {row[1] for row in database.execute(f'PRAGMA table_xinfo("{layer}")')}
+        columns = {row[1] for row in database.execute(f'PRAGMA table_xinfo("{layer}")')}
         rows = [
             (layer, name, title, title, text)
             for name, (title, text) in about.fields.items()
-            if name in there
+            if name in columns
         ]
         database.executemany(
             "INSERT INTO gpkg_data_columns (table_name, column_name, name, title, description) "
@@ -233,8 +237,8 @@ def describe_layers(database: sqlite3.Connection, notes: Mapping[str, LayerNotes
         database.execute(
             "UPDATE gpkg_contents SET description = ? WHERE table_name = ?", (about.abstract, layer)
         )
-        row = database.execute(_DESCRIPTION, (_qgis_metadata(about),))
-        database.execute(_DESCRIBES, (layer, _WRITTEN, row.lastrowid))
+        row = database.execute(_ADD_METADATA, (_qgis_metadata(about),))
+        database.execute(_ADD_METADATA_REFERENCE, (layer, _FILE_TIME, row.lastrowid))
 
 
 def _qgis_metadata(about: LayerNotes) -> str:
@@ -260,17 +264,17 @@ def add_styles(
     name, about : str
         Name and description of the styles, in a few words.
     """
-    database.execute(_TABLE)
-    database.execute(_CONTENTS, (_WRITTEN,))
+    database.execute(_CREATE_STYLES)
+    database.execute(_ADD_STYLES_TABLE, (_FILE_TIME,))
     for layer, qml in styles.items():
-        database.execute(_STYLE, (name, qml, "", about, _owner(qml), _WRITTEN, layer))
+        database.execute(_ADD_STYLE, (name, qml, "", about, _owner(qml), _FILE_TIME, layer))
 
 
-def dress_layers(
+def style_layers(
     path: Path, styles: Mapping[str, str], *, name: str, about: str,
     notes: Mapping[str, LayerNotes] | None = None,
 ) -> None:  # fmt: skip
-    """Describe layers of a GeoPackage that GDAL has written, and give them their default styles.
+    """Write titles, meaning and default styles of layers of a GeoPackage that GDAL has written.
 
     Parameters
     ----------
@@ -288,8 +292,8 @@ def dress_layers(
             add_styles(database, styles, name=name, about=about)
 
 
-def keep_styles(path: Path, *, earlier: Path) -> None:
-    """Copy the styles that somebody has saved in the file that a new one replaces.
+def copy_saved_styles(path: Path, *, earlier: Path) -> None:
+    """Copy the styles that users saved in a GeoPackage to the new one that replaces it.
 
     A layer's default style stays its default; a style of ours that nobody changed is not copied.
 
@@ -298,7 +302,7 @@ def keep_styles(path: Path, *, earlier: Path) -> None:
     path : Path
         The new GeoPackage, with styles of ours.
     earlier : Path
-        The one that it replaces, which need not be there.
+        The GeoPackage that it replaces, which need not be there.
 
     Raises
     ------
@@ -323,7 +327,7 @@ def keep_styles(path: Path, *, earlier: Path) -> None:
                 database.execute(
                     "UPDATE layer_styles SET useAsDefault = 0 WHERE f_table_name = ?", (layer,)
                 )
-            database.execute(_STYLE, (name, qml, sld, about, owner, _WRITTEN, layer))
+            database.execute(_ADD_STYLE, (name, qml, sld, about, owner, _FILE_TIME, layer))
             database.execute(
                 "UPDATE layer_styles SET useAsDefault = ? WHERE id = last_insert_rowid()",
                 (bool(default),),
@@ -334,7 +338,7 @@ def _refuse_locked(path: Path) -> None:
     """Refuse to replace a GeoPackage that another program writes; readers do not matter."""
     uri = f"{path.resolve().as_uri()}?mode=rw"
     try:
-        with closing(sqlite3.connect(uri, uri=True, timeout=PATIENCE_S)) as database:
+        with closing(sqlite3.connect(uri, uri=True, timeout=LOCK_WAIT_S)) as database:
             database.execute("BEGIN IMMEDIATE")
             database.execute("ROLLBACK")
     except sqlite3.Error as error:
@@ -352,22 +356,22 @@ def read_only(path: Path) -> closing[sqlite3.Connection]:
     return closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True))
 
 
-_OF_VIEWERS = {"layer_styles", "qgis_projects", "gpkg_ogr_contents"}
-_WITH_TIMES = {"gpkg_contents", "gpkg_metadata_reference"}
+_VIEWER_TABLES = {"layer_styles", "qgis_projects", "gpkg_ogr_contents"}
+_DATED_TABLES = {"gpkg_contents", "gpkg_metadata_reference"}
 
 
-def content_digest(path: Path, but: Collection[str] = ()) -> str | None:
+def content_digest(path: Path, exclude: Collection[str] = ()) -> str | None:
     """Return a digest of the tables of a GeoPackage; None where it cannot be read.
 
     Left out are what viewers write (order of pages, counters, styles), the file's dates, and the
-    layers `but`.
+    layers `exclude`.
     """
     digest = hashlib.blake2b(digest_size=16)
     try:
         with read_only(path) as database:
             query = "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name"
             for (name,) in database.execute(query).fetchall():
-                if name not in {*_OF_VIEWERS, *_WITH_TIMES, *but} and not name.startswith(
+                if name not in {*_VIEWER_TABLES, *_DATED_TABLES, *exclude} and not name.startswith(
                     ("rtree_", "sqlite_")
                 ):
                     _add_table(digest, database, name)
@@ -390,15 +394,15 @@ _writing = Lock()
 
 
 @contextmanager
-def _same_date() -> Iterator[None]:
+def _fixed_date() -> Iterator[None]:
     """Make GDAL write a fixed date within the block; one thread writes at a time."""
     with _writing:
-        earlier = pyogrio.get_gdal_config_option(_DATE_OF_GDAL)
-        pyogrio.set_gdal_config_options({_DATE_OF_GDAL: _WRITTEN})
+        earlier = pyogrio.get_gdal_config_option(_GDAL_DATE_OPTION)
+        pyogrio.set_gdal_config_options({_GDAL_DATE_OPTION: _FILE_TIME})
         try:
             yield
         finally:
-            pyogrio.set_gdal_config_options({_DATE_OF_GDAL: earlier})
+            pyogrio.set_gdal_config_options({_GDAL_DATE_OPTION: earlier})
 
 
 def add_layer(table: gpd.GeoDataFrame, path: Path, layer: str, **options: Any) -> None:
@@ -416,7 +420,7 @@ def add_layer(table: gpd.GeoDataFrame, path: Path, layer: str, **options: Any) -
         As for :func:`pyogrio.write_dataframe`.
     """
     _refuse_archive(path)
-    with _same_date():
+    with _fixed_date():
         pyogrio.write_dataframe(
             table, path, layer=layer, driver="GPKG", append=path.exists(),
             dataset_options={"VERSION": GPKG_VERSION}, **options,
@@ -448,26 +452,26 @@ def write_stream(
         As for :func:`pyogrio.write_arrow`.
     """
     _refuse_archive(path)
-    stopped: list[BaseException] = []
-    reader = pa.RecordBatchReader.from_batches(schema, _remembering(batches, stopped))
+    errors: list[BaseException] = []
+    reader = pa.RecordBatchReader.from_batches(schema, _recording_error(batches, errors))
     try:
-        with _same_date():
+        with _fixed_date():
             pyogrio.write_arrow(
                 reader, path, driver="GPKG", dataset_options={"VERSION": GPKG_VERSION}, **options
             )
     except Exception:
-        if not stopped:
+        if not errors:
             raise
-    if stopped:
-        raise stopped[0]
+    if errors:
+        raise errors[0]
 
 
-def _remembering(
-    batches: Iterable[pa.RecordBatch], stopped: list[BaseException]
+def _recording_error(
+    batches: Iterable[pa.RecordBatch], errors: list[BaseException]
 ) -> Iterator[pa.RecordBatch]:
-    """Yield the batches, and keep the error that ends them: Arrow's stream would hide a Ctrl-C."""
+    """Yield the batches; add the error that ends them to `errors`, as Arrow would hide a Ctrl-C."""
     try:
         yield from batches
     except (Exception, KeyboardInterrupt) as error:
-        stopped.append(error)
+        errors.append(error)
         raise

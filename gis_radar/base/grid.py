@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from affine import Affine
 
 CELL_M = 0.5
-"""Side of the cells of a road, of what stands, and of the pixels of a heat map (the contract)."""
+"""Side of cells of a road mask and of obstacles, and of pixels of a heat map (the contract)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,12 +13,12 @@ from hashlib import blake2b
 from pathlib import Path
 
 _LONGEST_NAME = 255  # bytes, of most file systems
-ALIVE = ".alive"  # locked in a private folder as long as the process that made it lives
-PLAN = ".places.json"  # in a private folder that is whole and about to be moved
-SCRATCH = ".gis_radar-scratch-"  # begins the names of temporary folders: nobody else's do
+LOCK_NAME = ".alive"  # locked in a private folder as long as the process that made it lives
+PLAN = ".places.json"  # in a private folder whose files are complete: the moves still to be made
+SCRATCH = ".gis_radar-scratch-"  # begin of the names of our temporary folders, and of no others
 PRIVATE = re.compile(r"\..+\.[0-9a-f]{8}\.(part|before)")
 _ABANDONED_S = 86_400.0  # age at which a private folder counts as abandoned if locks are missing
-_MAKING_S = 60.0  # between making a private folder and locking it; it takes a millisecond
+_MAKING_S = 60.0  # most time between making a private folder and locking it: a millisecond in fact
 
 
 def hidden_stem(path: Path) -> str:
@@ -73,15 +73,15 @@ def leftovers(path: Path, ending: str) -> list[Path]:
     list of Path
         Empty where the folder around the output cannot be read.
     """
-    named = private_pattern(path, ending)
+    pattern = private_pattern(path, ending)
     with suppress(OSError):
-        return [each for each in path.parent.iterdir() if named.fullmatch(each.name)]
+        return [each for each in path.parent.iterdir() if pattern.fullmatch(each.name)]
     return []
 
 
 @contextmanager
-def living(private: Path) -> Iterator[None]:
-    """Hold a lock in a private folder, which is in use as long as the lock is held.
+def hold_lock(private: Path) -> Iterator[None]:
+    """Hold the lock of a private folder within the block: by it others see that it is in use.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def living(private: Path) -> Iterator[None]:
     """
     from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
 
-    handle = os.open(private / ALIVE, os.O_RDWR | os.O_CREAT, 0o600)
+    handle = os.open(private / LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o600)
     try:
         with suppress(OSError):  # no locks here
             lock_descriptor(handle, blocking=True)  # others hold it for an instant, to test it
@@ -106,19 +106,20 @@ def living(private: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def clear_abandoned(folder: Path, named: re.Pattern[str], *, alone: bool = False) -> None:
-    """Remove private folders that killed runs left beside outputs, after ending their moves.
+def clear_abandoned(folder: Path, pattern: re.Pattern[str], *, alone: bool = False) -> None:
+    """Remove private folders that killed runs left beside outputs, after making their last moves.
 
     Parameters
     ----------
     folder : Path
         Folder of outputs, absolute.
-    named : re.Pattern
+    pattern : re.Pattern
         Names of the private folders: those of one output, or :data:`PRIVATE` for all.
     alone : bool
-        Whether the caller holds the lock of the output: then no other run is making one.
+        Whether the caller holds the lock of the output: then no other run is making a private
+        folder beside it.
     """
-    for private in _abandoned(folder, named, alone=alone):
+    for private in _abandoned(folder, pattern, alone=alone):
         with suppress(OSError, ValueError):
             for name, place in json.loads((private / PLAN).read_text(encoding="utf-8")):
                 if (private / Path(name).name).exists() and Path(place).parent == folder:
@@ -127,25 +128,26 @@ def clear_abandoned(folder: Path, named: re.Pattern[str], *, alone: bool = False
 
 
 def clear_scratch(folder: Path) -> None:
-    """Remove what killed runs left in a folder for temporary files, which others use, too.
+    """Remove our temporary folders whose runs were killed.
 
     Parameters
     ----------
     folder : Path
-        The system's. Only folders named by :data:`SCRATCH` that hold our lock file are removed.
+        The system's for temporary files. Of what is there, only folders whose names begin with
+        :data:`SCRATCH` and that hold our lock file are removed.
     """
-    named = re.compile(rf"{re.escape(SCRATCH)}\w+")
-    for private in _abandoned(folder, named):
-        if (private / ALIVE).is_file():
+    pattern = re.compile(rf"{re.escape(SCRATCH)}\w+")
+    for private in _abandoned(folder, pattern):
+        if (private / LOCK_NAME).is_file():
             shutil.rmtree(private, ignore_errors=True)
 
 
-def _abandoned(folder: Path, named: re.Pattern[str], *, alone: bool = False) -> Iterator[Path]:
+def _abandoned(folder: Path, pattern: re.Pattern[str], *, alone: bool = False) -> Iterator[Path]:
     """Yield the private folders of processes that are gone."""
     import filelock  # noqa: F401, PLC0415 - 70 ms, not between making a folder and locking it
 
     with suppress(OSError):
-        for private in [each for each in folder.iterdir() if named.fullmatch(each.name)]:
+        for private in [each for each in folder.iterdir() if pattern.fullmatch(each.name)]:
             if private.suffix == ".before" or private.is_symlink():
                 continue
             if is_abandoned(private, alone=alone):
@@ -172,7 +174,7 @@ def is_abandoned(private: Path, *, alone: bool = False) -> bool:
     age_s = time.time() - private.stat().st_mtime
     made = alone or age_s > _MAKING_S  # else its maker may be about to lock it
     try:
-        handle = os.open(private / ALIVE, os.O_RDWR)
+        handle = os.open(private / LOCK_NAME, os.O_RDWR)
     except FileNotFoundError:
         return made
     except OSError:  # another user's, or no more files can be opened

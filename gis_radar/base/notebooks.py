@@ -21,7 +21,7 @@ from gis_radar.base.words import tr
 
 MOST_ROWS = 24  # of a table: about a screen
 _CELL = "text-align:left;padding:1px 10px 1px 0"
-_SOFT = f"{_CELL};opacity:0.65;font-weight:normal"
+_NAME_CELL = f"{_CELL};opacity:0.65;font-weight:normal"
 
 
 def card(title: str, figures: Mapping[str, Any], *, picture: bytes = b"") -> str:
@@ -38,7 +38,7 @@ def card(title: str, figures: Mapping[str, Any], *, picture: bytes = b"") -> str
     """
     names = (str(name).replace("_", " ") for name in figures)
     rows = zip(names, map(_text, figures.values()), strict=True)
-    return _whole(title, _table(rows), picture)
+    return _card_html(title, _table(rows), picture)
 
 
 def table_card(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
@@ -56,10 +56,11 @@ def table_card(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]
     cells = [[_text(value) for value in row] for row in rows[:MOST_ROWS]]
     if len(rows) > MOST_ROWS:
         cells.append([f"... {len(rows) - MOST_ROWS} more"])
-    return _whole(title, _table(cells, head=columns), b"")
+    return _card_html(title, _table(cells, head=columns), b"")
 
 
 def _text(value: Any) -> str:
+    """Return a value as a cell shows it: numbers with six digits, lists with commas."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
@@ -72,18 +73,20 @@ def _text(value: Any) -> str:
 
 
 def _table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
+    """Return rows of texts as an HTML table, with a head, or with the first column as names."""
     lines = []
     if head:
-        cells = "".join(f'<th style="{_SOFT}">{escape(name)}</th>' for name in head)
+        cells = "".join(f'<th style="{_NAME_CELL}">{escape(name)}</th>' for name in head)
         lines.append(f"<tr>{cells}</tr>")
     for first, *rest in rows:
-        style = _CELL if head else _SOFT
+        style = _CELL if head else _NAME_CELL
         cells = "".join(f'<td style="{_CELL}">{escape(text)}</td>' for text in rest)
         lines.append(f'<tr><th style="{style}">{escape(first)}</th>{cells}</tr>')
     return f"<table>{''.join(lines)}</table>"
 
 
-def _whole(title: str, table: str, picture: bytes) -> str:
+def _card_html(title: str, table: str, picture: bytes) -> str:
+    """Return a title, a table and a picture beside it as one element of HTML."""
     image = ""
     if picture:
         data = b64encode(picture).decode("ascii")
@@ -97,8 +100,8 @@ def _whole(title: str, table: str, picture: bytes) -> str:
 
 SMALL_IN, SMALL_DPI = (4.6, 3.6), 80  # beside a card of figures
 MOST_TICKS = 5
-EDGE_IN = 0.1  # around a picture
-LABELS_IN = 0.42  # that ticks and label of an axis take
+EDGE_IN = 0.1  # inches of margin around a picture
+LABELS_IN = 0.42  # inches that ticks and label of an axis take
 FONTS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 
 
@@ -164,7 +167,7 @@ def picture_file(
     dpi: int,
     *,
     tight: bool = False,
-    letters_pt: float = 8.0,
+    font_pt: float = 8.0,
 ) -> Iterator[Any]:
     """Yield a new figure in the package's font and write it as PNG, without pyplot.
 
@@ -178,14 +181,14 @@ def picture_file(
         Pixels an inch.
     tight : bool
         Fit the picture to what is drawn: axes of equal scales may outgrow a constrained layout.
-    letters_pt : float
-        Size of its letters, points.
+    font_pt : float
+        Size of its font, points.
     """
     import matplotlib as mpl  # noqa: PLC0415
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    letters = {"font.size": letters_pt, "axes.titlesize": "medium"}
-    with mpl.rc_context(FONTS | letters):
+    fonts = {"font.size": font_pt, "axes.titlesize": "medium"}
+    with mpl.rc_context(FONTS | fonts):
         figure = Figure(figsize=size_in, dpi=dpi, layout="constrained")
         yield figure
         box = "tight" if tight else None

@@ -31,10 +31,10 @@ WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 _POLL_S = 0.2  # between two reports of a child that runs
-_REAPED_S = 0.001  # between two checks whether another thread has reaped a child
-_GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
-_TRIES = 100  # to set a session's niceness, 0.1 s apart: as many workers may begin at once
-_PATIENCE_S = 0.7  # for a stopped worker to remove its files; it does not end its work
+_REAP_POLL_S = 0.001  # between two checks whether another thread has reaped a child
+_KILL_WAIT_S = 5.0  # for the end of a killed child: only a disk that does not answer takes longer
+_NICENESS_TRIES = 100  # 0.1 s apart: as many workers may begin at once
+_STOP_WAIT_S = 0.7  # for a stopped worker to remove its files; it does not end its work
 
 OFFLINE = {
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",  # of every file system over curl, S3 and the like too
@@ -47,7 +47,7 @@ OFFLINE = {
 A data file can name an address; no command of ours needs one.
 """
 
-_MEMORY_EACH = 1 << 30  # bytes for one worker: what localizing a sensor takes, rounded up
+_WORKER_BYTES = 1 << 30  # memory of one worker: what localizing a sensor takes, rounded up
 
 
 def free_address_space() -> int | None:
@@ -117,7 +117,7 @@ def run_child(
         child.kill()  # does nothing where it has ended
         # an interrupt within the wait may have left a lock taken, on which this one hangs for ever
         with suppress(subprocess.TimeoutExpired):
-            child.wait(_GONE_S)
+            child.wait(_KILL_WAIT_S)
 
 
 @contextmanager
@@ -172,7 +172,7 @@ def _set_session_niceness() -> None:
     """Give a new session the niceness of its process: Linux shares cores among sessions first."""
     niceness = os.nice(0)
     with suppress(OSError):
-        for _ in range(_TRIES if niceness else 0):
+        for _ in range(_NICENESS_TRIES if niceness else 0):
             with suppress(BlockingIOError):  # Linux takes ten a second from all processes together
                 Path("/proc/self/autogroup").write_text(str(niceness), encoding="ascii")
                 return
@@ -190,7 +190,7 @@ def stop_workers(workers: Iterable[BaseProcess]) -> None:
     workers = list(workers)
     for worker in workers:
         worker.terminate()
-    end = time.monotonic() + _PATIENCE_S
+    end = time.monotonic() + _STOP_WAIT_S
     for worker in workers:
         worker.join(max(end - time.monotonic(), 0.01))
         if sys.platform != "win32" and worker.pid is not None:
@@ -198,9 +198,9 @@ def stop_workers(workers: Iterable[BaseProcess]) -> None:
                 os.killpg(worker.pid, signal.SIGKILL)  # no group: ended before it led one
         worker.kill()
         worker.join()
-        end_reaped = time.monotonic() + _GONE_S
+        end_reaped = time.monotonic() + _KILL_WAIT_S
         while worker.exitcode is None and time.monotonic() < end_reaped:
-            time.sleep(_REAPED_S)  # the pool's own thread reaps it: join returned before it did
+            time.sleep(_REAP_POLL_S)  # the pool's own thread reaps it: join returned before it did
 
 
 @contextmanager
@@ -251,7 +251,7 @@ def workers_here() -> int:
     else:
         cores = os.cpu_count() or 1
     memory = free_memory()
-    return cores if memory is None else max(1, min(cores, memory // _MEMORY_EACH))
+    return cores if memory is None else max(1, min(cores, memory // _WORKER_BYTES))
 
 
 def free_memory() -> int | None:
@@ -262,16 +262,16 @@ def free_memory() -> int | None:
     int or None
         Bytes free on the machine or in its control group, whichever is less; None if unknown.
     """
-    group = Path("/sys/fs/cgroup")
-    found = []
+    cgroup = Path("/sys/fs/cgroup")
+    limits = []
     with suppress(OSError, ValueError):
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        named = dict(line.split(":", 1) for line in lines)
-        found.append(int(named["MemAvailable"].split()[0]) * 1024)
+        by_name = dict(line.split(":", 1) for line in lines)
+        limits.append(int(by_name["MemAvailable"].split()[0]) * 1024)
     with suppress(OSError, ValueError):
-        most = int((group / "memory.max").read_text(encoding="ascii"))
-        found.append(most - int((group / "memory.current").read_text(encoding="ascii")))
-    return min(found, default=None)
+        most = int((cgroup / "memory.max").read_text(encoding="ascii"))
+        limits.append(most - int((cgroup / "memory.current").read_text(encoding="ascii")))
+    return min(limits, default=None)
 
 
 def _start_watchdog(wait: Callable[[], object], end: Callable[[], object]) -> None:

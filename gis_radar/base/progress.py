@@ -11,9 +11,9 @@ from gis_radar.base.texts import Text
 
 Level = Literal["info", "warning"]
 
-MOST_NAMES = 2  # of stages that are named before a warning
-LETTERS_OF_AN_ERROR = 500
-_BLANKS = "\u00a0\u202f"  # in numbers and before units
+MOST_NAMES = 2  # stages that are named before a warning
+MOST_ERROR_CHARACTERS = 500
+_BLANKS = "\u00a0\u202f"  # no-break spaces: in numbers and before units
 _LOGGER = logging.getLogger("gis_radar")
 
 
@@ -52,7 +52,7 @@ SILENT = Silent()
 
 
 def one_line(text: str, most: int = 2_000) -> str:
-    """Return a text as one line that any terminal shows, without its middle where it is long.
+    """Return a text as one printable line of at most `most` characters, its middle left out.
 
     Text from a file or another program may be long, or hold line ends and control characters.
     """

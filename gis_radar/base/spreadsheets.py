@@ -62,10 +62,10 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) 
     with path.open("w", encoding="utf-8-sig" if german else "utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\r\n", delimiter=";" if german else ",")
         writer.writerow([safe(name) for name in header])
-        writer.writerows([_written(safe(cell), german=german) for cell in row] for row in rows)
+        writer.writerows([_localised(safe(cell), german=german) for cell in row] for row in rows)
 
 
-def _written(cell: Any, *, german: bool) -> Any:
+def _localised(cell: Any, *, german: bool) -> Any:
     if not german:
         return cell
     if isinstance(cell, bool | np.bool_):

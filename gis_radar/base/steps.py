@@ -172,14 +172,14 @@ def moment_in(value: Any, zone: ZoneInfo, *, what: str) -> datetime:
             "{} is {}, expected a time such as 2026-11-20 09:00", what, repr(str(value))
         ) from error
     if both[0].utcoffset() != both[1].utcoffset():
-        there = in_utc.astimezone(zone).replace(tzinfo=None) == moment
-        how = Text("is twice") if there else Text("is left out")
+        is_shown = in_utc.astimezone(zone).replace(tzinfo=None) == moment
+        which_fault = Text("is twice") if is_shown else Text("is left out")
         earlier, later = (_offset(each)[3:].replace(MINUS, "-") for each in both)  # to be typed
         raise UsageError(
             "{} is {}, which {} that day in {}",
             what,
             moment,
-            how,
+            which_fault,
             zone,
             hint=Text("add the offset, {} or {}", earlier, later),
         )
@@ -250,17 +250,17 @@ def utc_offsets(zone: ZoneInfo, begin: datetime, end: datetime) -> list[tuple[da
     def offset_at(moment: datetime) -> int:
         return round((moment.astimezone(zone).utcoffset() or timedelta()).total_seconds())
 
-    found, at = [(begin, offset_at(begin))], begin
+    offsets, at = [(begin, offset_at(begin))], begin
     while at < end:
         after = min(at + timedelta(hours=6), end)  # no zone changes twice within it
-        if offset_at(after) != found[-1][1]:
+        if offset_at(after) != offsets[-1][1]:
             low, high = at, after
             while high - low > timedelta(seconds=1):
                 middle = low + (high - low) / 2
-                low, high = (middle, high) if offset_at(middle) == found[-1][1] else (low, middle)
-            found.append((high.replace(microsecond=0), offset_at(after)))
+                low, high = (middle, high) if offset_at(middle) == offsets[-1][1] else (low, middle)
+            offsets.append((high.replace(microsecond=0), offset_at(after)))
         at = after
-    return found
+    return offsets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -297,7 +297,7 @@ class Clock:
     def time(self, moment: datetime) -> str:
         """Return day (where there are several), time of day, offset (where it changes)."""
         local = self._local(moment)
-        text = _finest(local)
+        text = _clock_text(local)
         if not (self.to_seconds or local.second or local.microsecond):
             text = f"{local:%H:%M}"
         if self._changes:
@@ -316,7 +316,7 @@ class Clock:
     def tick(self, moment: datetime, first: datetime) -> str:
         """Return a time below a chart that begins at `first`: the day where it is a new one."""
         local = self._local(moment)
-        text = _finest(local) if self.to_seconds else f"{local:%H:%M}"
+        text = _clock_text(local) if self.to_seconds else f"{local:%H:%M}"
         new = moment == first or text.startswith("00:00")
         return f"{text}\n{self.day(moment)}" if new and not self._one_day else text
 
@@ -330,11 +330,11 @@ class Clock:
                 until = f"24:{until.removeprefix('00:')}"
         return tr("{begin} to {end}", begin=self.time(begin), end=until)
 
-    def whole(self, begin: datetime, end: datetime) -> str:
+    def long_span(self, begin: datetime, end: datetime) -> str:
         """Return a span for a sentence; with milliseconds only where it is under 10 s."""
         if end - begin >= timedelta(seconds=10):
             begin, end = _to_second(begin), _to_second(end)
-        since, until = (_finest(self._local(each)) for each in (begin, end))
+        since, until = (_clock_text(self._local(each)) for each in (begin, end))
         last = end
         if until == "00:00:00" and end > begin:
             until, last = "24:00:00", end - timedelta(microseconds=1)
@@ -350,10 +350,10 @@ class Clock:
         days = {"day": self.date(begin), "last": self.date(last)}
         return tr("{day}, {begin}, to {last}, {end}", begin=since, end=until, **days)
 
-    def whole_in_zone(self, begin: datetime, end: datetime) -> str:
-        """Return a span as :meth:`whole` does, with the zone; the offset is written once."""
+    def long_span_in_zone(self, begin: datetime, end: datetime) -> str:
+        """Return a span as :meth:`long_span` does, with the zone; the offset is written once."""
         zone = str(self.zone) if self._changes else self.name
-        return f"{self.whole(begin, end)} ({zone})"
+        return f"{self.long_span(begin, end)} ({zone})"
 
     def iso(self, moment: datetime) -> str:
         """Return local time as ISO 8601, with its offset."""
@@ -384,9 +384,9 @@ class Clock:
         return moment.astimezone(self.zone)
 
 
-def whole_span(begin: datetime, end: datetime, zone: ZoneInfo) -> str:
+def long_span(begin: datetime, end: datetime, zone: ZoneInfo) -> str:
     """Return a span for a sentence, by the clocks of a zone, which is named."""
-    return Clock(zone=zone, first=begin, last=end).whole_in_zone(begin, end)
+    return Clock(zone=zone, first=begin, last=end).long_span_in_zone(begin, end)
 
 
 def localised(text: str, zone: ZoneInfo) -> str:
@@ -394,17 +394,17 @@ def localised(text: str, zone: ZoneInfo) -> str:
     if isinstance(text, Text) and text.values:
         values = (localised(v, zone) if isinstance(v, str) else v for v in text.values)
         return Text(text.template, *values)
-    local = _UTC_TEXT.sub(lambda found: _stamp(found[0], zone), text)
+    local = _UTC_TEXT.sub(lambda found: _local_stamp(found[0], zone), text)
     return text if local == text else local  # a word without values keeps its template
 
 
-def _stamp(text: str, zone: ZoneInfo) -> str:
+def _local_stamp(text: str, zone: ZoneInfo) -> str:
     local = datetime.fromisoformat(text).astimezone(zone)
-    clock = _finest(local) if text.count(":") > 1 else f"{local:%H:%M}"
+    clock = _clock_text(local) if text.count(":") > 1 else f"{local:%H:%M}"
     return f"{short_day(local)} {clock} {_offset(local)}"
 
 
-def _finest(local: datetime) -> str:
+def _clock_text(local: datetime) -> str:
     """Return the time of day to the second, or to the millisecond where it has some."""
     milliseconds = local.microsecond // 1000
     return f"{local:%H:%M:%S}" + (f".{milliseconds:03d}" if milliseconds else "")

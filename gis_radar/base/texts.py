@@ -8,7 +8,7 @@ from numbers import Integral, Real
 from pathlib import PurePath
 from typing import Any, Self
 
-KEPT = "texts"  # the member of a JSON document that holds the templates of its texts
+TEXTS_MEMBER = "texts"  # the member of a JSON document that holds the templates of its texts
 _HOLE = re.compile(r"\{(\d{0,2})(?::[+,]*(?:\.\d)?[dfge%]?)?\}")
 
 
@@ -40,7 +40,7 @@ class Text(str):
     def __new__(cls, template: str, /, *values: Any) -> Self:
         """Fill in the values; a finished text stays what it is."""
         self = super().__new__(cls, template.format(*values) if values else template)
-        self.template, self.values = template, tuple(map(_lasting, values))
+        self.template, self.values = template, tuple(map(_plain_value, values))
         if isinstance(template, Text) and not values:
             self.template, self.values = template.template, template.values
         return self
@@ -67,7 +67,7 @@ class Text(str):
         return Text(rest, *self.values[1:]) if rest != "{}" else self.values[1]
 
 
-def _lasting(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     """Return a value in a type that can be sent to other processes and written to files."""
     if isinstance(value, str | int | float | PurePath):
         return value
@@ -78,60 +78,63 @@ def _lasting(value: Any) -> Any:
 
 def with_texts(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return a document for JSON with templates and values of its texts beside them."""
-    found: dict[str, Any] = {}
-    _collect(document, found)
-    return {**document, KEPT: found} if found else dict(document)
+    templates: dict[str, Any] = {}
+    _collect_templates(document, templates)
+    return {**document, TEXTS_MEMBER: templates} if templates else dict(document)
 
 
-def _collect(value: Any, found: dict[str, Any]) -> None:
+def _collect_templates(value: Any, templates: dict[str, Any]) -> None:
+    """Add template and values of each text within a value, by the finished text."""
     if isinstance(value, Text) and value.values:
-        found[value] = _as_list(value)
+        templates[value] = _as_json(value)
     inner = value.values() if isinstance(value, Mapping) else value
     for each in inner if isinstance(value, Mapping | list | tuple) else ():
-        _collect(each, found)
+        _collect_templates(each, templates)
 
 
-def _as_list(value: Any) -> Any:
+def _as_json(value: Any) -> Any:
     """Return a value as JSON holds it; a text as a list of template and values."""
     if isinstance(value, Text):
-        return [value.template, *map(_as_list, value.values)]
+        return [value.template, *map(_as_json, value.values)]
     if isinstance(value, float):  # last digits vary with the order of sums; equal runs, equal bytes
         return float(f"{value:.9g}")
     return str(value) if isinstance(value, PurePath) else value
 
 
 def restored(document: dict[str, Any]) -> dict[str, Any]:
-    """Return a document of :func:`with_texts` with its texts; what fits no text stays as it is."""
-    kept = document.pop(KEPT, None)
-    texts = map(_from_list, kept.values()) if isinstance(kept, dict) else ()
-    whole: dict[str, Any] = _with_known(document, {text: text for text in texts})
-    return whole
+    """Return a document of :func:`with_texts` with its strings as texts again, where they fit."""
+    entries = document.pop(TEXTS_MEMBER, None)
+    texts = map(_from_json, entries.values()) if isinstance(entries, dict) else ()
+    with_templates: dict[str, Any] = _replaced(document, {text: text for text in texts})
+    return with_templates
 
 
-def _from_list(entry: Any) -> Any:
+def _from_json(entry: Any) -> Any:
+    """Return the text of a list of :func:`_as_json`; anything else as a plain value."""
     match entry:
         case [str(template), *values]:
-            if not values or _fits(template, len(values)):
-                return Text(template, *map(_from_list, values))
+            if not values or _takes(template, len(values)):
+                return Text(template, *map(_from_json, values))
     return str(entry) if isinstance(entry, list | dict) else entry
 
 
-def _fits(template: str, values: int) -> bool:
-    """Return whether a template takes this many values, and has plain holes only.
+def _takes(template: str, count: int) -> bool:
+    """Return whether a template takes so many values, and has plain holes only.
 
     The file may be anybody's: a hole could read a value's attributes, or ask for a huge width.
     """
     numbers = _HOLE.findall(template)
-    places = range(len(numbers)) if not any(numbers) else [int(each or values) for each in numbers]
+    places = range(len(numbers)) if not any(numbers) else [int(each or count) for each in numbers]
     rest = _HOLE.sub("", template.replace("{{", "").replace("}}", ""))
-    return all(place < values for place in places) and not {"{", "}"} & set(rest)
+    return all(place < count for place in places) and not {"{", "}"} & set(rest)
 
 
-def _with_known(value: Any, known: Mapping[Any, Any]) -> Any:
+def _replaced(value: Any, texts: Mapping[Any, Any]) -> Any:
+    """Return a value of a JSON document with its strings replaced by equal texts."""
     if isinstance(value, str):
-        return known.get(value, value)
+        return texts.get(value, value)
     if isinstance(value, dict):
-        return {name: _with_known(each, known) for name, each in value.items()}
+        return {name: _replaced(each, texts) for name, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_with_known(each, known) for each in value]
+        return [_replaced(each, texts) for each in value]
     return value

@@ -90,6 +90,7 @@ def read_vector(
 
 
 def _read_by_gdal(path: Path, choose: Any, columns: Sequence[str] | None) -> gpd.GeoDataFrame:
+    """Read a layer: by its name, as a function chooses, or by default the first."""
     place = plain_place(path)
     if callable(choose):
         layers = {str(name): str(kind or "") for name, kind in pyogrio.list_layers(place)}

@@ -28,7 +28,7 @@ _CURRENT: ContextVar[str] = ContextVar("language", default="en")
 
 
 @contextmanager
-def speaking(language: str | None) -> Iterator[None]:
+def in_language(language: str | None) -> Iterator[None]:
     """Set the language of texts, numbers and days within the block; without one, it stays.
 
     Raises
@@ -43,7 +43,7 @@ def speaking(language: str | None) -> Iterator[None]:
         _CURRENT.reset(token)
 
 
-def speak(language: str) -> None:
+def set_language(language: str) -> None:
     """Set the language of texts, numbers and days for the whole process."""
     _CURRENT.set(known_language(language))
 
@@ -102,14 +102,14 @@ def figure_text(value: float, digits: int = 0) -> str:
     return text.replace("-", MINUS) if float(f"{value:.{digits}f}") else text.replace("-", "")
 
 
-def percent(share: float, digits: int = 1, *, off: float = math.nan) -> str:
+def percent(share: float, digits: int = 1, *, error: float = math.nan) -> str:
     """Return a share as percent, with its standard error where there is one.
 
     A share over 0 is never written as 0.
     """
-    if math.isfinite(share) and math.isfinite(off):
-        value, error = (figure_text(100 * each, digits) for each in (share, off))
-        return f"{value}{THIN_SPACE}±{THIN_SPACE}{error}{THIN_SPACE}%"
+    if math.isfinite(share) and math.isfinite(error):
+        value, spread = (figure_text(100 * each, digits) for each in (share, error))
+        return f"{value}{THIN_SPACE}±{THIN_SPACE}{spread}{THIN_SPACE}%"
     if math.isfinite(share) and 0.0 < share * 100 < 0.5 * 10.0**-digits:
         return tr("under {value}", value=decimal(f"{10.0**-digits:g}{THIN_SPACE}%"))
     return f"{figure_text(share * 100, digits)}{THIN_SPACE}%" if math.isfinite(share) else NO_FIGURE

@@ -1,4 +1,4 @@
-"""Findings of the check of poses and recordings, their words, and their refusal."""
+"""Findings of the check of poses and recordings, their texts, and the error that refuses them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ ONE_PLACE = Text(
 )
 CLOCKS_APART = "its clock and that of {} are apart"
 HEADS = (Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do"))
-RECORD = ("verdict", "evidence", "cause", "advice")
-SPAN = ("since", "until")
-SIDES = (
+RECORD = ("verdict", "evidence", "cause", "advice")  # fields that every stored finding has
+SPAN = ("since", "until")  # fields that a stored finding may have
+SIDES = (  # counter-clockwise from east, each of 45 degrees
     Text("east"), Text("north-east"), Text("north"), Text("north-west"), Text("west"),
     Text("south-west"), Text("south"), Text("south-east"),
 )  # fmt: skip
@@ -60,17 +60,18 @@ class Finding:
         return {name: getattr(self, name) for name in RECORD} | span
 
     def joined(self, other: Finding) -> Finding:
-        """Join the findings on recordings of two times, in either order.
+        """Merge the findings on one sensor's recordings of two times, in either order.
 
-        The worse one counts; of equally bad ones the words of the later, since the earlier.
+        The one of higher severity is returned. Of two with equal severity it is the later one,
+        with `since` of the earlier.
         """
-        worst = max(self, other, key=lambda each: (each.severity, each.until, each.evidence))
-        both = self.severity == other.severity
-        return replace(worst, since=min(self.since, other.since)) if both else worst
+        worse = max(self, other, key=lambda each: (each.severity, each.until, each.evidence))
+        equal = self.severity == other.severity
+        return replace(worse, since=min(self.since, other.since)) if equal else worse
 
     @property
     def severity(self) -> int:
-        """How bad it is, from 0 for a sensor that fits."""
+        """Rank of the finding: 0 fits, 1 too little traffic, 2 fits but may be off, 3 refused."""
         if self.verdict == FITS:
             return 2 if self.cause else 0
         return 3 if self.refused else 1
@@ -78,11 +79,11 @@ class Finding:
     @property
     def row(self) -> list[str]:
         """The finding as a row of a table under `HEADS`."""
-        return [self.sensor, self.verdict_told, self.reason, self.advice]
+        return [self.sensor, self.shown_verdict, self.reason, self.advice]
 
     @property
-    def verdict_told(self) -> Text:
-        """The verdict in a table: that of a sensor that fits, but may be off, says so."""
+    def shown_verdict(self) -> Text:
+        """The verdict as a table shows it: `FITS_BUT` for a sensor that fits with a cause."""
         return FITS_BUT if self.verdict == FITS and self.cause else Text(self.verdict)
 
     @property
@@ -92,12 +93,12 @@ class Finding:
 
     @property
     def is_of_clocks(self) -> bool:
-        """Whether the only fault is a clock that contradicts another sensor's."""
+        """Whether the cause is a clock that contradicts another sensor's."""
         return isinstance(self.cause, Text) and self.cause.template == CLOCKS_APART
 
     @property
     def doubt(self) -> str:
-        """The remark that results carry if the run goes on; empty where all fits."""
+        """The warning that results carry if the run goes on; empty where all fits."""
         if self.refused:
             return Text("{}; it is accepted anyway", self.line)
         return self.line if self.verdict != FITS or self.cause else ""
@@ -117,8 +118,8 @@ class Finding:
     @property
     def text(self) -> Text:
         """The finding, without the sensor's name."""
-        between = "{} {}" if self.verdict_told == FITS_BUT else "{}: {}"
-        return Text(between, self.verdict_told, self.reason)
+        between = "{} {}" if self.shown_verdict == FITS_BUT else "{}: {}"
+        return Text(between, self.shown_verdict, self.reason)
 
     @property
     def text_with_advice(self) -> Text:
@@ -132,7 +133,7 @@ class Finding:
 
 
 def is_record(value: object) -> bool:
-    """Return whether a value is a finding as a dataset keeps it."""
+    """Return whether a value is a finding as a dataset stores it: a :attr:`Finding.record`."""
     return (
         isinstance(value, dict)
         and {*RECORD} <= value.keys() <= {*RECORD, *SPAN}
@@ -145,28 +146,28 @@ def wrong(evidence: str, cause: str, advice: str) -> Finding:
     return Finding(sensor="", verdict=WRONG, evidence=evidence, cause=cause, advice=advice)
 
 
-def either(mistakes: Iterable[tuple[str, str]]) -> tuple[Text, Text]:
-    """Join equally likely mistakes to one cause and one advice.
+def join_mistakes(mistakes: Iterable[tuple[str, str]]) -> tuple[Text, Text]:
+    """Join equally likely mistakes into one cause ("a or b") and one advice ("a: ...; b: ...").
 
     Parameters
     ----------
     mistakes : iterable of (cause, advice)
-        The likeliest first.
+        The mistakes, likeliest first.
     """
-    given = list(mistakes)
-    cause = Text(" or ").join(cause for cause, _ in given)
-    if len(given) < 2:
-        return cause, Text("").join(advice for _, advice in given)
-    return cause, Text("; ").join(Text("{}: {}", *each) for each in given)
+    named = list(mistakes)
+    cause = Text(" or ").join(cause for cause, _ in named)
+    if len(named) < 2:
+        return cause, Text("").join(advice for _, advice in named)
+    return cause, Text("; ").join(Text("{}: {}", *each) for each in named)
 
 
 def side(east: float, north: float) -> Text:
-    """Return the side to which a step in the plane leads, of eight.
+    """Return the compass direction of an offset in the plane, the nearest of eight.
 
     Parameters
     ----------
     east, north : float
-        The step.
+        The offset, in any unit.
 
     Examples
     --------
@@ -177,12 +178,12 @@ def side(east: float, north: float) -> Text:
 
 
 def sense(turn: float) -> Text:
-    """Return the sense of a turn of yaw, seen from above, or of roll, seen from ahead.
+    """Return the direction of a rotation: of yaw seen from above, of roll seen from the front.
 
     Parameters
     ----------
     turn : float
-        The turn, positive as yaw counts.
+        Angle of the rotation; positive is anticlockwise.
     """
     return CLOCKWISE if turn < 0.0 else ANTICLOCKWISE
 

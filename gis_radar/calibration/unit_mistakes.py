@@ -1,4 +1,4 @@
-"""Which units or signs of a recording are wrong, by its scale of range, and how to correct them."""
+"""Mistakes of units or signs of a recording, told by its scale of range, and their correction."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from gis_radar.base import NoAnswerError, Text
-from gis_radar.calibration.findings import UNKNOWN_CAUSE, Finding, either, wrong
+from gis_radar.calibration.findings import UNKNOWN_CAUSE, Finding, join_mistakes, wrong
 
-# A scale differs from 1 if it does by more than both. A pose that is found takes up all of it, 1 m
-# at 100 m, and nothing else would tell.
+# A scale is refused if it differs from 1 by more than SIGMAS standard errors and by LEAST_OFF: a
+# pose fitted to wrong ranges is wrong itself, by 1 m at 100 m, without another sign of it.
 SIGMAS, LEAST_OFF = 3.0, 0.01
-# As LEAST_OFF, where a pose is given: good radars are right to 2 %, and the lanes tell as well.
+# As LEAST_OFF where a pose is given, which lanes check as well: good radars are right to 2 %.
 LEAST_WRONG = 0.02
-LENGTHENED = 0.25  # farther off 1, the unit of the range rates is wrong, not a length
-KNOWN_SHARE = 0.05  # largest standard error, as a share of the scale, of a known scale
-LEAST_YARDS = 1.075  # scales from here on look like yards, a factor of 1.094
-NOT_FITTED = Text("not fitted")  # what a pose's evidence states of a scale in too little traffic
+LENGTH_OFF = 0.25  # scales closer to 1 are wrong lengths, others wrong units of range rates
+KNOWN_SHARE = 0.05  # largest standard error, as a share of the scale, to check range rates by it
+LEAST_YARDS = 1.075  # least scale that is taken for yards, a factor of 1.094
+NOT_FITTED = Text("not fitted")  # entry of a pose's evidence for a scale with too little traffic
 FOOT_M, YARD_M, MILE_KM, NAUTICAL_MILE_KM, KMH = 0.3048, 0.9144, 1.609344, 1.852, 3.6
 
 
 @dataclass(frozen=True, kw_only=True)
 class UnitMistake:
-    """A usual mistake of units or signs, with its exact factor.
+    """Usual mistake of units or signs, with its exact factor.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class UnitMistake:
     advice : str
         How to correct it.
     factor : float
-        How much faster ranges change than the range rates state.
+        Change of range over the integral of range rate, as this mistake makes it.
     of_positions : bool
         Whether x, y and z are wrong; else the range rates or the times are.
     """
@@ -58,7 +58,7 @@ SIGN = UnitMistake(
     looks=Text("range rates look positive where targets approach"), factor=-1.0,
     advice=Text("change the sign of range_rate"),
 )  # fmt: skip
-LIKELY = (
+USUAL_MISTAKES = (
     FEET,
     YARDS,
     UnitMistake(
@@ -87,19 +87,19 @@ LIKELY = (
 
 @dataclass(frozen=True, kw_only=True)
 class RangeScale:
-    """Scale of range: the factor by which ranges change faster than the range rates state.
+    """Scale of range: change of range over the integral of range rate.
 
     Parameters
     ----------
     factor : float
-        Change of range over the integral of range rate: 1 where units and times are right,
-        negative where the sign of the range rates is turned.
+        The scale: 1 where units and times are right, negative where range rates have the wrong
+        sign.
     sigma : float
         Standard error of the factor.
     vehicles : int
-        Number of vehicles on which it rests.
+        Number of vehicles from which it is measured.
     absolute : bool
-        Whether range rates have lost their sign: positive where targets approach, too.
+        Whether range rates are absolute values.
     """
 
     factor: float
@@ -119,21 +119,21 @@ class RangeScale:
 
     @property
     def mistakes(self) -> tuple[UnitMistake, ...]:
-        """The usual mistakes whose factors it may be; of several, any may be the one."""
+        """The usual mistakes whose factors agree with it."""
         if self.absolute:
             return (ABSOLUTE,)
         within = max(SIGMAS * self.sigma, LEAST_OFF * abs(self.factor))
-        return tuple(each for each in LIKELY if abs(self.factor - each.factor) < within)
+        return tuple(each for each in USUAL_MISTAKES if abs(self.factor - each.factor) < within)
 
     @property
     def likely(self) -> str:
-        """Description of the likely mistakes; empty where it is none of the usual ones."""
+        """Description of the mistakes that agree with it; empty where none does."""
         return Text(" or ").join(each.looks for each in self.mistakes)
 
     @property
     def advice(self) -> str:
-        """How to correct each of the likely mistakes; empty where there is none."""
-        return either((each.looks, each.advice) for each in self.mistakes)[1]
+        """How to correct each of the mistakes that agree with it; empty where none does."""
+        return join_mistakes((each.looks, each.advice) for each in self.mistakes)[1]
 
     def require_one(self, name: str) -> None:
         """Refuse a scale that contradicts 1.
@@ -146,7 +146,7 @@ class RangeScale:
         Raises
         ------
         NoAnswerError
-            The text has the factor, its error, and advice.
+            If :attr:`off`; with the factor, its standard error, and advice.
         """
         if not self.off:
             return
@@ -172,7 +172,7 @@ class RangeScale:
 
 
 def odd_scale(scale: RangeScale | None) -> Finding | None:
-    """Return why ranges do not change as the range rates state; None where they do.
+    """Return the finding on a scale of range that is not 1; None where it is, or is not known.
 
     Parameters
     ----------
@@ -182,18 +182,18 @@ def odd_scale(scale: RangeScale | None) -> Finding | None:
     if scale is None or not scale.known:
         return None
     if scale.absolute:
-        return wrong(_stated(scale), scale.likely, scale.advice)
+        return wrong(_scale_evidence(scale), scale.likely, scale.advice)
     if abs(scale.factor - 1.0) <= max(LEAST_WRONG, SIGMAS * scale.sigma):
         return None
     lengths = [each for each in scale.mistakes if each.of_positions]
     if scale.mistakes and not lengths:
-        return wrong(_stated(scale), scale.likely, scale.advice)
-    if lengths or abs(scale.factor - 1.0) <= LENGTHENED:
-        return lengthened(scale)
-    return wrong(_stated(scale), UNKNOWN_CAUSE, Text("look at the units of the recording"))
+        return wrong(_scale_evidence(scale), scale.likely, scale.advice)
+    if lengths or abs(scale.factor - 1.0) <= LENGTH_OFF:
+        return wrong_lengths(scale)
+    return wrong(_scale_evidence(scale), UNKNOWN_CAUSE, Text("look at the units of the recording"))
 
 
-def _stated(scale: RangeScale) -> Text:
+def _scale_evidence(scale: RangeScale) -> Text:
     return Text(
         "recorded ranges change {:.3f} ± {:.3f} times as fast as the recorded range rates state",
         scale.factor,
@@ -201,21 +201,21 @@ def _stated(scale: RangeScale) -> Text:
     )
 
 
-def lengthened(scale: RangeScale) -> Finding:
-    """Return the finding that ranges are too long or too short by a measured scale.
+def wrong_lengths(scale: RangeScale) -> Finding:
+    """Return the finding that ranges are too long or too short by a scale.
 
     Parameters
     ----------
     scale : RangeScale
-        Of what moved.
+        The scale of range, measured or fitted.
     """
     cause: str = Text("ranges are {:.1%} too long, or range rates too low", scale.factor - 1.0)
     if scale.factor < 1.0:
         cause = Text("ranges are {:.1%} too short, or range rates too high", 1.0 - scale.factor)
-    # from a few percent up to yards, a scale is no certain sign of one unit
+    # a scale between 2 % too long and yards may have other causes than yards
     if scale.mistakes and not 1.0 + LEAST_WRONG < scale.factor < LEAST_YARDS:
-        return wrong(_stated(scale), scale.likely, scale.advice)
+        return wrong(_scale_evidence(scale), scale.likely, scale.advice)
     advice = Text(
         "divide x, y and z of all detections by {0:.3f}, or multiply range_rate by it", scale.factor
     )
-    return wrong(_stated(scale), cause, advice)
+    return wrong(_scale_evidence(scale), cause, advice)

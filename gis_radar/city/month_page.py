@@ -26,9 +26,9 @@ from gis_radar.base import (
     current_language,
     figure_text,
     folder_to_fill,
+    in_language,
     known_language,
     percent,
-    speaking,
     step_begin,
     tr,
     zone_of,
@@ -145,7 +145,7 @@ def write_month_page(
     zones = Counter(each.timezone for each in city.sites.values())
     zone = timezone or run.get("timezone") or zones.most_common(1)[0][0]
     place = city.root if output is None else Path(output)
-    with speaking(known_language(language or run.get("language") or _language_of(city))):
+    with in_language(known_language(language or run.get("language") or _language_of(city))):
         first, last = chosen.span(next(iter(city.sites.values())))
         end = min(last, chosen.last_step) + 1
         clock = Clock(
@@ -211,7 +211,7 @@ def _site(
     month: CityMonth, name: str, place: Path, language: str
 ) -> tuple[SiteMonth, pd.DataFrame]:
     """Return a site's month and the health of its sensors."""
-    with speaking(language):
+    with in_language(language):
         return site_month(month, name, place), health_of(month, [name])
 
 
@@ -235,7 +235,7 @@ def _page(
     city_map = draw_city(sites, faulty, legend)
     css = _rules(legend)
     page = render_page(
-        text, css=css, title=title, subtitle=clock.whole(clock.first, clock.last),
+        text, css=css, title=title, subtitle=clock.long_span(clock.first, clock.last),
         zone=clock.name, facts=facts, remarks=remarks, map=city_map,
         sites=site_table(sites, health), worst=lane_rows(worst) if len(worst) else None,
         profiles=_profiles(sites), changes=change_table(changes, sites),

@@ -159,7 +159,7 @@ def value_with_error(value: float, error: float, digits: int = 0) -> str:
 
 def share_with_error(share: float, error: float) -> str:
     """Return a share as percent with its standard error, rounded up as well."""
-    return percent(share, off=np.ceil(error * 1000.0) / 1000.0)
+    return percent(share, error=np.ceil(error * 1000.0) / 1000.0)
 
 
 def _queue_text(row: pd.Series) -> str:

@@ -24,7 +24,7 @@ from rich.text import Text as Cell
 
 from gis_radar import base
 from gis_radar.base import (
-    LETTERS_OF_AN_ERROR,
+    MOST_ERROR_CHARACTERS,
     GisRadarError,
     Level,
     OutputError,
@@ -33,11 +33,11 @@ from gis_radar.base import (
     UsageError,
     first_line,
     free_address_space,
+    in_language,
     interrupt_main_thread,
     json_text,
     one_line,
     refuse_inputs,
-    speaking,
     tr,
     users_language,
     watch_input,
@@ -52,7 +52,7 @@ from gis_radar.cli.result_tables import (
 )
 from gis_radar.cli.usage import text_of_click
 
-WIDE = 160  # characters
+LEAST_TABLE_WIDTH = 160  # characters
 # Shown with --json only: constants in effect, findings that `remarks` has as sentences, and errors
 # that follow.
 FOR_PROGRAMS = {"settings", "found", "failed"}
@@ -93,9 +93,9 @@ class Console(Reporter):
 
     language: str
 
-    def said(self, text: str) -> str:
+    def translated(self, text: str) -> str:
         """Return a text in the user's language."""
-        with speaking(self.language):
+        with in_language(self.language):
             return tr(text)
 
     def __enter__(self) -> Self:
@@ -121,27 +121,27 @@ class JsonConsole(Console):
 
     def progress(self, stage: str, done: int, total: int | None) -> None:
         """Write the progress of a stage."""
-        self._write(event="progress", stage=self.said(stage), done=done, total=total)
+        self._write(event="progress", stage=self.translated(stage), done=done, total=total)
 
     def log(self, message: str, level: Level = "info") -> None:
         """Write a remark."""
-        text = one_line(self.said(message))
+        text = one_line(self.translated(message))
         self._write(event="log", level=level, message=text)
 
     def result(self, result: Result) -> None:
         """Write what was done."""
         outputs = [str(path) for path in result.outputs]
         rows = {} if result.rows is None else {"rows": result.rows}
-        with speaking(self.language):
+        with in_language(self.language):
             summary = _translated(result.summary)
         self._write(event="result", outputs=outputs, summary={**summary, **rows})
 
     def error(self, error: GisRadarError) -> None:
         """Write what went wrong; the code is the exit code."""
-        message = one_line(self.said(error.message), LETTERS_OF_AN_ERROR)
-        hint = one_line(self.said(error.hint))
+        message = one_line(self.translated(error.message), MOST_ERROR_CHARACTERS)
+        hint = one_line(self.translated(error.hint))
         parts = [
-            {name: one_line(self.said(getattr(part, name))) for name in ("message", "hint")}
+            {name: one_line(self.translated(getattr(part, name))) for name in ("message", "hint")}
             for part in error.parts
         ]
         further = {"parts": parts} if parts else {}
@@ -195,7 +195,7 @@ class TerminalConsole(Console):
         if not self._rich.is_terminal:
             self._print_shares(stage, done, total)
         if stage not in self._tasks:
-            self._tasks[stage] = self._bars.add_task(self.said(stage), total=total)
+            self._tasks[stage] = self._bars.add_task(self.translated(stage), total=total)
         self._bars.update(self._tasks[stage], completed=done, total=total)
         if done == total and len(self._tasks) > MOST_BARS:
             self._bars.update(self._tasks[stage], visible=False)
@@ -207,7 +207,7 @@ class TerminalConsole(Console):
             self._shares[stage] = f" {100 * done // total} %" if total else ""
         if self._shares and monotonic() - self._printed_at >= SILENT_S:
             self._printed_at = monotonic()
-            shares = [f"{self.said(name)}{each}" for name, each in self._shares.items()]
+            shares = [f"{self.translated(name)}{each}" for name, each in self._shares.items()]
             self._shares.clear()  # a stage that failed or has no end would stay for ever
             text = one_line(", ".join(shares))
             self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -215,16 +215,17 @@ class TerminalConsole(Console):
     def log(self, message: str, level: Level = "info") -> None:
         """Print a remark."""
         self._printed_at = monotonic()
-        prefix = f"{self.said('warning')}: " if level == "warning" else ""
-        text = one_line(self.said(message))
+        prefix = f"{self.translated('warning')}: " if level == "warning" else ""
+        text = one_line(self.translated(message))
         self._rich.print(f"{prefix}{text}", markup=False, highlight=False, soft_wrap=True)
 
     def result(self, result: Result) -> None:
         """Print the figures as a table, then the outputs."""
-        with speaking(self.language):
+        with in_language(self.language):
             self._print(result)
 
     def _print(self, result: Result) -> None:
+        """Print figures line by line, each table, a query's rows, the outputs, and advice."""
         out = rich.console.Console()
         table = Table(show_header=False, box=None, pad_edge=False)
         tables = []
@@ -235,7 +236,7 @@ class TerminalConsole(Console):
                 tables.append((name, value))
             elif is_table(value):
                 # Wider than the terminal if need be: a number that is cut is a wrong number.
-                rich.console.Console(width=max(out.width, WIDE)).print(
+                rich.console.Console(width=max(out.width, LEAST_TABLE_WIDTH)).print(
                     table_of_entries(name, value)
                 )
             else:
@@ -244,7 +245,9 @@ class TerminalConsole(Console):
         for name, rows in tables:
             out.print(table_of_rows(name, rows))
         if result.rows:
-            rich.console.Console(width=max(out.width, WIDE)).print(table_of_answer(result.rows))
+            rich.console.Console(width=max(out.width, LEAST_TABLE_WIDTH)).print(
+                table_of_answer(result.rows)
+            )
         for path in result.outputs:
             out.print(tr("wrote {path}", path=path), markup=False, highlight=False, soft_wrap=True)
         if result.advice:
@@ -256,8 +259,9 @@ class TerminalConsole(Console):
             self.error(part)
         if error.parts:
             return
-        hint = f" ({one_line(self.said(error.hint))})" if error.hint else ""
-        text = f"gis-radar: {one_line(self.said(error.message), LETTERS_OF_AN_ERROR)}{hint}"
+        hint = f" ({one_line(self.translated(error.hint))})" if error.hint else ""
+        message = one_line(self.translated(error.message), MOST_ERROR_CHARACTERS)
+        text = f"gis-radar: {message}{hint}"
         self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -288,7 +292,7 @@ LEAST_FREE_BYTES = 64 << 20  # with 100 MiB commands work or end with an error; 
 _NO_MEMORY_TEXTS = (
     "failed to map segment", "can't start new thread", "Cannot allocate memory", "libllvmlite.so",
 )  # fmt: skip
-AGAIN_S = 0.1  # until the callback that dropped an interruption is over
+REPEAT_S = 0.1  # until the callback that dropped an interruption is over
 INTERRUPTED = 130
 OUTPUTS = ("output", "figure", "broker_files")  # of options: the other files are inputs
 INTERRUPTION = "interrupted; nothing was left half-written"
@@ -424,6 +428,7 @@ def _error_of(error: Exception) -> GisRadarError:
 
 
 def _fail(console: Console, error: GisRadarError) -> NoReturn:
+    """Write an error, and exit with its code; say so where memory ran out."""
     cause = error.__cause__
     while cause is not None:
         if isinstance(cause, MemoryError):  # a reader may have taken it for a damaged file
@@ -477,6 +482,6 @@ def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
     if not issubclass(lost.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
         return
-    again = threading.Timer(AGAIN_S, interrupt_main_thread)
+    again = threading.Timer(REPEAT_S, interrupt_main_thread)
     again.daemon = True
     again.start()

@@ -125,10 +125,10 @@ def compare(
         )
     first = _opened(folder, site, reporter)
     second = None if other is None else _opened(other, site, reporter)
-    whole = (None, None)
+    all_time = (None, None)
     found = gr.compare(
-        first, second, before=whole if before is None else before,
-        after=whole if after is None else after, days=days, language=language,
+        first, second, before=all_time if before is None else before,
+        after=all_time if after is None else after, days=days, language=language,
     )  # fmt: skip
     with base.csv_for(csv_locale):
         outputs = found.write(output, language=language, reporter=reporter)
@@ -162,19 +162,19 @@ def query(
     reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
     """Ask a dataset or a city in SQL (DuckDB): one SELECT over its tables; no files, no network."""
-    asked = _dataset_or_city(folder, reporter)
+    source = _dataset_or_city(folder, reporter)
     if catalogue is not None:
-        if sql is not None or isinstance(asked, gr.Dataset):
+        if sql is not None or isinstance(source, gr.Dataset):
             raise UsageError("--catalogue is of a city, and without a question")
-        asked.write_catalogue(catalogue)
+        source.write_catalogue(catalogue)
         return Result(outputs=[catalogue])
     if sql is None:
         raise UsageError("the question is missing", hint='such as "FROM lane_measures LIMIT 10"')
     options |= {"reporter": reporter}
     if output is None:
-        rows, total = asked.first_rows(sql, limit, **options)
+        rows, total = source.first_rows(sql, limit, **options)
         return Result(outputs=[], summary={"total": total}, rows=rows)
-    return Result(outputs=[output], summary={"total": asked.write_answer(sql, output, **options)})
+    return Result(outputs=[output], summary={"total": source.write_answer(sql, output, **options)})
 
 
 @command(
@@ -268,8 +268,8 @@ def dataset(
     if relink is not None:
         done["recordings_found"] = found.relink(relink, reporter=reporter)
     if withdraw or sensor or day:
-        gone = found.withdraw(withdraw, sensor=sensor, day=day, reporter=reporter)
-        done["withdrawn"] = [Path(each).name for each in gone]
+        withdrawn = found.withdraw(withdraw, sensor=sensor, day=day, reporter=reporter)
+        done["withdrawn"] = [Path(each).name for each in withdrawn]
     if keep_s is not None:
         done["hours_deleted"] = len(found.keep(keep_s / DAY_S, reporter=reporter))
     if check:
@@ -281,12 +281,13 @@ def dataset(
 
 
 def _matched(old: gr.Dataset, new: Path, output: Path) -> dict[str, int]:
+    """Write the matches of a dataset's lanes with those of a new map; return how many changed."""
     table = gr.match_lanes(old, new)
     dataset_room.write_lane_matches(table, output)
     same = table["same"]
-    gone, fresh = (int(table[side].isna().sum()) for side in ("new_lane", "old_lane"))
+    removed, added = (int(table[side].isna().sum()) for side in ("new_lane", "old_lane"))
     changed = table.loc[~same & table["new_lane"].notna(), "old_lane"].nunique()
     return {
-        "lanes_the_same": int(same.sum()), "lanes_changed": int(changed), "lanes_gone": gone,
-        "lanes_new": fresh,
+        "lanes_the_same": int(same.sum()), "lanes_changed": int(changed), "lanes_gone": removed,
+        "lanes_new": added,
     }  # fmt: skip

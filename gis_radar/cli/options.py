@@ -47,6 +47,7 @@ class Parsed(click.ParamType):  # type: ignore[type-arg]
 
 
 def _numbers(names: str, text: str) -> tuple[float, ...]:
+    """Return as many finite numbers as `names` has, from a text with commas."""
     count = names.count(",") + 1
     try:
         numbers = tuple(float(part) for part in text.split(","))
@@ -94,6 +95,7 @@ def _duration(text: str) -> float:
 
 
 def _cycles(text: str) -> dict[str, float]:
+    """Return seconds from frame to frame by sensor, from `R3=57ms,R4=150ms`."""
     if text == "auto":
         raise ValueError(Text("'auto' is none: {}", base.CYCLE_HINT))
     cycles: dict[str, float] = {}

@@ -190,7 +190,9 @@ def sight(
     if not scans:
         raise UsageError("no scan is given", hint=Text("name one with {}; see --help", "--scan"))
     tracks = [gr.read_track(path) for path in poses]
-    figures = site.see_tiles(tracks, tiles_path, output, scans=scans, reporter=reporter, **options)
+    figures = site.write_sights_of(
+        tracks, tiles_path, output, scans=scans, reporter=reporter, **options
+    )
     return Result(outputs=[output], summary={"sensors": figures})
 
 

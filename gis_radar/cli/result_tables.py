@@ -88,6 +88,7 @@ def _cell(value: Any) -> str:
 
 
 def _readable(value: Any) -> str:
+    """Return a value as text: numbers with four digits, truth as yes or no, lists with commas."""
     if value is None:
         return tr("not known")
     if isinstance(value, float):

@@ -54,10 +54,10 @@ def run(
             raise UsageError(
                 "{} is for one site", "--fresh", hint="remove the folder of a site to make it anew"
             )
-        whole = gr.run_city(site, output, jobs=jobs, executor=executor, reporter=reporter)
+        city_run = gr.run_city(site, output, jobs=jobs, executor=executor, reporter=reporter)
         return Result(
-            outputs=whole.outputs, summary=whole.figures(), failure=whole.failure,
-            timezone=whole.city.timezone,
+            outputs=city_run.outputs, summary=city_run.figures(), failure=city_run.failure,
+            timezone=city_run.city.timezone,
         )  # fmt: skip
     if executor is not None:
         raise UsageError("{} is for a city", "--executor", hint="name a city file: CITY.toml")

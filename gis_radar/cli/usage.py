@@ -28,14 +28,14 @@ CLICK_TEXTS = (
 """Click's messages, with a hole for each value; a test provokes each."""
 
 
-def text_of_click(text: str, ours: str = "") -> Text:
+def text_of_click(text: str, quoted: str = "") -> Text:
     """Return a message of click as a template with values; an unknown one as it is.
 
-    `ours` is a text of this package that the message may quote.
+    `quoted` is a text of this package that the message may quote.
     """
-    if isinstance(ours, Text) and text == ours:
-        return ours
+    if isinstance(quoted, Text) and text == quoted:
+        return quoted
     for template in CLICK_TEXTS:
         if found := re.fullmatch("(.+)".join(map(re.escape, template.split("{}"))), text):
-            return Text(template, *(text_of_click(value, ours) for value in found.groups()))
+            return Text(template, *(text_of_click(value, quoted) for value in found.groups()))
     return Text(text)

@@ -213,7 +213,7 @@ def measure(
     if check:
         given = _with_findings(given, accept, reporter)
     for each in given.entries:
-        for line in given.sources[each.path].track.vague(each.first_time, each.last_time):
+        for line in given.sources[each.path].track.warn_uncertain(each.first_time, each.last_time):
             reporter.warn(line)
     folder = Path(folder)
     with locked_for_writing(folder, reporter):

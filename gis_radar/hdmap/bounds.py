@@ -27,9 +27,9 @@ class CannotMendError(Exception):
 # Weights of the pairing by equal lengths, against the ribbon's; the first that works is taken.
 _BLENDS = (0.75, 0.5, 0.25, 0.1, 0.03)
 # Share of the outline that chords may cut off a bound's corners before rungs move to corners.
-_LOSS = 0.001
-_LOSS_EACH = 0.1  # share of that loss from which on a rung moves to a corner
-# A sound lanelet can be cut into sound slices of this length, see :mod:`mending`.
+_LOSS_SHARE = 0.001
+_CORNER_LOSS_SHARE = 0.1  # share of that loss from which on a rung moves to a corner
+# Length of the slices into which every sound lanelet can be cut soundly, see :mod:`mending`.
 _SOUND_M = 0.5
 
 
@@ -149,15 +149,16 @@ def sound_rungs(left: Floats, right: Floats, slice_m: float) -> tuple[Floats, Fl
     CannotMendError
         If no number of slices is sound: the bounds have not been mended.
     """
-    asked, surely = slices(left, right, slice_m), slices(left, right)
-    for n in (*_growing(asked, 2 * max(asked, surely)), surely):
+    wanted_count, default_count = slices(left, right, slice_m), slices(left, right)
+    for n in (*_slice_counts(wanted_count, 2 * max(wanted_count, default_count)), default_count):
         pair = rungs(left, right, n)
         if sound(*pair).all():
             return pair
     raise CannotMendError(Text("it cannot be cut into sound tiles"))
 
 
-def _growing(n: int, most: int) -> Iterator[int]:
+def _slice_counts(n: int, most: int) -> Iterator[int]:
+    """Yield numbers of slices to try: `n`, then each a quarter more, up to `most`."""
     while n <= most:
         yield n
         n += max(1, n // 4)
@@ -165,12 +166,12 @@ def _growing(n: int, most: int) -> Iterator[int]:
 
 def _pairings(left: Floats, right: Floats, even: Floats) -> Iterator[tuple[Floats, Floats]]:
     """Yield ways to divide both bounds, as fractions of their lengths; the simplest come first."""
-    most_loss = _LOSS * abs(signed_area(left, right))
+    most_loss = _LOSS_SHARE * abs(signed_area(left, right))
     snapped = [_snapped(bound, even, most_loss) for bound in (left, right)]
     if any(fractions is not even for fractions in snapped):
         yield snapped[0], snapped[1]
     yield even, even
-    path = matched(left, right)
+    path = ribbon_between(left, right)
     for keep in _BLENDS:
         on_left = keep * even + (1.0 - keep) * np.interp(even, path.even, path.left)
         on_right = keep * even + (1.0 - keep) * np.interp(even, path.even, path.right)
@@ -188,18 +189,20 @@ def _snapped(bound: Floats, even: Floats, most_loss: float) -> Floats:
     corners = along[1:-1] / along[-1]
     chords, n = at_fractions(bound[:, :2], even), len(even) - 1
     within = np.minimum((corners * n).astype(np.int64), n - 1)
-    loss = np.abs(turn(chords[within], chords[within + 1], bound[1:-1, :2])) / 2.0
+    loss = np.abs(orientation(chords[within], chords[within + 1], bound[1:-1, :2])) / 2.0
     if loss.sum() <= most_loss:
         return even
     worst = np.argsort(loss)[::-1][: n - 1]
-    kept = np.sort(corners[worst[loss[worst] > _LOSS_EACH * most_loss]])
+    corner_at = np.sort(corners[worst[loss[worst] > _CORNER_LOSS_SHARE * most_loss]])
     # Each corner takes its nearest division that no other corner has.
-    turn_of = np.arange(len(kept))
-    nearest = np.maximum.accumulate(np.rint(kept * n).astype(np.int64) - turn_of) + turn_of
-    nearest = np.clip(nearest, turn_of + 1, n - len(kept) + turn_of)
+    order = np.arange(len(corner_at))
+    nearest = np.maximum.accumulate(np.rint(corner_at * n).astype(np.int64) - order) + order
+    nearest = np.clip(nearest, order + 1, n - len(corner_at) + order)
     where = np.concatenate([[0], nearest, [n]])
-    moved: Floats = np.interp(np.arange(n + 1), where, np.concatenate([[0.0], kept, [1.0]]))
-    return moved
+    fractions: Floats = np.interp(
+        np.arange(n + 1), where, np.concatenate([[0.0], corner_at, [1.0]])
+    )
+    return fractions
 
 
 def sound(left_points: Floats, right_points: Floats) -> Booleans:
@@ -221,15 +224,15 @@ def sound(left_points: Floats, right_points: Floats) -> Booleans:
     origin = right_points[0, :2]
     p, q = right_points[:, :2] - origin, left_points[:, :2] - origin
     r0, r1, l0, l1 = p[:-1], p[1:], q[:-1], q[1:]
-    one_way = (turn(r0, r1, l1) > 0.0) & (turn(r0, l1, l0) > 0.0)
-    other_way = (turn(r0, r1, l0) > 0.0) & (turn(r1, l1, l0) > 0.0)
-    answer: Booleans = one_way | other_way
+    by_first_diagonal = (orientation(r0, r1, l1) > 0.0) & (orientation(r0, l1, l0) > 0.0)
+    by_second_diagonal = (orientation(r0, r1, l0) > 0.0) & (orientation(r1, l1, l0) > 0.0)
+    answer: Booleans = by_first_diagonal | by_second_diagonal
     return answer
 
 
 _SPACING_POINTS = 300  # points on both bounds together; the work grows with its square
 _MOST_POINTS = 1200  # points on a bound, drawn ones included: limits time and memory
-NEVER_M = 1e4  # metres a rung may grow to avoid a wrongly turned triangle: no rung is so long
+WRONG_TURN_M = 1e4  # metres that a rung may grow to avoid a wrongly turned triangle: any length
 _FLAT_M2 = 1e-9  # area of a triangle that is flat, not wrongly turned
 
 
@@ -263,21 +266,21 @@ def arc_lengths(line: Floats) -> Floats:
     return along
 
 
-def turn(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Return twice the signed area (m2) of triangles a b c, positive if counter-clockwise."""
+def orientation(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Return twice the signed area (m2) of triangles a b c: positive if counter-clockwise."""
     ab, ac = b - a, c - a
     area: Floats = ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0]
     return area
 
 
-def matched(left: Floats, right: Floats, wrong_m: float = NEVER_M) -> Ribbon:
+def ribbon_between(left: Floats, right: Floats, penalty_m: float = WRONG_TURN_M) -> Ribbon:
     """Return the ribbon between two bounds in driving direction.
 
     Parameters
     ----------
     left, right : (n, 2 or 3) array
         The bounds in metres. Points are added between vertices that are far apart.
-    wrong_m : float
+    penalty_m : float
         Metres a rung may grow to avoid a wrongly turned triangle.
 
     Returns
@@ -288,7 +291,7 @@ def matched(left: Floats, right: Floats, wrong_m: float = NEVER_M) -> Ribbon:
     spacing = (arc_lengths(left)[-1] + arc_lengths(right)[-1]) / _SPACING_POINTS
     p, s = _refined(left[:, :2] - right[0, :2], max(spacing, 0.1))
     q, t = _refined(right[:, :2] - right[0, :2], max(spacing, 0.1))
-    rows, columns = _cheapest_path(p, q, wrong_m)
+    rows, columns = _cheapest_path(p, q, penalty_m)
     moves_left, moves_right = np.diff(rows) == 1, np.diff(columns) == 1
     wrong = _wrong_length(p, q, rows, columns, moves_left) > 0.0
     a, b = s[rows], t[columns]
@@ -302,6 +305,7 @@ def matched(left: Floats, right: Floats, wrong_m: float = NEVER_M) -> Ribbon:
 
 
 def _stretches(fractions: Floats, wrong: Booleans) -> Floats:
+    """Return begin and end of the wrong moves between consecutive fractions, (m, 2)."""
     starts = np.flatnonzero(wrong)
     return np.column_stack([fractions[starts], fractions[starts + 1]]).reshape(-1, 2)
 
@@ -326,15 +330,15 @@ def _refined(line: Floats, spacing: float) -> tuple[Floats, Floats]:
     return points, where / along[-1]
 
 
-def _cheapest_path(p: Floats, q: Floats, wrong_m: float) -> tuple[Integers, Integers]:
+def _cheapest_path(p: Floats, q: Floats, penalty_m: float) -> tuple[Integers, Integers]:
     """Return the rungs of the best strip as indices into `p` and `q`; each moves on one of them."""
     rung = np.hypot(p[:, None, 0] - q[None, :, 0], p[:, None, 1] - q[None, :, 1])
     step_p, step_q = np.hypot(*np.diff(p, axis=0).T), np.hypot(*np.diff(q, axis=0).T)
     # Moving on the left: triangle (tip on the right, ahead, behind) must be counter-clockwise.
-    wrong_p = turn(q[None, :], p[1:, None], p[:-1, None]) <= 0.0
-    wrong_q = turn(p[:, None], q[None, :-1], q[None, 1:]) <= 0.0
-    cost_p = step_p[:, None] * (rung[1:] + wrong_m * wrong_p)
-    cost_q = step_q[None, :] * (rung[:, 1:] + wrong_m * wrong_q)
+    wrong_p = orientation(q[None, :], p[1:, None], p[:-1, None]) <= 0.0
+    wrong_q = orientation(p[:, None], q[None, :-1], q[None, 1:]) <= 0.0
+    cost_p = step_p[:, None] * (rung[1:] + penalty_m * wrong_p)
+    cost_q = step_q[None, :] * (rung[:, 1:] + penalty_m * wrong_q)
     total = np.full(rung.shape, np.inf)
     from_left = np.zeros(rung.shape, dtype=np.bool_)
     total[0, 0] = 0.0
@@ -349,6 +353,7 @@ def _cheapest_path(p: Floats, q: Floats, wrong_m: float) -> tuple[Integers, Inte
 
 
 def _walk_back(from_left: Booleans) -> tuple[Integers, Integers]:
+    """Return the path that ends at the last pair of points, by the move that led to each pair."""
     i, j = from_left.shape[0] - 1, from_left.shape[1] - 1
     path = [(i, j)]
     while i or j:
@@ -365,6 +370,6 @@ def _wrong_length(
     tip = np.where(moves_left[:, None], q[columns[:-1]], p[rows[:-1]])
     behind = np.where(moves_left[:, None], p[rows[:-1]], q[columns[:-1]])
     ahead = np.where(moves_left[:, None], p[rows[1:]], q[columns[1:]])
-    area = np.where(moves_left, 1.0, -1.0) * turn(tip, ahead, behind)
+    area = np.where(moves_left, 1.0, -1.0) * orientation(tip, ahead, behind)
     side: Floats = np.where(area < -_FLAT_M2, np.hypot(*(ahead - behind).T), 0.0)
     return side

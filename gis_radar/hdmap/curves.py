@@ -14,10 +14,10 @@ from typing import Self
 import numpy as np
 import shapely
 
-from gis_radar.base import Floats, turned
+from gis_radar.base import Floats, heading_difference
 
-DRAWN_M = 0.05  # accuracy of drawn lines: a vertex nearer to a chord is no corner
-ALIKE_RAD = np.radians(5.0)  # two turns that differ by less are equal
+DRAWING_ERROR_M = 0.05  # accuracy of drawn lines: a vertex nearer to a chord is no corner
+EQUAL_TURN_RAD = np.radians(5.0)  # two turns that differ by less are equal
 BEND_RAD = np.radians(30.0)  # a sharper turn from lane to lane is a corner, not a bend
 
 
@@ -29,20 +29,20 @@ class Curve:
     ----------
     length_m : (n,) array
         Lengths of the chords.
-    way : (n,) array
+    heading : (n,) array
         Directions of the chords, radians counter-clockwise from east, without jumps of 2 pi.
     """
 
     length_m: Floats
-    way: Floats
+    heading: Floats
 
     @classmethod
     def of(cls, line: shapely.LineString) -> Self:
         """Return the curve that a polyline stands for."""
-        chords = np.diff(shapely.get_coordinates(line.simplify(DRAWN_M)), axis=0)
+        chords = np.diff(shapely.get_coordinates(line.simplify(DRAWING_ERROR_M)), axis=0)
         chords = chords[np.hypot(*chords.T) > 0.0] if chords.any() else chords[:1]
-        way = np.unwrap(np.arctan2(chords[:, 1], chords[:, 0]))
-        return cls(length_m=np.hypot(*chords.T), way=way)
+        heading = np.unwrap(np.arctan2(chords[:, 1], chords[:, 0]))
+        return cls(length_m=np.hypot(*chords.T), heading=heading)
 
     def heading_at(self, share: Floats, before: Curve | None, after: Curve | None) -> Floats:
         """Return directions (k,), radians, at shares of the length.
@@ -54,19 +54,25 @@ class Curve:
         before, after : Curve, optional
             Curves that join it without a corner.
         """
-        length, way, begin = self.length_m, self.way, 0.0
+        length, heading, begin = self.length_m, self.heading, 0.0
         if before is not None:
             begin = float(before.length_m[-1])
             length = np.append(begin, length)
-            way = np.append(way[0] + turned(before.way[-1], way[0]), way)
+            heading = np.append(
+                heading[0] + heading_difference(before.heading[-1], heading[0]), heading
+            )
         if after is not None:
             length = np.append(length, after.length_m[0])
-            way = np.append(way, way[-1] + turned(after.way[0], way[-1]))
+            heading = np.append(
+                heading, heading[-1] + heading_difference(after.heading[0], heading[-1])
+            )
         corner, half = np.cumsum(length)[:-1], 0.5 * np.minimum(length[:-1], length[1:])
-        turns = np.column_stack([corner - half, corner + half]).ravel()
-        ways = np.repeat(way, 2)[1:-1] if len(way) > 1 else way
+        bend_ends = np.column_stack([corner - half, corner + half]).ravel()
+        headings = np.repeat(heading, 2)[1:-1]
         place = begin + share * self.length_m.sum()
-        return np.interp(place, turns, ways) if len(way) > 1 else np.full(len(share), way[0])
+        if len(heading) == 1:
+            return np.full(len(share), heading[0])
+        return np.asarray(np.interp(place, bend_ends, headings))
 
 
 def lane_headings(
@@ -95,28 +101,40 @@ def lane_headings(
     for k, following in enumerate(after):
         for other in following:
             before[other].append(k)
-    found = []
+    headings = []
     for k, share in enumerate(shares):
-        way = np.zeros((len(share), 2))
+        displacement = np.zeros((len(share), 2))
         for side, curve in enumerate(curves[k]):
-            comes = {turned(curve.way[0], curves[j][side].way[-1]): j for j in before[k]}
-            goes = {turned(curves[j][side].way[0], curve.way[-1]): j for j in after[k]}
-            earlier, later = _straightest(comes), _straightest(goes)
+            turns_before = {
+                heading_difference(curve.heading[0], curves[j][side].heading[-1]): j
+                for j in before[k]
+            }
+            turns_after = {
+                heading_difference(curves[j][side].heading[0], curve.heading[-1]): j
+                for j in after[k]
+            }
+            earlier, later = _straightest(turns_before), _straightest(turns_after)
             heading = curve.heading_at(
                 share,
                 None if earlier is None else curves[earlier][side],
                 None if later is None else curves[later][side],
             )
             # Displacements of both sides add up to twice that of the middle: the same direction.
-            way += curve.length_m.sum() * np.column_stack([np.cos(heading), np.sin(heading)])
-        found.append(np.unwrap(np.arctan2(way[:, 1], way[:, 0])))
-    return found
+            displacement += curve.length_m.sum() * np.column_stack(
+                [np.cos(heading), np.sin(heading)]
+            )
+        headings.append(np.unwrap(np.arctan2(displacement[:, 1], displacement[:, 0])))
+    return headings
 
 
 def _straightest(turns: dict[float, int]) -> int | None:
-    """Return the lane (by turn, rad) that continues straightest; None at a corner or even fork."""
+    """Return the lane, of those by their turn (rad), that continues straightest.
+
+    None where all turn by `BEND_RAD` or more, or where two of them fork evenly.
+    """
     least, *others = sorted(turns, key=abs) or [np.inf]
     parts = any(
-        abs(each - least) > ALIKE_RAD and abs(each) - abs(least) < ALIKE_RAD for each in others
+        abs(each - least) > EQUAL_TURN_RAD and abs(each) - abs(least) < EQUAL_TURN_RAD
+        for each in others
     )
     return None if parts or abs(least) >= BEND_RAD else turns[least]

@@ -18,10 +18,10 @@ from gis_radar.hdmap.tagging import is_driven
 
 STEP_M = 1.0  # between samples: on a curve of 10 m radius their chord is 1 cm off the arc
 LANE_MARGIN_M = 1.0  # added on both sides of a lane: a vehicle's middle is rarely farther outside
-CELL_M = 1.0  # side of a cell of the field
+CELL_M = 1.0  # side of a cell of a :class:`LaneField`
 JOIN_M = 1.5  # between ends of lanelets that follow each other without shared nodes: half a lane
 JOIN_RAD = np.radians(30.0)  # between their directions
-MOST = 8  # lanelets at one point
+MOST_LANES_AT_POINT = 8  # lanelets that may overlap at one point
 LEVEL_M = 2.0  # roads that differ less in height are on one level (the contract)
 
 FieldArrays: TypeAlias = tuple[Integers, Integers, Integers, Integers, Floats]
@@ -173,17 +173,18 @@ def _sampled(
     gaps = np.diff(middle[:, :2], axis=0)
     lengths = np.hypot(gaps[:, 0], gaps[:, 1])
     s_m = np.concatenate([[0.0], np.cumsum(lengths)])
-    way = np.arctan2(gaps[:, 1], gaps[:, 0])
-    turned = np.unwrap(np.concatenate([way[:1], way, way[-1:]]))
-    heading = 0.5 * (turned[:-1] + turned[1:])
+    chord_heading = np.arctan2(gaps[:, 1], gaps[:, 0])
+    unwrapped = np.unwrap(np.concatenate([chord_heading[:1], chord_heading, chord_heading[-1:]]))
+    heading = 0.5 * (unwrapped[:-1] + unwrapped[1:])
     half = 0.5 * np.hypot(*(sides[0] - sides[1])[:, :2].T)
     return middle, s_m, heading, half
 
 
 def _successors(graph: LaneGraph, table: gpd.GeoDataFrame) -> list[Integers]:
+    """Return the positions of each lanelet's successors: those stated, and those by `JOIN_M`."""
     position = {ref: index for index, ref in enumerate(graph.lanelet_id.tolist())}
     starts, ends = graph.first[:-1], graph.first[1:] - 1
-    found = []
+    successors = []
     for index, named in enumerate(table["successors"]):
         gap = graph.points[starts] - graph.points[ends[index]]
         turn = np.cos(graph.heading[starts] - graph.heading[ends[index]])
@@ -191,8 +192,10 @@ def _successors(graph: LaneGraph, table: gpd.GeoDataFrame) -> list[Integers]:
         near = (np.hypot(gap[:, 0], gap[:, 1]) < JOIN_M) & (turn > np.cos(JOIN_RAD)) & level
         near[index] = False
         stated = [position[ref] for ref in named if ref in position]
-        found.append(np.union1d(np.flatnonzero(near), np.array(stated, np.int64)).astype(np.int64))
-    return found
+        successors.append(
+            np.union1d(np.flatnonzero(near), np.array(stated, np.int64)).astype(np.int64)
+        )
+    return successors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,8 +249,8 @@ class LaneField:
         """Return the lanes at local points: `point lane s_m d_m heading half_width_m height_m`."""
         names = ["point", "lane", "s_m", "d_m", "heading", "half_width_m", "height_m"]
         columns = dict(zip(names, self.lane_rows(points).T, strict=True))
-        whole = {name: columns[name].astype(np.int64) for name in ("point", "lane")}
-        return pd.DataFrame(columns | whole)
+        integers = {name: columns[name].astype(np.int64) for name in ("point", "lane")}
+        return pd.DataFrame(columns | integers)
 
     def lane_rows(self, points: Floats) -> Floats:
         """Return the lanes at local points (n, 7), in the columns of :meth:`lanes`."""
@@ -307,33 +310,33 @@ def _on_segment(
 
     A point in the wedge outside a corner belongs to the segment before it and to that after it.
     """
-    nothing = (np.nan, np.nan)
+    off_segment = (np.nan, np.nan)
     t = _share(x, y, i, samples)
     if t < 0.0:
         # before the lane, or on the segment before
         if i == 0 or lane_of[i - 1] != lane_of[i] or _share(x, y, i - 1, samples) <= 1.0:
-            return nothing
+            return off_segment
     elif t > 1.0:
         last = i + 2 >= len(lane_of) or lane_of[i + 2] != lane_of[i]
         if last or _share(x, y, i + 1, samples) >= 0.0:
-            return nothing
+            return off_segment
     elif np.isnan(t):
-        return nothing
+        return off_segment
     ax, ay = samples[i, 0], samples[i, 1]
     bx, by = samples[i + 1, 0] - ax, samples[i + 1, 1] - ay
     t = min(max(t, 0.0), 1.0)
     d = (bx * (y - ay) - by * (x - ax)) / np.hypot(bx, by)
     half = samples[i, 5] + t * (samples[i + 1, 5] - samples[i, 5])
-    return (t, d) if abs(d) <= half + LANE_MARGIN_M else nothing
+    return (t, d) if abs(d) <= half + LANE_MARGIN_M else off_segment
 
 
 @compiled
 def _all_lanes(points: Floats, field: FieldArrays) -> Floats:
     """Return a row for each point and lane at it: the point's index, then as :func:`lanes_at`."""
-    rows = np.empty((MOST * len(points), 7))
+    rows = np.empty((MOST_LANES_AT_POINT * len(points), 7))
     count = 0
     for i in range(len(points)):
-        out = rows[count : count + MOST, 1:]
+        out = rows[count : count + MOST_LANES_AT_POINT, 1:]
         found = lanes_at(points[i, 0], points[i, 1], field, out)
         rows[count : count + found, 0] = i
         count += found

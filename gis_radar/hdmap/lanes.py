@@ -25,13 +25,13 @@ from gis_radar.hdmap.tagging import STREET, TURN_TAG
 LANES_LAYER, STOP_LINES_LAYER = "lanes", "stop_lines"
 TOUCH_M = 0.05  # between the ends of lanelets that follow each other: nodes may be drawn twice
 JOIN_RAD = math.radians(30.0)  # between their cross-lines: excludes the opposite direction
-SHAPE_M = 0.01  # to which centre lines are simplified: far below a pixel, a tenth of the points
+SHAPE_M = 0.01  # tolerance of simplified centre lines: far below a pixel, a tenth of the points
 LANE_EXIT_M = 5.0  # last part of a lane, which gives its direction: it may turn before
 STRAIGHT_RAD = math.radians(35.0)  # turns of the sample and four public maps: 57 degrees or more
-BACK_RAD = math.radians(150.0)  # from which on a turn is one back
+BACK_RAD = math.radians(150.0)  # from which on a turn is called `back` (a U-turn)
 SHARP_M = 50.0  # largest mean radius of a turn; roads that only bend have more
 STOP_NEAR_M = 2.0  # from the end of a lanelet to a stop line drawn behind it
-WAYS = ("left", "straight", "right", "back")
+TURNS = ("left", "straight", "right", "back")
 _STOP_KINDS: dict[str, Any] = {
     "stop_line": np.int64, "lane": np.int64, "lanelet_id": np.int64,
     "s_m": np.float64, "lane_m": np.float64, "sign": object,
@@ -63,15 +63,15 @@ def chain_lanelets(lanelet_id: Integers, starts: Floats, ends: Floats) -> list[t
         smallest.
     """
     nothing_stated = [()] * len(lanelet_id)
-    return _chained(_following(lanelet_id.tolist(), _Ends(starts, ends), nothing_stated))
+    return _chained(_successors_of(lanelet_id.tolist(), _Ends(starts, ends), nothing_stated))
 
 
 def _chained(after: Mapping[int, Sequence[int]]) -> list[tuple[int, ...]]:
     """Return chains, by the ids of the lanelets that follow each; a ring begins at its smallest."""
     before = Counter(k for found in after.values() for k in found)
     only = {ref: k[0] for ref, k in after.items() if len(k) == 1 and before[k[0]] == 1}
-    led_to, seen, chains = set(only.values()), set[int](), list[tuple[int, ...]]()
-    for first in [*(ref for ref in after if ref not in led_to), *after]:
+    with_predecessor, seen, chains = set(only.values()), set[int](), list[tuple[int, ...]]()
+    for first in [*(ref for ref in after if ref not in with_predecessor), *after]:
         chain, at = [], first
         while at not in seen:
             seen.add(at)
@@ -82,7 +82,7 @@ def _chained(after: Mapping[int, Sequence[int]]) -> list[tuple[int, ...]]:
     return sorted(chains, key=min)
 
 
-def _following(
+def _successors_of(
     ids: list[int], at: _Ends, stated: Sequence[Collection[int]]
 ) -> dict[int, list[int]]:
     """Return, by id, the lanelets that follow each.
@@ -94,15 +94,15 @@ def _following(
     trees = (scipy.spatial.cKDTree(each - low) for each in (at.ends, at.starts))
     touching = next(trees).query_ball_tree(next(trees), TOUCH_M)
     position = {ref: index for index, ref in enumerate(ids)}
-    found = [
+    successors = [
         {k for k in near if k != i} | {position[ref] for ref in refs if ref in position}
         for i, (near, refs) in enumerate(zip(touching, stated, strict=True))
     ]
-    led_to = {k for each in found for k in each}
+    reached = {k for each in successors for k in each}
     near = joining(at.starts, at.ends, TOUCH_M)
     return {
-        ref: [ids[k] for k in sorted(each | {k for k in close if not each or k not in led_to})]
-        for ref, each, close in zip(ids, found, near, strict=True)
+        ref: [ids[k] for k in sorted(each | {k for k in close if not each or k not in reached})]
+        for ref, each, close in zip(ids, successors, near, strict=True)
     }
 
 
@@ -191,7 +191,7 @@ def make_lanes(
             "lanelets": chains,
             "subtype": [table.at[chain[0], "subtype"] for chain in chains],
             STREET: [_tagged_street(table, chain) for chain in chains],
-            "direction": [wind_of(*_exit_of(line)) for line in lines],
+            "direction": [wind_of(*_exit_vector(line)) for line in lines],
             "turn": turns,
             "stop_line_m": [float(stop_m.get(min(chain), math.nan)) for chain in chains],
             "length_m": [float(line.length) for line in lines],
@@ -204,7 +204,7 @@ def make_lanes(
 
 
 def _lanelets_after(table: gpd.GeoDataFrame) -> dict[int, list[int]]:
-    return _following(table["lanelet_id"].tolist(), _ends_of(table), list(table["successors"]))
+    return _successors_of(table["lanelet_id"].tolist(), _ends_of(table), list(table["successors"]))
 
 
 def _centre_line(parts: list[shapely.LineString]) -> shapely.LineString:
@@ -215,7 +215,7 @@ def _centre_line(parts: list[shapely.LineString]) -> shapely.LineString:
     return shapely.simplify(line, SHAPE_M)
 
 
-def _exit_of(line: shapely.LineString) -> tuple[float, float]:
+def _exit_vector(line: shapely.LineString) -> tuple[float, float]:
     """Return the vector (east, north), metres, of the last `LANE_EXIT_M` of a line."""
     end, before = (
         line.interpolate(line.length),
@@ -251,13 +251,13 @@ def _lane_turns(
     branches = {ref for found in after.values() if len(found) > 1 for ref in found}
     turns: list[str | None] = []
     for chain in chains:
-        ways = {own[ref] for ref in chain} - {""}
+        turns_of_lane = {own[ref] for ref in chain} - {""}
         ahead = after[chain[-1]]
         if len(ahead) > 1:
-            ways |= {own[ref] or "straight" for ref in ahead}
-        elif chain[0] in branches and not ways:
-            ways = {"straight"}
-        turns.append(";".join(way for way in WAYS if way in ways) or None)
+            turns_of_lane |= {own[ref] or "straight" for ref in ahead}
+        elif chain[0] in branches and not turns_of_lane:
+            turns_of_lane = {"straight"}
+        turns.append(";".join(way for way in TURNS if way in turns_of_lane) or None)
     return turns
 
 
@@ -268,18 +268,18 @@ def _turn_of(table: gpd.GeoDataFrame, ref: int) -> str:
     gaps = np.diff(shapely.get_coordinates(table.at[ref, "centre"]), axis=0)
     lengths = np.hypot(*gaps.T)
     angle = np.unwrap(np.arctan2(gaps[:, 1], gaps[:, 0])[lengths > 1e-6])
-    turned = float(angle[-1] - angle[0]) if len(angle) else 0.0
-    way = turn_word(turned)
-    return "" if way == "straight" or lengths.sum() > SHARP_M * abs(turned) else way
+    turn_rad = float(angle[-1] - angle[0]) if len(angle) else 0.0
+    word = turn_word(turn_rad)
+    return "" if word == "straight" or lengths.sum() > SHARP_M * abs(turn_rad) else word
 
 
-def turn_word(turned: float) -> str:
+def turn_word(turn_rad: float) -> str:
     """Return the word for a turn, given in radians to the left."""
-    if abs(turned) < STRAIGHT_RAD:
+    if abs(turn_rad) < STRAIGHT_RAD:
         return "straight"
-    if abs(turned) > BACK_RAD:
+    if abs(turn_rad) > BACK_RAD:
         return "back"
-    return "left" if turned > 0.0 else "right"
+    return "left" if turn_rad > 0.0 else "right"
 
 
 # Stop lines.
@@ -290,13 +290,13 @@ def find_stop_lines(lanelets: gpd.GeoDataFrame, regulatory: gpd.GeoDataFrame) ->
     table = _by_id(lanelets)
     before: dict[int, tuple[int, float]] = {}
     for chain in lane_chains(table):
-        gone = np.cumsum([0.0, *(table.at[ref, "centre"].length for ref in chain)])
-        before |= {ref: (min(chain), float(m)) for ref, m in zip(chain, gone, strict=False)}
+        start_m = np.cumsum([0.0, *(table.at[ref, "centre"].length for ref in chain)])
+        before |= {ref: (min(chain), float(m)) for ref, m in zip(chain, start_m, strict=False)}
     rows: dict[tuple[int, int], tuple[Any, ...]] = {}
     for way, named, sign, line in _drawn_stop_lines(regulatory):
-        for ref, s_m in _stopped(table["centre"], line, named):
-            lane, gone_m = before[ref]
-            rows[way, lane] = (way, lane, ref, s_m, gone_m + s_m, sign, line)
+        for ref, s_m in _lanelets_ended_by(table["centre"], line, named):
+            lane, lanelet_begin_m = before[ref]
+            rows[way, lane] = (way, lane, ref, s_m, lanelet_begin_m + s_m, sign, line)
     order = sorted(rows.values(), key=lambda row: (row[1], row[4]))
     columns = {name: [row[i] for row in order] for i, name in enumerate(_STOP_KINDS)}
     lines = [row[-1] for row in order]
@@ -315,14 +315,14 @@ def _drawn_stop_lines(
             yield int(way), named, str(rows["member_sign"].iloc[0] or ""), shapely.force_2d(line)
 
 
-def _stopped(
+def _lanelets_ended_by(
     centres: gpd.GeoSeries, line: shapely.LineString, named: Collection[int]
 ) -> list[tuple[int, float]]:
     """Return the lanelets that a stop line ends, each with the line's place along it, metres."""
     near = centres.index[shapely.dwithin(centres.array, line, STOP_NEAR_M)].tolist()
     among = [ref for ref in (named or near) if ref in centres.index]
     met = [ref for ref in among if _ends_at(centres[ref], line)]
-    along = [(ref, _meets(centres[ref], line)) for ref in met or sorted(among)]
+    along = [(ref, _meeting_place_m(centres[ref], line)) for ref in met or sorted(among)]
     # A line where one lanelet ends and the next begins ends the first.
     ended = [(ref, s_m) for ref, s_m in along if s_m > STOP_NEAR_M / 2]
     return sorted(ended or along)
@@ -336,6 +336,6 @@ def _ends_at(centre: shapely.LineString, line: shapely.LineString) -> bool:
     return bool(centre.distance(line) < TOUCH_M or longer.distance(line) < TOUCH_M)
 
 
-def _meets(centre: shapely.LineString, line: shapely.LineString) -> float:
+def _meeting_place_m(centre: shapely.LineString, line: shapely.LineString) -> float:
     """Return the place along a centre line (m) at which another line meets it or is nearest."""
     return float(centre.project(shapely.Point(shapely.shortest_line(centre, line).coords[0])))

@@ -12,17 +12,17 @@ from shapely import LineString, Point, Polygon, STRtree, box, get_coordinates
 
 from gis_radar.base import Floats, Integers, Text
 from gis_radar.hdmap.bounds import (
-    NEVER_M,
+    WRONG_TURN_M,
     CannotMendError,
     arc_lengths,
     at_fractions,
     bound_length,
-    matched,
+    orientation,
+    ribbon_between,
     rungs,
     signed_area,
     slices,
     sound,
-    turn,
     without_repeats,
 )
 
@@ -31,7 +31,7 @@ NO_LENGTH_M = 0.01  # as NO_WIDTH_M
 MOST_LENGTH_M = 100_000.0  # a longer bound has a node in the wrong place
 _PASSES = 8  # each removes one stretch that runs backwards
 # Metres a rung may grow to avoid a wrongly turned triangle, tried in this order.
-_SLANTS_M = (NEVER_M, 100.0, 10.0, 3.0)
+_PENALTIES_M = (WRONG_TURN_M, 100.0, 10.0, 3.0)
 _RESUME_M = 0.1  # after the rung that a bound crosses, so that the slice there has an area
 _TINY = 1e-9  # rounding of fractions of a length
 _OPPOSITE = 1e-6  # length of the sum of two unit vectors that cancel
@@ -82,8 +82,8 @@ def mend(left: Floats, right: Floats) -> Mended:
         return Mended(left=left, right=right, repairs=())
     repairs: list[str] = []
     left, right = _without_loops(left, right, repairs)
-    left, right = part_at_crossings(left, right, repairs)
-    left, right = _parted(left, right, repairs)
+    left, right = cut_at_crossings(left, right, repairs)
+    left, right = _with_ends_apart(left, right, repairs)
     left, right = _without_fold_backs(left, right, repairs)
     _require_extent(left, right)
     if not is_sound(left, right):
@@ -108,11 +108,12 @@ def is_sound(left: Floats, right: Floats) -> bool:
         and LineString(right[:, :2]).is_simple
         and outline(left, right).is_valid
         and sound(*rungs(left, right, slices(left, right))).all()
-        and (_plainly_forward(left, right) or not _backward(left, right))
+        and (_plainly_forward(left, right) or not _runs_backward(left, right))
     )
 
 
 def _require_extent(left: Floats, right: Floats) -> None:
+    """Refuse bounds without length, of impossible length, or without an area between them."""
     for side, bound in (("left", left), ("right", right)):
         if len(bound) < 2 or bound_length(bound) < NO_LENGTH_M:
             raise CannotMendError(Text("the {} bound has no length", Text(side)))
@@ -131,6 +132,7 @@ def _closed(bound: Floats) -> bool:
 
 
 def _without_loops(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
+    """Return the bounds without small loops; add a repair for each that had one."""
     cleaned = []
     for side, bound in (("left", left), ("right", right)):
         cleaned.append(without_loops(bound, side))
@@ -139,14 +141,14 @@ def _without_loops(left: Floats, right: Floats, repairs: list[str]) -> tuple[Flo
     return cleaned[0], cleaned[1]
 
 
-def _parted(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
+def _with_ends_apart(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
     """Return the bounds with ends without width moved apart by 1 cm, across the lanelet."""
     if _gap(left[0], right[0]) < NO_WIDTH_M:
-        left, right = _start_parted(left, right)
+        left, right = _with_start_apart(left, right)
         repairs.append("start without width parted by 1 cm")
     if _gap(left[-1], right[-1]) < NO_WIDTH_M:
         # Seen backwards, the end is a start, and left is right.
-        right, left = (bound[::-1] for bound in _start_parted(right[::-1], left[::-1]))
+        right, left = (bound[::-1] for bound in _with_start_apart(right[::-1], left[::-1]))
         repairs.append("end without width parted by 1 cm")
     return left, right
 
@@ -155,7 +157,8 @@ def _gap(a: Floats, b: Floats) -> float:
     return float(np.hypot(*(a - b)[:2]))
 
 
-def _start_parted(left: Floats, right: Floats) -> tuple[Floats, Floats]:
+def _with_start_apart(left: Floats, right: Floats) -> tuple[Floats, Floats]:
+    """Return the bounds with their common first points moved apart, across the mean direction."""
     shared = min(len(left), len(right))
     gaps = np.hypot(*(left[:shared, :2] - right[:shared, :2]).T)
     touching = int(np.argmax(gaps >= NO_WIDTH_M)) if np.any(gaps >= NO_WIDTH_M) else shared
@@ -171,7 +174,7 @@ def _start_parted(left: Floats, right: Floats) -> tuple[Floats, Floats]:
 
 
 def _heading(bound: Floats, i: int) -> Floats:
-    """Return the unit vector along a bound after its point `i`; for the last point, before it."""
+    """Return the unit vector along a bound after its point `i`, before it for the last point."""
     i = min(i, len(bound) - 2)
     step = bound[i + 1, :2] - bound[i, :2]
     unit: Floats = step / np.hypot(*step)
@@ -180,19 +183,19 @@ def _heading(bound: Floats, i: int) -> Floats:
 
 def _plainly_forward(left: Floats, right: Floats) -> bool:
     """Return whether the other bound is on the proper side all along, paired by equal lengths."""
-    return bool(_faces(left, right) and _faces(right[::-1], left[::-1]))
+    return bool(_has_on_right(left, right) and _has_on_right(right[::-1], left[::-1]))
 
 
-def _faces(bound: Floats, other: Floats) -> bool:
+def _has_on_right(bound: Floats, other: Floats) -> bool:
     """Return whether all of a bound has the other one on its right."""
     along = arc_lengths(bound)
     middle = (along[1:] + along[:-1]) / 2.0 / along[-1]
     opposite = at_fractions(other[:, :2], middle)
-    return bool(np.all(turn(opposite, bound[1:, :2], bound[:-1, :2]) > 0.0))
+    return bool(np.all(orientation(opposite, bound[1:, :2], bound[:-1, :2]) > 0.0))
 
 
-def _backward(left: Floats, right: Floats) -> bool:
-    ribbon = matched(left, right)
+def _runs_backward(left: Floats, right: Floats) -> bool:
+    ribbon = ribbon_between(left, right)
     return len(ribbon.left_wrong) > 0 or len(ribbon.right_wrong) > 0
 
 
@@ -202,8 +205,8 @@ def _without_fold_backs(left: Floats, right: Floats, repairs: list[str]) -> tupl
     A very slanted rung can make a backward stretch look forward. If slices then still cross
     themselves, it is tried again with less slanted rungs allowed.
     """
-    for wrong_m in _SLANTS_M:
-        forward = _unfolded_both(left, right, wrong_m)
+    for penalty_m in _PENALTIES_M:
+        forward = _unfolded_both(left, right, penalty_m)
         if is_sound(*forward):
             break
     for side, before, after in zip(("left", "right"), (left, right), forward, strict=True):
@@ -212,16 +215,17 @@ def _without_fold_backs(left: Floats, right: Floats, repairs: list[str]) -> tupl
     return forward
 
 
-def _unfolded_both(left: Floats, right: Floats, wrong_m: float) -> tuple[Floats, Floats]:
+def _unfolded_both(left: Floats, right: Floats, penalty_m: float) -> tuple[Floats, Floats]:
+    """Return the bounds without stretches that run backwards, at most `_PASSES` of them."""
     for _ in range(_PASSES):
-        ribbon = matched(left, right, wrong_m)
+        ribbon = ribbon_between(left, right, penalty_m)
         if len(ribbon.left_wrong):
             left = _unfolded(left, right, ribbon.left_wrong[0], ribbon.left, ribbon.right)
         elif len(ribbon.right_wrong):
             # Seen backwards, the right bound is a left one.
             wrong = 1.0 - ribbon.right_wrong[-1, ::-1]
-            turned = 1.0 - ribbon.right[::-1], 1.0 - ribbon.left[::-1]
-            right = _unfolded(right[::-1], left[::-1], wrong, *turned)[::-1]
+            reversed_pairs = 1.0 - ribbon.right[::-1], 1.0 - ribbon.left[::-1]
+            right = _unfolded(right[::-1], left[::-1], wrong, *reversed_pairs)[::-1]
         else:
             break
         _require_extent(left, right)
@@ -239,12 +243,12 @@ def _unfolded(
     fractions = arc_lengths(bound) / bound_length(bound)
     tip = at_fractions(bound, wrong[:1])
     foot = at_fractions(other, np.interp(wrong[:1], on_bound, on_other))
-    behind = turn(foot[:, :2], tip[:, :2], bound[:, :2])
+    behind = orientation(foot[:, :2], tip[:, :2], bound[:, :2])
     ahead = np.flatnonzero((behind < 0.0) & (fractions >= wrong[1] - _TINY))
     if len(ahead):
         rest = _resumed(bound[ahead[0] - 1 :], behind[ahead[0] - 1 :])
         return without_repeats(np.concatenate([bound[fractions < wrong[0] - _TINY], tip, rest]))
-    before_end = turn(other[-1:, :2], bound[-1:, :2], bound[:, :2])
+    before_end = orientation(other[-1:, :2], bound[-1:, :2], bound[:, :2])
     last = int(np.flatnonzero((before_end > 0.0) & (fractions <= wrong[0] + _TINY))[-1:].sum())
     rest = _resumed(bound[last + 1 :: -1], -before_end[last + 1 :: -1])[::-1]
     return without_repeats(np.concatenate([rest, bound[-1:]]))
@@ -330,8 +334,10 @@ def without_first_loop(bound: Floats, side: str) -> Floats:
     stop = along[second] + u * (along[second + 1] - along[second])
     if stop - start > _LOOP_SHARE * along[-1]:
         raise CannotMendError(Text("the {} bound crosses itself in a large loop", Text(side)))
-    knot = bound[first] + t * (bound[first + 1] - bound[first])
-    return without_repeats(np.concatenate([bound[: first + 1], knot[None], bound[second + 1 :]]))
+    crossing = bound[first] + t * (bound[first + 1] - bound[first])
+    return without_repeats(
+        np.concatenate([bound[: first + 1], crossing[None], bound[second + 1 :]])
+    )
 
 
 def _near_pairs(line: Floats) -> tuple[Integers, Integers]:
@@ -353,14 +359,16 @@ def _crossings(line: Floats, i: Integers, j: Integers) -> tuple[Floats, Floats]:
     """
     ab, cd, ac = line[i + 1] - line[i], line[j + 1] - line[j], line[j] - line[i]
     across = _cross(ab, cd)
-    one, other = np.hypot(*ab.T), np.hypot(*cd.T)
+    length_i, length_j = np.hypot(*ab.T), np.hypot(*cd.T)
     adjacent = j == i + 1
-    back = adjacent & (np.abs(across) <= 1e-12 * one * other) & (np.sum(ab * cd, axis=1) < 0.0)
+    back = (
+        adjacent & (np.abs(across) <= 1e-12 * length_i * length_j) & (np.sum(ab * cd, axis=1) < 0.0)
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         t, u = _cross(ac, cd) / across, _cross(ac, ab) / across
     met = ~adjacent & (across != 0.0) & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0)
-    t = np.where(back, 1.0 - np.minimum(1.0, other / one), np.where(met, t, np.nan))
-    u = np.where(back, np.minimum(1.0, one / other), np.where(met, u, np.nan))
+    t = np.where(back, 1.0 - np.minimum(1.0, length_j / length_i), np.where(met, t, np.nan))
+    u = np.where(back, np.minimum(1.0, length_i / length_j), np.where(met, u, np.nan))
     return t, u
 
 
@@ -369,7 +377,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return area
 
 
-def part_at_crossings(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
+def cut_at_crossings(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
     """Return the bounds cut off at a crossing near an end.
 
     Raises

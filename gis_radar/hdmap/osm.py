@@ -73,8 +73,8 @@ class OsmMap:
         The tag `ele` in metres; NaN where missing.
     ways, relations : dict
         Ways and relations by id.
-    doubled : tuple of (str, int)
-        Kind and id of each element whose id an earlier one has; the first one counts.
+    duplicates : tuple of (str, int)
+        Kind and id of each element that is left out because an earlier one has its id.
     odd_heights : tuple of (int, str)
         Node and text of each tag `ele` that is neither empty nor a number.
     """
@@ -86,7 +86,7 @@ class OsmMap:
     elevation: Floats
     ways: dict[int, Way]
     relations: dict[int, Relation]
-    doubled: tuple[tuple[str, int], ...]
+    duplicates: tuple[tuple[str, int], ...]
     odd_heights: tuple[tuple[int, str], ...] = ()
 
     @cached_property
@@ -170,18 +170,18 @@ class _Collector:
             "way": self.ways,
             "relation": self.relations,
         }
-        self.doubled: list[tuple[str, int]] = []
+        self.duplicates: list[tuple[str, int]] = []
         self.odd_heights: list[tuple[int, str]] = []
         self.depth = 0
-        self._forget()
+        self._reset_element()
 
     def attach(self, parser: expat.XMLParserType) -> None:
         """Make the parser call this collector."""
         self.parser = parser
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
-        parser.StartDoctypeDeclHandler = self._refuse
-        parser.EntityDeclHandler = self._refuse
+        parser.StartDoctypeDeclHandler = self._refuse_doctype
+        parser.EntityDeclHandler = self._refuse_doctype
         parser.buffer_text = True
 
     def finished(self) -> OsmMap:
@@ -195,11 +195,11 @@ class _Collector:
             elevation=table[:, 2],
             ways=self.ways,
             relations=self.relations,
-            doubled=tuple(self.doubled),
+            duplicates=tuple(self.duplicates),
             odd_heights=tuple(self.odd_heights),
         )
 
-    def _forget(self) -> None:
+    def _reset_element(self) -> None:
         self.place: tuple[float, float] = _NOWHERE
         self.refs: list[int] = []
         self.members: list[Member] = []
@@ -210,10 +210,11 @@ class _Collector:
         """Refuse the element at which the parser is."""
         raise InputError("{}: line {}: {}", self.path, self.parser.CurrentLineNumber, reason)
 
-    def _refuse(self, *_: object) -> None:
+    def _refuse_doctype(self, *_: object) -> None:
         self.refuse("document types and entities are refused, a Lanelet2 map has none")
 
     def _start(self, name: str, attributes: dict[str, str]) -> None:
+        """Take the begin of an element: open a node, way or relation, or add to the open one."""
         self.depth += 1
         if self.depth > DEEPEST:
             self.refuse(Text("elements are nested {} deep, a map's are three", DEEPEST))
@@ -231,19 +232,20 @@ class _Collector:
             self._open(name, attributes)
 
     def _open(self, name: str, attributes: dict[str, str]) -> None:
-        self._forget()
+        self._reset_element()
         self.id = self._id(name, attributes.get("id"))
-        self.gone = attributes.get("action") == "delete" or attributes.get("visible") == "false"
+        self.deleted = attributes.get("action") == "delete" or attributes.get("visible") == "false"
         if name == "node":
             self.place = _place(attributes.get("lon", ""), attributes.get("lat", ""))
 
     def _end(self, name: str) -> None:
+        """Take the end of an element: keep the node, way or relation unless its id was used."""
         self.depth -= 1
-        if name not in {"node", "way", "relation"} or self.gone:
+        if name not in {"node", "way", "relation"} or self.deleted:
             return
         known = self.known[name]
         if self.id in known:
-            self.doubled.append((name, self.id))
+            self.duplicates.append((name, self.id))
         elif name == "node":
             tags = self.tags
             extra = [_number(tags[key]) if key in tags else math.nan for key in NODE_TAGS]
@@ -256,6 +258,7 @@ class _Collector:
             self.relations[self.id] = Relation(members=tuple(self.members), tags=self.tags)
 
     def _id(self, name: str, text: str | None) -> int:
+        """Return an id of 64 bits; refuse any other text."""
         try:
             number = int(text or "")
         except ValueError:

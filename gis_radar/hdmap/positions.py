@@ -90,8 +90,8 @@ def place_nodes(
     if origin is not None and not np.all(np.isfinite(origin)):
         raise UsageError("{} is {}, expected two numbers: easting,northing", "--origin", origin)
     target = None if crs is None else metric_crs(crs, what="--crs")
-    geographic = _has(osm.geographic) & used & _spread(osm.geographic[used])
-    local = _has(osm.local) & used
+    geographic = _known(osm.geographic) & used & _holds_positions(osm.geographic[used])
+    local = _known(osm.local) & used
     if not (geographic.any() or local.any()):
         raise InputError("{}: no lanelet has a node with usable coordinates", osm.path)
     if origin is not None and not local.any():
@@ -104,7 +104,7 @@ def place_nodes(
     if not geographic.any():
         plane, target, remarks = _without_geographic(osm, target, origin)
     else:
-        target = target or _zone(osm.geographic[geographic])
+        target = target or _utm_zone_of(osm.geographic[geographic])
         try:
             plane, remarks = _with_geographic(osm, geographic, local, target, origin)
         except CrsError as error:
@@ -138,18 +138,18 @@ def _border_remarks(geographic: Floats, chosen: CRS) -> tuple[str, ...]:
     near = geographic[np.abs(geographic[:, 0] - longitude) < WIDEST_DEG, 0]
     if not len(near):  # half of the nodes lie here, half far away
         return ()
-    one, other = (
+    west_zone, east_zone = (
         name_of(utm_zone(float(end), float(latitude))) for end in (near.min(), near.max())
     )
-    if one == other:
+    if west_zone == east_zone:
         return ()
-    whole = name_of(chosen)
+    chosen_zone = name_of(chosen)
     return (
         Text(
             "lies on the border of {} and {}, all of it is in {}; {} names another",
-            one,
-            other,
-            whole,
+            west_zone,
+            east_zone,
+            chosen_zone,
             "--crs",
         ),
     )
@@ -165,23 +165,23 @@ def _scale_remarks(target: CRS, plane: Floats) -> tuple[str, ...]:
 
 
 def _require_fit(target: CRS, plane: Floats) -> None:
-    known = plane[_has(plane)]
+    known = plane[_known(plane)]
     easting, northing = np.median(known, axis=0) if len(known) else (np.nan, np.nan)
     require_true_scale(target, float(easting), float(northing), what="--crs")
 
 
-def _has(coordinates: Floats) -> Booleans:
+def _known(coordinates: Floats) -> Booleans:
     known: Booleans = np.all(np.isfinite(coordinates), axis=1)
     return known
 
 
-def _spread(geographic: Floats) -> bool:
+def _holds_positions(geographic: Floats) -> bool:
     """Return whether latitudes and longitudes hold positions: all nodes at one place do not."""
-    known = geographic[_has(geographic)]
+    known = geographic[_known(geographic)]
     return len(known) == 1 or (len(known) > 1 and bool(np.ptp(known, axis=0).any()))
 
 
-def _zone(geographic: Floats) -> CRS:
+def _utm_zone_of(geographic: Floats) -> CRS:
     longitude, latitude = np.median(geographic, axis=0)
     return utm_zone(float(longitude), float(latitude))
 
@@ -189,6 +189,7 @@ def _zone(geographic: Floats) -> CRS:
 def _without_geographic(
     osm: OsmMap, target: CRS | None, origin: tuple[float, float] | None
 ) -> tuple[Floats, CRS, tuple[str, ...]]:
+    """Return local metres shifted by `origin`, where latitudes and longitudes are empty."""
     what = Text("{}: its latitudes and longitudes are empty", osm.path)
     if origin is None:
         raise InputError(
@@ -210,23 +211,27 @@ def _with_geographic(
     target: CRS,
     origin: tuple[float, float] | None,
 ) -> tuple[Floats, tuple[str, ...]]:
+    """Return projected positions, or local metres where their scales differ, with remarks."""
     projected = _project(osm.geographic, target)
-    both = geographic & local & _has(projected)
+    both = geographic & local & _known(projected)
     if both.sum() < 2:
-        return _lone_kind(osm, projected, geographic, local, target, origin)
+        return _by_commoner_kind(osm, projected, geographic, local, target, origin)
     # Compared in the site's UTM zone: the scale of another --crs would count as a disagreement.
-    off = _scale_error(osm.local[both], _project(osm.geographic[both], _zone(osm.geographic[both])))
+    zone = _utm_zone_of(osm.geographic[both])
+    off = _scale_error(osm.local[both], _project(osm.geographic[both], zone))
     if off > SCALE_TOLERANCE:
         reason = Text("latitudes and longitudes differ from them in scale by {:.2g} %", 100.0 * off)
-        return _local_wins(osm.local, projected[both] - osm.local[both], origin, reason)
+        return _placed_by_local(osm.local, projected[both] - osm.local[both], origin, reason)
     _require_fit(target, projected[geographic])
     fit = _similarity(osm.local[both], projected[both])
     # The fit only fills gaps: it is rotated where the local metres are not those of a grid.
-    filled = np.where(_has(projected)[:, None], projected, _apply(fit, osm.local))
-    return filled, _unused(origin, "local_x, local_y agree with latitudes and longitudes")
+    filled = np.where(_known(projected)[:, None], projected, _transformed(fit, osm.local))
+    return filled, _unused_origin_remark(
+        origin, "local_x, local_y agree with latitudes and longitudes"
+    )
 
 
-def _lone_kind(
+def _by_commoner_kind(
     osm: OsmMap,
     projected: Floats,
     geographic: Booleans,
@@ -234,10 +239,12 @@ def _lone_kind(
     target: CRS,
     origin: tuple[float, float] | None,
 ) -> tuple[Floats, tuple[str, ...]]:
-    """Return positions by the kind of coordinates that more nodes have; less than two have both."""
+    """Return positions by the coordinates that more nodes have, where fewer than two have both."""
     if geographic.sum() >= local.sum():
         _require_fit(target, projected[geographic])
-        return projected, _unused(origin, "most nodes have latitudes and longitudes only")
+        return projected, _unused_origin_remark(
+            origin, "most nodes have latitudes and longitudes only"
+        )
     both = geographic & local
     if origin is None and not both.any():
         raise InputError(
@@ -247,16 +254,17 @@ def _lone_kind(
             hint=Text("say where local (0, 0) lies: {} E,N", "--origin"),
         )
     shifts = projected[both] - osm.local[both]
-    return _local_wins(osm.local, shifts, origin, "most nodes have nothing else")
+    return _placed_by_local(osm.local, shifts, origin, "most nodes have nothing else")
 
 
-def _unused(origin: tuple[float, float] | None, reason: str) -> tuple[str, ...]:
+def _unused_origin_remark(origin: tuple[float, float] | None, reason: str) -> tuple[str, ...]:
     return () if origin is None else (Text("{} is not used: {}, which decide", "--origin", reason),)
 
 
-def _local_wins(
+def _placed_by_local(
     local: Floats, shifts: Floats, origin: tuple[float, float] | None, reason: str
 ) -> tuple[Floats, tuple[str, ...]]:
+    """Return local metres shifted by `origin`, or by the mean of `shifts`, and remarks on that."""
     by = Text("placed by local_x, local_y ({})", reason)
     if origin is not None:
         return local + np.asarray(origin), (Text("{} and {}", by, "--origin"),)
@@ -300,7 +308,7 @@ def _similarity(local: Floats, projected: Floats) -> tuple[complex, complex]:
     return a, complex(y.mean() - a * x.mean())
 
 
-def _apply(fit: tuple[complex, complex], local: Floats) -> Floats:
+def _transformed(fit: tuple[complex, complex], local: Floats) -> Floats:
     z = fit[0] * (local @ (1.0, 1.0j)) + fit[1]
     return np.column_stack([z.real, z.imag])
 

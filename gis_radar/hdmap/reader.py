@@ -142,6 +142,7 @@ def _used(osm: OsmMap, relations: dict[int, Relation]) -> Any:
 def _assembled(
     osm: OsmMap, relations: dict[int, Relation], xyz: Floats, reporter: Reporter
 ) -> tuple[list[_Lanelet], list[_Problem]]:
+    """Return the lanelets that can be made of relations, and the problems of all others."""
     lanelets: list[_Lanelet] = []
     problems: list[_Problem] = []
     for done, (ref, relation) in enumerate(relations.items()):
@@ -159,8 +160,8 @@ def _assembled(
             reason = "; ".join(reasons)
             problems.append(_Problem(id=ref, action=REPAIRED, reason=reason, shape=shape))
     reporter.progress(STAGE, len(relations), len(relations))
-    kept, odd = _plausible(lanelets)
-    return kept, problems + odd
+    plausible, implausible = _plausible(lanelets)
+    return plausible, problems + implausible
 
 
 def _plausible(lanelets: list[_Lanelet]) -> tuple[list[_Lanelet], list[_Problem]]:
@@ -173,13 +174,13 @@ def _plausible(lanelets: list[_Lanelet]) -> tuple[list[_Lanelet], list[_Problem]
         along = np.linspace(0.0, 1.0, 5)
         apart = at_fractions(left, along)[:, :2] - at_fractions(right, along)[:, :2]
         width_m = float(np.median(np.hypot(*apart.T)))
-        out = off_m > STRAY_M or width_m > WIDEST_M
-        if not out:
+        is_left_out = off_m > STRAY_M or width_m > WIDEST_M
+        if not is_left_out:
             kept.append(lanelet)
-        if out or width_m > WIDE_M:
+        if is_left_out or width_m > WIDE_M:
             far = Text("it lies {:.0f} km from the middle of the map", off_m / 1000.0)
             reason = far if off_m > STRAY_M else Text("its bounds are {:.0f} m apart", width_m)
-            action = LEFT_OUT if out else DOUBTFUL
+            action = LEFT_OUT if is_left_out else DOUBTFUL
             shape = outline(left, right)
             problems.append(_Problem(id=lanelet.id, action=action, reason=reason, shape=shape))
     return kept, problems
@@ -215,8 +216,9 @@ def _lanelet(
 
 
 def _lanelet_table(osm: OsmMap, lanelets: list[_Lanelet], crs: CRS) -> gpd.GeoDataFrame:
+    """Return lanelets as the table of :class:`LaneletMap`."""
     tags = [lanelet.relation.tags for lanelet in lanelets]
-    successors = _linked(lanelets)
+    successors = _successors(lanelets)
     predecessors: dict[int, list[int]] = defaultdict(list)
     for ref, following in successors.items():
         for other in following:
@@ -257,7 +259,7 @@ def _speed_limit(osm: OsmMap, relation: Relation) -> float:
     return kmh(relation.tags.get("speed_limit", "")) if math.isnan(regulated) else regulated
 
 
-def _linked(lanelets: Iterable[_Lanelet]) -> dict[int, tuple[int, ...]]:
+def _successors(lanelets: Iterable[_Lanelet]) -> dict[int, tuple[int, ...]]:
     """Return the successors of each lanelet: those whose two start nodes are its end nodes."""
     starting: dict[tuple[int, int], list[int]] = defaultdict(list)
     for lanelet in lanelets:
@@ -279,10 +281,11 @@ def problem_table(problems: Sequence[_Problem], crs: CRS) -> gpd.GeoDataFrame:
 
 
 def _remarks(osm: OsmMap, problems: list[_Problem]) -> tuple[str, ...]:
+    """Return remarks on skipped elements, and how many lanelets have problems."""
     areas = sum(relation.type in {"multipolygon", "area"} for relation in osm.relations.values())
     skipped = {
         "areas skipped": areas,
-        "elements skipped whose id had been used before": len(osm.doubled),
+        "elements skipped whose id had been used before": len(osm.duplicates),
     }
     remarks = [Text("{}: {}", what, count) for what, count in skipped.items() if count]
     for action in (REPAIRED, LEFT_OUT, DOUBTFUL):
@@ -380,7 +383,7 @@ def joined(ways: list[tuple[int, ...]]) -> tuple[int, ...] | None:
     chain, *rest = [list(way) for way in ways if way] or [[]]
     while rest:
         for i, way in enumerate(rest):
-            longer = _attached(chain, way)
+            longer = _chain_with(chain, way)
             if longer is not None:
                 chain = longer
                 del rest[i]
@@ -390,7 +393,7 @@ def joined(ways: list[tuple[int, ...]]) -> tuple[int, ...] | None:
     return tuple(chain)
 
 
-def _attached(chain: list[int], way: list[int]) -> list[int] | None:
+def _chain_with(chain: list[int], way: list[int]) -> list[int] | None:
     """Return the chain with a way attached, reversed if needed; None if they share no end."""
     if chain[-1] in {way[0], way[-1]}:
         return chain + (way if way[0] == chain[-1] else way[::-1])[1:]
@@ -410,13 +413,14 @@ def heights_filled(left: Floats, right: Floats) -> tuple[Floats, Floats]:
         return left[:, :2], right[:, :2]
     left, right = (_interpolated(b) if k else b for b, k in zip((left, right), known, strict=True))
     if not known[0]:
-        left = _lifted(left, right)
+        left = _with_heights_of(left, right)
     if not known[1]:
-        right = _lifted(right, left)
+        right = _with_heights_of(right, left)
     return left, right
 
 
 def _interpolated(bound: Floats) -> Floats:
+    """Return a bound whose missing heights are interpolated along it."""
     given = np.isfinite(bound[:, 2])
     if given.all():
         return bound
@@ -425,7 +429,7 @@ def _interpolated(bound: Floats) -> Floats:
     return np.column_stack([bound[:, :2], heights])
 
 
-def _lifted(bound: Floats, other: Floats) -> Floats:
+def _with_heights_of(bound: Floats, other: Floats) -> Floats:
     along = arc_lengths(bound)
     heights = at_fractions(other, along / along[-1])[:, 2]
     return np.column_stack([bound[:, :2], heights])

@@ -74,7 +74,7 @@ def name_streets(
         named[STREET] = [tag or name for tag, name in zip(lanes[STREET], names, strict=True)]
         _report_unnamed(named, prefix, reporter)
     place = list(named.columns).index(STREET) + 1
-    named.insert(place, PART, _parts_of(named, known, prefix, reporter))
+    named.insert(place, PART, _street_parts(named, known, prefix, reporter))
     return named
 
 
@@ -98,7 +98,7 @@ def _known_streets(
     texts = known[STREET].map(lambda value: one_line(value) if isinstance(value, str) else "")
     known = known.assign(**{STREET: texts})
     known = known[(known[STREET] != "") & (known.geometry.geom_type == "LineString")]
-    return _moved(known, crs, what)
+    return _reprojected(known, crs, what)
 
 
 def _no_streets(crs: Any) -> gpd.GeoDataFrame:
@@ -133,41 +133,41 @@ def _field_of(table: gpd.GeoDataFrame, field: str | None, what: str) -> str | No
     return field or next((usual[name] for name in NAME_FIELDS if name in usual), None)
 
 
-def _moved(table: gpd.GeoDataFrame, crs: Any, what: str) -> gpd.GeoDataFrame:
-    moved = table.to_crs(crs)
-    if len(moved) and not np.isfinite(moved.total_bounds).all():
+def _reprojected(table: gpd.GeoDataFrame, crs: Any, what: str) -> gpd.GeoDataFrame:
+    reprojected = table.to_crs(crs)
+    if len(reprojected) and not np.isfinite(reprojected.total_bounds).all():
         raise CrsError("{}: lies outside the area of the map's coordinate system", what)
-    return moved.reset_index(drop=True)
+    return reprojected.reset_index(drop=True)
 
 
 def _name_along(lane: shapely.LineString, streets: gpd.GeoDataFrame) -> str | None:
     """Return the name of the street that is nearest and parallel along most of a lane."""
     count = max(round(lane.length / SAMPLE_M), 1) + 1
     at = np.linspace(0.0, lane.length, count)
-    points, way = _on(lane, at)
-    asked, street = streets.sindex.query(
+    points, heading_of_lane = _points_and_headings(lane, at)
+    sample, street = streets.sindex.query(
         shapely.points(points), predicate="dwithin", distance=NEAR_M
     )
     lines = streets.geometry.array[street]
-    near = shapely.distance(lines, shapely.points(points[asked]))
+    near = shapely.distance(lines, shapely.points(points[sample]))
     heading = np.array(
         [
-            _on(line, np.array([line.project(shapely.Point(points[k]))]))[1][0]
-            for line, k in zip(lines, asked, strict=True)
+            _points_and_headings(line, np.array([line.project(shapely.Point(points[k]))]))[1][0]
+            for line, k in zip(lines, sample, strict=True)
         ]
     )
-    parallel = np.abs(np.sin(heading - way[asked])) < math.sin(PARALLEL_RAD)
+    parallel = np.abs(np.sin(heading - heading_of_lane[sample])) < math.sin(PARALLEL_RAD)
     votes = Counter[str]()
-    for k in np.unique(asked[parallel]):
-        mine = np.flatnonzero(parallel & (asked == k))
-        votes[streets[STREET].iat[street[mine[near[mine].argmin()]]]] += 1
+    for k in np.unique(sample[parallel]):
+        of_sample = np.flatnonzero(parallel & (sample == k))
+        votes[streets[STREET].iat[street[of_sample[near[of_sample].argmin()]]]] += 1
     if not votes:
         return None
     name, most = votes.most_common(1)[0]
     return name if 2 * most >= count else None
 
 
-def _on(line: shapely.LineString, at: Floats) -> tuple[Floats, Floats]:
+def _points_and_headings(line: shapely.LineString, at: Floats) -> tuple[Floats, Floats]:
     """Return the points at distances `at` (m) along a line, and its directions there, radians."""
     behind, ahead = (
         shapely.get_coordinates(
@@ -175,9 +175,9 @@ def _on(line: shapely.LineString, at: Floats) -> tuple[Floats, Floats]:
         )
         for off in (-0.5, 0.5)
     )
-    way = ahead - behind
+    step = ahead - behind
     points = shapely.get_coordinates(shapely.line_interpolate_point(line, at))
-    return points, np.arctan2(way[:, 1], way[:, 0])
+    return points, np.arctan2(step[:, 1], step[:, 0])
 
 
 def _report_unnamed(lanes: gpd.GeoDataFrame, prefix: str, reporter: Reporter) -> None:
@@ -195,19 +195,19 @@ def _report_unnamed(lanes: gpd.GeoDataFrame, prefix: str, reporter: Reporter) ->
         )
 
 
-def _parts_of(
+def _street_parts(
     lanes: gpd.GeoDataFrame, streets: gpd.GeoDataFrame, prefix: str, reporter: Reporter
 ) -> list[str | None]:
     """Return `street_part` of each lane, None where one street has its name; warn of each name."""
     parts = np.full(len(lanes), None, object)
     names = lanes[STREET].to_numpy(object)
     for name in sorted({each for each in names if isinstance(each, str)}):
-        mine = np.flatnonzero(names == name)
+        of_name = np.flatnonzero(names == name)
         drawn = streets.geometry.array[np.flatnonzero(streets[STREET] == name)]
-        pieces = _pieces([*lanes.geometry.array[mine], *drawn])[: len(mine)]
-        if len(set(pieces)) > 1:
-            words = _told_apart(lanes.geometry.array[mine], pieces)
-            parts[mine] = [words[piece] for piece in pieces]
+        street_of_line = _street_numbers([*lanes.geometry.array[of_name], *drawn])[: len(of_name)]
+        if len(set(street_of_line)) > 1:
+            words = _part_words(lanes.geometry.array[of_name], street_of_line)
+            parts[of_name] = [words[number] for number in street_of_line]
             reporter.warn(
                 "{}{} streets are called {}; their lanes differ by number",
                 prefix,
@@ -217,22 +217,22 @@ def _parts_of(
     return parts.tolist()
 
 
-def _pieces(lines: list[shapely.LineString]) -> list[int]:
-    """Return the number of each line's street: lines within `APART_M` are of one street."""
+def _street_numbers(lines: list[shapely.LineString]) -> list[int]:
+    """Return the number of each line's street: lines nearer than `APART_M` belong to one street."""
     near = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=APART_M)
     links = scipy.sparse.coo_array((np.ones(near.shape[1]), near), shape=(len(lines), len(lines)))
     return list(scipy.sparse.csgraph.connected_components(links, directed=False)[1].tolist())
 
 
-def _told_apart(lanes: Any, pieces: list[int]) -> dict[int, str]:
-    """Return a word for each street: the wind of its place among those of its name, or a number."""
-    known = sorted(set(pieces))
+def _part_words(lanes: Any, street_of_lane: list[int]) -> dict[int, str]:
+    """Return `street_part` by number of the street: the wind of its place, or 1, 2, ..."""
+    known = sorted(set(street_of_lane))
     middles = shapely.get_coordinates(
-        [shapely.union_all(lanes[np.equal(pieces, each)]).centroid for each in known]
+        [shapely.union_all(lanes[np.equal(street_of_lane, each)]).centroid for each in known]
     )
-    off = middles - middles.mean(axis=0)
-    words = [wind_of(*each) for each in off]
-    in_middle = np.hypot(*off.T).min() < APART_M / 4.0  # a street without a clear direction
+    from_mean = middles - middles.mean(axis=0)
+    words = [wind_of(*each) for each in from_mean]
+    in_middle = np.hypot(*from_mean.T).min() < APART_M / 4.0  # a street without a clear direction
     if len(set(words)) < len(known) or in_middle:
         words = [str(number) for number in range(1, len(known) + 1)]
     return dict(zip(known, words, strict=True))

@@ -183,6 +183,7 @@ def regulatory_table(osm: OsmMap, xyz: Floats, crs: CRS) -> gpd.GeoDataFrame:
 
 
 def _members(osm: OsmMap, xyz: Floats) -> Iterator[tuple[Any, ...]]:
+    """Yield a row of :func:`regulatory_table` for each member of a regulatory element."""
     users = lanelets_of_elements(osm)
     for element_id, element in sorted(osm.relations_of(ELEMENT)):
         for member in element.members:
@@ -199,6 +200,7 @@ def _members(osm: OsmMap, xyz: Floats) -> Iterator[tuple[Any, ...]]:
 
 
 def _lone_stop_lines(osm: OsmMap, xyz: Floats) -> Iterator[tuple[Any, ...]]:
+    """Yield a row of :func:`regulatory_table` for each stop line that no element names."""
     elements = (element for _, element in osm.relations_of(ELEMENT))
     named = {m.ref for element in elements for m in element.members if m.kind == "way"}
     for ref, way in sorted(osm.ways.items()):

@@ -30,15 +30,15 @@ def _fill_cells(quads: Floats, columns: int, rows: int, cell_m: float) -> tuple[
     """Return `first` and `tiles` of :class:`TileCells` for a grid from (0, 0)."""
     counts = np.zeros(columns * rows + 1, np.int64)
     nothing = np.empty(0, np.int32)
-    _visit(quads, columns, rows, cell_m, counts, nothing)
+    _count_or_store(quads, columns, rows, cell_m, counts, nothing)
     first = np.concatenate([[0], np.cumsum(counts)])
     tiles = np.empty(first[-1], np.int32)
-    _visit(quads, columns, rows, cell_m, first[:-1].copy(), tiles)
+    _count_or_store(quads, columns, rows, cell_m, first[:-1].copy(), tiles)
     return first.astype(np.int32), tiles
 
 
 @compiled
-def _visit(  # pragma: no cover - compiled
+def _count_or_store(  # pragma: no cover - compiled
     quads: Floats,
     columns: int,
     rows: int,
@@ -46,7 +46,7 @@ def _visit(  # pragma: no cover - compiled
     cursor: Integers,
     tiles: Numbers,
 ) -> None:
-    """Advance the cursors of cells that a tile touches; store it there unless `tiles` is empty."""
+    """Count the tiles that touch each cell, or store them at its cursor unless `tiles` is empty."""
     for tile in range(len(quads)):
         quad = quads[tile]
         low_column = max(int((quad[:, 0].min() - SLACK_M) / cell_m), 0)
@@ -56,7 +56,7 @@ def _visit(  # pragma: no cover - compiled
         for row in range(low_row, high_row + 1):
             for column in range(low_column, high_column + 1):
                 x, y = (column + 0.5) * cell_m, (row + 0.5) * cell_m
-                if not _apart(quad, x, y, 0.5 * cell_m + SLACK_M):
+                if not _is_separated(quad, x, y, 0.5 * cell_m + SLACK_M):
                     cell = row * columns + column + 1
                     if len(tiles) > 0:
                         tiles[cursor[cell]] = tile
@@ -64,8 +64,10 @@ def _visit(  # pragma: no cover - compiled
 
 
 @compiled
-def _apart(quad: Floats, x: float, y: float, half_m: float) -> bool:  # pragma: no cover - compiled
-    """Return whether a tile's edge separates the tile from the square around (x, y), metres."""
+def _is_separated(
+    quad: Floats, x: float, y: float, half_m: float
+) -> bool:  # pragma: no cover - compiled
+    """Return whether one of a tile's edges separates it from the square around (x, y), metres."""
     for k in range(4):
         normal_x = quad[(k + 1) % 4, 1] - quad[k, 1]
         normal_y = quad[k, 0] - quad[(k + 1) % 4, 0]

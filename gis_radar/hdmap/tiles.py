@@ -27,11 +27,11 @@ from gis_radar.base import (
     add_layer,
     as_points,
     atomic_write,
-    dress_layers,
-    keep_styles,
+    copy_saved_styles,
     metric_crs,
     name_of,
     opened_package,
+    style_layers,
 )
 from gis_radar.hdmap.bounds import CannotMendError, slices, sound_rungs
 from gis_radar.hdmap.lanelet_map import LaneletMap
@@ -111,7 +111,7 @@ def make_tiles(
     if isinstance(roads, str | Path):
         roads = read_map(roads, reporter=reporter)
     lanelets = _chosen(roads.lanelets, subtypes)
-    _say_left_out(roads.lanelets, lanelets, reporter)
+    _log_not_tiled(roads.lanelets, lanelets, reporter)
     tiles = _table(lanelets, _rungs(lanelets, length_m, reporter), roads.crs)
     numbers = tiles["lanelet_id"].map(lane_numbers(roads.lanelets)).astype(np.int64)
     tiles.insert(len(TILE_COLUMNS), LANE_COLUMN, numbers)
@@ -138,11 +138,12 @@ _NOTES = {
 
 
 def own_columns(tiles: gpd.GeoDataFrame) -> list[str]:
-    """Return the columns of tiles that are ours, without those that others have added."""
+    """Return the columns that :func:`make_tiles` made, without those that users have added."""
     return [*TILE_COLUMNS, *((LANE_COLUMN,) if LANE_COLUMN in tiles else ())]
 
 
 def _chosen(lanelets: gpd.GeoDataFrame, subtypes: Collection[str] | None) -> gpd.GeoDataFrame:
+    """Return the lanelets to tile, by id: of some subtypes, or all that vehicles may use."""
     if subtypes is None:
         chosen = lanelets[~lanelets["subtype"].isin(ON_FOOT_OR_BICYCLE)]
     else:
@@ -160,7 +161,10 @@ def _chosen(lanelets: gpd.GeoDataFrame, subtypes: Collection[str] | None) -> gpd
     return chosen.sort_values("lanelet_id")
 
 
-def _say_left_out(lanelets: gpd.GeoDataFrame, chosen: gpd.GeoDataFrame, reporter: Reporter) -> None:
+def _log_not_tiled(
+    lanelets: gpd.GeoDataFrame, chosen: gpd.GeoDataFrame, reporter: Reporter
+) -> None:
+    """Log how many lanelets of each subtype get no tiles."""
     counts = Counter(lanelets["subtype"])
     counts.subtract(chosen["subtype"])
     others = [f"{count} {subtype}" for subtype, count in counts.most_common() if count]
@@ -168,12 +172,14 @@ def _say_left_out(lanelets: gpd.GeoDataFrame, chosen: gpd.GeoDataFrame, reporter
         reporter.log(Text("not tiled: {} (use {})", ", ".join(others), "--subtype"))
 
 
-def _table(lanelets: gpd.GeoDataFrame, pieces: list[Floats], crs: Any) -> gpd.GeoDataFrame:
+def _table(
+    lanelets: gpd.GeoDataFrame, rungs_by_lanelet: list[Floats], crs: Any
+) -> gpd.GeoDataFrame:
     """Return the tiles between the rungs of all lanelets, each (n + 1, left and right, xyz)."""
-    counts = np.array([len(piece) - 1 for piece in pieces])
+    counts = np.array([len(rungs) - 1 for rungs in rungs_by_lanelet])
     index = np.concatenate([np.arange(count) for count in counts])
-    corners = np.concatenate([corners_between(piece) for piece in pieces])
-    middle = [piece[..., :2].mean(axis=1) for piece in pieces]
+    corners = np.concatenate([corners_between(rungs) for rungs in rungs_by_lanelet])
+    middle = [rungs[..., :2].mean(axis=1) for rungs in rungs_by_lanelet]
     steps = [np.hypot(*np.diff(line, axis=0).T) for line in middle]
     begins = [np.cumsum(step) - step for step in steps]
     widths = np.hypot(*(corners[:, [0, 1], :2] - corners[:, [3, 2], :2]).transpose(2, 0, 1))
@@ -243,7 +249,7 @@ def write_tiles(
         raise UsageError("{}: tiles are written as GeoPackage", path, hint="end the name in .gpkg")
     require_tiles(tiles, what="tiles")
     # Without the CRS: GeoPackage changes the text of one that has no EPSG code.
-    seal = {_COUNT: str(len(tiles)), _CONTENT: _digest(tiles)}
+    metadata = {_COUNT: str(len(tiles)), _CONTENT: _digest(tiles)}
     if problems is None:
         problems = problem_table([], tiles.crs)
     layers = [(TILES_LAYER, tiles, "Polygon"), (PROBLEMS, problems, "Unknown")]
@@ -255,16 +261,16 @@ def write_tiles(
         layers.append((STOP_LINES_LAYER, stop_lines, "LineString"))
     with atomic_write(path) as part:
         for layer, table, kind in layers:
-            metadata = seal if layer == TILES_LAYER else None
-            options = {"geometry_type": kind, "layer_metadata": metadata}
+            of_layer = metadata if layer == TILES_LAYER else None
+            options = {"geometry_type": kind, "layer_metadata": of_layer}
             add_layer(table, part, layer, use_arrow=True, **options)
         styles = {name: lane_style(name) for name, _, _ in layers[2:]}
-        dress_layers(
+        style_layers(
             part, styles, name="lanes", about="lanes by number, and stop lines",
             notes={name: _NOTES[name] for name in (TILES_LAYER, *styles)},
         )  # fmt: skip
         if styles:
-            keep_styles(part, earlier=path)
+            copy_saved_styles(part, earlier=path)
 
 
 def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
@@ -281,7 +287,7 @@ def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
         If the file is no GeoPackage with a layer `tiles` of four-vertex polygons, or it is not as
         :func:`write_tiles` left it; CrsError if its coordinate system is missing or not metric.
     """
-    tiles, seal = _layer(path)
+    tiles, metadata = _read_layer(path)
     require_tiles(tiles, what=Text("{}: layer {}", path, TILES_LAYER))
     tiles = tiles.set_crs(metric_crs(tiles.crs, what=str(path)), allow_override=True)
     try:
@@ -289,23 +295,28 @@ def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
     except (ValueError, TypeError) as error:
         raise InputError("{}: column height_m holds something else than metres", path) from error
     tiles = tiles.sort_values("tile_id", ignore_index=True)
-    _refuse_other_tiles(tiles, seal, path)
+    _refuse_changed_tiles(tiles, metadata, path)
     return tiles
 
 
-def _layer(path: str | Path) -> tuple[gpd.GeoDataFrame, dict[str, str]]:
+def _read_layer(path: str | Path) -> tuple[gpd.GeoDataFrame, dict[str, str]]:
     """Return the layer of tiles, unchecked, and its metadata from :func:`write_tiles`."""
     with opened_package(path, what="a GeoPackage of tiles", hint=_MAKE_ONE) as place:
         tiles = pyogrio.read_dataframe(place, layer=TILES_LAYER, use_arrow=True)
-        seal = pyogrio.read_info(place, layer=TILES_LAYER)["layer_metadata"] or {}
-    return tiles, seal
+        metadata = pyogrio.read_info(place, layer=TILES_LAYER)["layer_metadata"] or {}
+    return tiles, metadata
 
 
-def _refuse_other_tiles(tiles: gpd.GeoDataFrame, seal: dict[str, str], path: str | Path) -> None:
-    """Refuse tiles that differ from those written; a layer of another program has no seal."""
-    if _CONTENT not in seal or seal[_CONTENT] == _digest(tiles):
+def _refuse_changed_tiles(
+    tiles: gpd.GeoDataFrame, metadata: dict[str, str], path: str | Path
+) -> None:
+    """Refuse tiles that differ from those written, by the digest in the layer's metadata.
+
+    A layer of another program has none, and is not checked.
+    """
+    if _CONTENT not in metadata or metadata[_CONTENT] == _digest(tiles):
         return
-    count = seal.get(_COUNT, str(len(tiles)))
+    count = metadata.get(_COUNT, str(len(tiles)))
     wrong = (
         Text("{} of {} tiles", len(tiles), count)
         if count != str(len(tiles))
@@ -375,24 +386,24 @@ def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame
     InputError
         If no tile gets a height: scan and map do not overlap.
     """
-    known = tiles["height_m"].to_numpy(np.float64)
+    map_height_m = tiles["height_m"].to_numpy(np.float64)
     road = as_points(road)
     point, tile = TileGrid(quads(tiles)).assign(road[:, 0], road[:, 1])
-    level = ~(np.abs(road[point, 2] - known[tile]) > SAME_LEVEL_M)
+    level = ~(np.abs(road[point, 2] - map_height_m[tile]) > SAME_LEVEL_M)
     inside = pd.Series(road[point[level], 2]).groupby(tile[level]).median()
-    found = inside.reindex(np.arange(len(tiles))).to_numpy(copy=True)
-    bare = np.flatnonzero(np.isnan(found))
+    height_m = inside.reindex(np.arange(len(tiles))).to_numpy(copy=True)
+    without = np.flatnonzero(np.isnan(height_m))
     centres = tiles.geometry.centroid
     distance, nearest = scipy.spatial.cKDTree(road[:, :2]).query(
-        np.column_stack([centres.x, centres.y])[bare], distance_upper_bound=NEAR_M
+        np.column_stack([centres.x, centres.y])[without], distance_upper_bound=NEAR_M
     )
     near = np.isfinite(distance)
     height = road[np.asarray(nearest)[near], 2]
-    fits = ~(np.abs(height - known[bare[near]]) > SAME_LEVEL_M)
-    found[bare[near][fits]] = height[fits]
-    if np.isnan(found).all():
+    fits = ~(np.abs(height - map_height_m[without[near]]) > SAME_LEVEL_M)
+    height_m[without[near][fits]] = height[fits]
+    if np.isnan(height_m).all():
         raise InputError("the road's points and the map do not overlap")
-    return tiles.assign(height_m=np.where(np.isnan(found), known, found))
+    return tiles.assign(height_m=np.where(np.isnan(height_m), map_height_m, height_m))
 
 
 AREA_TOLERANCE = 0.005  # share of a lanelet's area from which on cut corners are reported
@@ -404,7 +415,7 @@ def _rungs(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> l
 
     A lanelet whose slices would cross themselves gets shorter ones.
     """
-    pieces = []
+    rungs_by_lanelet = []
     finer = count = 0
     rows = zip(lanelets["lanelet_id"], lanelets["left"], lanelets["right"], strict=True)
     for done, (ref, left, right) in enumerate(rows):
@@ -418,32 +429,35 @@ def _rungs(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> l
                 hint="make them longer",
             )
         try:
-            pieces.append(np.stack(sound_rungs(*bounds, length_m), axis=1))
+            rungs_by_lanelet.append(np.stack(sound_rungs(*bounds, length_m), axis=1))
         except CannotMendError as error:
             raise InputError("lanelet {}: {}", ref, error) from error
-        finer += len(pieces[-1]) - 1 != slices(*bounds, length_m)
+        finer += len(rungs_by_lanelet[-1]) - 1 != slices(*bounds, length_m)
         if done % 100 == 0:
             reporter.progress(STAGE, done, len(lanelets))
     reporter.progress(STAGE, len(lanelets), len(lanelets))
     if finer:
-        asked = Text("{} cut into more tiles than {:g} m asks for", _counted(finer), length_m)
+        asked = Text("{} cut into more tiles than {:g} m asks for", _lanelet_count(finer), length_m)
         reporter.warn("{}: longer ones would cross themselves", asked)
-    _say_losses(lanelets, pieces, reporter)
-    return pieces
+    _warn_of_cut_corners(lanelets, rungs_by_lanelet, reporter)
+    return rungs_by_lanelet
 
 
-def corners_between(piece: Floats) -> Floats:
+def corners_between(rungs: Floats) -> Floats:
     """Return the slices between rungs, (n, 4, 3): counter-clockwise from the right of the start."""
-    return np.stack([piece[:-1, 1], piece[1:, 1], piece[1:, 0], piece[:-1, 0]], axis=1)
+    return np.stack([rungs[:-1, 1], rungs[1:, 1], rungs[1:, 0], rungs[:-1, 0]], axis=1)
 
 
 def _coordinates(line: shapely.LineString) -> Floats:
     return shapely.get_coordinates(line, include_z=True)
 
 
-def _say_losses(lanelets: gpd.GeoDataFrame, pieces: list[Floats], reporter: Reporter) -> None:
+def _warn_of_cut_corners(
+    lanelets: gpd.GeoDataFrame, rungs_by_lanelet: list[Floats], reporter: Reporter
+) -> None:
+    """Warn where tiles differ from their lanelet's area by more than `AREA_TOLERANCE`."""
     shapes = lanelets.geometry.array
-    tiled = np.array([_tiled_area(piece) for piece in pieces])
+    tiled = np.array([_tiled_area(rungs) for rungs in rungs_by_lanelet])
     off = shapely.area(shapely.symmetric_difference(shapes, tiled)) / shapely.area(shapes)
     bad = int(np.count_nonzero(off > AREA_TOLERANCE))
     if not bad:
@@ -455,20 +469,20 @@ def _say_losses(lanelets: gpd.GeoDataFrame, pieces: list[Floats], reporter: Repo
         "tiles cut corners: {} of {} are off by more than {:g} % of their area, {}; a "
         "shorter {} follows curves better",
         bad,
-        _counted(len(pieces)),
+        _lanelet_count(len(rungs_by_lanelet)),
         100.0 * AREA_TOLERANCE,
         worst,
         "--length",
     )
 
 
-def _tiled_area(piece: Floats) -> BaseGeometry:
-    shape = outline(piece[:, 0], piece[:, 1])
+def _tiled_area(rungs: Floats) -> BaseGeometry:
+    shape = outline(rungs[:, 0], rungs[:, 1])
     if shape.is_valid:
         return shape
-    rings = corners_between(piece)[:, [0, 1, 2, 3, 0], :2]
+    rings = corners_between(rungs)[:, [0, 1, 2, 3, 0], :2]
     return shapely.union_all(shapely.polygons(rings))
 
 
-def _counted(count: int) -> str:
+def _lanelet_count(count: int) -> str:
     return Text("{} lanelets", count) if count > 1 else Text("{} lanelet", count)

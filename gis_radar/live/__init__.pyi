@@ -1,9 +1,16 @@
 from .edge import Edge, run_edge
 from .fusion import Fusion, run_fusion
 from .health import SensorHealth, prometheus_text
-from .hours.quarters import Lately
+from .hours.quarters import QuarterMeasures
 from .hours.recent import RecentCounts
-from .hours.recordings import CUT_US, HOUR_US, join_parts, make_parts, recording_path, waiting_hours
+from .hours.recordings import (
+    HOUR_OFFSET_US,
+    HOUR_US,
+    join_parts,
+    make_parts,
+    recording_path,
+    waiting_hours,
+)
 from .hours.spool import Spool, SpooledFrames, SpoolFile, spool_files
 from .intake import Intake
 from .now.map_of_now import MapOfNow, Windows
@@ -28,7 +35,7 @@ from .wire.settings import edge_template, read_edge_file, read_live_site
 from .wire.sources import Radar, frames_of_recording
 
 __all__ = [
-    "CUT_US",
+    "HOUR_OFFSET_US",
     "HOUR_US",
     "Acknowledgement",
     "BrokerAddress",
@@ -39,12 +46,12 @@ __all__ = [
     "FrameDetections",
     "Fusion",
     "Intake",
-    "Lately",
     "Link",
     "MapOfNow",
     "Outbox",
     "Place",
     "PoseContent",
+    "QuarterMeasures",
     "Radar",
     "Received",
     "RecentCounts",

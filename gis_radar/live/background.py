@@ -7,15 +7,15 @@ from concurrent.futures import Future
 from threading import Thread
 from typing import TypeVar
 
-Answer = TypeVar("Answer")
+Result = TypeVar("Result")
 
 
-def in_background(name: str, work: Callable[[], Answer]) -> Future[Answer]:
+def in_background(name: str, work: Callable[[], Result]) -> Future[Result]:
     """Begin work on a thread with a name; the end of the program does not wait for it.
 
     The threads of an executor would hold the end up: a server may take minutes to answer.
     """
-    future: Future[Answer] = Future()
+    future: Future[Result] = Future()
 
     def run() -> None:
         try:

@@ -13,7 +13,7 @@ import numpy as np
 
 from gis_radar.base import QUIET, STEP_US, Reporter, Text, require_same
 from gis_radar.hdmap import read_tiles
-from gis_radar.live.own_pose import Followed, PoseFollower, rounded, view_of
+from gis_radar.live.own_pose import FollowedPose, PoseFollower, rounded, view_of
 from gis_radar.live.wire.broker import Link, SensorTopics
 from gis_radar.live.wire.buffer import DiskBuffer
 from gis_radar.live.wire.detections import DetectionSelector, FrameDetections, pack_detections
@@ -26,7 +26,7 @@ from gis_radar.poses import ANGLES, POSITION, Pose, read_track
 from gis_radar.recordings import Detections
 from gis_radar.scans import SightTiles, find_sight
 
-AGAIN_FRAMES = 500  # frames before a pose that traffic refused is followed again: 25 s
+RETRY_FRAMES = 500  # frames until a pose that traffic refused is followed again: 25 s
 
 
 class Edge:
@@ -54,13 +54,14 @@ class Edge:
         self._pose_key, self._road_m = b"", np.nan
         self._last_step, self._trusted = -1, True
         self._last_time, self._doubted = -np.inf, False
-        self._next: Followed | None = Followed(pose=self._read_pose(tiles))
+        self._newest_pose: FollowedPose | None = FollowedPose(pose=self._read_pose(tiles))
         self._follower: PoseFollower | None = None
         self._waiting: list[FrameDetections] = []
         self._selector = DetectionSelector(self._road)
-        self._try_in = 0  # frames until a pose that traffic refused is followed again
+        self._frames_to_retry = 0  # frames until a pose that traffic refused is followed again
 
     def _read_pose(self, tiles: gpd.GeoDataFrame) -> Pose:
+        """Return the pose of the sensor's file, in the tiles' CRS, with its name and view there."""
         pose = read_track(self._file.pose).poses[-1]
         what = Text("the pose of {}", pose.sensor)
         require_same(pose.crs, tiles.crs, what=what, other_what="the tiles")
@@ -110,6 +111,7 @@ class Edge:
         return {"frames": self.frames, "not_sent": self.not_sent, "lost": self.outbox.lost}
 
     def _figures(self, buffer: DiskBuffer) -> dict[str, object]:
+        """Return the figures of a status message."""
         return {
             "fingerprint": self._road.fingerprint,
             "frames": self.frames,
@@ -132,11 +134,12 @@ class Edge:
         return PoseFollower.of(self._file, start, begin, doubted=doubted, reporter=self._reporter)
 
     def _work(self, stop: Event) -> None:
+        """Process frames until stopped or the source ends; then wait for fusion to store all."""
         for frame in self.source():
             if stop.is_set():
                 break
             if frame is not None:
-                self._look_at_clock(frame)
+                self._reset_after_jump(frame)
                 self._process(frame)
             self.outbox.pump()
         self._flush()
@@ -144,7 +147,7 @@ class Edge:
             self.outbox.pump()
             sleep(IDLE_S)
 
-    def _look_at_clock(self, frame: Detections) -> None:
+    def _reset_after_jump(self, frame: Detections) -> None:
         """Reset the waiting frames after a backward jump of the clock."""
         time = float(frame.time[0])
         if time < self._last_time:
@@ -154,33 +157,35 @@ class Edge:
         self._last_time = time
 
     def _process(self, frame: Detections) -> None:
-        """Select detections by the pose that is known now, after putting that pose in force."""
+        """Select the detections of a frame by the newest pose, which is used from a new step on."""
         if self._follower is not None:
             self.not_followed += not self._follower.push(frame)
-            self._next = self._follower.latest() or self._next
-            if self._next is not None and self._next.refused:
-                self._doubt()
+            self._newest_pose = self._follower.latest() or self._newest_pose
+            if self._newest_pose is not None and self._newest_pose.refused:
+                self._pause_following()
         elif self._doubted:
-            self._try_in -= 1
-            if self._try_in <= 0:
-                self._follow(frame)
+            self._frames_to_retry -= 1
+            if self._frames_to_retry <= 0:
+                self._start_following(frame)
         step = int(np.rint(frame.time[0] * 1e6)) // STEP_US
-        if self._next is not None and step > self._last_step and self._take_over(self._next):
-            self._next = None
+        newest = self._newest_pose
+        if newest is not None and step > self._last_step and self._use_pose(newest):
+            self._newest_pose = None
         if self._follower is None and not self._doubted:
-            self._follow(frame)
+            self._start_following(frame)
         self._select(frame)
 
-    def _doubt(self) -> None:
-        """Stop following, until traffic may confirm this pose after all."""
+    def _pause_following(self) -> None:
+        """Stop following a pose that traffic refused, for `RETRY_FRAMES`."""
         self._stop_following()
-        self._doubted, self._try_in = True, AGAIN_FRAMES
+        self._doubted, self._frames_to_retry = True, RETRY_FRAMES
 
-    def _follow(self, frame: Detections) -> None:
+    def _start_following(self, frame: Detections) -> None:
+        """Start following the pose from a frame on, where the sensor's file asks for it."""
         file = self._file
         if file.follow and file.map is not None and file.road is not None and self._pose:
             begin = float(frame.time[0])
-            start = self._next.pose if self._next is not None else self._pose
+            start = self._newest_pose.pose if self._newest_pose is not None else self._pose
             self._follower = self.new_follower(start, begin, doubted=self._doubted)
 
     def _stop_following(self) -> None:
@@ -188,10 +193,10 @@ class Edge:
             self._follower.close()
         self._follower = None
 
-    def _take_over(self, found: Followed) -> bool:
+    def _use_pose(self, found: FollowedPose) -> bool:
         """Select detections by a pose from now on, and send it; return False on a full disk."""
-        same = self._pose is not None and _is_same(self._pose, found.pose)
-        if same and found.trusted == self._trusted:
+        is_same = self._pose is not None and _is_same(self._pose, found.pose)
+        if is_same and found.trusted == self._trusted:
             return True
         self._flush()
         content = PoseContent(pose=found.pose.as_dict(), fingerprint=self._road.fingerprint).pack()
@@ -211,13 +216,13 @@ class Edge:
             self.frames += 1
             self.not_sent += 1
             return
-        found = self._selector.find(frame, self._pose, road_m=self._road_m)
+        selected = self._selector.find(frame, self._pose, road_m=self._road_m)
         self.frames += 1
-        self._last_step = found.time_us // STEP_US
+        self._last_step = selected.time_us // STEP_US
         if not self._trusted:
             self.not_sent += 1
             return
-        self._waiting.append(found)
+        self._waiting.append(selected)
         if len(self._waiting) >= self._file.frames_a_message:
             self._flush()
 
@@ -229,9 +234,9 @@ class Edge:
                 self.outbox.put(content)
 
 
-def _is_same(one: Pose, other: Pose) -> bool:
+def _is_same(first: Pose, second: Pose) -> bool:
     names = (*POSITION, *ANGLES, "view")
-    return all(getattr(one, name) == getattr(other, name) for name in names)
+    return all(getattr(first, name) == getattr(second, name) for name in names)
 
 
 def run_edge(path: str | Path, *, stop: Event | None = None, reporter: Reporter = QUIET) -> Edge:

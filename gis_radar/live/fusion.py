@@ -36,7 +36,7 @@ from gis_radar.live.hours.quarters import Quarters, share_of
 from gis_radar.live.hours.recent import RecentCounts
 from gis_radar.live.hours.spool import Spool, SpoolFile, spool_files
 from gis_radar.live.intake import Intake, SensorState
-from gis_radar.live.now.map_of_now import MapOfNow, MapState, Seen, Windows
+from gis_radar.live.now.map_of_now import MapOfNow, MapState, SensorReport, Windows
 from gis_radar.live.now.vehicles_now import LiveVehicles, layer_of
 from gis_radar.live.served.lane_push import LanePush
 from gis_radar.live.served.snapshot import place_of
@@ -55,13 +55,13 @@ if TYPE_CHECKING:
 
     from gis_radar.live.web_server import WebServer
 
-TAKEN_AT_ONCE = 500  # most messages between two looks at the clock
+MESSAGES_AT_ONCE = 500  # most messages between two looks at the clock
 WAIT_S = 0.01  # longest wait for a message
 # Between two commits: a kill costs a second of messages, which the sensors send again.
 COMMIT_S = 1.0
 COMMIT_MESSAGES = 200  # messages of a sensor that are committed sooner: a fast replay does not wait
 SPOOL_BYTES = 1 << 28  # size from which the spool goes on in another file
-SAID_S = 600.0  # least time between two logs of one error: a disk stays full for hours
+LOG_AGAIN_S = 600.0  # least time between two logs of one error: a disk stays full for hours
 SPOOL, NOW_FILE, PUSH_FILE = "spool", "now.gpkg", "sensorthings.json"
 
 
@@ -85,24 +85,24 @@ class Fusion:
 
     def __init__(self, site: LiveSite, *, reporter: Reporter = QUIET) -> None:
         self._site, self._reporter = site, reporter
-        self._said: dict[str, float] = {}  # errors, with the time at which each was logged
+        self._logged: dict[str, float] = {}  # errors, with the time at which each was logged
         self.tiles = read_tiles(site.live.tiles)
         road, filters = SightTiles.of(self.tiles), site.filters()
         _require_heights(site, road)
-        measured = _measured(site)
+        measured = _measured_site(site)
         scan = open_sight(road, scans=measured.scans, scan_crs=measured.scan_crs, reporter=reporter)
         folder, names = site.folder, [each.name for each in site.sensor]
         with output_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        self._held = ExitStack()
-        self._held.enter_context(only_writer(folder / SPOOL, reporter=reporter))
+        self._folder_lock = ExitStack()
+        self._folder_lock.enter_context(only_writer(folder / SPOOL, reporter=reporter))
         refuse_other_settings(measured, self.tiles, scan)
         self._dataset = measured.dataset
-        self.vehicles = _vehicles(site, self.tiles, names, reporter)
+        self.vehicles = _vehicle_follower(site, self.tiles, names, reporter)
         self.quarters = Quarters()
         self._jobs = HourJobs(measured, self.quarters, reporter=reporter)
         self._map = MapOfNow(len(road.tile_id))
-        self._map.holds_s = dict(validity_of(site.cycles(), names))
+        self._map.validity_s = dict(validity_of(site.cycles(), names))
         pushed = site.live.sensorthings or site.live
         self.counts = RecentCounts(
             len(road.tile_id), interval=interval_steps(site.live.interval),
@@ -116,9 +116,9 @@ class Fusion:
             oldest_s=site.live.oldest, vehicles=self.vehicles, reporter=reporter,
         )  # fmt: skip
         self.sensors = self.intake.sensors
-        self._page, self._push = _page(self, site), _push(site, self.tiles, reporter)
+        self._page, self._push = _page_server(self, site), _lane_push(site, self.tiles, reporter)
         self._exporting: Future[None] | None = None
-        self._disk: Future[bool] | None = None
+        self._writing: Future[bool] | None = None
         self._session = secrets.token_hex(4)
         self._committed = self._exported = time.monotonic()
         self.intake.resume([SpoolFile(path) for path in spool_files(folder / SPOOL)])
@@ -127,8 +127,8 @@ class Fusion:
     @property
     def outputs(self) -> list[Path]:
         """The dataset, where there is one, and the file for QGIS."""
-        there = [self._dataset] if self._dataset.exists() else []
-        return [*there, self._site.folder / NOW_FILE]
+        dataset = [self._dataset] if self._dataset.exists() else []
+        return [*dataset, self._site.folder / NOW_FILE]
 
     def figures(self) -> dict[str, object]:
         """Return the counts of each sensor, by its name."""
@@ -162,7 +162,7 @@ class Fusion:
             Event that stops it.
         """
         live = self._site.live
-        self._jobs.take_up(self._spool.closed)
+        self._jobs.resume(self._spool.closed)
         if self.vehicles is not None:
             self.vehicles.make_ready()
         topics = SensorTopics(live.site, "+")
@@ -191,7 +191,7 @@ class Fusion:
                         each.due = bool(each.stream)
                 self.advance(int(time.time() * 1e6))
                 self._take(link)
-                self._regular()
+                self._do_due_work()
             self._finish()
         finally:
             gc.unfreeze()
@@ -206,11 +206,12 @@ class Fusion:
             self.vehicles.close()
         self._jobs.stop()
         self._spool.close()
-        self._held.close()
+        self._folder_lock.close()
 
     def _take(self, link: Link) -> None:
+        """Handle received messages, at most `MESSAGES_AT_ONCE`; wait `WAIT_S` for the first."""
         message = link.take(WAIT_S)
-        for _ in range(TAKEN_AT_ONCE):
+        for _ in range(MESSAGES_AT_ONCE):
             if message is None:
                 return
             self.intake.handle(message)
@@ -224,20 +225,20 @@ class Fusion:
         for step, frames in self._windows.close(now_us):
             self._count(step, frames)
 
-    def _count(self, step: int, frames: dict[str, Seen]) -> None:
+    def _count(self, step: int, frames: dict[str, SensorReport]) -> None:
         state = self._map.take(step, frames)
         ended = self.counts.take(step, state.hit, state.observed)
         if ended is not None and self._push is not None:
             self._push.take(*ended)
 
-    def _regular(self) -> None:
+    def _do_due_work(self) -> None:
         """Do what is due by the clock: commit, acknowledge, measure, write files."""
         now = time.monotonic()
-        self._take_written()
+        self._acknowledge_written()
         if now - self._committed >= COMMIT_S:
             self._commit()
             for each in self.sensors.values():
-                each.health.look(time.time())
+                each.health.check(time.time())
         self._measure()
         idle = self._exporting is None or self._exporting.done()
         if now - self._exported >= self._site.live.every and idle:
@@ -245,7 +246,7 @@ class Fusion:
             self._exported, self._exporting = now, in_background("export", self._export)
         if self._push is not None:
             self._push.take_traffic(self.quarters.followed)
-            self._push.regular()
+            self._push.poll()
         for each in self.sensors.values():
             if each.due:
                 self._acknowledge(each)
@@ -254,13 +255,13 @@ class Fusion:
 
     def _commit(self, *, wait: bool = False) -> None:
         """Start writing messages to the disk on another thread, while the map goes on."""
-        self._take_written(wait=wait)
-        if self._disk is not None:
+        self._acknowledge_written(wait=wait)
+        if self._writing is not None:
             return
         self._committed, rotate = time.monotonic(), self._jobs.wanted
         if self._spool.collect() or rotate:
-            self._disk = in_background("disk", partial(self._write, rotate=rotate))
-            self._take_written(wait=wait)
+            self._writing = in_background("disk", partial(self._write, rotate=rotate))
+            self._acknowledge_written(wait=wait)
 
     def _write(self, *, rotate: bool) -> bool:
         """Write the collected messages; return whether the spool goes on in a new file."""
@@ -269,16 +270,16 @@ class Fusion:
             self._spool.rotate()
         return rotate
 
-    def _take_written(self, *, wait: bool = False) -> None:
+    def _acknowledge_written(self, *, wait: bool = False) -> None:
         """Acknowledge the messages that are on disk, and only these; start a waiting job."""
-        if self._disk is None or not (wait or self._disk.done()):
+        if self._writing is None or not (wait or self._writing.done()):
             return
-        disk, self._disk = self._disk, None
+        disk, self._writing = self._writing, None
         try:
             rotated = disk.result()
         except OutputError as error:  # retried later; waiting messages are kept
             rotated = False
-            self._say(error)
+            self._log_error(error)
         for name, each in self.sensors.items():
             if self._spool.mark_of(name, each.stream).number != each.acknowledged:
                 self._acknowledge(each)
@@ -297,6 +298,7 @@ class Fusion:
                 self.sensors[name].health.alarm("pose", doubt)
 
     def _acknowledge(self, sensor: SensorState) -> None:
+        """Publish what fusion has stored of a sensor's stream."""
         if self.link is None or not self.link.connected:
             return
         sensor.due, name = False, sensor.health.name
@@ -310,6 +312,7 @@ class Fusion:
         sensor.acknowledged = mark.number
 
     def _finish(self) -> None:
+        """Store what came, measure the hours that are over, and write the files a last time."""
         self._jobs.stop()
         self._commit(wait=True)
         if self.vehicles is not None:
@@ -318,7 +321,7 @@ class Fusion:
         try:
             self._spool.rotate()
         except OutputError as error:
-            self._say(error)
+            self._log_error(error)
         self._jobs.finish(self._spool.closed)
         self._wait_for_export()
         self._export()
@@ -337,10 +340,10 @@ class Fusion:
             observed=state.observed.astype(np.int8), hit_s=hit_s,
             observed_s=observed_s, hit_share=share_of(hit_s, observed_s),
         )  # fmt: skip
-        if (lately := self.quarters.lately()) is not None:
+        if (quarter := self.quarters.newest()) is not None:
             table = table.assign(
-                occupied_s=lately.occupied * STEP_S, visible_s=lately.visible * STEP_S,
-                occupancy=lately.occupancy(),
+                occupied_s=quarter.occupied * STEP_S, visible_s=quarter.visible * STEP_S,
+                occupancy=quarter.occupancy(),
             )  # fmt: skip
         path = self._site.folder / NOW_FILE
         try:
@@ -350,17 +353,18 @@ class Fusion:
                     layer = layer_of(self.vehicles.now(), self.tiles.crs)
                     layer.to_file(part, layer="vehicles", driver="GPKG", engine="pyogrio", mode="a")
         except GisRadarError as error:
-            self._say(error)
+            self._log_error(error)
 
-    def _say(self, error: GisRadarError) -> None:
+    def _log_error(self, error: GisRadarError) -> None:
         now = time.monotonic()
-        if now - self._said.get(error.message, -SAID_S) >= SAID_S:
-            self._said[error.message] = now
+        if now - self._logged.get(error.message, -LOG_AGAIN_S) >= LOG_AGAIN_S:
+            self._logged[error.message] = now
             hint = f" ({error.hint})" if error.hint else ""
             self._reporter.warn(error.message + hint)
 
 
 def _require_heights(site: LiveSite, road: SightTiles) -> None:
+    """Refuse a filter by clearance where the tiles have no heights."""
     if site.filters().clearance is not None and np.isnan(road.height).all():
         raise InputError(
             "{}: the tiles have no road heights, which clearance needs",
@@ -369,7 +373,7 @@ def _require_heights(site: LiveSite, road: SightTiles) -> None:
         )
 
 
-def _measured(site: LiveSite) -> MeasuredSite:
+def _measured_site(site: LiveSite) -> MeasuredSite:
     """Return the inputs from which the hours of a site are made."""
     scan = site.scan
     return MeasuredSite(
@@ -381,7 +385,7 @@ def _measured(site: LiveSite) -> MeasuredSite:
     )  # fmt: skip
 
 
-def _vehicles(
+def _vehicle_follower(
     site: LiveSite, tiles: gpd.GeoDataFrame, names: list[str], reporter: Reporter
 ) -> LiveVehicles | None:
     """Return the follower of vehicles, where the site's file and its map allow one."""
@@ -396,7 +400,7 @@ def _vehicles(
     return LiveVehicles(graph, names, reporter=reporter)
 
 
-def _page(fusion: Fusion, site: LiveSite) -> WebServer | None:
+def _page_server(fusion: Fusion, site: LiveSite) -> WebServer | None:
     """Return the web server of the page, imported only if the site's file asks for a page."""
     if site.live.page is None:
         return None
@@ -405,7 +409,7 @@ def _page(fusion: Fusion, site: LiveSite) -> WebServer | None:
     return page_server(fusion, site, site.live.page, fusion.tiles)
 
 
-def _push(site: LiveSite, tiles: gpd.GeoDataFrame, reporter: Reporter) -> LanePush | None:
+def _lane_push(site: LiveSite, tiles: gpd.GeoDataFrame, reporter: Reporter) -> LanePush | None:
     """Return the push of lane measures where the site's file asks for one."""
     if site.live.sensorthings is None:
         return None

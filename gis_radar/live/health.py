@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from gis_radar.base import LETTERS_OF_AN_ERROR, QUIET, Reporter, Text, one_line
+from gis_radar.base import MOST_ERROR_CHARACTERS, QUIET, Reporter, Text, one_line
 
 if TYPE_CHECKING:
     from prometheus_client import Metric
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 CLOCK_ALARM_S = 0.025  # half of a step: a clock that is off by more is wrong
 CLOCK_MESSAGES = 200  # live messages whose least delay is the offset of a sensor's clock: 10 s
 SILENT_S = 5.0  # time without a message after which a sensor is silent
-OVER_S = 120.0  # time after which an alarm of a single message ends: Prometheus asks once a minute
+# Time after which an alarm of a single message ends: Prometheus asks once a minute.
+ALARM_END_S = 120.0
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 COUNTS = {
@@ -55,7 +56,7 @@ ALARMS = {
 
 @dataclass(kw_only=True)
 class SensorHealth:
-    """Counts and alarms of a sensor.
+    """Counts and alarms of one sensor.
 
     Parameters
     ----------
@@ -63,6 +64,14 @@ class SensorHealth:
         The sensor's name.
     reporter : Reporter
         Receives a line when an alarm begins or ends.
+    counts : Counter
+        Counts by the names of :data:`COUNTS`.
+    alarms : dict
+        Text of each alarm that is raised, by the names of :data:`ALARMS`.
+    newest_s, heard_s : float
+        Time of the newest frame, and arrival of the last one, UNIX seconds.
+    raised_s : dict
+        When each alarm was last raised, UNIX seconds.
     """
 
     name: str
@@ -85,7 +94,7 @@ class SensorHealth:
                 self.reporter.log(Text("{}: over: {}", self.name, ALARMS[kind]))
             return
         new = kind not in self.alarms
-        self.alarms[kind], self.raised_s[kind] = one_line(text, LETTERS_OF_AN_ERROR), time.time()
+        self.alarms[kind], self.raised_s[kind] = one_line(text, MOST_ERROR_CHARACTERS), time.time()
         if new:
             self.reporter.warn("{}: {}: {}", self.name, ALARMS[kind], text)
 
@@ -114,11 +123,11 @@ class SensorHealth:
         """Median delay of the last live frames, seconds."""
         return statistics.median(self._delays) if self._delays else float("nan")
 
-    def look(self, now_s: float) -> None:
-        """Raise the alarm of a silent sensor; end alarms of single messages after a while."""
+    def check(self, now_s: float) -> None:
+        """Raise or end the alarm of a silent sensor; end alarms of single messages in time."""
         quiet_s = now_s - self.heard_s
         for kind in ("damaged", "off_time", "twins"):  # alarms that single messages raise
-            if now_s - self.raised_s.get(kind, now_s) > OVER_S:
+            if now_s - self.raised_s.get(kind, now_s) > ALARM_END_S:
                 self.alarm(kind, None)
         silent = quiet_s > SILENT_S
         self.alarm("silent", Text("for {:.0f} s", quiet_s) if silent else None)

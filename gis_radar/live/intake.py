@@ -26,14 +26,14 @@ from gis_radar.live.hours.recordings import HOUR_US, hour_of_time
 from gis_radar.live.hours.spool import (
     FRAMES,
     HEAD,
-    PASSED,
+    SKIPPED,
     STREAMS_KEPT,
     Spool,
     SpooledFrames,
     SpoolFile,
     marks_in,
 )
-from gis_radar.live.now.map_of_now import Seen, Windows
+from gis_radar.live.now.map_of_now import SensorReport, Windows
 from gis_radar.live.now.vehicles_now import LiveVehicles
 from gis_radar.live.wire.broker import FUSION, Received, parts_of
 from gis_radar.live.wire.detections import FrameDetections, unpack_detections
@@ -55,8 +55,9 @@ from gis_radar.poses import Pose, pose_from_dict
 from gis_radar.scans import IN_SIGHT, SightScan, SightTiles, find_sight
 
 ACK_S = 1.0  # between two acknowledgements without a new number
-TWINS_WITHIN_S = 60.0  # time in which two streams of one sensor that alternate are twins
-MOST_LOST = 2**63  # bound of a count of lost messages, as of their numbers
+# Time within which two streams of one sensor that alternate come from two programs of one name.
+TWINS_WITHIN_S = 60.0
+MOST_LOST = 2**63  # limit of a plausible count of lost messages: their numbers have 63 bits
 STREAM = re.compile(f"[0-9a-f]{{{2 * STREAM_BYTES}}}")
 AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
 LONGEST_MESSAGE_US = HOUR_US  # longest time from first to last frame of a message
@@ -64,11 +65,12 @@ MOST_NUMBER = 1 << 40  # largest number with which a stream may begin
 MOST_AHEAD = 1 << 24  # most numbers that may be missing if the sensor lost them: ten days
 POSES_KEPT = 64  # newest poses that are kept of a sensor
 FARTHEST_M = 20_000.0  # largest distance of a sensor from the tiles
+_LAST_STEP = 5_000_000_000 * 20  # in 2128: times before it are written as ISO 8601
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedPose:
-    """A pose of a sensor, and what follows from it for its frames.
+    """A pose of a sensor, with values derived from it by which its frames are counted.
 
     Parameters
     ----------
@@ -109,7 +111,7 @@ class KnownPose:
 
 @dataclass(kw_only=True)
 class SensorState:
-    """State of a sensor at fusion.
+    """What fusion knows of a sensor.
 
     Parameters
     ----------
@@ -117,6 +119,15 @@ class SensorState:
         Its counts and alarms.
     stream : str
         The stream that is received, in hexadecimal digits.
+    resend, refused : int, str
+        As acknowledgements state them.
+    due : bool
+        Whether an acknowledgement must be sent.
+    asked_s, missed_s : float
+        Monotonic seconds at which the acknowledgement was last repeated, and missing messages were
+        last asked for.
+    other : (str, float)
+        The stream that was received before, and when it ended, monotonic seconds.
     numbers : dict
         Number of the last received message by stream, the latest last.
     poses : dict
@@ -203,7 +214,7 @@ class Intake:
             for _, (kind, name, payload) in file.records():
                 if kind == HEAD:
                     self._spool.marks = marks_in(payload)
-                elif name in self.sensors and kind in {FRAMES, PASSED}:
+                elif name in self.sensors and kind in {FRAMES, SKIPPED}:
                     last.pop((name, stream_of(payload)), None)  # the latest stream stands last
                     last[name, stream_of(payload)] = payload
         self._spool.mark((name, payload) for (name, _), payload in last.items())
@@ -236,6 +247,7 @@ class Intake:
             sensor.health.alarm("damaged", error.message)
 
     def _handle_status(self, sensor: SensorState, message: Received) -> None:
+        """Take counts, alarms and the stream from a sensor's status message."""
         record = read_record(message.payload, what="a status")
         online = record.get("state") == ONLINE
         sensor.health.alarm(
@@ -254,6 +266,7 @@ class Intake:
             self._use_stream(sensor, stream)
 
     def _use_stream(self, sensor: SensorState, stream: str) -> None:
+        """Receive another stream of a sensor from now on; raise an alarm where two take turns."""
         if stream == sensor.stream:
             return
         now = time.monotonic()
@@ -268,19 +281,20 @@ class Intake:
             del sensor.numbers[next(iter(sensor.numbers))]
 
     def _handle_numbered(self, sensor: SensorState, message: Received) -> None:
+        """Spool and count a message with frames if it is the next of its stream."""
         envelope, content = unpack_message(message.payload)
         self._use_stream(sensor, envelope.stream.hex())
         if not self._follows(sensor, envelope):
             return
         try:
             key, frames = unpack_detections(content)
-            reason = self._reason_against(frames, message.time)
+            reason = self._time_fault(frames, message.time)
         except InputError as error:
-            self._pass_over(sensor, message, envelope, "damaged", error.message)
+            self._skip(sensor, message, envelope, "damaged", error.message)
             return
         if reason:
             sensor.health.counts["off_time"] += len(frames)
-            self._pass_over(sensor, message, envelope, "off_time", reason)
+            self._skip(sensor, message, envelope, "off_time", reason)
             return
         known = sensor.poses.get(key)
         if known is None:  # asked to send again, the sensor also sends the pose again
@@ -289,7 +303,7 @@ class Intake:
             expected = self._road.fingerprint
             self._refuse(sensor, Text("tiles {}, expected {}", known.other_tiles, expected))
         elif known.placed is None:
-            self._pass_over(sensor, message, envelope, "damaged", Text("its pose is damaged"))
+            self._skip(sensor, message, envelope, "damaged", Text("its pose is damaged"))
         else:
             self._received(sensor, message, envelope, pose=known.message)
             sensor.health.heard(message.time, frames[-1].time_us / 1e6, live=envelope.live)
@@ -318,10 +332,10 @@ class Intake:
             sensor.health.alarm("lost", lost)
         return True
 
-    def _reason_against(self, frames: Sequence[FrameDetections], now_s: float) -> str:
-        """Return why frames can neither be new nor be of a recent outage; empty if they can."""
+    def _time_fault(self, frames: Sequence[FrameDetections], now_s: float) -> str:
+        """Return why the times of frames are impossible or too old; empty where they are not."""
         times = [each.time_us for each in frames]
-        if any(one >= other for one, other in pairwise(times)):
+        if any(earlier >= later for earlier, later in pairwise(times)):
             raise InputError("a message whose frames do not ascend in time")
         if times[-1] - times[0] > LONGEST_MESSAGE_US:
             return Text("a message over {:.0f} h", (times[-1] - times[0]) / HOUR_US)
@@ -333,7 +347,10 @@ class Intake:
         return ""
 
     def _ask(self, sensor: SensorState, *, again: bool = False) -> bool:
-        """Repeat the acknowledgement, at most each second; with `again` ask to send again."""
+        """Have the acknowledgement repeated, at most once a second; return whether it will be.
+
+        With `again` it asks for the missing messages.
+        """
         now = time.monotonic()
         if now - (sensor.missed_s if again else sensor.asked_s) < ACK_S:
             return False
@@ -349,7 +366,7 @@ class Intake:
         sensor.due = sensor.due or sensor.refused != reason
         sensor.refused = reason
 
-    def _pass_over(
+    def _skip(
         self, sensor: SensorState, message: Received, envelope: Envelope, kind: str, reason: str
     ) -> None:
         """Skip a message that cannot be used, as else it would be sent again for ever."""
@@ -378,7 +395,7 @@ class Intake:
             known = replace(known, other_tiles=found.fingerprint)
         else:
             try:
-                placed = self._placed(name, found)
+                placed = self._place_pose(name, found)
             except InputError as error:
                 sensor.health.counts["damaged"] += 1
                 sensor.health.alarm("damaged", error.message)
@@ -388,14 +405,15 @@ class Intake:
         if len(sensor.poses) > POSES_KEPT:  # a sensor that names a forgotten pose is asked for it
             del sensor.poses[next(iter(sensor.poses))]
 
-    def _placed(self, name: str, found: PoseContent) -> PlacedPose:
+    def _place_pose(self, name: str, found: PoseContent) -> PlacedPose:
+        """Return a received pose with the tiles in its sight; refuse one of another place."""
         what = Text("the pose of {}", name)
         pose = pose_from_dict(found.pose, what=what)
         if pose.sensor != name:
             raise InputError("{}: it is that of {}", what, f"{pose.sensor:.40}")
         require_same(pose.crs, self._road.crs, what=what, other_what="the tiles")
-        apart: Floats = self._road.centres[:, :2] - pose.position[:2]
-        if not np.hypot(*apart.T).min() <= FARTHEST_M:
+        offset_m: Floats = self._road.centres[:, :2] - pose.position[:2]
+        if not np.hypot(*offset_m.T).min() <= FARTHEST_M:
             raise InputError("{}: it is over {:g} km from the tiles", what, FARTHEST_M / 1000)
         if self._scan is not None:
             self._scan.read([pose])
@@ -420,11 +438,8 @@ class Intake:
 
     def _seen(
         self, frames: Sequence[FrameDetections], placed: PlacedPose
-    ) -> Iterator[tuple[int, Seen]]:
+    ) -> Iterator[tuple[int, SensorReport]]:
         """Yield for each frame its step and the tiles that it hits."""
         for each in frames:
             (counted,) = self._counter.count(each.as_rows(), placed.numbers)
-            yield each.time_us // STEP_US, Seen(counted.tiles, placed.in_sight)
-
-
-_LAST_STEP = 5_000_000_000 * 20  # within the years that ISO 8601 writes
+            yield each.time_us // STEP_US, SensorReport(counted.tiles, placed.in_sight)

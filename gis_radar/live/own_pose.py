@@ -42,7 +42,7 @@ def view_of(file: EdgeFile) -> View | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Followed:
+class FollowedPose:
     """Result of the follower.
 
     Parameters
@@ -87,7 +87,7 @@ class PoseFollower:
     ) -> None:  # fmt: skip
         self._follower, self._problem, self._doubted = follower, problem, doubted
         self._frames: Queue[Detections | None] = Queue(WAITING_FRAMES)
-        self._found: SimpleQueue[Followed | Exception] = SimpleQueue()
+        self._results: SimpleQueue[FollowedPose | Exception] = SimpleQueue()
         self._ended = Event()
         self._start, self._due = start, begin + CYCLE_S
         self._moved_at = -np.inf
@@ -119,11 +119,11 @@ class PoseFollower:
             return False
         return True
 
-    def latest(self) -> Followed | None:
+    def latest(self) -> FollowedPose | None:
         """Return a pose newer than the last call, or None; raise an error of the thread."""
         newest = None
-        while not self._found.empty():
-            found = self._found.get()
+        while not self._results.empty():
+            found = self._results.get()
             if isinstance(found, Exception):
                 raise found
             newest = found
@@ -137,39 +137,41 @@ class PoseFollower:
         self._thread.join()
 
     def _work(self) -> None:
+        """Run on the thread: follow until closed; a refusal or an error becomes a result."""
         try:
             self._follow()
         except NoAnswerError as error:
-            self._found.put(Followed(pose=self._start, trusted=False, refused=error.message))
+            self._results.put(FollowedPose(pose=self._start, trusted=False, refused=error.message))
         except Exception as error:  # noqa: BLE001 - raised by latest, in the edge's own thread
-            self._found.put(error)
+            self._results.put(error)
         self._ended.set()
         with suppress(Empty):
             while True:
                 self._frames.get_nowait()
 
     def _follow(self) -> None:
+        """Push frames to the follower, and run a cycle every `CYCLE_S`."""
         while (frame := self._frames.get()) is not None and not self._ended.is_set():
             now = float(frame.time[0])
             if now >= self._due:
                 self._cycle(self._due)
-                gone = np.floor((now - self._due) / CYCLE_S) + 1.0
-                self._due += float(gone) * CYCLE_S
+                cycles = np.floor((now - self._due) / CYCLE_S) + 1.0
+                self._due += float(cycles) * CYCLE_S
             self._follower.push(frame)
 
     def _cycle(self, time: float) -> None:
+        """Fit the pose to the last window, and put it into the results with its trust."""
         known = {id(row) for row in self._follower.rows}
         self._follower.cycle(time)
         rows = self._follower.rows
         if any(row.event == MOVED and id(row) not in known for row in rows):
             self._moved_at = time
-        window_s = LOST_S
         confirmed = self._follower.confirmed or not self._doubted
         trusted = confirmed and self._moved_at == -np.inf
-        if confirmed and not trusted and rows[-1].corrected and time - self._moved_at >= window_s:
+        if confirmed and not trusted and rows[-1].corrected and time - self._moved_at >= LOST_S:
             trusted, self._moved_at = True, -np.inf
         pose = track_of(self._problem, self._start, rows[-1:]).poses.poses[0]
-        self._found.put(Followed(pose=rounded(pose), trusted=trusted))
+        self._results.put(FollowedPose(pose=rounded(pose), trusted=trusted))
         del rows[:-ROWS_KEPT]
 
 

@@ -266,7 +266,7 @@ class _Counter:
             first, last = low + begin, low + end
             for counted in self._counter.add(rows, first, last, placing, movement=counter):
                 self._take(counted)
-        evidence.lacks_elevation |= raw.level
+        evidence.lacks_elevation |= raw.without_height
         evidence.rows += high - low
 
     def _placing(self, index: int) -> PoseNumbers:

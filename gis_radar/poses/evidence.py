@@ -12,7 +12,8 @@ import numpy as np
 from gis_radar.base import Floats, InputError
 
 COMPONENTS = ("easting", "northing", "height", "roll", "pitch", "yaw")  # order of a covariance
-LEAST_EIGENVALUE = -1e-6  # of a covariance scaled to a unit diagonal: files hold rounded numbers
+# Least eigenvalue of a covariance scaled to a unit diagonal; below 0 as files hold rounded numbers.
+LEAST_EIGENVALUE = -1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,11 +27,11 @@ class Evidence:
     covariance : (6, 6) array or None
         In the order of `COMPONENTS`, metres and radians.
     method : str
-        How the pose was found: `lane`, `icp`, `track`; empty where not stated.
+        Method that found the pose: `lane`, `icp`, `track`; empty where not stated.
     time : str
-        Time of the last frame it was found from, ISO 8601; empty where not stated.
+        Time of the last frame that the method used, ISO 8601; empty where not stated.
     range_scale_sigma : float
-        One standard deviation of the factor on its ranges; 0 where not stated.
+        One standard deviation of the factor on the sensor's ranges; 0 where not stated.
     """
 
     sigma: Mapping[str, float]
@@ -50,17 +51,17 @@ class Evidence:
 
 
 def parse_sigma(stated: Any, what: str) -> dict[str, float]:
-    """Return the stated standard deviations by component; refuse what is no number from 0."""
+    """Return the stated standard deviations by component; refuse any that is not >= 0."""
     if stated is None:
         return {}
     if not isinstance(stated, Mapping):
         raise InputError("{}: sigma is {}, expected a number by component", what, repr(stated))
     known = {name: stated[name] for name in COMPONENTS if stated.get(name) is not None}
-    return {name: from_zero(value, name, what) for name, value in known.items()}
+    return {name: non_negative_sigma(value, name, what) for name, value in known.items()}
 
 
-def from_zero(value: Any, name: str, what: str) -> float:
-    """Return a standard deviation; refuse what is no number from 0."""
+def non_negative_sigma(value: Any, name: str, what: str) -> float:
+    """Return a stated standard deviation as float; refuse all but finite numbers >= 0."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not 0.0 <= value < math.inf:
         raise InputError("{}: sigma of {} is {}, expected a number from 0", what, name, repr(value))
@@ -68,7 +69,7 @@ def from_zero(value: Any, name: str, what: str) -> float:
 
 
 def parse_covariance(stated: Any, what: str) -> Floats | None:
-    """Return the stated covariance; refuse one that is not 6 x 6, symmetric and positive."""
+    """Return the stated covariance; refuse all but 6 x 6, symmetric, positive semidefinite."""
     if stated is None:
         return None
     try:

@@ -36,8 +36,8 @@ TRACK_FIELDS = ("time", "sensor", "crs", *POSITION, *ANGLES, *QUATERNION_FIELDS,
                 "event", "vehicles", "fitness")  # fmt: skip
 NUMBERS = {"vehicles": int, "fitness": float}  # evidence that is a number; all other is text
 DECIMALS = 6  # of metres and degrees
-# Least standard deviations and duration of a vague part of a track, of which a warning is given.
-VAGUE_M, VAGUE_DEG, VAGUE_S = 1.0, 1.0, 60.0
+# A warning is given where the standard deviation of place or yaw exceeds these for so long.
+UNCERTAIN_M, UNCERTAIN_DEG, UNCERTAIN_S = 1.0, 1.0, 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,25 +76,31 @@ class PoseTrack:
         """Return the same track with a view wherever a pose has none."""
         return replace(self, poses=tuple(pose.with_view(view) for pose in self.poses))
 
-    def vague(self, begin: float, end: float) -> Iterator[Text]:
-        """Yield a line for each minute or more, within two times, in which the pose is vague."""
+    def warn_uncertain(self, begin: float, end: float) -> Iterator[Text]:
+        """Yield a warning for each span of a minute or more in which the pose is uncertain.
+
+        Parameters
+        ----------
+        begin, end : float
+            Times between which spans count, UNIX seconds.
+        """
         sigmas = [pose.parsed_evidence().sigma for pose in self.poses]
-        off_m = np.array(
+        sigma_m = np.array(
             [math.hypot(s.get("easting", 0.0), s.get("northing", 0.0)) for s in sigmas]
         )
-        off_deg = np.array([s.get("yaw", 0.0) for s in sigmas])
-        known = (off_m <= VAGUE_M) & (off_deg <= VAGUE_DEG)
-        borders = np.flatnonzero(np.diff(known, prepend=True, append=True))
+        sigma_deg = np.array([s.get("yaw", 0.0) for s in sigmas])
+        certain = (sigma_m <= UNCERTAIN_M) & (sigma_deg <= UNCERTAIN_DEG)
+        borders = np.flatnonzero(np.diff(certain, prepend=True, append=True))
         times = np.clip(np.append(self.since, math.inf), begin, end)
         for first, last in borders.reshape(-1, 2).tolist():
-            if len(known) > 1 and times[last] - times[first] >= VAGUE_S:
+            if len(certain) > 1 and times[last] - times[first] >= UNCERTAIN_S:
                 yield Text(
                     "{}: from {} to {} its pose track is uncertain by {:.1f} m and {:.1f} deg: "
                     "was it moved then? What is measured may lie in other lanes",
                     self.sensor,
                     *(iso_from_step(int(step)) for step in step_of(times[[first, last]])),
-                    float(off_m[first:last].max()),
-                    float(off_deg[first:last].max()),
+                    float(sigma_m[first:last].max()),
+                    float(sigma_deg[first:last].max()),
                 )
 
     def write(self, path: str | Path) -> None:
@@ -114,15 +120,16 @@ class PoseTrack:
         OutputError
             If it cannot be written.
         """
-        seen = any(pose.view is not None for pose in self.poses)
-        names = (*TRACK_FIELDS, *(VIEW_FIELDS if seen else ()))
+        has_view = any(pose.view is not None for pose in self.poses)
+        names = (*TRACK_FIELDS, *(VIEW_FIELDS if has_view else ()))
         with atomic_write(Path(path)) as part, part.open("w", encoding="utf-8", newline="") as file:
             table = csv.writer(file, lineterminator="\n")
             table.writerow(names)
-            last = self.poses[0].quaternion
+            quaternion = self.poses[0].quaternion
             for pose, since in zip(self.poses, self.since, strict=True):
-                last = pose.quaternion if pose.quaternion @ last >= 0.0 else -pose.quaternion
-                values = _row_of_pose(pose, float(since), last)
+                same_sign = pose.quaternion @ quaternion >= 0.0  # as the row before
+                quaternion = pose.quaternion if same_sign else -pose.quaternion
+                values = _row_of_pose(pose, float(since), quaternion)
                 table.writerow([values.get(name, "") for name in names])
 
     def __repr__(self) -> str:
@@ -153,7 +160,7 @@ def as_pose(pose: Pose | str | Path) -> Pose:
 
 
 def as_track(pose: Pose | PoseTrack | str | Path) -> PoseTrack:
-    """Return a pose as a track of one pose that always holds; a track as it is; that of a file."""
+    """Return a pose as a track that is valid at all times, a track as it is, or that of a file."""
     if isinstance(pose, str | Path):
         return read_track(pose)
     if isinstance(pose, PoseTrack):
@@ -164,7 +171,7 @@ def as_track(pose: Pose | PoseTrack | str | Path) -> PoseTrack:
 def as_tracks(
     poses: Pose | PoseTrack | str | Path | Sequence[Pose | PoseTrack | str | Path],
 ) -> list[PoseTrack]:
-    """Return poses, tracks or their files as tracks; one alone is a list of one."""
+    """Return a list of pose tracks from poses, tracks or paths, or from a single one of these."""
     given = [poses] if isinstance(poses, Pose | PoseTrack | str | Path) else poses
     return [as_track(pose) for pose in given]
 
@@ -209,8 +216,8 @@ def _row_of_pose(pose: Pose, since: float, quaternion: Floats) -> dict[str, Any]
 def read_track(path: str | Path) -> PoseTrack:
     """Read a pose (JSON) or a pose track (CSV), whichever the file is.
 
-    The row of an event `rejected` holds the pose that stays in force, so it counts like any
-    other. Further columns become its evidence, `sigma_...` the sigma in it.
+    Rows of the event `rejected` repeat the pose that stays in force and count like any other.
+    Columns `sigma_...` become the sigma of a pose's evidence, unknown columns its further entries.
 
     Raises
     ------
@@ -260,16 +267,18 @@ def _rows_of(path: Path) -> list[dict[str, str]]:
                 Text("{}: row {} has {} cells, the header {}", path, number, len(row), len(header))
                 + (": cut off?" if number == len(rows) else "")
             )
-    # The last line needs no line end (RFC 4180), but without one its last number may be cut. In our
-    # own files that number is of a view, which is the same in all rows: it is cut if no row has it.
-    of_view = tuple(header[: len(TRACK_FIELDS)]) == TRACK_FIELDS and header[-1] in VIEW_FIELDS
+    # The last line needs no line end (RFC 4180), but without one its last number may be truncated.
+    # In files of `PoseTrack.write` it is a field of the view, equal in all rows: a value that no
+    # other row has is truncated.
+    has_view = tuple(header[: len(TRACK_FIELDS)]) == TRACK_FIELDS and header[-1] in VIEW_FIELDS
     is_repeated = any(row[-1] == rows[-1][-1] for row in rows[:-1])
-    if of_view and not is_repeated and not text.endswith("\n"):
+    if has_view and not is_repeated and not text.endswith("\n"):
         raise InputError("{}: row {} does not end: cut off?", path, len(rows))
     return [dict(zip(header, row, strict=True)) for row in rows]
 
 
 def _pose_of_row(row: dict[str, Any], what: str, shared: dict[str, CRS]) -> Pose:
+    """Return the pose of a row; `shared` caches coordinate systems, whose parsing is slow."""
     known = {"sensor", "crs", "quaternion", *QUATERNION_FIELDS, *POSITION, *ANGLES, *VIEW_FIELDS,
              *SIGMA_FIELDS}  # fmt: skip
     record: dict[str, Any] = {"sensor": row.get("sensor") or None, "crs": None}

@@ -15,14 +15,14 @@ from gis_radar.base import (
     UsageError,
     add_layer,
     atomic_write,
-    dress_layers,
-    keep_styles,
+    copy_saved_styles,
     require_same,
+    style_layers,
 )
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, ellipse
 
 SENSORS, VIEWS, UNCERTAINTY = "sensors", "views", "uncertainty"
-_SIGMA = (*POSITION, *ANGLES)
+_COMPONENTS = (*POSITION, *ANGLES)
 _EVIDENCE = ("fitness", "converged", "observable", "method", "time", "frames")
 
 
@@ -57,8 +57,8 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
         for name, table in layers.items():
             add_layer(table, part, name, geometry_type=kinds[name])
         styles = {name: read_style(name) for name in layers}
-        dress_layers(part, styles, name="sensor", about="where a sensor stands and looks")
-        keep_styles(part, earlier=path)
+        style_layers(part, styles, name="sensor", about="where a sensor stands and looks")
+        copy_saved_styles(part, earlier=path)
 
 
 def read_style(layer: str) -> str:
@@ -76,9 +76,9 @@ def _row(pose: Pose) -> dict[str, Any]:
     evidence = {name: pose.evidence.get(name) for name in _EVIDENCE}
     return {
         "sensor": pose.sensor,
-        **{name: getattr(pose, name) for name in _SIGMA},
-        **{f"sigma_{name}": sigma.get(name, math.nan) for name in _SIGMA},
-        **{name: None if found is None else str(found) for name, found in evidence.items()},
+        **{name: getattr(pose, name) for name in _COMPONENTS},
+        **{f"sigma_{name}": sigma.get(name, math.nan) for name in _COMPONENTS},
+        **{name: None if value is None else str(value) for name, value in evidence.items()},
         **vars(pose.view or View()),
     }
 
@@ -90,11 +90,11 @@ def _views(poses: Sequence[Pose]) -> gpd.GeoDataFrame:
 
 
 def _ellipses(poses: Sequence[Pose]) -> gpd.GeoDataFrame:
-    known = [(pose, cov) for pose in poses if (cov := pose.plane_covariance()) is not None]
+    stated = [(pose, cov) for pose in poses if (cov := pose.plane_covariance()) is not None]
     rows = {
-        "sensor": [pose.sensor for pose, _ in known],
-        "sigma_easting": [math.sqrt(cov[0, 0]) for _, cov in known],
-        "sigma_northing": [math.sqrt(cov[1, 1]) for _, cov in known],
+        "sensor": [pose.sensor for pose, _ in stated],
+        "sigma_easting": [math.sqrt(cov[0, 0]) for _, cov in stated],
+        "sigma_northing": [math.sqrt(cov[1, 1]) for _, cov in stated],
     }
-    shapes = [ellipse(pose.position[:2], cov) for pose, cov in known]
+    shapes = [ellipse(pose.position[:2], cov) for pose, cov in stated]
     return gpd.GeoDataFrame(rows, geometry=shapes, crs=poses[0].crs)

@@ -31,14 +31,14 @@ from gis_radar.base import (
     require_on_earth,
     tr,
 )
-from gis_radar.poses.evidence import Evidence, from_zero, parse_covariance, parse_sigma
+from gis_radar.poses.evidence import Evidence, non_negative_sigma, parse_covariance, parse_sigma
 
 ANGLES = ("yaw", "pitch", "roll")
 POSITION = ("easting", "northing", "height")
 REQUIRED = ("sensor", "crs", *POSITION, *ANGLES)
 EVIDENCE = ("fitness", "observable", "method", "time", "frames")  # shown on a card
-MOST_RANGE_M, MOST_HEIGHT_M = 10_000.0, 10_000.0  # what no radar beside a road exceeds
-QUATERNION_TOLERANCE_DEG = 0.01  # of the contract: 5 cm at 300 m
+MOST_RANGE_M, MOST_HEIGHT_M = 10_000.0, 10_000.0  # larger values are mistakes of units
+QUATERNION_TOLERANCE_DEG = 0.01  # 5 cm at 300 m; documented in docs/frames.md
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,26 +175,31 @@ class Pose:
             Easting, northing, height, metres. A point without elevation whose range is less than
             the sensor's height over the road is placed under the sensor.
         """
-        # The last digits of a matrix product depend on the number of points and on the machine.
-        # The counting loop adds in the same order.
+        # Not a matrix product: its last digits depend on the number of points and the machine. The
+        # loop that counts hits adds in this order, too, so both give the same digits.
         points = as_points(points)
         x, y, z = points.T
         turned = np.stack([(x * r[0] + z * r[2]) + y * r[1] for r in self.R_map_sensor], axis=1)
-        level = np.isnan(points[:, 2]) & ~np.isnan(points[:, 0])
-        if level.any():
+        no_elevation = np.isnan(points[:, 2]) & ~np.isnan(points[:, 0])
+        if no_elevation.any():
             drop_m = 0.0 if math.isnan(road_m) else self.height - road_m
-            turned[level] = self._on_plane(points[level], drop_m)
+            turned[no_elevation] = self._on_plane(points[no_elevation], drop_m)
         return np.asarray(turned + self.position)
 
     def _on_plane(self, points: Floats, drop_m: float) -> Floats:
-        """Return offsets from the sensor, map axes, of points put on a plane `drop_m` below it."""
+        """Return points projected to a plane `drop_m` below the sensor, relative to it, map axes.
+
+        The slant range stays, the azimuth is that of the sensor's x and y turned into the map.
+        """
         x, y = points[:, 0], points[:, 1]
-        ahead = np.stack([x * r[0] + y * r[1] for r in self.R_map_sensor[:2]], axis=1)
+        direction = np.stack([x * r[0] + y * r[1] for r in self.R_map_sensor[:2]], axis=1)
         range_m = np.hypot(x, y)
         flat_m = np.sqrt(np.maximum(range_m**2 - drop_m**2, 0.0))
-        length = np.hypot(ahead[:, 0], ahead[:, 1])
-        ahead *= np.divide(flat_m, length, out=np.zeros_like(flat_m), where=length > 0.0)[:, None]
-        return np.column_stack([ahead, np.full(len(points), -drop_m)])
+        length = np.hypot(direction[:, 0], direction[:, 1])
+        direction *= np.divide(flat_m, length, out=np.zeros_like(flat_m), where=length > 0.0)[
+            :, None
+        ]
+        return np.column_stack([direction, np.full(len(points), -drop_m)])
 
     def to_sensor(self, points: Floats) -> Floats:
         """Move (n, 3) points from the map (easting, northing, height) to the sensor frame."""
@@ -232,9 +237,8 @@ class Pose:
     def outline(self) -> shapely.Polygon:
         """Return the view's area in the map, seen from above.
 
-        Its rim has elevation 0 in the sensor frame and is turned by yaw, pitch and roll: a sensor
-        that hangs upside down or looks down is drawn where it looks. A pose without a view gets
-        the default one.
+        The outline is the arc at elevation 0 of the sensor frame, rotated by yaw, pitch and roll,
+        projected to the ground. A pose without a view gets the default one.
         """
         view = self.view or View()
         half = math.radians(view.azimuth_deg) / 2
@@ -260,7 +264,9 @@ class Pose:
         scale = stated.get("range_scale")  # a text where none could be fitted
         sigma = scale.get("sigma") if isinstance(scale, Mapping) else None
         return Evidence(
-            range_scale_sigma=from_zero(0.0 if sigma is None else sigma, "range_scale", what),
+            range_scale_sigma=non_negative_sigma(
+                0.0 if sigma is None else sigma, "range_scale", what
+            ),
             sigma=parse_sigma(stated.get("sigma"), what),
             covariance=parse_covariance(stated.get("covariance"), what),
             method=str(stated.get("method") or ""),
@@ -272,16 +278,16 @@ class Pose:
         return self.parsed_evidence().plane_covariance()
 
     def plot(self, ax: Any = None, *, reach_m: float | None = None, **style: Any) -> Any:
-        """Draw the sensor, its direction and view, and the 95 % ellipse of its place.
+        """Draw the sensor, its direction and view, and the 95 % ellipse of its position.
 
         Parameters
         ----------
         ax : matplotlib Axes, optional
-            In metres of the map; without it, those of a new figure.
+            Axes in metres of the map; those of a new figure without it.
         reach_m : float, optional
-            Draw its view no further than this.
+            Largest range to which the view is drawn, metres.
         **style
-            For the area of its view, as of a matplotlib patch.
+            Properties of the matplotlib patch that shows the view.
 
         Returns
         -------
@@ -365,6 +371,7 @@ def _number(value: Any, what: str) -> float:
 
 
 def _view(record: Any, what: str) -> View | None:
+    """Return the view of a pose file's record, checked; None where there is none."""
     if record is None:
         return None
     names = View.__dataclass_fields__
@@ -379,6 +386,7 @@ def _view(record: Any, what: str) -> View | None:
 
 
 def _check_quaternion(pose: Pose, quaternion: Any, what: str) -> None:
+    """Refuse a quaternion that contradicts the angles of a pose."""
     if quaternion is None:
         return
     if not isinstance(quaternion, list | tuple) or len(quaternion) != 4:
@@ -404,7 +412,7 @@ INK = "#111827"
 
 
 def ellipse(centre: Floats, covariance: Floats) -> shapely.Polygon:
-    """Return the ellipse, in metres of the map, that holds the true place with 95 % probability.
+    """Return the 95 % confidence ellipse of a position, in metres of the map.
 
     Parameters
     ----------
@@ -424,20 +432,20 @@ def ellipse(centre: Floats, covariance: Floats) -> shapely.Polygon:
 def draw_sensor(
     ax: Any, position: Floats, ahead: Floats, ring: shapely.Polygon | None, label: str
 ) -> None:
-    """Draw a sensor, an arrow to where it looks, and the ellipse of its place.
+    """Draw a sensor, an arrow along its x axis, and the confidence ellipse of its position.
 
     Parameters
     ----------
     ax : matplotlib Axes
-        In metres of the map.
+        Axes in metres of the map.
     position : (2,) or (3,) array
         Easting and northing, metres.
     ahead : (2,) array
         Vector of the arrow, metres of the map.
     ring : Polygon, optional
-        The ellipse.
+        The confidence ellipse.
     label : str
-        For the legend.
+        Name of the sensor in the legend.
     """
     place = tuple(position[:2])
     arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}

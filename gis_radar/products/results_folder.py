@@ -9,9 +9,9 @@ from gis_radar.base import (
     QUIET,
     Reporter,
     atomic_folder,
-    keep_styles,
+    copy_saved_styles,
+    in_language,
     output_errors,
-    speaking,
     writing_errors,
 )
 
@@ -54,11 +54,11 @@ def write_results(
     folder, package = Path(folder), f"{name}.gpkg"
     own = {f"{each.partition('.')[0]}." for each in (*writers, package)}
     begins = tuple(owned or sorted(own))
-    with speaking(language), atomic_folder(folder, owned=begins, reporter=reporter) as fresh:
+    with in_language(language), atomic_folder(folder, owned=begins, reporter=reporter) as fresh:
         for done, (file, write) in enumerate(writers.items(), start=1):
             with output_errors(folder / file), writing_errors(folder / file):
                 write(fresh / file)
             if stage:
                 reporter.progress(stage, done, len(writers))
-        keep_styles(fresh / package, earlier=folder / package)
+        copy_saved_styles(fresh / package, earlier=folder / package)
     return [folder / file for file in writers]

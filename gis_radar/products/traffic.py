@@ -20,8 +20,8 @@ from gis_radar.base import (
     Text,
     UsageError,
     add_layer,
-    dress_layers,
     iso_from_time,
+    style_layers,
     tr,
     write_csv,
     zone_of,
@@ -245,7 +245,7 @@ class Traffic:
             TURNS: LayerNotes(tr("Turns"), tr("Volumes of turns by interval"), titles),
             SECTIONS: LayerNotes(tr("Count sections"), tr("Volumes by direction"), titles),
         }
-        dress_layers(
+        style_layers(
             path, styles, name="traffic", about="volumes by lane and turn",
             notes={name: notes[name] for name in layers},
         )  # fmt: skip

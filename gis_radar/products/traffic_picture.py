@@ -116,7 +116,7 @@ def _title(turns: pd.DataFrame) -> str:
     known = turns[turns["volume"].notna()]
     begin, end = known["begin"].min(), known["end"].max()
     clock = Clock(zone=zone_of(str(begin.tz)), first=begin, last=end, to_seconds=False)
-    return f"{tr('Turning volumes')}, {clock.whole_in_zone(begin, end)}"
+    return f"{tr('Turning volumes')}, {clock.long_span_in_zone(begin, end)}"
 
 
 def _draw_turn(axes: Any, line: shapely.LineString, volume: float) -> None:

@@ -43,7 +43,7 @@ FIELDS = {
 }
 
 
-def _field(record: Any, names: tuple[str, ...]) -> Any:
+def _first_field(record: Any, names: tuple[str, ...]) -> Any:
     for name in names:
         if hasattr(record, name):
             return getattr(record, name)
@@ -76,7 +76,7 @@ class PacketGroup:
         stamp, recorded : float
             UNIX seconds of its header, 0 where it has none, and of its recording.
         """
-        counter, part = int(_field(message, COUNTER)), _columns(message)
+        counter, part = int(_first_field(message, COUNTER)), _columns(message)
         if counter != self._counter:
             yield from self.finish()
             self._counter = counter
@@ -109,9 +109,10 @@ class PacketGroup:
 
 
 def _columns(message: Any) -> dict[str, Column]:
-    listed = _field(message, LIST)
+    """Return the fields of a packet's detections as columns."""
+    listed = _first_field(message, LIST)
     columns: dict[str, Column] = {
-        name: np.array([_field(each, names) for each in listed], dtype=np.float32)
+        name: np.array([_first_field(each, names) for each in listed], dtype=np.float32)
         for name, names in FIELDS.items()
     }
-    return {**columns, "scan": np.full(len(listed), _field(message, SCAN), dtype=np.uint8)}
+    return {**columns, "scan": np.full(len(listed), _first_field(message, SCAN), dtype=np.uint8)}

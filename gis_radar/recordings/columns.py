@@ -83,14 +83,14 @@ class Layout:
     rcs_from_intensity: bool = False
 
     @property
-    def placed(self) -> bool:
+    def has_positions(self) -> bool:
         """Whether the fields hold positions."""
         return self._has(CARTESIAN[:2]) or self._has(POLAR[:2])
 
     @property
     def is_radar(self) -> bool:
         """Whether the fields hold positions and range rates, as only clouds of radars do."""
-        return self.placed and "range_rate" in self.sources
+        return self.has_positions and "range_rate" in self.sources
 
     @np.errstate(over="ignore", invalid="ignore")
     def points(self, values: Values) -> Column:
@@ -119,14 +119,14 @@ class Layout:
                 )
             )
 
-    def frame(self, values: Values, **known: Any) -> Frame:
-        """Return a frame of the fields' values; `known` are its further arguments."""
+    def frame(self, values: Values, **given: Any) -> Frame:
+        """Return a frame of the fields' values; `given` are its further arguments."""
         return Frame(
             points=self.points(values),
             range_rate=self.column("range_rate", values),
             rcs=self.column("rcs", values),
             further={name: values(field) for name, field in self.further.items()},
-            **known,
+            **given,
         )
 
     def _has(self, names: tuple[str, ...]) -> bool:
@@ -134,9 +134,11 @@ class Layout:
 
     @property
     def _anchor(self) -> str:
+        """A column with a field, by which the number of rows is known."""
         return "x" if "x" in self.sources else "range"
 
     def _read(self, name: str, values: Values) -> Column:
+        """Return the values of a column, degrees as radians; NaN where there is no field for it."""
         if name in self.sources:
             read = _signed(self.sources[name], values)
             if name in POLAR[1:]:
@@ -184,9 +186,11 @@ def find_layout(
             )
         sources[target] = field
     taken = {field.removeprefix("-") for field in sources.values()}
-    lower = {_plain(field): field for field in reversed(list(fields)) if field not in taken}
+    lower = {_folded_name(field): field for field in reversed(list(fields)) if field not in taken}
     for target, names in NAMES.items():
-        found = next((lower[_plain(name)] for name in names if _plain(name) in lower), None)
+        found = next(
+            (lower[_folded_name(name)] for name in names if _folded_name(name) in lower), None
+        )
         # A field that the user names, in radians or degrees, replaces one that is found by name.
         given = any(name.removesuffix("_deg") == target.removesuffix("_deg") for name in columns)
         if found is not None and not given:
@@ -207,7 +211,7 @@ def _signed_rcs(fields: Mapping[str, str], kind: np.dtype[Any] | None) -> str | 
     return field if field and kind is not None and kind[field].base.kind == "i" else None
 
 
-def _plain(name: str) -> str:
+def _folded_name(name: str) -> str:
     """Return a name in small letters without blanks and underscores."""
     return name.strip().lower().replace("_", "").replace(" ", "")
 
@@ -238,7 +242,7 @@ def message_rows(message: Any) -> Column:
         layout = np.dtype(
             {
                 "names": [field.name for field in fields],
-                "formats": [_kind(field, order) for field in fields],
+                "formats": [_numpy_type(field, order) for field in fields],
                 "offsets": [field.offset for field in fields],
                 "itemsize": message.point_step,
             }
@@ -266,6 +270,6 @@ def values_of(rows: Column) -> Values:
     return read
 
 
-def _kind(field: Any, order: str) -> Any:
+def _numpy_type(field: Any, order: str) -> Any:
     kind = order + POINT_FIELDS[field.datatype]
     return kind if field.count == 1 else (kind, (field.count,))

@@ -28,7 +28,7 @@ from gis_radar.base import (
 from gis_radar.recordings.formats import format_of
 from gis_radar.recordings.frame_clock import CLOCKS, Clock, FrameClock
 from gis_radar.recordings.frame_order import WINDOW, FrameOrder, merged
-from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
+from gis_radar.recordings.frames import Format, Frame, ReaderContext, counts_text
 from gis_radar.recordings.recording_file import RecordingFile
 
 
@@ -122,18 +122,18 @@ NO_ELEVATION = Text(
     "measures no elevation (z is missing or 0 throughout): x and y are at the slant "
     "range; height, pitch, roll and clearance cannot be had from it"
 )
-REMEMBERED = 4 * WINDOW  # latest frames among which doubles are found
+IDENTITIES_KEPT = 4 * WINDOW  # latest frames among which duplicates are found
 
 
 class _SensorFrames:
-    """One sensor's frames on their way to its file: without doubles, timed, put in order."""
+    """Writer of one sensor's frames: drops duplicates, gives times, sorts, and writes."""
 
     def __init__(
         self, sensor: str, file: RecordingFile, clock: Clock, context: ReaderContext
     ) -> None:
         self.file = file
         self.clock = FrameClock(sensor, clock, context.reporter)
-        self.doubles = 0
+        self.duplicates = 0
         self._identities: OrderedDict[object, None] = OrderedDict()
         self.order = FrameOrder(sensor)
         self._counts = context.counts
@@ -141,12 +141,12 @@ class _SensorFrames:
     def put(self, frame: Frame) -> None:
         if frame.identity is not None:
             if frame.identity in self._identities:
-                self.doubles += 1
+                self.duplicates += 1
                 return
             self._identities[frame.identity] = None
-            if len(self._identities) > REMEMBERED:
+            if len(self._identities) > IDENTITIES_KEPT:
                 self._identities.popitem(last=False)
-        self._put_in_order(self.clock.feed(frame.sound(self._counts)))
+        self._put_in_order(self.clock.feed(frame.without_unusable(self._counts)))
 
     def finish(self) -> None:
         self._put_in_order(self.clock.finish())
@@ -161,39 +161,41 @@ class _SensorFrames:
 
 
 def _finished(
-    tracks: Mapping[str, _SensorFrames], place: Path, context: ReaderContext
+    by_sensor: Mapping[str, _SensorFrames], place: Path, context: ReaderContext
 ) -> Conversion:
     """Finish all recordings, by sensor in order of their first frames."""
-    if not tracks:
+    if not by_sensor:
         raise InputError(
             "no usable frame in the inputs",
-            hint=Text("left out: {}", counted(context.counts) or "nothing"),
+            hint=Text("left out: {}", counts_text(context.counts) or "nothing"),
         )
-    for sensor, track in tracks.items():
-        track.finish()
-        if track.file.left_out:
-            columns = ", ".join(sorted(track.file.left_out))
+    for sensor, sensor_frames in by_sensor.items():
+        sensor_frames.finish()
+        if sensor_frames.file.left_out:
+            columns = ", ".join(sorted(sensor_frames.file.left_out))
             late = Text("{}: columns that came late are left out: {}", sensor, columns)
             context.reporter.warn(late)
-        if track.file.elevation is False:
+        if sensor_frames.file.elevation is False:
             context.remark(Text("{}: {}", sensor, NO_ELEVATION))
     counts = Counter(context.counts)
-    for track in tracks.values():
-        counts["duplicates"] += track.doubles
-        counts["reordered_frames"] += track.order.late
+    for sensor_frames in by_sensor.values():
+        counts["duplicates"] += sensor_frames.duplicates
+        counts["reordered_frames"] += sensor_frames.order.late
     recordings = tuple(
         SensorRecording(
             path=path,
             sensor=sensor,
-            frames=track.file.frames,
-            empty_frames=track.file.empty_frames,
-            detections=track.file.detections,
-            begin=track.file.begin,
-            end=track.file.end,
-            clock=", then ".join(track.clock.used),
-            elevation=track.file.elevation is not False,
+            frames=sensor_frames.file.frames,
+            empty_frames=sensor_frames.file.empty_frames,
+            detections=sensor_frames.file.detections,
+            begin=sensor_frames.file.begin,
+            end=sensor_frames.file.end,
+            clock=", then ".join(sensor_frames.clock.used),
+            elevation=sensor_frames.file.elevation is not False,
         )
-        for path, (sensor, track) in zip(_places(place, [*tracks]), tracks.items(), strict=True)
+        for path, (sensor, sensor_frames) in zip(
+            _output_paths(place, [*by_sensor]), by_sensor.items(), strict=True
+        )
     )
     return Conversion(
         recordings=recordings,
@@ -202,8 +204,8 @@ def _finished(
     )
 
 
-def _places(place: Path, sensors: list[str]) -> list[Path]:
-    """Return where the recordings go: `place` itself, or for several sensors beside it."""
+def _output_paths(place: Path, sensors: list[str]) -> list[Path]:
+    """Return the path of each sensor's recording: `place`, or for several sensors beside it."""
     if len(sensors) == 1:
         return [place]
     words = [re.sub(r"[^\w.-]+", "_", sensor).strip("_.") or "sensor" for sensor in sensors]
@@ -230,7 +232,7 @@ def convert(
 ) -> Conversion:
     """Make recordings from radar data of any known format.
 
-    Frames are put in order of time, doubles and detections without a position are left out and
+    Frames are put in order of time, duplicates and detections without a position are left out and
     counted, and frames without detections are kept. Memory does not grow with the length.
 
     Parameters
@@ -286,24 +288,26 @@ def convert(
         reporter=reporter,
     )
     opened = [partial(_read, form, name) for form, name in zip(formats, names, strict=True)]
-    shown = names[0] + (Text(" and {} more", len(names) - 1) if len(names) > 1 else "")
-    tracks: dict[str, _SensorFrames] = {}
+    inputs_text = names[0] + (Text(" and {} more", len(names) - 1) if len(names) > 1 else "")
+    by_sensor: dict[str, _SensorFrames] = {}
     with atomic_writes(place) as (private, places), ExitStack() as unfinished:
         for frame in merged(opened, context):
-            if (track := tracks.get(frame.sensor)) is None:
-                part = private / f"{len(tracks)}.parquet"
+            if (sensor_frames := by_sensor.get(frame.sensor)) is None:
+                part = private / f"{len(by_sensor)}.parquet"
                 file = RecordingFile(part, place, context.counts, sensor=frame.sensor)
-                track = tracks[frame.sensor] = _SensorFrames(frame.sensor, file, clock, context)
+                sensor_frames = by_sensor[frame.sensor] = _SensorFrames(
+                    frame.sensor, file, clock, context
+                )
                 unfinished.callback(file.abandon)
             try:
-                track.put(frame)
+                sensor_frames.put(frame)
             except InputError as error:  # not by `placed`, which would take a tenth of the time
-                raise InputError("{}: {}", shown, error.message, hint=error.hint) from error
-        with placed(shown):
-            result = _finished(tracks, place, context)
-        for track, recording in zip(tracks.values(), result.recordings, strict=True):
+                raise InputError("{}: {}", inputs_text, error.message, hint=error.hint) from error
+        with placed(inputs_text):
+            result = _finished(by_sensor, place, context)
+        for sensor_frames, recording in zip(by_sensor.values(), result.recordings, strict=True):
             refuse_inputs(recording.path, *names)
-            places[track.file.path] = recording.path
+            places[sensor_frames.file.path] = recording.path
     _report(result, reporter)
     return result
 
@@ -311,6 +315,7 @@ def convert(
 def _refuse_options(
     formats: list[Format], place: Path, *, clock: Clock, duration_s: float | None
 ) -> None:
+    """Refuse options that do not fit the inputs or each other."""
     if not formats:
         raise UsageError("no input given")
     if clock not in CLOCKS:
@@ -340,6 +345,7 @@ def _read(form: Format, source: str, context: ReaderContext) -> Generator[Frame]
 
 
 def _report(result: Conversion, reporter: Reporter) -> None:
+    """Log what each recording holds, and what was left out."""
     if len(result.recordings) > 1:
         reporter.log(
             Text("{} sensors, a recording each ({} takes one)", len(result.recordings), "--sensor")
@@ -355,4 +361,4 @@ def _report(result: Conversion, reporter: Reporter) -> None:
             )
         )
     if result.left_out:
-        reporter.log(Text("left out or mended: {}", counted(result.left_out)))
+        reporter.log(Text("left out or mended: {}", counts_text(result.left_out)))

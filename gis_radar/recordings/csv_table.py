@@ -130,12 +130,13 @@ def refuse_many_columns(count: int, path: Path) -> None:
 
 
 def _refuse_delimiters(header: str, expected: tuple[str, ...], path: Path) -> None:
-    for mark, called in DELIMITERS.items():
-        found = {name.strip(' "') for name in header.split(mark)}
+    """Refuse a header whose expected names another sign than a comma separates."""
+    for delimiter, word in DELIMITERS.items():
+        found = {name.strip(' "') for name in header.split(delimiter)}
         if len(found.intersection(expected)) > 1:
             raise InputError(
                 "{}: the columns are separated by {}, expected commas",
                 path,
-                called,
+                word,
                 hint="save the table with commas between values and points in numbers",
             )

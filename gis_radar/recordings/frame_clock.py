@@ -89,6 +89,7 @@ class FrameClock:
         return self._time(frame), frame
 
     def _decide(self) -> None:
+        """Choose the clock by the first frames, and warn where it is not the sensor's as it is."""
         if self._clock != "auto":
             self.used.append(self._stamp if self._clock == "sensor" else self._clock)
             return
@@ -121,9 +122,9 @@ class FrameClock:
         if len(pairs) < RATE_FRAMES // 2:
             return None
         line, half = OffsetLine(pairs), len(pairs) // 2
-        parts = [OffsetLine(pairs[:half]).rate, OffsetLine(pairs[half:]).rate]
+        half_rates = [OffsetLine(pairs[:half]).rate, OffsetLine(pairs[half:]).rate]
         # A jump, or a recorder that was busy, changes the rate of one half only.
-        if abs(line.rate) < LEAST_RATE or not all(0.5 <= p / line.rate <= 1.5 for p in parts):
+        if abs(line.rate) < LEAST_RATE or not all(0.5 <= p / line.rate <= 1.5 for p in half_rates):
             return None
         if abs(line.rate) > MOST_RATE:
             raise InputError(
@@ -139,6 +140,7 @@ class FrameClock:
         return line
 
     def _time(self, frame: Frame) -> float:
+        """Return the time of a frame by the clock that counts now; refuse an impossible one."""
         recorder = self.used[-1] == "recorder"
         if not recorder and self._clock == "auto":
             reason = self._fault(frame) or self._jump(frame)
@@ -183,7 +185,7 @@ class FrameClock:
         offset_s = _offset_s(frame)
         if offset_s is None or abs(offset_s) <= AGREEING_S or self._line is not None:
             return ""
-        return Text("{} is {} the recorder's", self._name, _readable(offset_s))
+        return Text("{} is {} the recorder's", self._name, _offset_text(offset_s))
 
     def _jump(self, frame: Frame) -> str:
         """Return how the sensor's clock jumped at a frame, empty if it did not."""
@@ -207,8 +209,10 @@ class FrameClock:
     def _lasts(self, usual_s: float, jump_s: float) -> bool:
         """Return whether the next frames have jumped by the same: a late frame is alone."""
         ahead = islice(self._waiting, FRAMES_AHEAD)
-        coming = [offset for frame in ahead if (offset := _offset_s(frame)) is not None]
-        return bool(coming) and all((offset - usual_s) / jump_s > 0.5 for offset in coming)
+        offsets_ahead = [offset for frame in ahead if (offset := _offset_s(frame)) is not None]
+        return bool(offsets_ahead) and all(
+            (offset - usual_s) / jump_s > 0.5 for offset in offsets_ahead
+        )
 
 
 class OffsetLine:
@@ -227,8 +231,8 @@ class OffsetLine:
 
     def __init__(self, pairs: list[tuple[float, float]]) -> None:
         self._pairs = deque(pairs, maxlen=RATE_FRAMES)
-        self._known = max(time for time, _ in pairs)
-        self._new = 0
+        self._last_of_begin = max(time for time, _ in pairs)
+        self._added = 0
         self._fit()
 
     def at(self, time: float) -> float:
@@ -237,21 +241,23 @@ class OffsetLine:
 
     def add(self, time: float, offset_s: float) -> None:
         """Add the offset of a frame; skip the frames that the line was begun with."""
-        if time <= self._known:
+        if time <= self._last_of_begin:
             return
         self._pairs.append((time, offset_s))
-        self._new += 1
-        if self._new == REFIT_FRAMES:
+        self._added += 1
+        if self._added == REFIT_FRAMES:
             self._fit()
 
     def _fit(self) -> None:
         """Fit by the medians of slopes and of residuals (Theil 1950, Sen 1968)."""
         pairs: Floats = np.array(self._pairs)
-        self._begin, self._new = float(pairs[0, 0]), 0
+        self._begin, self._added = float(pairs[0, 0]), 0
         time, offset_s = pairs[:, 0] - self._begin, pairs[:, 1]
-        one, other = np.triu_indices(len(pairs), k=max(len(pairs) // 4, 1))
-        apart = time[other] - time[one]
-        slopes = (offset_s[other] - offset_s[one])[apart != 0.0] / apart[apart != 0.0]
+        first, second = np.triu_indices(len(pairs), k=max(len(pairs) // 4, 1))
+        elapsed_s = time[second] - time[first]
+        slopes = (offset_s[second] - offset_s[first])[elapsed_s != 0.0] / elapsed_s[
+            elapsed_s != 0.0
+        ]
         self.rate = float(np.median(slopes)) if len(slopes) else 0.0
         self._offset_s = float(np.median(offset_s - self.rate * time))
 
@@ -269,7 +275,7 @@ def _time_text(time: float | None) -> str:
     return "nothing" if time is None else Text("{:,.3f} s since 1970", time)
 
 
-def _readable(offset_s: float) -> str:
+def _offset_text(offset_s: float) -> str:
     side = Text("ahead of") if offset_s > 0 else "behind"
     why = " (TAI instead of UTC?)" if abs(offset_s - TAI_AHEAD_S) < 0.5 else ""
     size = abs(offset_s)

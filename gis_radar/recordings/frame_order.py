@@ -1,4 +1,4 @@
-"""Frames in order of time: inputs merged, late frames sorted in."""
+"""Put frames in order of time: merge several inputs, sort in frames that come late."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ def _push(active: list[Active], number: int, frames: Iterator[Frame]) -> None:
 
 def _begins(inputs: Sequence[Input], context: ReaderContext) -> list[tuple[float, int]]:
     """Return (arrival of the first frame, number) of each input; warn of those without frames."""
-    looking = replace(context, reporter=QUIET, counts=Counter(), remarks=[])
+    first_look = replace(context, reporter=QUIET, counts=Counter(), remarks=[])
     begins: list[tuple[float, int]] = []
     empty: list[NothingHereError] = []
     for number, begin in enumerate(inputs):
-        frames = begin(looking)
+        frames = begin(first_look)
         try:
             begins.append((next(frames).arrival, number))
         except NothingHereError as error:
@@ -88,7 +88,7 @@ class FrameOrder:
         self._heap: list[tuple[float, int, Frame]] = []
         self._number = 0
         self._latest = -float("inf")
-        self._left = -float("inf")
+        self._last_yielded = -float("inf")
 
     def put(self, time: float, frame: Frame) -> Iterator[tuple[float, Frame]]:
         """Take a frame; yield the earliest one, once more than `WINDOW` are held.
@@ -98,7 +98,7 @@ class FrameOrder:
         InputError
             If its time is before that of a frame that has been yielded.
         """
-        if time < self._left:
+        if time < self._last_yielded:
             raise InputError(
                 "{}: time goes back by {:.3f} s (to {:.3f} s since 1970), farther than "
                 "frames are put in order",
@@ -121,5 +121,5 @@ class FrameOrder:
 
     def _pop(self) -> tuple[float, Frame]:
         time, _, frame = heapq.heappop(self._heap)
-        self._left = time
+        self._last_yielded = time
         return time, frame

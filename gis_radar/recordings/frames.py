@@ -64,17 +64,17 @@ class Frame:
             return self.recorder_time
         return 0.0 if self.sensor_time is None else self.sensor_time
 
-    def rows(self, kept: Any) -> Frame:
+    def rows(self, selection: Any) -> Frame:
         """Return some of the detections, by a mask or a slice."""
         return replace(
             self,
-            points=self.points[kept],
-            range_rate=self.range_rate[kept],
-            rcs=self.rcs[kept],
-            further={name: values[kept] for name, values in self.further.items()},
+            points=self.points[selection],
+            range_rate=self.range_rate[selection],
+            rcs=self.rcs[selection],
+            further={name: values[selection] for name, values in self.further.items()},
         )
 
-    def sound(self, counts: Counter[str]) -> Frame:
+    def without_unusable(self, counts: Counter[str]) -> Frame:
         """Return the frame without detections that have no usable position, and count those."""
         placed = np.isfinite(self.points[:, :2]).all(axis=1) & ~np.isinf(self.points[:, 2])
         near = placed & ~(np.abs(self.points) > FARTHEST_M).any(axis=1)
@@ -175,8 +175,8 @@ class Format:
     live: bool = False
 
 
-def counted(seen: Mapping[str, int], *, most: int = 8) -> str:
-    """Return names with their counts as text, the most frequent first, at most `most` of them."""
+def counts_text(seen: Mapping[str, int], *, most: int = 8) -> str:
+    """Return names with their counts as text: the most frequent first, `most` of them at most."""
     ranked = sorted(seen.items(), key=lambda item: (-item[1], item[0]))
     shown = ", ".join(f"{name} ({count:,})" for name, count in ranked[:most])
     return Text("{} and {} more", shown, len(ranked) - most) if len(ranked) > most else shown

@@ -19,27 +19,29 @@ def time_warnings(recorded: Mapping[str, Sequence[tuple[float, float, Path]]]) -
     """
     for sensor, spans in recorded.items():
         ordered = sorted(spans)
-        last = ordered[0]  # the one that ends last, so far
+        latest = ordered[0]  # the one that ends last, so far
         for each in ordered[1:]:
-            if each[0] <= last[1]:
+            if each[0] <= latest[1]:
                 yield Text(
                     "{}: {} and {} overlap in time: what both hold counts once",
                     sensor,
-                    last[2].name,
+                    latest[2].name,
                     each[2].name,
                 )
-            last = max(last, each, key=lambda span: span[1])
-    whole = {
+            latest = max(latest, each, key=lambda span: span[1])
+    span_by_sensor = {
         sensor: (min(begin for begin, _, _ in spans), max(end for _, end, _ in spans))
         for sensor, spans in recorded.items()
     }
-    for (one, (begin_s, end_s)), (other, (first_s, last_s)) in combinations(whole.items(), 2):
+    for (first_sensor, (begin_s, end_s)), (second_sensor, (first_s, last_s)) in combinations(
+        span_by_sensor.items(), 2
+    ):
         if (apart_s := max(first_s - end_s, begin_s - last_s)) > 0:
             yield Text(
                 "{} and {} have no time in common: {:,.0f} s lie between them; if they "
                 "were recorded together, a clock is off: gis-radar clocks finds by how "
                 "much",
-                one,
-                other,
+                first_sensor,
+                second_sensor,
                 apart_s,
             )

@@ -85,7 +85,7 @@ def spans_of_groups(path: Path, column: str) -> list[tuple[float, float]] | None
 
     None where the file does not state them as numbers.
     """
-    metadata, found = pq.read_metadata(path), []
+    metadata, spans = pq.read_metadata(path), []
     place = next(k for k, name in enumerate(metadata.schema.names) if name == column)
     for number in range(metadata.num_row_groups):
         group = metadata.row_group(number)
@@ -94,8 +94,8 @@ def spans_of_groups(path: Path, column: str) -> list[tuple[float, float]] | None
             continue
         if stated is None or not stated.has_min_max or not isinstance(stated.min, float):
             return None
-        found.append((stated.min, stated.max))
-    return found or None
+        spans.append((stated.min, stated.max))
+    return spans or None
 
 
 def _texts(path: Path) -> dict[str, pa.DataType]:
@@ -115,8 +115,8 @@ def _refuse_huge_columns(
         column = metadata.schema.column(place)
         is_list = column.max_repetition_level > 0
         name = column.path.partition(".")[0]
-        long = is_list or column.physical_type == "BYTE_ARRAY"
-        if not long or (columns is not None and name not in columns):
+        is_unbounded = is_list or column.physical_type == "BYTE_ARRAY"
+        if not is_unbounded or (columns is not None and name not in columns):
             continue
         for number in range(metadata.num_row_groups):
             chunk = metadata.row_group(number).column(place)

@@ -14,10 +14,10 @@ import pyarrow as pa
 
 from gis_radar.base import Floats, compiled, in_known_years
 from gis_radar.recordings.recording import COLUMNS, FARTHEST_M, Recording, RowChecks
-from gis_radar.recordings.units import FARTHEST_RADAR_M, LEAST_EXTENT_M, LEAST_JUDGED
+from gis_radar.recordings.units import FARTHEST_RADAR_M, LEAST_CHECKED, LEAST_EXTENT_M
 
 RAW_COLUMNS = COLUMNS[:-1]  # all but the radar cross section, which few ask for
-NEARLY = 0.999  # share of a limit from which the full checks run, too
+CHECKED_SHARE = 0.999  # share of a limit from which the full checks run, too
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class RawRows:
     x, y, z, range_rate, rcs : (n,) arrays
         As in :class:`Detections`; float32 where all are float32 in the file, else float64. `rcs`
         is empty where it was not asked for.
-    level : bool
+    without_height : bool
         Whether the detections read so far have no height; False before the first one.
     """
 
@@ -41,7 +41,7 @@ class RawRows:
     z: Floats
     range_rate: Floats
     rcs: Floats
-    level: bool = False
+    without_height: bool = False
 
     def __len__(self) -> int:
         return len(self.time)
@@ -77,16 +77,16 @@ def read_raw(
     with checks.reading():
         for batch in batches:
             rows = _columns(batch, rcs=rcs)
-            sound, flat = _are_sound(rows, checks) if rows is not None else (False, None)
+            sound, without_height = _are_sound(rows, checks) if rows is not None else (False, None)
             if sound and rows is not None:
-                checks.pass_over(rows.time, flat=flat)
+                checks.accept(rows.time, without_height=without_height)
             else:
                 checked = _checked(batch, checks)
                 rows = checked if rows is None else rows
             if len(rows) and rows.time[0] > end:
                 return
             if len(rows) and rows.time[-1] >= begin:
-                yield replace(rows, level=bool(checks.flat))
+                yield replace(rows, without_height=bool(checks.without_height))
 
 
 def _columns(batch: pa.RecordBatch, *, rcs: bool) -> RawRows | None:
@@ -117,18 +117,18 @@ def _checked(batch: pa.RecordBatch, checks: RowChecks) -> RawRows:
 def _are_sound(rows: RawRows, checks: RowChecks) -> tuple[bool, bool | None]:
     """Return whether rows are surely sound, and whether detections have no height so far."""
     if len(rows) == 0:
-        return True, checks.flat
-    sound, present, level, far, wide = _scan(rows.time, rows.x, rows.y, rows.z, checks.last)
+        return True, checks.without_height
+    sound, present, flat, far, wide = _check_rows(rows.time, rows.x, rows.y, rows.z, checks.last)
     sound &= bool(in_known_years(rows.time[[0, -1]]).all())
-    flat = checks.flat if present == 0 else level > 0
-    sound &= level in {0, present} and (checks.flat is None or flat == checks.flat)
-    if present >= LEAST_JUDGED:
+    without_height = checks.without_height if present == 0 else flat > 0
+    sound &= flat in {0, present} and checks.without_height in {None, without_height}
+    if present >= LEAST_CHECKED:
         sound &= 2 * far < present and wide
-    return sound, flat
+    return sound, without_height
 
 
 @compiled
-def _scan(  # pragma: no cover - compiled
+def _check_rows(  # pragma: no cover - compiled
     time: Floats, xs: Floats, ys: Floats, zs: Floats, last: float
 ) -> tuple[bool, int, int, int, bool]:
     """Check times and positions, and count detections.
@@ -137,13 +137,13 @@ def _scan(  # pragma: no cover - compiled
     -------
     sound : bool
         Whether times (s) ascend from `last`, and positions (m) are within `FARTHEST_M` or missing.
-    present, level, far : int
+    present, flat, far : int
         Numbers of detections, of those without height, of those beyond any radar.
     wide : bool
         Whether detections are in more than one spot.
     """
-    sound, present, level, far = True, 0, 0, 0
-    far_m2 = (NEARLY * FARTHEST_RADAR_M) ** 2
+    sound, present, flat, far = True, 0, 0, 0
+    far_m2 = (CHECKED_SHARE * FARTHEST_RADAR_M) ** 2
     west = south = np.inf
     east = north = -np.inf
     for k in range(len(time)):
@@ -155,10 +155,10 @@ def _scan(  # pragma: no cover - compiled
         gap = np.isnan(z)
         sound &= (placed & (high | gap)) | (gap & np.isnan(x) & np.isnan(y))
         present += placed
-        level += placed & gap
+        flat += placed & gap
         far += x * x + y * y > far_m2
         if placed:
             west, east = min(west, x), max(east, x)
             south, north = min(south, y), max(north, y)
-    wide = max(east - west, north - south) > LEAST_EXTENT_M / NEARLY
-    return sound, present, level, far, wide
+    wide = max(east - west, north - south) > LEAST_EXTENT_M / CHECKED_SHARE
+    return sound, present, flat, far, wide

@@ -241,6 +241,7 @@ def open_table(path: Path) -> Recording:
 
 
 def _open_parquet(path: Path) -> Recording:
+    """Open a Parquet file after checks of its columns and their types."""
     with pq.ParquetFile(path) as file:
         refuse_many_columns(file.metadata.num_columns, path)
         _require_columns(file.schema_arrow.names, path)
@@ -271,6 +272,7 @@ VIEWS = {pa.string_view(): pa.string(), pa.binary_view(): pa.binary()}
 
 
 def _require_columns(names: list[str], path: Path) -> None:
+    """Refuse a table that lacks a column of a recording, or has one twice."""
     missing = [name for name in COLUMNS if name not in names]
     if missing:
         column = Text("{}: recording lacks the column {}", path, ", ".join(missing))
@@ -302,17 +304,17 @@ class RowChecks:
         Number of rows checked so far.
     last : float
         Time of the last of them, UNIX seconds.
-    flat : bool, optional
+    without_height : bool, optional
         Whether detections have no height; None before the first one.
-    of_last : int
+    rows_of_last : int
         Number of rows of the time `last` so far.
     """
 
     path: Path
     row: int = 0
     last: float = -np.inf
-    of_last: int = 0
-    flat: bool | None = None
+    rows_of_last: int = 0
+    without_height: bool | None = None
 
     @contextmanager
     def reading(self) -> Iterator[None]:
@@ -329,16 +331,18 @@ class RowChecks:
     def take(self, batch: pa.RecordBatch) -> Detections:
         """Return the next rows as detections, or refuse them."""
         rows = _checked(batch, path=self.path, row=self.row, last=self.last)
-        flat = _refuse_mixed(rows, self.path, self.row, flat=self.flat)
+        without_height = _refuse_mixed_heights(
+            rows, self.path, self.row, without_height=self.without_height
+        )
         refuse_positions_in_other_units(rows.points[rows.present], str(self.path))
-        self.pass_over(rows.time, flat=flat)
+        self.accept(rows.time, without_height=without_height)
         return rows
 
-    def pass_over(self, time: Floats, *, flat: bool | None) -> None:
+    def accept(self, time: Floats, *, without_height: bool | None) -> None:
         """Count rows that were found sound; refuse more of one time than a frame can have."""
-        self.flat = flat
+        self.without_height = without_height
         if len(time):
-            self.of_last = _refuse_no_frame(time, self.path, self.last, self.of_last)
+            self.rows_of_last = _refuse_long_frame(time, self.path, self.last, self.rows_of_last)
             self.row, self.last = self.row + len(time), float(time[-1])
 
 
@@ -367,6 +371,7 @@ def _further(batch: pa.RecordBatch) -> pa.RecordBatch:
 
 
 def _refuse_times(time: Floats, path: Path, row: int, last: float) -> None:
+    """Refuse times that are no numbers, of impossible years, or before the row above."""
     _refuse_rows(~np.isfinite(time), Text("{}: time is not a finite number", path), row)
     years = Text("{}: time is outside the years {} to {}", path, FIRST_YEAR, LAST_YEAR)
     _refuse_rows(~in_known_years(time), years, row, hint=UNIX_SECONDS_HINT)
@@ -381,6 +386,7 @@ def _refuse_times(time: Floats, path: Path, row: int, last: float) -> None:
 
 
 def _refuse_positions(points: Floats, path: Path, row: int) -> None:
+    """Refuse positions that are infinite, half missing, or farther than `FARTHEST_M`."""
     if np.all(np.abs(points) <= FARTHEST_M):
         return
     gaps = np.isnan(points)
@@ -392,12 +398,14 @@ def _refuse_positions(points: Floats, path: Path, row: int) -> None:
     _refuse_rows(far, reason, row, hint=Text("x, y and z are metres from the sensor"))
 
 
-def _refuse_mixed(rows: Detections, path: Path, row: int, *, flat: bool | None) -> bool | None:
+def _refuse_mixed_heights(
+    rows: Detections, path: Path, row: int, *, without_height: bool | None
+) -> bool | None:
     """Return whether detections have no height; refuse where some have one and others do not."""
     if not rows.present.any():
-        return flat
+        return without_height
     level = np.isnan(rows.points[:, 2])
-    first = bool(level[rows.present][0]) if flat is None else flat
+    first = bool(level[rows.present][0]) if without_height is None else without_height
     reason = Text("{}: z is {}, unlike before,", path, Text("there") if first else Text("missing"))
     _refuse_rows(
         np.asarray(rows.present & (level != first)),
@@ -408,15 +416,15 @@ def _refuse_mixed(rows: Detections, path: Path, row: int, *, flat: bool | None) 
     return first
 
 
-def _refuse_no_frame(time: Floats, path: Path, last: float, before: int) -> int:
+def _refuse_long_frame(time: Floats, path: Path, last: float, before: int) -> int:
     """Return the number of rows of the last time so far; refuse more than a frame can have.
 
     `before` is the number of rows of the time `last` before these.
     """
-    same = len(time) - int(np.searchsorted(time, time[-1], side="left"))
-    if same == len(time) and time[-1] == last:
-        same += before
-    if same > (most := settings.MOST_ROWS_OF_FRAME):
+    rows_of_time = len(time) - int(np.searchsorted(time, time[-1], side="left"))
+    if rows_of_time == len(time) and time[-1] == last:
+        rows_of_time += before
+    if rows_of_time > (most := settings.MOST_ROWS_OF_FRAME):
         raise InputError(
             "{}: over {:,} rows of one time, {:.6f} s: no frame of a radar",
             path,
@@ -424,7 +432,7 @@ def _refuse_no_frame(time: Floats, path: Path, last: float, before: int) -> int:
             time[-1],
             hint="time is that of each frame",
         )
-    return same
+    return rows_of_time
 
 
 def _require_numbers(kind: pa.DataType, name: str, path: Path) -> None:

@@ -85,11 +85,12 @@ class RecordingFile:
                 self._writer.close()
 
     def _write(self) -> None:
+        """Write the waiting frames as row groups; the first decides columns and elevation."""
         points = np.concatenate([frame.points for _, frame in self._waiting])
         refuse_positions_in_other_units(points, str(self._place))
         if self.elevation is None:
             self.elevation = _measures_elevation([frame for _, frame in self._waiting])
-        self._waiting = [(time, self._level(frame)) for time, frame in self._waiting]
+        self._waiting = [(time, self._with_uniform_heights(frame)) for time, frame in self._waiting]
         self.empty_frames += sum(len(frame) == 0 for _, frame in self._waiting)
         self.detections += sum(len(frame) for _, frame in self._waiting)
         table = self._table()
@@ -101,7 +102,7 @@ class RecordingFile:
                 self._writer = pq.ParquetWriter(self.path, schema, **options)
             self._writer.write_table(table, row_group_size=ROWS_IN_GROUP)
 
-    def _level(self, frame: Frame) -> Frame:
+    def _with_uniform_heights(self, frame: Frame) -> Frame:
         """Return a frame whose detections all have a height, or none has, by `elevation`."""
         given = np.isfinite(frame.points[:, 2])
         if self.elevation and not given.all():
@@ -114,6 +115,7 @@ class RecordingFile:
         return frame
 
     def _table(self) -> pa.Table:
+        """Return the waiting frames as a table; note columns that the file does not have."""
         schema = None
         if self._writer is not None:
             schema = self._writer.schema

@@ -7,7 +7,7 @@ import numpy as np
 from gis_radar.base import Floats, InputError, Text
 
 FARTHEST_RADAR_M = 1514.0  # the farthest an ARS548 can be set to; others end at 300 m
-LEAST_JUDGED = 100  # detections: of fewer, the median may be a ghost's
+LEAST_CHECKED = 100  # detections: the median of fewer may be that of a ghost target
 LEAST_MEDIAN_M = 10.0  # median range; of roadside radars 20 to 60 m. Less: a smaller unit was meant
 MAP_M = 1e5  # numbers beyond are no millimetres: the median range of a radar is under 100 m
 LEAST_EXTENT_M = 0.02  # positions of even one still target vary by more; 0.02 degrees are 2 km
@@ -20,7 +20,7 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
     Parameters
     ----------
     points : (n, 3) array
-        Positions of detections, x and y finite; fewer than `LEAST_JUDGED` are not checked.
+        Positions of detections, x and y finite; fewer than `LEAST_CHECKED` are not checked.
     what : str
         Their file, for the message.
 
@@ -29,7 +29,7 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
     InputError
         If their median is beyond any radar, or all are in one spot.
     """
-    if len(points) < LEAST_JUDGED:
+    if len(points) < LEAST_CHECKED:
         return
     range_m = np.hypot(points[:, 0], points[:, 1])
     median = float(np.median(range_m))
@@ -42,7 +42,7 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
             hint="x, y and z are metres from the sensor, x forward and y to the left",
         )
     extent = np.ptp(points[:, :2], axis=0)
-    if (extent < LEAST_EXTENT_M).all() and len(np.unique(points[:, :2], axis=0)) >= LEAST_JUDGED:
+    if (extent < LEAST_EXTENT_M).all() and len(np.unique(points[:, :2], axis=0)) >= LEAST_CHECKED:
         middle = np.median(points[:, :2], axis=0)
         raise InputError(
             "{}: all detections are within {:.1g} of x {:g}, y {:g}: it looks like degrees",

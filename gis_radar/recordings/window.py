@@ -76,11 +76,6 @@ class RollingWindow:
         """UNIX seconds of the first frame; NaN where there is none."""
         return self._times[0] if self._times else float("nan")
 
-    @property
-    def detections_held(self) -> int:
-        """Number of detections in memory: those of the window, and the rest of its first batch."""
-        return sum(len(time) for time, _, _ in self._batches)
-
     def __len__(self) -> int:
         return len(self._times)
 

@@ -88,10 +88,10 @@ def fit_ground(points: Floats, settings: MaskSettings = DEFAULTS) -> GroundSurfa
     low = _lowest(points, settings.low_m)
     middle = float(np.median(low[:, 2]))
     used = np.unique(surface.weights(low[:, 0], low[:, 1])[0])
-    bend = _bending(used, nodes.shape)
+    bending = _bending(used, nodes.shape)
     at_points = _nodes_to_points(surface, low, used)
-    nodes.ravel()[used] = _settled(at_points, bend, low[:, 2] - middle, settings) + middle
-    return _centred(surface, points, bend, used, middle, settings)
+    nodes.ravel()[used] = _fitted_heights(at_points, bending, low[:, 2] - middle, settings) + middle
+    return _raised_to_middle(surface, points, bending, used, middle, settings)
 
 
 def _nodes_to_points(surface: GroundSurface, points: Floats, used: Integers) -> sparse.csr_array:
@@ -101,34 +101,39 @@ def _nodes_to_points(surface: GroundSurface, points: Floats, used: Integers) -> 
     return sparse.csr_array((weight.ravel(), place), shape=(len(points), len(used)))
 
 
-def _settled(
-    at_points: sparse.csr_array, bend: sparse.csr_array, z: Floats, settings: MaskSettings
+def _fitted_heights(
+    at_points: sparse.csr_array, bending: sparse.csr_array, z: Floats, settings: MaskSettings
 ) -> Floats:
     """Return heights of nodes, solved in rounds with new weights for points above and below."""
     weight = np.ones(len(z))
     heights = np.zeros(at_points.shape[1])
     for stiffness in settings.stiffness:
-        heights = _solved(at_points, bend, z, weight, stiffness)
+        heights = _solve_heights(at_points, bending, z, weight, stiffness)
         over = z - at_points @ heights
         bounded = np.minimum(1.0, settings.pull_m / np.maximum(-over, _TINY))
         weight = np.where(over > settings.object_m, 0.0, bounded)
     return heights
 
 
-def _solved(
-    at_points: sparse.csr_array, bend: sparse.csr_array, z: Floats, weight: Floats, stiffness: float
+def _solve_heights(
+    at_points: sparse.csr_array,
+    bending: sparse.csr_array,
+    z: Floats,
+    weight: Floats,
+    stiffness: float,
 ) -> Floats:
+    """Return the heights of nodes that minimise squared distances and bending."""
     weighted = at_points.multiply(weight[:, None]).tocsr()
-    normal = at_points.T @ weighted + stiffness * bend
+    normal = at_points.T @ weighted + stiffness * bending
     # Keeps the matrix regular: parts with too few points for a plane are level, at middle height.
     normal = normal + _TINY * sparse.eye_array(normal.shape[0])
     return np.asarray(splu(normal.tocsc(), permc_spec="MMD_AT_PLUS_A",
                            options={"SymmetricMode": True}).solve(weighted.T @ z))  # fmt: skip
 
 
-def _centred(
-    surface: GroundSurface, points: Floats, bend: sparse.csr_array, used: Integers, middle: float,
-    settings: MaskSettings,
+def _raised_to_middle(
+    surface: GroundSurface, points: Floats, bending: sparse.csr_array, used: Integers,
+    middle: float, settings: MaskSettings,
 ) -> GroundSurface:  # fmt: skip
     """Return the surface lifted from the lowest points to the middle of all points on it."""
     over = points[:, 2] - surface.height(points[:, 0], points[:, 1])
@@ -140,7 +145,7 @@ def _centred(
     squares = len(used) * settings.node_m**2 / settings.low_m**2
     weight = np.full(len(kept), min(1.0, squares / len(kept)))
     nodes = surface.nodes.copy()
-    solved = _solved(at_points, bend, kept[:, 2] - middle, weight, settings.stiffness[-1])
+    solved = _solve_heights(at_points, bending, kept[:, 2] - middle, weight, settings.stiffness[-1])
     nodes.ravel()[used] = solved + middle
     return replace(surface, nodes=nodes)
 
@@ -239,8 +244,8 @@ def medians(  # pragma: no cover - compiled
         count += begin[k + 1] > 0
         begin[k + 1] += begin[k]
     cells, median = np.empty(count, np.int64), np.empty(count)
-    some = np.empty(9 * most)
-    at = 0
+    values_around = np.empty(9 * most)
+    filled = 0
     for k in range(width * width):
         if begin[k + 1] == begin[k]:
             continue
@@ -250,10 +255,10 @@ def medians(  # pragma: no cover - compiled
             first = r * width + max(column - 1, 0)
             last = r * width + min(column + 2, width)
             for i in range(begin[first], begin[last]):
-                some[total] = value[i]
+                values_around[total] = value[i]
                 total += 1
-        cells[at], median[at] = k, np.median(some[:total])
-        at += 1
+        cells[filled], median[filled] = k, np.median(values_around[:total])
+        filled += 1
     return cells, median
 
 
@@ -320,7 +325,7 @@ class RoadCells:
     offset_m: float
 
 
-class _Part(NamedTuple):
+class _LevelCells(NamedTuple):
     """Cells of one level in one block; see :class:`RoadCells`."""
 
     points: Floats
@@ -347,12 +352,12 @@ def make_cells(
     blocks = store.blocks
     margin = round(settings.block_margin_m / CELL_M)
     offset_m = scan_over_map(store, settings)
-    parts: list[_Part] = []
+    parts: list[_LevelCells] = []
     seen = [np.empty((0, 2))]
     for block in range(len(blocks.shapes)):
         xyz, ground = store.points(block, settings.block_margin_m)
         corner = np.array(blocks.cells(block).corner)
-        seen.append(_squares(xyz, SQUARE_M) + corner)
+        seen.append(_occupied_squares(xyz, SQUARE_M) + corner)
         for number, level in enumerate(blocks.roads.levels):
             area = blocks.area(number, block, margin)
             parts.append(_cells_of_level(xyz, ground, level, area, corner, offset_m, settings))
@@ -369,7 +374,7 @@ def make_cells(
 def _cells_of_level(
     xyz: Floats, ground: Booleans, level: RoadLevel, area: Booleans, corner: Floats,
     offset_m: float, settings: MaskSettings,
-) -> _Part:  # fmt: skip
+) -> _LevelCells:  # fmt: skip
     """Make a level's cells in a block; `xyz` and `area` also hold a margin around the block."""
     margin = (len(area) - BLOCK_CELLS) // 2
     grid = Grid(cell_m=CELL_M, west=-margin, south=-margin, columns=len(area), rows=len(area))
@@ -380,12 +385,12 @@ def _cells_of_level(
     kept = grown(area).ravel()[cell]
     xyz, ground, cell = xyz[kept], ground[kept], cell[kept]
     if level.has_heights and not np.isnan(offset_m):
-        off = np.abs(xyz[:, 2] - level.height_near(xyz[:, :2] + corner) - offset_m)
-        ground = _at_height(off, ground, cell, settings)
+        off_m = np.abs(xyz[:, 2] - level.height_near(xyz[:, :2] + corner) - offset_m)
+        ground = _near_map_height(off_m, ground, cell, settings)
     xyz, cell = xyz[ground], cell[ground]
     if len(xyz) == 0 or not road.any():
-        bare = squares_with_cells(road, grid, corner, SQUARE_M)
-        return _Part(np.empty((0, 3)), 0, int(np.count_nonzero(road)), bare, 0)
+        without_point = squares_with_cells(road, grid, corner, SQUARE_M)
+        return _LevelCells(np.empty((0, 3)), 0, int(np.count_nonzero(road)), without_point, 0)
     surface = fit_ground(xyz, settings)
     over = xyz[:, 2] - surface.height(xyz[:, 0], xyz[:, 1])
     kept = np.abs(over) <= settings.surface_m
@@ -396,11 +401,11 @@ def _cells_of_level(
     filled.ravel()[cells] = area.ravel()[cells]
     height.ravel()[cells] = median
     large = large_clusters(filled, settings) & block
-    found = np.flatnonzero(large)
-    centres = grid.centres(found)
-    up = surface.height(centres[:, 0], centres[:, 1]) + height.ravel()[found]
-    return _Part(
-        points=np.column_stack([centres + corner, up]),
+    chosen = np.flatnonzero(large)
+    centres = grid.centres(chosen)
+    height_m = surface.height(centres[:, 0], centres[:, 1]) + height.ravel()[chosen]
+    return _LevelCells(
+        points=np.column_stack([centres + corner, height_m]),
         used=int(np.count_nonzero(large.ravel()[cell])),
         area_cells=int(np.count_nonzero(road)),
         missing=squares_with_cells(road & ~large, grid, corner, SQUARE_M),
@@ -436,23 +441,25 @@ def squares_with_cells(cells: Booleans, grid: Grid, corner: Floats, side_m: floa
     return np.column_stack([corners, count[row, column]])
 
 
-def _at_height(off: Floats, ground: Booleans, cell: Integers, settings: MaskSettings) -> Booleans:
-    """Choose the points that may be a level's road, by their distance from the map's height.
+def _near_map_height(
+    off_m: Floats, ground: Booleans, cell: Integers, settings: MaskSettings
+) -> Booleans:
+    """Return which points may be a level's road, by their distance from the map's height.
 
     Points at another height belong to another level. In a cell without ground at the right height
     (a bridge classified as a building, a ramp drawn too straight in the map), points of any class
     within `same_level_m` are chosen, else those within `clearance_m`.
     """
-    near, clear = off <= settings.same_level_m, off <= settings.clearance_m
-    chosen = np.zeros(len(off), bool)
-    open_cells = np.ones(cell.max(initial=0) + 1, bool)
-    for offers in (ground & near, near, clear):
-        chosen |= offers & open_cells[cell]
-        open_cells[cell[chosen]] = False
+    near, clear = off_m <= settings.same_level_m, off_m <= settings.clearance_m
+    chosen = np.zeros(len(off_m), bool)
+    without_point = np.ones(cell.max(initial=0) + 1, bool)
+    for candidates in (ground & near, near, clear):
+        chosen |= candidates & without_point[cell]
+        without_point[cell[chosen]] = False
     return chosen
 
 
-def _squares(xyz: Floats, side_m: float) -> Floats:
+def _occupied_squares(xyz: Floats, side_m: float) -> Floats:
     """Return the south-west corners of the squares of a block that hold points."""
     side = int(BLOCK_M / side_m)
     grid = Grid(cell_m=side_m, west=0, south=0, columns=side, rows=side)

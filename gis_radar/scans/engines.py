@@ -25,9 +25,9 @@ from gis_radar.base import (
     Text,
     UsageError,
     add_layer,
-    moved_box,
     name_of,
-    same_plane,
+    reprojected_box,
+    same_coordinates,
     scratch_folder,
 )
 from gis_radar.scans.pdal import INSTALL_HINT, PdalRunner, find_pdal
@@ -49,7 +49,7 @@ LAYER, COLUMN = "roads", "road"
 LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
 # Margin around a road for PDAL's ground filter: wider than its window (SMRF, 18 m).
 FILTER_MARGIN_M = 30.0
-MARK = "UserData"
+MARK_DIMENSION = "UserData"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,21 +87,23 @@ class Pipeline:
             around it, read for the ground filter, is left out again.
         """
         site = box_with_margin(self.roads.area.bounds, self.margin_m)
-        area = site if within is None else _common(site, box_with_margin(within, self.margin_m))
-        groups = [self._group(area, classified=status) for status in (True, False)]
+        area = site
+        if within is not None:
+            area = _intersection(site, box_with_margin(within, self.margin_m))
+        groups = [self._group(area, classified=is_classified) for is_classified in (True, False)]
         stages = [stage for group in groups for stage in group]
         if all(groups):
             ends = [group[-1]["tag"] for group in groups]
             stages.append({"type": "filters.merge", "inputs": ends})
         if within is not None:
-            stages.append({"type": "filters.crop", "bounds": _text(within)})
+            stages.append({"type": "filters.crop", "bounds": _bounds_text(within)})
         stages += [
-            {"type": "filters.assign", "assignment": f"{MARK}[:]=0"},
+            {"type": "filters.assign", "assignment": f"{MARK_DIMENSION}[:]=0"},
             {
                 "type": "filters.overlay", "datasource": str(roads), "layer": LAYER,
-                "column": COLUMN, "dimension": MARK,
+                "column": COLUMN, "dimension": MARK_DIMENSION,
             },
-            {"type": "filters.range", "limits": f"{MARK}[1:1]"},
+            {"type": "filters.range", "limits": f"{MARK_DIMENSION}[1:1]"},
             {
                 "type": "writers.las", "filename": str(points), "minor_version": 4,
                 "dataformat_id": 6, "a_srs": name_of(self.roads.crs),
@@ -115,8 +117,10 @@ class Pipeline:
         """Return the stages up to the selection by class, for classified or unclassified scans."""
         kind = "classified" if classified else "unclassified"
         stages, ends = [], []
-        for number, (scan, status) in enumerate(zip(self.scans, self.classified, strict=True)):
-            if status is classified and scan.touches(area, self.roads.crs):
+        for number, (scan, is_classified) in enumerate(
+            zip(self.scans, self.classified, strict=True)
+        ):
+            if is_classified is classified and scan.touches(area, self.roads.crs):
                 stages += self._read(number, scan, area)
                 ends.append(stages[-1]["tag"])
         if not stages:
@@ -133,16 +137,17 @@ class Pipeline:
         return [*stages, {"type": "filters.range", "limits": limits, "tag": kind}]
 
     def _read(self, number: int, scan: Scan, area: Box) -> list[dict[str, Any]]:
-        box = moved_box(area, self.roads.crs, scan.crs)
+        """Return the stages that read a scan, crop it, and bring it into the map's CRS."""
+        box = reprojected_box(area, self.roads.crs, scan.crs)
         # The file's own system may be compound; heights must stay as they are.
         stages: list[dict[str, Any]] = [
             {
                 "type": "readers.las", "filename": str(scan.path.resolve()),
                 "override_srs": name_of(scan.crs), "tag": f"scan_{number}",
             },
-            {"type": "filters.crop", "bounds": _text(box), "tag": f"crop_{number}"},
+            {"type": "filters.crop", "bounds": _bounds_text(box), "tag": f"crop_{number}"},
         ]  # fmt: skip
-        if not same_plane(scan.crs, self.roads.crs):
+        if not same_coordinates(scan.crs, self.roads.crs):
             stages.append({
                 "type": "filters.reprojection", "in_srs": name_of(scan.crs),
                 "out_srs": name_of(self.roads.crs), "tag": f"map_{number}",
@@ -163,12 +168,12 @@ def passing_classes(roads: Roads) -> list[int]:
     return list(ROAD_CLASSES)
 
 
-def _text(box: Box) -> str:
+def _bounds_text(box: Box) -> str:
     west, south, east, north = (repr(round(side, 3)) for side in box)
     return f"([{west},{east}],[{south},{north}])"
 
 
-def _common(a: Box, b: Box) -> Box:
+def _intersection(a: Box, b: Box) -> Box:
     return max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
 
 
@@ -207,11 +212,11 @@ STAGE = "reading scans"
 MOST_AT_ONCE = 5_000_000
 
 
-# How the points on the roads were selected, as stages of PDAL; how many there are, in classified
-# scans only those of classes that pass; days of the first and the last, where GPS times give days.
-Read: TypeAlias = tuple[Pipeline, int, Days | None]
+# Result of an engine: how it selected the points on the roads, as stages of PDAL; their number, in
+# classified scans only those of classes that pass; first and last day, where GPS times give days.
+Selection: TypeAlias = tuple[Pipeline, int, Days | None]
 # A function that puts the points of scans on the roads into a store.
-Engine: TypeAlias = Callable[[PointStore, Sequence[Scan], Reporter], Read]
+Engine: TypeAlias = Callable[[PointStore, Sequence[Scan], Reporter], Selection]
 
 
 def engine_of(name: str, *, reporter: Reporter = QUIET) -> tuple[str, Engine]:
@@ -234,7 +239,8 @@ def engine_of(name: str, *, reporter: Reporter = QUIET) -> tuple[str, Engine]:
     return f"laspy {laspy.__version__}", _fill_by_laspy
 
 
-def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter) -> Read:
+def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter) -> Selection:
+    """Put the points on the roads into a store, read batch by batch by laspy."""
     total, done, on_road = sum(scan.points for scan in scans), 0, 0
     classified: list[bool] = []
     times: list[float] = []
@@ -244,7 +250,7 @@ def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter)
         ground = 0
         for batch in scan.batches(roads.area.bounds, roads.crs, reporter=reporter):
             ground += batch.ground
-            times += _keep(store, number, batch)
+            times += _store_on_road(store, number, batch)
             done += batch.read
             reporter.progress(STAGE, done, total)
         classified.append(ground >= LEAST_GROUND * scan.points)
@@ -257,7 +263,8 @@ def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter)
 
 def _fill_by_pdal(
     runner: PdalRunner, store: PointStore, scans: Sequence[Scan], reporter: Reporter
-) -> Read:
+) -> Selection:
+    """Put the points on the roads into a store, selected by PDAL's pipeline."""
     shares = [ground_share(scan, reporter=reporter) for scan in scans]
     classified = tuple(share >= LEAST_GROUND for share in shares)
     roads = store.blocks.roads
@@ -267,7 +274,7 @@ def _fill_by_pdal(
     with scratch_folder() as folder:
         layer, points = folder / "roads.gpkg", folder / "points.laz"
         write_layer(roads, layer)
-        parts = _parts(pipeline)
+        parts = _batches_of_site(pipeline)
         for done, within in enumerate(parts):
             document = pipeline.document(roads=layer, points=points, within=within)
             runner.run(document, reporter=reporter)
@@ -276,22 +283,22 @@ def _fill_by_pdal(
             if not empty:
                 result = open_scan(points, crs=roads.crs)
                 for batch in result.batches(roads.area.bounds, roads.crs):
-                    times += _keep(store, 0, batch)
+                    times += _store_on_road(store, 0, batch)
             points.unlink()
             reporter.progress("running the pipeline", done + 1, len(parts))
     return pipeline, store.total, days_flown(times)
 
 
-def _parts(pipeline: Pipeline) -> list[Box | None]:
-    """Return the parts of the site to run one after the other; one None is the whole site."""
+def _batches_of_site(pipeline: Pipeline) -> list[Box | None]:
+    """Return the boxes of the site to run one after the other; a single None is the whole site."""
     scans = zip(pipeline.scans, pipeline.classified, strict=True)
     in_memory = sum(scan.points for scan, classified in scans if not classified)
     if in_memory <= MOST_AT_ONCE or len(pipeline.scans) == 1:
         return [None]
-    return [moved_box(scan.bounds, scan.crs, pipeline.roads.crs) for scan in pipeline.scans]
+    return [reprojected_box(scan.bounds, scan.crs, pipeline.roads.crs) for scan in pipeline.scans]
 
 
-def _keep(store: PointStore, number: int, batch: Points) -> list[float]:
+def _store_on_road(store: PointStore, number: int, batch: Points) -> list[float]:
     """Store the points on the roads; return their earliest and latest GPS time, if any."""
     on_road, block = store.blocks.on_road(batch.x, batch.y)
     xyz = np.column_stack([batch.x[on_road], batch.y[on_road], batch.z[on_road]])

@@ -31,7 +31,7 @@ _ITEMS_OF_ANY_SIZE = {0, 14}
 # Number of layers of each part of a point, by the same types; extra bytes have one each.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 _LAYERED = 3  # the method of compression of point formats 6 to 10
-_OF_ANY_LENGTH = 0xFFFFFFFF  # points in a chunk: stated for each chunk by the table
+_VARIABLE_CHUNKS = 0xFFFFFFFF  # points in a chunk: stated for each chunk by the table
 _MOST_CHUNK = 10_000_000  # points; laszip's own chunks have 50,000, COPC's under 100,000
 _SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e3
 _FARTHEST_M = 1e8  # no projected coordinate on earth is larger
@@ -68,13 +68,13 @@ def read_header(path: Path) -> Any:
             head = file.read(375).ljust(375, b"\0")
             if head[:4] != b"LASF":
                 raise InputError("{}: not a LAS or LAZ file: it does not begin with LASF", path)
-            fault = _unfit(head, size) or (
-                _unfit_compression(file, head, size) if head[104] & 0x80 else ""
+            fault = _header_fault(head, size) or (
+                _compression_fault(file, head, size) if head[104] & 0x80 else ""
             )
         if not fault:
             with laspy.open(path) as reader:
                 header = reader.header
-            fault = _not_in_file(header, size)
+            fault = _size_fault(header, size)
     if fault:
         raise InputError("{}: damaged or cut off: {}", path, fault)
     if header.point_count == 0:
@@ -142,7 +142,7 @@ def scan_errors(path: str | Path) -> Iterator[None]:
         ) from error
 
 
-def _unfit(head: bytes, size: int) -> str:
+def _header_fault(head: bytes, size: int) -> str:
     """Return what is impossible in a header's bytes (ASPRS LAS 1.4, table 3), or an empty text."""
     if head[24] != 1 or head[25] > 4:
         return Text("LAS version {}.{} is not known", head[24], head[25])
@@ -159,7 +159,7 @@ def _unfit(head: bytes, size: int) -> str:
     return ""
 
 
-def _unfit_compression(file: BinaryIO, head: bytes, size: int) -> str:
+def _compression_fault(file: BinaryIO, head: bytes, size: int) -> str:
     """Return what is impossible in the compression's record or chunks, or an empty text."""
     begin, points_at, count = struct.unpack_from("<HII", head, 94)
     file.seek(begin)
@@ -170,15 +170,15 @@ def _unfit_compression(file: BinaryIO, head: bytes, size: int) -> str:
         if number == _LASZIP_RECORD and user.rstrip(b"\0") == _LASZIP:
             record = records[at + _VLR_BYTES : at + _VLR_BYTES + length]
         at += _VLR_BYTES + length
-    if fault := _unfit_record(record, struct.unpack_from("<H", head, 105)[0]):
+    if fault := _record_fault(record, struct.unpack_from("<H", head, 105)[0]):
         return Text("its record of the compression {}", fault)
-    return _unfit_chunks(file, head, record, size)
+    return _chunk_table_fault(file, head, record, size)
 
 
-def _unfit_chunks(file: BinaryIO, head: bytes, record: bytes, size: int) -> str:
+def _chunk_table_fault(file: BinaryIO, head: bytes, record: bytes, size: int) -> str:
     """Return what is impossible in the table of chunks or in their heads, or an empty text."""
     (points_at,) = struct.unpack_from("<I", head, 96)
-    each = struct.unpack_from("<I", record, 12)[0]
+    chunk_points = struct.unpack_from("<I", record, 12)[0]
     points = struct.unpack_from("<I", head, 107)[0]
     if head[25] >= 4:
         points = struct.unpack_from("<Q", head, 247)[0] or points
@@ -191,25 +191,25 @@ def _unfit_chunks(file: BinaryIO, head: bytes, record: bytes, size: int) -> str:
         return Text("its table of chunks is at byte {} of {}", table_at, size)
     file.seek(table_at)
     _, chunks = struct.unpack("<II", file.read(8))
-    most = points if each == _OF_ANY_LENGTH else points // each + 2
+    most = points if chunk_points == _VARIABLE_CHUNKS else points // chunk_points + 2
     if chunks > min(most, size // struct.unpack_from("<H", head, 105)[0]):
         return Text("its table claims {} chunks for {} points in {} bytes", chunks, points, size)
     file.seek(points_at)
     table = lazrs.read_chunk_table(file, lazrs.LazVlr(record))
     if sum(length for _, length in table) > table_at - points_at - 8:
         return Text("its table claims chunks longer than the file")
-    if each == _OF_ANY_LENGTH and sum(held for held, _ in table) != points:
+    if chunk_points == _VARIABLE_CHUNKS and sum(held for held, _ in table) != points:
         return Text("its chunks do not hold its {} points", points)
     if struct.unpack_from("<H", record)[0] == _LAYERED:
         lengths = [length for _, length in table]
-        return _unfit_layers(file, points_at + 8, lengths, _items(record))
+        return _layer_fault(file, points_at + 8, lengths, _items(record))
     return ""
 
 
-def _unfit_layers(
+def _layer_fault(
     file: BinaryIO, at: int, lengths: Sequence[int], items: Sequence[tuple[int, int]]
 ) -> str:
-    """Return which chunk has layers longer than itself, or an empty text."""
+    """Return which chunk claims layers longer than itself, or an empty text."""
     first = sum(size for _, size in items)  # one point in full, the number of points, the layers
     layers = sum(size if kind in _ITEMS_OF_ANY_SIZE else _LAYERS[kind] for kind, size in items)
     form = struct.Struct(f"<{first + 4}x{layers}I")
@@ -223,17 +223,17 @@ def _unfit_layers(
     return ""
 
 
-def _unfit_record(record: bytes, point_bytes: int) -> str:
+def _record_fault(record: bytes, point_bytes: int) -> str:
     """Return what is impossible in laszip's record, or an empty text."""
     if len(record) < _LASZIP_BYTES:
         return "is missing or cut"
-    compressor, each, count = (
+    compressor, chunk_points, count = (
         struct.unpack_from(form, record, at)[0] for form, at in (("<H", 0), ("<I", 12), ("<H", 32))
     )
     if compressor not in {2, 3}:
         return Text("names the method {}", compressor)
-    if each == 0 or _MOST_CHUNK < each < _OF_ANY_LENGTH:
-        return Text("claims chunks of {} points", each)
+    if chunk_points == 0 or _MOST_CHUNK < chunk_points < _VARIABLE_CHUNKS:
+        return Text("claims chunks of {} points", chunk_points)
     if len(record) < _LASZIP_BYTES + count * _ITEM_BYTES:
         return Text("claims {} parts of a point", count)
     items = _items(record)
@@ -253,8 +253,8 @@ def _items(record: bytes) -> list[tuple[int, int]]:
     return [struct.unpack_from("<HH", record, at) for at in places]
 
 
-def _not_in_file(header: Any, size: int) -> str:
-    """Return what is impossible in a header although laspy accepts it, or an empty text."""
+def _size_fault(header: Any, size: int) -> str:
+    """Return what a header claims that its file cannot hold, although laspy accepts it; else ""."""
     # The first point of each chunk is stored in full: the file has room for so many chunks.
     chunk = _MOST_CHUNK if header.are_points_compressed else 1
     most = (size - header.offset_to_point_data) // header.point_format.size * chunk

@@ -24,9 +24,9 @@ from gis_radar.base import (
     UsageError,
     atomic_writes,
     card,
-    moved_box,
     name_of,
     paths_of,
+    reprojected_box,
     scratch_folder,
 )
 from gis_radar.hdmap import LaneletMap
@@ -37,7 +37,7 @@ from gis_radar.scans.roads import Roads, read_roads, roads_of_map
 from gis_radar.scans.scan import Days, Scan, open_scan, write_road
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
-BESIDE = (".roads.gpkg", ".pipeline.json")
+SIDE_FILE_ENDINGS = (".roads.gpkg", ".pipeline.json")
 BARE_M2 = 20.0  # a square without a point and with so much road is outside the scans
 WARN_OUTSIDE = 0.001  # share of roads outside the scans from which on a warning is logged
 WARN_OFFSET_M = 2.0  # the same for the scan's height over the map: it may be of another level
@@ -143,7 +143,7 @@ class RoadMask:
         """
         path = Path(path)
         require_road_name(path)
-        layer, document = (path.with_name(path.stem + end) for end in BESIDE)
+        layer, document = (path.with_name(path.stem + end) for end in SIDE_FILE_ENDINGS)
         outputs = [path, document, layer]
         stages = self.pipeline.document(
             roads=layer.resolve(), points=path.resolve().with_name(f"{path.stem}.points.laz")
@@ -264,12 +264,13 @@ def mask_road(
         points_in=sum(scan.points for scan in touching), points_on_road=on_road,
         cells=cells, settings=settings,
     )  # fmt: skip
-    _refuse_bare(mask, touching)
-    _remark(mask, opened, reporter)
+    _refuse_empty(mask, touching)
+    _report(mask, opened, reporter)
     return mask
 
 
 def _no_overlap(scans: Sequence[Scan], roads: Roads) -> InputError:
+    """Return the error for scans without a point on the roads."""
     names = ", ".join(str(scan.path) for scan in scans[:3]) + (" ..." if len(scans) > 3 else "")
     west, south, east, north = roads.area.bounds
     return InputError(
@@ -287,15 +288,15 @@ def _no_overlap(scans: Sequence[Scan], roads: Roads) -> InputError:
 
 def _outside(cells: RoadCells, scans: Sequence[Scan], roads: Roads) -> shapely.MultiPolygon:
     """Return the roads outside the scans' extents, or in squares without a single point."""
-    extents = [moved_box(scan.bounds, scan.crs, roads.crs) for scan in scans]
+    extents = [reprojected_box(scan.bounds, scan.crs, roads.crs) for scan in scans]
     known = np.isfinite(extents).all()
     boxes = [shapely.box(*extent) for extent in extents] if known else [roads.area]
     beyond = shapely.difference(roads.area, shapely.union_all(boxes))
-    bare, which = np.unique(cells.missing[:, :2] // SQUARE_M, axis=0, return_inverse=True)
-    count = np.bincount(which.ravel(), cells.missing[:, 2], len(bare))
-    bare = bare[count * CELL_M**2 >= BARE_M2]
+    without_point, which = np.unique(cells.missing[:, :2] // SQUARE_M, axis=0, return_inverse=True)
+    count = np.bincount(which.ravel(), cells.missing[:, 2], len(without_point))
+    without_point = without_point[count * CELL_M**2 >= BARE_M2]
     seen = set(map(tuple, (cells.seen // SQUARE_M).tolist()))
-    unseen = np.array([place for place in bare.tolist() if tuple(place) not in seen])
+    unseen = np.array([place for place in without_point.tolist() if tuple(place) not in seen])
     empty = shapely.intersection(shapely.union_all(_strips(unseen, SQUARE_M)), roads.area)
     parts = shapely.get_parts(shapely.union(beyond, empty))
     return shapely.MultiPolygon(list(parts[shapely.area(parts) > 0.0]))
@@ -316,7 +317,7 @@ def _strips(squares: Floats, side_m: float) -> Any:
 
 def _inside_share(mask: RoadMask, scans: Sequence[Scan]) -> float:
     """Return the share of the road's cells inside the scans' extents that have a point."""
-    extents = [moved_box(scan.bounds, scan.crs, mask.roads.crs) for scan in scans]
+    extents = [reprojected_box(scan.bounds, scan.crs, mask.roads.crs) for scan in scans]
     if not np.isfinite(extents).all():
         return mask.covered
     within = shapely.union_all([shapely.box(*extent) for extent in extents])
@@ -335,7 +336,7 @@ def _bare_share(mask: RoadMask) -> float:
     return share
 
 
-def _refuse_bare(mask: RoadMask, scans: Sequence[Scan]) -> None:
+def _refuse_empty(mask: RoadMask, scans: Sequence[Scan]) -> None:
     """Refuse a mask that has points on less than `LEAST_COVERED` of the road inside the scans."""
     share = _inside_share(mask, scans)
     if share < LEAST_COVERED:
@@ -347,7 +348,8 @@ def _refuse_bare(mask: RoadMask, scans: Sequence[Scan]) -> None:
         )
 
 
-def _remark(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
+def _report(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
+    """Log the engine and skipped scans; warn of roads outside, few points, and other heights."""
     reporter.log(Text("scans read by {}", mask.engine))
     skipped = len(opened) - len(mask.pipeline.scans)
     if skipped:

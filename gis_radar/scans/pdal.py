@@ -106,9 +106,9 @@ class PdalRunner:
             )
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         if code > 0 or any(_LOSES_POINTS.search(line) for line in lines):
-            raise _error(lines, code, pipeline)
+            raise _pdal_error(lines, code, pipeline)
         for line in lines:
-            reporter.warn("PDAL: {}", _strip(line))
+            reporter.warn("PDAL: {}", _without_prefix(line))
 
 
 def find_pdal(*, reporter: Reporter = QUIET) -> PdalRunner | None:
@@ -160,27 +160,27 @@ def _version_of(path: str) -> str | tuple[int, ...]:
     return version
 
 
-def _strip(line: str) -> str:
+def _without_prefix(line: str) -> str:
     """Return a line of PDAL's log without its technical prefix."""
     return re.sub(r"^(\(.*? \w+\)|PDAL:) *(STDIN: )?(GDAL failure \(\d+\) )?", "", line)
 
 
-def _error(lines: list[str], code: int, pipeline: Mapping[str, Any]) -> GisRadarError:
+def _pdal_error(lines: list[str], code: int, pipeline: Mapping[str, Any]) -> GisRadarError:
     """Return an error with the most informative line of PDAL's log."""
     final = [line for line in lines if line.startswith("PDAL: ")]
     lost = [line for line in lines if _LOSES_POINTS.search(line)]
     chosen = (final or lost or lines or [f"it ended with exit code {code}"])[0]
-    message = Text("PDAL: {}", _strip(chosen))
+    message = Text("PDAL: {}", _without_prefix(chosen))
     if message.startswith("PDAL: writers."):
         return OutputError(message)
-    files = [name for stage in pipeline.get("pipeline", []) if (name := _reads(stage))]
+    files = [name for stage in pipeline.get("pipeline", []) if (name := _input_of(stage))]
     if message.startswith("PDAL: readers.") and len(files) == 1:
         message = Text("{}: {}", files[0], message)
     cut = re.search(r"reading point \d+ of \d+ total", message)
     return InputError(message, hint="the file is cut or damaged" if cut else "")
 
 
-def _reads(stage: object) -> object:
+def _input_of(stage: object) -> object:
     """Return the file that a stage reads, or None; a stage that is a bare name is a reader."""
     if isinstance(stage, Mapping) and str(stage.get("type", "readers.")).startswith("readers."):
         return stage.get("filename")

@@ -70,7 +70,7 @@ class RoadBlocks:
         if len(self.roads.levels) == 1:
             return [self.shapes]
         boxes = [self.cells(block).bounds for block in range(len(self.shapes))]
-        return [_pieces(np.asarray(level.shapes), boxes) for level in self.roads.levels]
+        return [_clipped(np.asarray(level.shapes), boxes) for level in self.roads.levels]
 
     def area(self, level: int, block: int, margin: int) -> Booleans:
         """Return which cells of a block and a margin have their centre on roads of a level."""
@@ -107,9 +107,11 @@ class RoadBlocks:
         inside = state == INSIDE
         edge = np.flatnonzero(state == EDGE)
         for number in np.unique(block[edge]):
-            some = edge[block[edge] == number]
-            there = point[some]
-            inside[some] = shapely.intersects_xy(self.shapes[number], x[there], y[there])
+            of_block = edge[block[edge] == number]
+            points_at = point[of_block]
+            inside[of_block] = shapely.intersects_xy(
+                self.shapes[number], x[points_at], y[points_at]
+            )
         return point[inside], block[inside].astype(np.int64)
 
     def _block_of(self, column: Integers, row: Integers) -> NDArray[np.int32]:
@@ -172,10 +174,10 @@ def _by_block(block: NDArray[Any]) -> Iterator[tuple[int, Integers]]:
 def centres_in(shapes: Any, cells: Grid) -> Booleans:
     """Return which cells have their centre in any shape; rows run from the south."""
     some = [shape for shape in np.atleast_1d(shapes) if not shapely.is_empty(shape)]
-    return _burnt(some, cells) if some else np.zeros((cells.rows, cells.columns), bool)
+    return _rasterised(some, cells) if some else np.zeros((cells.rows, cells.columns), bool)
 
 
-def _burnt(shapes: list[Any], cells: Grid, *, touched: bool = False) -> Booleans:
+def _rasterised(shapes: list[Any], cells: Grid, *, touched: bool = False) -> Booleans:
     """Return which cells have their centre in any shape, or are touched by one."""
     from rasterio.features import rasterize  # noqa: PLC0415 - most commands need none
 
@@ -184,7 +186,7 @@ def _burnt(shapes: list[Any], cells: Grid, *, touched: bool = False) -> Booleans
     return np.asarray(burnt).astype(bool)
 
 
-def _pieces(shapes: Any, boxes: list[Box]) -> list[Any]:
+def _clipped(shapes: Any, boxes: list[Box]) -> list[Any]:
     """Return the part of shapes in each box."""
     tree = shapely.STRtree(shapes)
     near = [shapes[tree.query(shapely.box(*box))] for box in boxes]
@@ -193,15 +195,16 @@ def _pieces(shapes: Any, boxes: list[Box]) -> list[Any]:
 
 
 def _states(shape: Any, cells: Grid) -> NDArray[np.uint8]:
+    """Return the state of each cell: `OUTSIDE`, `INSIDE` or `EDGE` of the roads."""
     inside = centres_in(shape, cells)
-    edge = _burnt([shapely.boundary(shape)], cells, touched=True)
+    edge = _rasterised([shapely.boundary(shape)], cells, touched=True)
     # Neighbours of which one is inside and one outside are on the edge, despite rounding.
     cross = ndimage.generate_binary_structure(2, 1)
     edge |= ndimage.morphological_gradient(inside.astype(np.uint8), footprint=cross) > 0
     return np.where(edge, EDGE, np.where(inside, INSIDE, OUTSIDE)).astype(np.uint8)
 
 
-MOST_KEPT = 1_000_000  # points in memory
+MOST_IN_MEMORY = 1_000_000  # points in memory
 _MM = 1000.0  # in a metre
 # Equal points are found by sorting one number each: 20 bits north, 20 east, 22 up, 1 for no ground.
 _SHIFT, _MOST_TALL = 100_000, 2**22 - 1  # mm: added, as a margin has negative places; most height
@@ -222,14 +225,14 @@ class PointStore:
     blocks : RoadBlocks
         The blocks.
     folder : Path
-        An existing folder, for points over `MOST_KEPT`.
+        An existing folder, for points over `MOST_IN_MEMORY`.
     """
 
     def __init__(self, blocks: RoadBlocks, folder: Path) -> None:
         self.blocks = blocks
         self.counts: dict[int, Integers] = defaultdict(lambda: np.zeros(256, np.int64))
         self._folder = folder
-        self._kept: dict[int, list[Any]] = {}
+        self._by_block_number: dict[int, list[Any]] = {}
         self._in_memory = 0
         self._ground = np.zeros(2**16, bool)
 
@@ -262,18 +265,18 @@ class PointStore:
             for name, column, origin in (("x", 0, west), ("y", 1, south), ("z", 2, 0.0)):
                 records[name] = np.rint((xyz[rows, column] - origin) * _MM)
             records["category"], records["scan"] = category[rows], scan
-            self._kept.setdefault(number, []).append(records)
+            self._by_block_number.setdefault(number, []).append(records)
         self.counts[scan] += np.bincount(category, minlength=256)
         self._in_memory += len(block)
-        if self._in_memory > MOST_KEPT:
+        if self._in_memory > MOST_IN_MEMORY:
             self._flush()
 
     def _flush(self) -> None:
-        for number, parts in self._kept.items():
+        for number, parts in self._by_block_number.items():
             with (self._folder / f"{number}.points").open("ab") as file:
                 for part in parts:
                     part.tofile(file)
-        self._kept, self._in_memory = {}, 0
+        self._by_block_number, self._in_memory = {}, 0
 
     def points(self, block: int, margin_m: float = 0.0) -> tuple[Floats, Booleans]:
         """Return the points of a block and of a margin around it, each once, in a fixed order.
@@ -306,17 +309,17 @@ class PointStore:
         records = np.concatenate(parts)
         records = records[~np.isin(records["category"], NEVER_CLASSES)]
         by_class = self._ground[records["scan"]]
-        return _each_once(records, ~by_class | np.isin(records["category"], ROAD_CLASSES))
+        return _unique_points(records, ~by_class | np.isin(records["category"], ROAD_CLASSES))
 
     def _records(self, block: int) -> Any:
-        parts = list(self._kept.get(block, []))
+        parts = list(self._by_block_number.get(block, []))
         file = self._folder / f"{block}.points"
         if file.exists():
             parts.append(np.fromfile(file, RECORD))
         return np.concatenate(parts) if parts else np.empty(0, RECORD)
 
 
-def _each_once(records: Any, ground: Booleans) -> tuple[Floats, Booleans]:
+def _unique_points(records: Any, ground: Booleans) -> tuple[Floats, Booleans]:
     """Return sorted points; of equal ones (of overlapping scans) one, as ground if any is."""
     if len(records) == 0:
         return np.empty((0, 3)), np.empty(0, bool)

@@ -82,42 +82,42 @@ class RoadLevel:
 def _levels_of(outlines: Any, lefts: Iterable[Any], rights: Iterable[Any]) -> tuple[RoadLevel, ...]:
     """Sort lanelets into levels by the heights of their bounds, where the map has them."""
     outlines = np.asarray(outlines)
-    samples = [_sampled(left, right, SAMPLE_M) for left, right in zip(lefts, rights, strict=True)]
+    samples = [_sampled(left, right) for left, right in zip(lefts, rights, strict=True)]
     owner = np.repeat(np.arange(len(samples)), [len(sample) for sample in samples])
     points = np.concatenate(samples)
     known = np.isfinite(points[:, 2])
     if not known.any():
         return (RoadLevel(shapes=outlines),)
     points, owner = points[known], owner[known]
-    number = _numbered(_conflicts(points, owner), points, owner, len(outlines))
+    number = _level_numbers(_conflicts(points, owner), points, owner, len(outlines))
     return tuple(
         RoadLevel(shapes=outlines[number == level], heights=points[number[owner] == level])
         for level in range(int(number.max()) + 1)
     )
 
 
-def _sampled(left: shapely.LineString, right: shapely.LineString, spacing_m: float) -> Floats:
+def _sampled(left: shapely.LineString, right: shapely.LineString) -> Floats:
     """Return points on both bounds and half-way between them, (n, 3) metres."""
     bounds = [shapely.get_coordinates(line, include_z=True) for line in (left, right)]
-    count = max(2, round(max(bound_length(bound) for bound in bounds) / spacing_m) + 1)
+    count = max(2, round(max(bound_length(bound) for bound in bounds) / SAMPLE_M) + 1)
     fractions = np.linspace(0.0, 1.0, count)
     on_left, on_right = (at_fractions(bound, fractions) for bound in bounds)
     return np.concatenate([on_left, (on_left + on_right) / 2.0, on_right])
 
 
-def _numbered(conflicts: Integers, points: Floats, owner: Integers, count: int) -> Integers:
+def _level_numbers(conflicts: Integers, points: Floats, owner: Integers, count: int) -> Integers:
     """Return the level of each lanelet, by mean height: the lowest free of conflicts with it."""
     number = np.zeros(count, np.int64)
     mean = np.bincount(owner, points[:, 2], count) / np.maximum(np.bincount(owner, None, count), 1)
-    rivals: defaultdict[int, set[int]] = defaultdict(set)
+    conflicting: defaultdict[int, set[int]] = defaultdict(set)
     for a, b in conflicts.tolist():
-        rivals[a].add(b)
-        rivals[b].add(a)
-    settled: set[int] = set()
-    for lanelet in sorted(rivals, key=lambda one: (mean[one], one)):
-        taken = {int(number[other]) for other in rivals[lanelet] & settled}
+        conflicting[a].add(b)
+        conflicting[b].add(a)
+    numbered: set[int] = set()
+    for lanelet in sorted(conflicting, key=lambda ref: (mean[ref], ref)):
+        taken = {int(number[other]) for other in conflicting[lanelet] & numbered}
         number[lanelet] = next(level for level in range(count) if level not in taken)
-        settled.add(lanelet)
+        numbered.add(lanelet)
     return number
 
 
@@ -154,12 +154,13 @@ def _read_polygons(path: Path, crs: Any, layer: str | None, reporter: Reporter) 
     if not np.isin(shapely.get_type_id(shapes[kept]), _POLYGONAL).all() or not kept.any():
         kinds = ", ".join(sorted(set(table.geom_type[kept]))) or "nothing"
         raise InputError("{}: holds {}, polygons of the roads are needed", path, kinds)
-    mended = _mended(shapes[kept], path, SAME_AREA, reporter)
+    mended = _mended(shapes[kept], path, reporter)
     known = _given_crs(crs, path) if table.crs is None else table.crs
     return gpd.GeoDataFrame(geometry=mended, crs=known)
 
 
 def _given_crs(crs: Any, path: Path) -> CRS:
+    """Return the CRS that the user states for a layer without one."""
     if crs is None:
         raise CrsError(
             "{}: has no coordinate system", path, hint=Text("state it: {} EPSG:25832", "--map-crs")
@@ -211,8 +212,8 @@ def _polygon(text: str) -> Any:
     return shapely.Polygon(json.loads(text)) if text.startswith("[") else shapely.from_wkt(text)
 
 
-def _mended(shapes: Any, path: Path, same_area: float, reporter: Reporter) -> Any:
-    """Return polygons mended, or refuse one whose area would change by more than a share."""
+def _mended(shapes: Any, path: Path, reporter: Reporter) -> Any:
+    """Return polygons mended; refuse one whose area would change by more than `SAME_AREA`."""
     # Each corner is checked: a bounding box would leave out NaN.
     corners, of_shape = shapely.get_coordinates(shapes, return_index=True)
     odd = of_shape[~(np.abs(corners) < _BEYOND_M).all(axis=1)]
@@ -227,23 +228,19 @@ def _mended(shapes: Any, path: Path, same_area: float, reporter: Reporter) -> An
     mended[invalid] = shapely.make_valid(shapes[invalid])
     # The signed area of a ring that crosses itself is less than the area it encloses.
     off = np.abs(shapely.area(mended) - shapely.area(shapes))
-    unclear = invalid & (off > same_area * shapely.area(mended) + 1e-9)
+    unclear = invalid & (off > SAME_AREA * shapely.area(mended) + 1e-9)
     unclear |= invalid & ~(shapely.area(mended) > 0.0)
     if unclear.any():
         reason = shapely.is_valid_reason(shapes[unclear][0]).replace("\n", " ")
         raise InputError(
             "{}: polygon {} (from 0) is invalid: {}",
             path,
-            _first(unclear),
+            int(np.flatnonzero(unclear)[0]),
             reason,
             hint="mend the layer, e.g. in QGIS with Fix geometries",
         )
     reporter.warn("{}: {} polygons mended, their areas kept", path.name, int(invalid.sum()))
     return mended
-
-
-def _first(flags: Any) -> int:
-    return int(np.flatnonzero(flags)[0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -313,7 +310,7 @@ def read_roads(
         roads = read_map(path, crs=crs, origin=origin, reporter=reporter)
         return roads_of_map(roads, source=str(path))
     table = _projected(_read_polygons(Path(path), map_crs, layer, reporter), crs, path)
-    area = _area(table.geometry.array, str(path), MOST_EXTENT_M)
+    area = _area(table.geometry.array, str(path))
     levels = (RoadLevel(shapes=shapely.get_parts(area)),)
     metric = metric_crs(table.crs, what=str(path))
     return Roads(crs=metric, area=area, levels=levels, source=str(path))
@@ -326,24 +323,26 @@ def roads_of_map(roads: LaneletMap, *, source: str = "the map") -> Roads:
         raise InputError("{}: has no lanelet for vehicles", source)
     # The outline of a mended lanelet may still touch itself.
     outlines = shapely.make_valid(lanelets.geometry.array)
-    area = _area(outlines, source, MOST_EXTENT_M)
+    area = _area(outlines, source)
     levels = _levels_of(outlines, lanelets["left"], lanelets["right"])
     return Roads(crs=roads.crs, area=area, levels=levels, source=source)
 
 
 def _projected(table: gpd.GeoDataFrame, crs: Any, path: str | Path) -> gpd.GeoDataFrame:
+    """Return a table in `crs`, else in the site's UTM zone if it is in degrees."""
     if crs is None and table.crs.is_geographic:
         west, south, east, north = table.to_crs(4326).total_bounds
         crs = utm_zone((west + east) / 2.0, (south + north) / 2.0)
     if crs is None:
         return table.set_crs(metric_crs(table.crs, what=str(path)), allow_override=True)
-    moved = table.to_crs(metric_crs(crs, what="--crs"))
-    if not np.isfinite(moved.total_bounds).all():
+    projected = table.to_crs(metric_crs(crs, what="--crs"))
+    if not np.isfinite(projected.total_bounds).all():
         raise CrsError("{}: lies outside the area of {}", path, crs)
-    return moved
+    return projected
 
 
-def _area(shapes: Any, source: str, max_extent_m: float) -> shapely.MultiPolygon:
+def _area(shapes: Any, source: str) -> shapely.MultiPolygon:
+    """Return the union of polygons; refuse one without area or wider than `MOST_EXTENT_M`."""
     parts = shapely.get_parts(shapely.union_all(shapes))
     parts = parts[shapely.area(parts) > 0.0]
     if len(parts) == 0:
@@ -351,7 +350,7 @@ def _area(shapes: Any, source: str, max_extent_m: float) -> shapely.MultiPolygon
     area = shapely.MultiPolygon(list(parts))
     west, south, east, north = area.bounds
     extent_m = max(east - west, north - south)
-    if extent_m > max_extent_m:
+    if extent_m > MOST_EXTENT_M:
         far_km = extent_m / 1000.0
         raise InputError("{}: spans {:.0f} km, which is no site", source, far_km, hint="cut it out")
     return area

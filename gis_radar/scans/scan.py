@@ -25,10 +25,10 @@ from gis_radar.base import (
     Text,
     first_line,
     metric_crs,
-    moved_box,
     name_of,
+    reprojected_box,
     require_same,
-    same_plane,
+    same_coordinates,
     transformer,
 )
 from gis_radar.scans.header import read_header, refuse_outside, scan_errors
@@ -37,16 +37,16 @@ from gis_radar.scans.settings import DEFAULTS, MaskSettings
 laspy = lazy_loader.load("laspy")  # 0.2 s, and most commands read no scan
 
 Days: TypeAlias = tuple[date, date]
-AT_ONCE = 1_000_000  # points in a batch
+BATCH_POINTS = 1_000_000  # points in a batch
 # ASPRS LAS 1.4, table 17. Road for certain: ground, key points of it, road surface, bridge deck.
 ROAD_CLASSES = (2, 8, 11, 17)
 # Never a road: vegetation, noise, water, wires and pylons, high noise.
 NEVER_CLASSES = (3, 4, 5, 7, 9, 13, 14, 15, 16, 18)
 ROAD_SURFACE = 11
 _GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
-_SAY = Text("state it: {} EPSG:25832", "--scan-crs")
+_CRS_HINT = Text("state it: {} EPSG:25832", "--scan-crs")
 _WEEK_S = 604_800.0
-_ADJUSTED_S = 1e9
+_ADJUSTED_OFFSET_S = 1e9  # subtracted in adjusted standard GPS time (ASPRS LAS 1.4)
 
 
 class Points(NamedTuple):
@@ -90,7 +90,7 @@ class Scan:
 
     def touches(self, box: Box, crs: CRS) -> bool:
         """Return whether the extent in the scan's header meets a box, which is in `crs`."""
-        within = moved_box(box, crs, self.crs)
+        within = reprojected_box(box, crs, self.crs)
         west, south, east, north = self.bounds
         return west <= within[2] and within[0] <= east and south <= within[3] and within[1] <= north
 
@@ -113,19 +113,19 @@ class Scan:
         InputError
             If the file is damaged or ends early.
         """
-        within = moved_box(box, crs, self.crs)
-        seen, outside = 0, 0.0
+        within = reprojected_box(box, crs, self.crs)
+        read, outside = 0, 0.0
         with scan_errors(self.path), laspy.open(self.path) as reader:
-            for record in reader.chunk_iterator(AT_ONCE):
+            for record in reader.chunk_iterator(BATCH_POINTS):
                 outside = max(outside, refuse_outside(record, reader.header, self.path))
-                seen += len(record)
-                batch = _inside(record, within)
-                if not same_plane(self.crs, crs):
+                read += len(record)
+                batch = _points_inside(record, within)
+                if not same_coordinates(self.crs, crs):
                     x, y = transformer(self.crs, crs).transform(batch.x, batch.y)
                     batch = batch._replace(x=x, y=y)
                 yield batch
-        if seen != self.points:
-            raise InputError("{}: cut off: {} of {} points are there", self.path, seen, self.points)
+        if read != self.points:
+            raise InputError("{}: cut off: {} of {} points are there", self.path, read, self.points)
         if outside > 0.0:
             reporter.warn(
                 "{}: points lie up to {:.0f} m outside the extent of its header, which "
@@ -153,9 +153,9 @@ def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
     """
     path = Path(path)
     header = read_header(path)
-    stated = crs if crs is not None else _stated(path, header, hint=_SAY)
+    stated = crs if crs is not None else _stated_crs(path, header, hint=_CRS_HINT)
     if stated is None:
-        raise CrsError("{}: has no coordinate system", path, hint=_SAY)
+        raise CrsError("{}: has no coordinate system", path, hint=_CRS_HINT)
     plane = metric_crs(stated, what="--scan-crs" if crs is not None else str(path))
     _refuse_feet(CRS.from_user_input(stated), path)
     return Scan(
@@ -232,7 +232,7 @@ def road_crs(path: str | Path) -> CRS:
     InputError
         If the file is damaged; CrsError if its CRS is missing or not metric.
     """
-    return metric_crs(_stated(Path(path), read_header(Path(path))), what=str(path))
+    return metric_crs(_stated_crs(Path(path), read_header(Path(path))), what=str(path))
 
 
 def ground_share(scan: Scan, *, reporter: Reporter = QUIET) -> float:
@@ -248,10 +248,10 @@ def days_flown(times: Sequence[float]) -> Days | None:
     Times beyond a week are taken for adjusted standard GPS time (seconds since 1980, less 1e9),
     also where the header's flag for it is not set.
     """
-    if not times or not _WEEK_S < min(times) <= max(times) < 2 * _ADJUSTED_S:
+    if not times or not _WEEK_S < min(times) <= max(times) < 2 * _ADJUSTED_OFFSET_S:
         return None
     first, last = (
-        (_GPS_EPOCH + timedelta(seconds=_ADJUSTED_S + time)).date()
+        (_GPS_EPOCH + timedelta(seconds=_ADJUSTED_OFFSET_S + time)).date()
         for time in (min(times), max(times))
     )
     return first, last
@@ -263,7 +263,8 @@ def box_with_margin(box: Box, margin_m: float) -> Box:
     return west - margin_m, south - margin_m, east + margin_m, north + margin_m
 
 
-def _inside(record: Any, box: Box) -> Points:
+def _points_inside(record: Any, box: Box) -> Points:
+    """Return the points of a record that lie in a box and are not withheld."""
     x, y = (
         np.asarray(record[axis], np.float64) * scale + offset
         for axis, scale, offset in zip("XY", record.scales, record.offsets, strict=False)
@@ -278,7 +279,7 @@ def _inside(record: Any, box: Box) -> Points:
     return Points(x[kept], y[kept], z, category[kept], time, len(kept), ground)
 
 
-def _stated(path: Path, header: Any, *, hint: str = "") -> CRS | None:
+def _stated_crs(path: Path, header: Any, *, hint: str = "") -> CRS | None:
     """Return the coordinate system that the file states, or None."""
     try:
         crs: CRS | None = header.parse_crs()

@@ -3,7 +3,7 @@ from .execution import RunState
 from .live_table import BrokerTable, Duration, LiveTable, PageTable, SensorThingsTable, TopicWord
 from .messages import error_in_site_words
 from .plan import Stage, stages_of
-from .recipes import mask_scans, measure_recordings, see_tiles, split_map
+from .recipes import mask_scans, measure_recordings, split_map, write_sights_of
 from .run import SiteRun, prepare_site, run_site
 from .settings import MapTable, Sensor, Site, ViewTable, read_site, site_template
 from .stages import convert_stage, measure_stage
@@ -65,11 +65,11 @@ __all__ = [
     "read_site",
     "read_toml",
     "run_site",
-    "see_tiles",
     "site_template",
     "software",
     "split_map",
     "stages_of",
     "toml_template",
     "within",
+    "write_sights_of",
 ]

@@ -170,18 +170,18 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     roads = read_map(site.map.file, crs=site.map.crs, origin=site.map.origin, reporter=reporter)
     _check_scans(site, roads)
     for sensor in site.sensor:
-        _check_place(sensor, roads)
+        _refuse_far_sensor(sensor, roads)
     warnings = list(_zone_warning(site, roads))
     collector = _WarningCollector(warnings)
     roads.lanes(streets=site.map.streets, street_field=site.map.street_field, reporter=collector)
-    found: dict[str, SensorCheck] = {}
+    sensor_checks: dict[str, SensorCheck] = {}
     recorded: dict[str, list[tuple[float, float, Path]]] = {}
     for done, sensor in enumerate(site.sensor):
         reporter.progress("reading recordings", done, len(site.sensor))
         counts = _ViewCounts()
-        ours = [path for path in sensor.recordings if path not in sensor.foreign]
-        spans = [(*counts.add(open_recording(path)), path) for path in ours]
-        found[sensor.name] = _sensor_check(sensor, spans, counts, warnings)
+        readable = [path for path in sensor.recordings if path not in sensor.foreign]
+        spans = [(*counts.add(open_recording(path)), path) for path in readable]
+        sensor_checks[sensor.name] = _sensor_check(sensor, spans, counts, warnings)
         if spans:
             recorded[sensor.name] = spans
     reporter.progress("reading recordings", len(site.sensor), len(site.sensor))
@@ -197,7 +197,7 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     for line in warnings:
         reporter.warn(line)
     return SiteCheck(
-        site=site, crs=name_of(roads.crs), lanelets=len(roads.lanelets), sensors=found,
+        site=site, crs=name_of(roads.crs), lanelets=len(roads.lanelets), sensors=sensor_checks,
         findings=findings, warnings=tuple(warnings),
     )  # fmt: skip
 
@@ -231,7 +231,7 @@ def _check_scans(site: Site, roads: LaneletMap) -> None:
         )
 
 
-def _check_place(sensor: Sensor, roads: LaneletMap) -> None:
+def _refuse_far_sensor(sensor: Sensor, roads: LaneletMap) -> None:
     """Refuse a guess or a pose that is far from all lanes."""
     if sensor.pose is not None:
         pose = read_track(sensor.pose).poses[0]
@@ -263,22 +263,22 @@ def _check_poses(
 
     What the run converts, it checks itself.
     """
-    given, alone = dict[str, RecordedSensor](), dict[str, RecordedSensor]()
+    given, without_pose = dict[str, RecordedSensor](), dict[str, RecordedSensor]()
     for each in site.sensor:
-        ours = [open_recording(path) for path in each.recordings if path not in each.foreign]
-        if not ours:
+        readable = [open_recording(path) for path in each.recordings if path not in each.foreign]
+        if not readable:
             continue
-        recorded = RecordedSensor(recordings=ours, clock=clocks.get(each.name))
+        recorded = RecordedSensor(recordings=readable, clock=clocks.get(each.name))
         if each.pose is None:
-            alone[each.name] = recorded
+            without_pose[each.name] = recorded
         else:
-            given[each.name] = replace(recorded, tracks=[read_track(each.pose)] * len(ours))
+            given[each.name] = replace(recorded, tracks=[read_track(each.pose)] * len(readable))
     masked = site.scan and site.scan.road
     road = read_road(masked, roads.crs) if masked else np.empty((0, 3))
     lanes = LaneMap(lanelets=roads.lanelets, road=road)
-    found = check_plausibility(given, lanes, reporter=reporter)
-    odd = check_recordings(alone, reporter=reporter)
-    return tuple(sorted((*found, *odd), key=lambda each: each.sensor))
+    findings = check_plausibility(given, lanes, reporter=reporter)
+    without_pose_findings = check_recordings(without_pose, reporter=reporter)
+    return tuple(sorted((*findings, *without_pose_findings), key=lambda each: each.sensor))
 
 
 def _zone_warning(site: Site, roads: LaneletMap) -> Iterator[str]:
@@ -288,13 +288,13 @@ def _zone_warning(site: Site, roads: LaneletMap) -> Iterator[str]:
     longitude, _ = transformer(roads.crs, CRS.from_epsg(4326)).transform(x, y)
     offset = zone_of(site.timezone).utcoffset(datetime(2025, 1, 1))  # noqa: DTZ001 - of the zone
     hours = (offset.total_seconds() if offset else 0.0) / 3600.0
-    off = (hours - longitude / 15.0 + 12.0) % 24.0 - 12.0
-    if abs(off) > ZONE_HOURS:
+    off_hours = (hours - longitude / 15.0 + 12.0) % 24.0 - 12.0
+    if abs(off_hours) > ZONE_HOURS:
         yield Text(
             "timezone {} is {:.0f} hours from the sun at the site: choose the zone whose "
             "clocks people there follow",
             site.timezone,
-            abs(off),
+            abs(off_hours),
         )
 
 
@@ -351,8 +351,8 @@ class _ViewCounts:
             self._range.add(batch)
             x, y, z = batch.points[batch.present].T
             self.detections += len(x)
-            self._azimuth += _degrees(y, x)
-            self._elevation += _degrees(z[np.isfinite(z)], np.hypot(x, y)[np.isfinite(z)])
+            self._azimuth += _count_by_degree(y, x)
+            self._elevation += _count_by_degree(z[np.isfinite(z)], np.hypot(x, y)[np.isfinite(z)])
         return first, last
 
     @property
@@ -361,20 +361,21 @@ class _ViewCounts:
         if not self.detections:
             return {}
         seen = {
-            "azimuth_deg": 2.0 * _reached(self._azimuth, ANGLE_SHARE),
+            "azimuth_deg": 2.0 * _angle_holding(self._azimuth, ANGLE_SHARE),
             "max_range_m": self._range.reached_m(),
         }
         if self._elevation.any():
-            half = min(90.0, _reached(self._elevation, ANGLE_SHARE))
+            half = min(90.0, _angle_holding(self._elevation, ANGLE_SHARE))
             seen["elevation_deg"] = 2.0 * half
         return seen
 
 
-def _degrees(across: Any, along: Any) -> Any:
+def _count_by_degree(across: Any, along: Any) -> Any:
+    """Return how many detections are off the x axis by each whole degree, (181,)."""
     angle = np.abs(np.degrees(np.arctan2(across, along)))
     return np.bincount(angle.astype(np.int64), minlength=181)[:181]
 
 
-def _reached(counts: Any, share: float) -> float:
+def _angle_holding(counts: Any, share: float) -> float:
     """Return the angle, in whole degrees, that holds a share of the detections."""
     return min(180.0, float(np.searchsorted(np.cumsum(counts) / counts.sum(), share)) + 1.0)

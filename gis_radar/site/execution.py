@@ -37,7 +37,7 @@ ALL = Text("all stages")
 _POLL_S = 0.1  # longest delay of a bar
 _CHUNK = 1 << 20  # bytes
 _SETTLED_S = 2.0  # resolution of file times: a younger file may change without a new time
-_LEFT_BY_VIEWERS = ("-wal", "-shm", "-journal", ".aux.xml", ".qmd")
+_VIEWER_ENDINGS = ("-wal", "-shm", "-journal", ".aux.xml", ".qmd")
 
 Stamp = tuple[int, int, int, int]
 
@@ -82,7 +82,7 @@ class Execution:
     timezone: str = "UTC"
     folder: Path | None = None
     outcomes: dict[str, Outcome] = field(default_factory=dict)
-    _begun: dict[Future[Mapping[str, Any]], _RunningStage] = field(default_factory=dict)
+    _running: dict[Future[Mapping[str, Any]], _RunningStage] = field(default_factory=dict)
     _logged: set[str] = field(default_factory=set)
 
     def run(self, last: int | None = None) -> list[Outcome]:
@@ -106,11 +106,11 @@ class Execution:
             while order.is_active():
                 ready = set(order.get_ready())
                 begun = [self._begin(stage) for stage in stages if stage.name in ready]
-                for outcome in [each for each in begun if each] or self._ended():
-                    self._settle(outcome)
+                for outcome in [each for each in begun if each] or self._wait_for_outcomes():
+                    self._take_outcome(outcome)
                     order.done(outcome.stage.name)
         except BrokenExecutor as error:
-            raise self._crash() from error
+            raise self._worker_error() from error
         return [self.outcomes[stage.name] for stage in stages]
 
     def _order(self, stages: Sequence[Stage]) -> TopologicalSorter[str]:
@@ -125,20 +125,20 @@ class Execution:
 
     def _begin(self, stage: Stage) -> Outcome | None:
         """Begin a stage, or return its outcome if it cannot be done or need not be done again."""
-        lacking = self._lacking(stage)
-        if lacking is not None:
-            return Outcome(stage=stage, state="skipped", error=lacking)
-        if (kept := self.state.kept(stage)) is not None:
-            return kept
+        missing = self._missing_input_error(stage)
+        if missing is not None:
+            return Outcome(stage=stage, state="skipped", error=missing)
+        if (unchanged := self.state.recorded_outcome(stage)) is not None:
+            return unchanged
         key = self.state.key_of(stage)
         future = self.pool.executor.submit(
             carry_out, stage.name, stage.work, stage.arguments, stage.outputs, self.pool.send
         )
-        self._begun[future] = _RunningStage(stage=stage, key=key, since=time.monotonic())
+        self._running[future] = _RunningStage(stage=stage, key=key, since=time.monotonic())
         self.reporter.progress(stage.name, 0, 100)
         return None
 
-    def _lacking(self, stage: Stage) -> GisRadarError | None:
+    def _missing_input_error(self, stage: Stage) -> GisRadarError | None:
         """Return the error of a stage that this one needs, or None if it can be done."""
         made = {path: each for each in self.outcomes.values() for path in each.stage.outputs}
         for path in stage.needs:
@@ -150,26 +150,26 @@ class Execution:
                 return ended[0].error
         return None
 
-    def _ended(self) -> Iterator[Outcome]:
+    def _wait_for_outcomes(self) -> Iterator[Outcome]:
         """Wait up to `_POLL_S`, pass events on, and yield outcomes of stages that have ended."""
-        done, _ = wait(self._begun, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+        done, _ = wait(self._running, timeout=_POLL_S, return_when=FIRST_COMPLETED)
         self._relay_events()
         for future in done:
             yield self._outcome(future)
 
-    def _crash(self) -> GisRadarError:
+    def _worker_error(self) -> GisRadarError:
         """Return the error for a worker that ended during its work."""
         self._relay_events()
-        at_work = [each for each in self._begun.values() if each.at_work]
+        at_work = [each for each in self._running.values() if each.at_work]
         return GisRadarError(
             "{}: a worker process ended",
-            Text(", ").join(each.stage.name for each in at_work or self._begun.values()),
+            Text(", ").join(each.stage.name for each in at_work or self._running.values()),
             hint="if memory ran out, use fewer at once: --jobs 1",
         )
 
     def _relay_events(self) -> None:
         """Pass on the events that workers have sent."""
-        begun = {each.stage.name: each for each in self._begun.values()}
+        begun = {each.stage.name: each for each in self._running.values()}
         while not self.pool.events.empty():
             event = self.pool.events.get()
             if (stage := begun.get(event["stage"])) is not None:
@@ -196,7 +196,7 @@ class Execution:
 
     def _outcome(self, future: Future[Mapping[str, Any]]) -> Outcome:
         """Return how a stage ended; record it if it need not be done again."""
-        begun = self._begun[future]
+        begun = self._running[future]
         figures: Mapping[str, Any] = {}
         state: Ending = "done"
         error: GisRadarError | None = None
@@ -207,7 +207,7 @@ class Execution:
         except GisRadarError as caught:
             error = error_in_site_words(caught, self.timezone, self.folder)
             state = "refused" if isinstance(caught, NoAnswerError) else "failed"
-        del self._begun[future]
+        del self._running[future]
         outcome = Outcome(
             stage=begun.stage,
             state=state,
@@ -217,12 +217,13 @@ class Execution:
             seconds=round(time.monotonic() - begun.since, 2),
         )
         if state != "failed" and self.state.key_of(begun.stage) == begun.key:
-            self.state.keep(outcome)
+            self.state.record(outcome)
         elif state != "failed":
             self.reporter.warn("{}: an input has changed meanwhile: run again", begun.stage.name)
         return outcome
 
-    def _settle(self, outcome: Outcome) -> None:
+    def _take_outcome(self, outcome: Outcome) -> None:
+        """Keep an outcome, and report it; raise its error if all other stages depend on it."""
         stage = outcome.stage
         self.outcomes[stage.name] = outcome
         if not outcome.has_result:
@@ -260,7 +261,7 @@ def discard(paths: Sequence[Path]) -> None:
 
 # The argument whose file is hashed without these layers: stages only count by its tiles, so names
 # of streets may change later.
-_TILES, _BESIDE_TILES = "tile_file", ("lanes", "stop_lines", "problems")
+_TILES_ARGUMENT, _LAYERS_NOT_HASHED = "tile_file", ("lanes", "stop_lines", "problems")
 
 
 class _Record(BaseModel):
@@ -276,7 +277,7 @@ class _Record(BaseModel):
     seconds: float
 
 
-class _Memory(BaseModel):
+class _StateFile(BaseModel):
     """Content of the state file: hashes by file, records by stage."""
 
     model_config = ConfigDict(ser_json_inf_nan="constants")
@@ -286,7 +287,7 @@ class _Memory(BaseModel):
 
 
 class RunState:
-    """State of earlier runs: hashes of files, valid while size and times stay; records of stages.
+    """Hashes of files, valid while size and times stay, and records of the stages of earlier runs.
 
     Parameters
     ----------
@@ -299,16 +300,16 @@ class RunState:
     def __init__(self, path: Path, root: Path) -> None:
         self._path, self._root = path, root
         try:
-            memory = _Memory.model_validate_json(path.read_bytes())
+            state_file = _StateFile.model_validate_json(path.read_bytes())
         except (OSError, ValidationError):
-            memory = _Memory()
-        self._memory, self._hashes, self.records = memory, memory.files, memory.stages
-        self._packages = memory.packages
+            state_file = _StateFile()
+        self._state_file, self._hashes = state_file, state_file.files
+        self.records, self._packages = state_file.stages, state_file.packages
 
     def save(self) -> None:
         """Write the file, whole or not at all."""
         with atomic_write(self._path) as part:
-            part.write_text(self._memory.model_dump_json(), encoding="utf-8")
+            part.write_text(self._state_file.model_dump_json(), encoding="utf-8")
 
     def hash_of(self, path: Path, progress: Callable[[int], None] = lambda _: None) -> str | None:
         """Return the hash of a file or a folder, 32 characters; None where it is not there.
@@ -325,7 +326,7 @@ class RunState:
             parts = [
                 (each.relative_to(path).as_posix(), each)
                 for each in files
-                if not each.name.endswith(_LEFT_BY_VIEWERS)
+                if not each.name.endswith(_VIEWER_ENDINGS)
             ]
             return _digest([(name, self.hash_of(part, progress)) for name, part in sorted(parts)])
         try:
@@ -333,30 +334,32 @@ class RunState:
         except OSError:
             return None
         name = str(path.resolve())
-        known = self._hashes.get(name)
-        if known is not None and known[0] == stamp:
-            return known[1]
-        found = _hash(path, progress)
+        cached = self._hashes.get(name)
+        if cached is not None and cached[0] == stamp:
+            return cached[1]
+        digest = _hash(path, progress)
         if path.suffix.lower() == ".gpkg":
-            found = self._hash_of_tables(path, name, found)
+            digest = self._hash_of_tables(path, name, digest)
         if time.time() - stamp[1] / 1e9 > _SETTLED_S:
-            self._hashes[name] = (stamp, found)
+            self._hashes[name] = (stamp, digest)
         else:
             self._hashes.pop(name, None)
-        return found
+        return digest
 
-    def _hash_of_tables(self, path: Path, name: str, of_bytes: str, but: Sequence[str] = ()) -> str:
+    def _hash_of_tables(
+        self, path: Path, name: str, of_bytes: str, exclude: Sequence[str] = ()
+    ) -> str:
         """Return the hash of a GeoPackage's tables; it takes 15 times as long as that of bytes."""
         if name not in self._packages or self._packages[name][0] != of_bytes:
-            self._packages[name] = (of_bytes, base.content_digest(path, but) or of_bytes)
+            self._packages[name] = (of_bytes, base.content_digest(path, exclude) or of_bytes)
         return self._packages[name][1]
 
     def _hash_for(self, stage: Stage, path: Path) -> str | None:
         """Return the hash of the part of a file that a stage reads."""
         found = self.hash_of(path)
-        if found is None or stage.inputs.get(_TILES) != path:
+        if found is None or stage.inputs.get(_TILES_ARGUMENT) != path:
             return found
-        return self._hash_of_tables(path, f"{path.resolve()}: tiles", found, _BESIDE_TILES)
+        return self._hash_of_tables(path, f"{path.resolve()}: tiles", found, _LAYERS_NOT_HASHED)
 
     def key_of(self, stage: Stage) -> str:
         """Return the hash of all that a stage's result depends on; missing inputs are left out."""
@@ -366,18 +369,22 @@ class RunState:
                 "options": dict(stage.options),
                 "software": software(),
                 "inputs": [
-                    (self._name(p), held) for p in stage.reads if (held := self._hash_for(stage, p))
+                    (self._relative_name(p), held)
+                    for p in stage.reads
+                    if (held := self._hash_for(stage, p))
                 ],
-                "outputs": [self._name(path) for path in stage.outputs],
+                "outputs": [self._relative_name(path) for path in stage.outputs],
             }
         )
 
-    def kept(self, stage: Stage) -> Outcome | None:
+    def recorded_outcome(self, stage: Stage) -> Outcome | None:
         """Return the recorded outcome of a stage; None if it must be done again."""
         record = self.records.get(stage.name)
-        if record is None or record.key != self.key_of(stage.asking(record.figures.get("asked"))):
+        if record is None:
             return None
-        if record.refusal is None and record.outputs != self._held(stage):
+        if record.key != self.key_of(stage.reading_first(record.figures.get("asked"))):
+            return None
+        if record.refusal is None and record.outputs != self._output_hashes(stage):
             return None
         names = {"figures", "warnings", "refusal", "parts", "texts"}
         recorded = restored(record.model_dump(include=names))
@@ -395,7 +402,7 @@ class RunState:
             seconds=record.seconds,
         )
 
-    def keep(self, outcome: Outcome) -> None:
+    def record(self, outcome: Outcome) -> None:
         """Record a stage that has ended with a result or a refusal."""
         stage, error = outcome.stage, outcome.error
         document = {
@@ -405,27 +412,29 @@ class RunState:
             "parts": [(each.message, each.hint) for each in (error.parts if error else ())],
         }
         self.records[stage.name] = _Record(
-            key=self.key_of(stage.asking(outcome.figures.get("asked"))),
-            outputs={} if error else self._held(stage),
+            key=self.key_of(stage.reading_first(outcome.figures.get("asked"))),
+            outputs={} if error else self._output_hashes(stage),
             seconds=outcome.seconds,
             **with_texts(document),
         )
         self.save()
 
-    def outdate(self) -> None:
+    def invalidate(self) -> None:
         """Invalidate all records, so that everything is done again."""
         for record in self.records.values():
             record.key = ""
 
-    def forget(self, name: str) -> list[Path]:
+    def drop(self, name: str) -> list[Path]:
         """Drop a record; return its outputs in the folder of the run."""
         paths = [self._root / each for each in self.records.pop(name).outputs]
         return [path for path in paths if path.resolve().is_relative_to(self._root.resolve())]
 
-    def _held(self, stage: Stage) -> dict[str, str | None]:
-        return {self._name(path): self.hash_of(path) for path in stage.outputs}
+    def _output_hashes(self, stage: Stage) -> dict[str, str | None]:
+        """Return the hash of each output of a stage, by its name."""
+        return {self._relative_name(path): self.hash_of(path) for path in stage.outputs}
 
-    def _name(self, path: Path) -> str:
+    def _relative_name(self, path: Path) -> str:
+        """Return a path relative to the folder of the run; of a file elsewhere its bare name."""
         inside = path.is_relative_to(self._root)
         return path.relative_to(self._root).as_posix() if inside else path.name
 

@@ -44,6 +44,7 @@ def _topic_word(text: str) -> str:
 
 
 def _host_and_port(text: str) -> str:
+    """Return a text of the form HOST:PORT; refuse any other."""
     try:
         parts = urlsplit(f"//{text}")
         fits = bool(parts.hostname) and parts.port is not None and parts.netloc == text
@@ -110,6 +111,7 @@ class PageTable(TomlTable):
 
     @model_validator(mode="after")
     def _asks_who_reads(self) -> Self:
+        """Refuse a page that other machines reach without token or login."""
         host = urlsplit(f"//{self.address}").hostname or ""
         if not (_is_loopback(host) or self.token_file or self.behind_proxy):
             raise Unfit(
@@ -135,6 +137,7 @@ class SensorThingsTable(TomlTable):
 
     @model_validator(mode="after")
     def _hides_its_log_in(self) -> Self:
+        """Refuse to send a password or token over http to another machine."""
         parts = urlsplit(self.address)
         log_in = self.password_file is not None or self.token_file is not None
         if log_in and parts.scheme == "http" and not _is_loopback(parts.hostname or ""):

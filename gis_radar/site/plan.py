@@ -11,7 +11,7 @@ from gis_radar.base import GisRadarError, Text
 from gis_radar.products import REPORT_FILES
 from gis_radar.site import stages
 from gis_radar.site.settings import ConvertTable, Sensor, Site
-from gis_radar.site.together import FOUND, RECORDED, SEVERAL
+from gis_radar.site.together import CANDIDATES_FILE, POSE_FILE, RECORDING_FILE
 
 OWNED = (
     "road.", "tiles.gpkg", "sensors", "dataset", "heatmap", "sight.gpkg",
@@ -80,19 +80,19 @@ class Stage:
         given = self.inputs.values()
         return tuple(p for each in given for p in ([each] if isinstance(each, Path) else each))
 
-    def asking(self, number: int | None) -> Stage:
+    def reading_first(self, number: int | None) -> Stage:
         """Return the stage with at most `number` of the files that are read in turn."""
         if number is None or not self.in_turn:
             return self
         files = self.inputs[self.in_turn]
-        asked = files if isinstance(files, Path) else files[:number]
-        return replace(self, inputs={**self.inputs, self.in_turn: asked})
+        files_read = files if isinstance(files, Path) else files[:number]
+        return replace(self, inputs={**self.inputs, self.in_turn: files_read})
 
     @property
     def arguments(self) -> dict[str, Any]:
         """The function's arguments without its outputs; of the parts, those that exist."""
-        there = {name: [p for p in paths if p.exists()] for name, paths in self.parts.items()}
-        return {**self.inputs, **there, **self.options}
+        existing = {name: [p for p in paths if p.exists()] for name, paths in self.parts.items()}
+        return {**self.inputs, **existing, **self.options}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,6 +170,7 @@ def _map_options(site: Site) -> dict[str, Any]:
 
 
 def _road(site: Site, folder: Path) -> Iterator[Stage]:
+    """Yield the stage that makes the road's surface: a mask of scans, or a copy."""
     scan = site.scan
     if scan is not None and scan.road is not None:
         outputs = (folder / "road.laz",)
@@ -187,12 +188,13 @@ def _road(site: Site, folder: Path) -> Iterator[Stage]:
 
 
 def _conversion(sensor: Sensor, folder: Path) -> Stage:
+    """Return the stage that converts a sensor's recordings in other formats."""
     return Stage(
         name=Text("convert {}", sensor.name),
         work=stages.convert_stage,
         inputs={"recordings": sensor.foreign},
         options=(sensor.convert or ConvertTable()).model_dump(),
-        outputs=(folder / "sensors" / sensor.name / RECORDED,),
+        outputs=(folder / "sensors" / sensor.name / RECORDING_FILE,),
         phases=2,
         sensor=sensor.name,
     )
@@ -201,11 +203,12 @@ def _conversion(sensor: Sensor, folder: Path) -> Stage:
 def _recordings(sensor: Sensor, folder: Path) -> tuple[Path, ...]:
     """Return the recordings of a sensor for later stages: converted ones in place of foreign."""
     foreign = set(sensor.foreign)
-    ours = (path for path in sensor.recordings if path not in foreign)
-    return (*ours, *(_conversion(sensor, folder).outputs if foreign else ()))
+    readable = (path for path in sensor.recordings if path not in foreign)
+    return (*readable, *(_conversion(sensor, folder).outputs if foreign else ()))
 
 
 def _localization(site: Site, sensor: Sensor, folder: Path) -> Stage:
+    """Return the stage that finds a sensor's pose from its own recordings."""
     place = folder / "sensors" / sensor.name
     scans = _scans(site)
     return Stage(
@@ -223,7 +226,7 @@ def _localization(site: Site, sensor: Sensor, folder: Path) -> Stage:
             **sensor.model_dump(include={"guess", "heading", "compass", "method"}),
             "scan_crs": site.scan.crs if site.scan else None,
         },
-        outputs=(place / FOUND, place / "localization.png", place / SEVERAL),
+        outputs=(place / POSE_FILE, place / "localization.png", place / CANDIDATES_FILE),
         phases=5 if scans else 3,
         sensor=sensor.name,
         in_turn="recordings",
@@ -242,24 +245,26 @@ def _tied(site: Site) -> list[Sensor]:
 
 
 def _together(site: Site, folder: Path) -> Iterator[Stage]:
+    """Yield the stage that adjusts the poses of sensors together, where there are several."""
     tied = _tied(site)
     if not tied:
         return
     places = [folder / "sensors" / each.name for each in tied]
-    ours, converted = _all_recordings(tied, folder)
+    found = (place / name for place in places for name in (POSE_FILE, CANDIDATES_FILE))
+    readable, converted = _all_recordings(tied, folder)
     yield Stage(
         name=Text("poses together"),
         work=stages.together_stage,
         inputs=_given(
             map_file=site.map.file,
             road=folder / "road.laz",
-            recordings=tuple(path for paths in ours.values() for path in paths),
+            recordings=tuple(path for paths in readable.values() for path in paths),
             clocks=site.measure.clocks,
         ),
-        beside=((*(place / name for place in places for name in (FOUND, SEVERAL)), *converted),),
+        beside=((*found, *converted),),
         options={
             **_map_options(site),
-            "sensors": {name: len(paths) for name, paths in ours.items()},
+            "sensors": {name: len(paths) for name, paths in readable.items()},
         },
         outputs=(folder / "together.json",),
         phases=2,
@@ -270,12 +275,15 @@ def _all_recordings(
     sensors: Sequence[Sensor], folder: Path
 ) -> tuple[dict[str, list[Path]], list[Path]]:
     """Return recordings that need no conversion, by sensor, and all converted recordings."""
-    ours = {each.name: [p for p in each.recordings if p not in each.foreign] for each in sensors}
+    readable = {
+        each.name: [p for p in each.recordings if p not in each.foreign] for each in sensors
+    }
     foreign = [each for each in sensors if each.foreign]
-    return ours, [path for each in foreign for path in _conversion(each, folder).outputs]
+    return readable, [path for each in foreign for path in _conversion(each, folder).outputs]
 
 
 def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
+    """Return the stage that writes the pose of a sensor that all later stages use."""
     place = folder / "sensors" / sensor.name
     options: dict[str, Any] = {"sensor": sensor.name, "view": _view(sensor)}
     if sensor in _tied(site):
@@ -283,17 +291,17 @@ def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
             name=Text("pose {}", sensor.name),
             work=stages.tied_pose_stage,
             inputs={"together": folder / "together.json"},
-            beside=((place / FOUND,),),
+            beside=((place / POSE_FILE,),),
             options=options,
             outputs=(place / "pose.json",),
             sensor=sensor.name,
         )
-    pose = sensor.pose or place / FOUND
+    pose = sensor.pose or place / POSE_FILE
     is_track = pose.suffix.lower() == ".csv"
     return Stage(
         name=Text("pose {}", sensor.name),
         work=stages.pose_stage,
-        inputs={"pose": pose} | ({} if sensor.pose else {"candidates": place / SEVERAL}),
+        inputs={"pose": pose} | ({} if sensor.pose else {"candidates": place / CANDIDATES_FILE}),
         options={**options, "given": sensor.pose is not None},
         outputs=(place / ("track.csv" if is_track else "pose.json"),),
         sensor=sensor.name,
@@ -301,6 +309,7 @@ def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
 
 
 def _tiles(site: Site, folder: Path) -> Stage:
+    """Return the stage that splits the lanes into tiles."""
     return Stage(
         name=Text("tiles"),
         work=stages.tiles_stage,
@@ -326,14 +335,14 @@ def _measure(site: Site, folder: Path) -> Stage:
     clocks = filters.pop("clocks")
     filters["elevation_error_deg"] = filters.pop("elevation_error")
     poses = {each.name: _pose(site, each, folder).outputs[0] for each in site.sensor}
-    ours, converted = _all_recordings(site.sensor, folder)
+    readable, converted = _all_recordings(site.sensor, folder)
     return Stage(
         name=Text("measure"),
         work=stages.measure_stage,
         inputs=_given(
             map_file=site.map.file,
             tile_file=folder / "tiles.gpkg",
-            recordings=tuple(path for paths in ours.values() for path in paths),
+            recordings=tuple(path for paths in readable.values() for path in paths),
             clocks=clocks,
             scans=_scans(site),
         ),
@@ -342,7 +351,7 @@ def _measure(site: Site, folder: Path) -> Stage:
         options={
             "sensors": {
                 each.name: {
-                    "recordings": len(ours[each.name]),
+                    "recordings": len(readable[each.name]),
                     # a pose has its view already
                     "view": _view(each) if poses[each.name].suffix == ".csv" else None,
                     "cycle": each.cycle,

@@ -38,25 +38,25 @@ def split_map(
     """
     roads = hdmap.read_map(map_file, crs=crs, origin=origin, reporter=reporter)
     points = None if road is None else scan_room.read_road(road, roads.crs)
-    table = hdmap.make_tiles(roads, road=points, reporter=reporter, **options)
-    ways = roads.lanes(streets=streets, street_field=street_field, reporter=reporter)
-    tiled = ways[ways["lane"].isin(table["lane"])]
+    tiles = hdmap.make_tiles(roads, road=points, reporter=reporter, **options)
+    lanes = roads.lanes(streets=streets, street_field=street_field, reporter=reporter)
+    tiled_lanes = lanes[lanes["lane"].isin(tiles["lane"])]
     stops = roads.stop_lines()
-    hdmap.write_tiles(table, output, problems=roads.problems, lanes=tiled, stop_lines=stops)
+    hdmap.write_tiles(tiles, output, problems=roads.problems, lanes=tiled_lanes, stop_lines=stops)
     actions = roads.problems["action"].value_counts()
     return {
         "crs": name_of(roads.crs),
         "lanelets": len(roads.lanelets),
-        "lanelets_tiled": int(table["lanelet_id"].nunique()),
+        "lanelets_tiled": int(tiles["lanelet_id"].nunique()),
         "repaired": int(actions.get("repaired", 0)),
         "left_out": int(actions.get("left out", 0)),
         "problems": len(roads.problems),
-        "lanes": len(tiled),
-        "streets": int(tiled["street"].nunique()),
+        "lanes": len(tiled_lanes),
+        "streets": int(tiled_lanes["street"].nunique()),
         "stop_lines": int(stops["stop_line"].nunique()),
-        "tiles": len(table),
-        "with_height": int(table["height_m"].notna().sum()),
-        "fingerprint": hdmap.fingerprint(table),
+        "tiles": len(tiles),
+        "with_height": int(tiles["height_m"].notna().sum()),
+        "fingerprint": hdmap.fingerprint(tiles),
     }
 
 
@@ -84,39 +84,41 @@ def measure_site(
     It returns the dataset, and the error of each sensor that was left out. Options are those of
     :func:`measure_recordings`.
     """
-    left, refused = dict(sensors), dict[str, GisRadarError]()
+    remaining, refused = dict(sensors), dict[str, GisRadarError]()
     while True:
-        recordings = [path for paths, _ in left.values() for path in paths]
-        tracks = [track for paths, track in left.values() for _ in paths]
+        recordings = [path for paths, _ in remaining.values() for path in paths]
+        tracks = [track for paths, track in remaining.values() for _ in paths]
         try:
-            made = measure_recordings(
+            measured = measure_recordings(
                 recordings, tracks, tile_file, map_file, output, only=only, reporter=reporter,
-                accept=[name for name in accept if name in left], **options,
+                accept=[name for name in accept if name in remaining], **options,
             )  # fmt: skip
         except calibration.ImplausibleError as error:
-            found = error.findings
-            if len(found) == len(left):
-                kept = next((each for each in found if each.is_of_clocks), None)
-                if kept is None:
+            findings = error.findings
+            if len(findings) == len(remaining):
+                clock_only = next((each for each in findings if each.is_of_clocks), None)
+                if clock_only is None:
                     raise
-                # without other sensors, the offset of a clock does not matter: keep one
-                found = tuple(each for each in found if each is not kept)
-            for each in found:
+                # without other sensors, the offset of a clock does not matter: leave one in
+                findings = tuple(each for each in findings if each is not clock_only)
+            for each in findings:
                 reporter.warn("{} is left out: {}", each.sensor, each.text_with_advice)
                 refused[each.sensor] = each.refusal
-                del left[each.sensor]
+                del remaining[each.sensor]
         except InputError as error:
-            named = [n for n, (paths, _) in left.items() if _names_one(error.message, paths)]
-            if not named or len(left) == 1:
+            failed = [
+                n for n, (paths, _) in remaining.items() if _begins_with_file(error.message, paths)
+            ]
+            if not failed or len(remaining) == 1:
                 raise
-            reporter.warn("{} is left out: {}", named[0], error.message)
-            refused[named[0]] = error
-            del left[named[0]]
+            reporter.warn("{} is left out: {}", failed[0], error.message)
+            refused[failed[0]] = error
+            del remaining[failed[0]]
         else:
-            return made, refused
+            return measured, refused
 
 
-def _names_one(message: str, paths: Sequence[Path]) -> bool:
+def _begins_with_file(message: str, paths: Sequence[Path]) -> bool:
     """Return whether a message begins with the name of one of some files."""
     return any(message.startswith(f"{name}:") for path in paths for name in (path, path.resolve()))
 
@@ -130,20 +132,20 @@ def measure_recordings(
 
     Options are those of :func:`gis_radar.measure`.
     """
-    kept, tiles = measures.Filters(**filters), hdmap.read_tiles(tile_file)
+    chosen, tiles = measures.Filters(**filters), hdmap.read_tiles(tile_file)
     known = {} if clocks is None else _clocks(clocks, tracks, reporter)
     return dataset.measure(
         recordings, tracks, tiles, map_file, output,
-        filters=kept, clocks=known, processes=processes or workers_here(), reporter=reporter,
+        filters=chosen, clocks=known, processes=processes or workers_here(), reporter=reporter,
         **options,
     )  # fmt: skip
 
 
-def see_tiles(
+def write_sights_of(
     tracks: Sequence[PoseTrack], tile_file: Path, output: Path, *, scans: Sequence[Path],
     scan_crs: str | None, reporter: Reporter,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write the sights of sensors; return figures by sensor, those of its last pose."""
+    """Write which tiles sensors see; return figures by sensor, those of its last pose."""
     tiles = hdmap.read_tiles(tile_file)
     for track in tracks:
         what = Text("the pose of {}", track.sensor)

@@ -39,7 +39,7 @@ from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
 from gis_radar.site.settings import Site, read_site
 from gis_radar.site.stages import STATE
 from gis_radar.site.versions import software
-from gis_radar.site.worker import own_pool, process_pool
+from gis_radar.site.worker import process_pool, thread_pool
 
 _POSE = ("easting", "northing", "height", "yaw", "pitch", "roll")
 
@@ -90,15 +90,15 @@ class SiteRun:
         missing = self.missing
         if not missing:
             return None
-        made_of = [each.name for each in self.site.sensor if each.name not in missing]
+        shown = [each.name for each in self.site.sensor if each.name not in missing]
         bad = [name for name, error in missing.items() if not isinstance(error, NoAnswerError)]
         first = (bad or list(missing))[0]
         rest = Text("there is no heat map")
-        if made_of:
-            rest = Text("the heat maps show {} only", ", ".join(made_of))
+        if shown:
+            rest = Text("the heat maps show {} only", ", ".join(shown))
         kind = InputError if bad else NoAnswerError
         lost = ", ".join(sorted(missing))
-        named = {name: _named(name, error) for name, error in missing.items()}
+        named = {name: _with_sensor_name(name, error) for name, error in missing.items()}
         parts = [kind("no result for {}; {}", lost, rest), *named.values()]
         return kind(
             "no result for {}; {}; {}", lost, rest, named[first].message, hint=named[first].hint,
@@ -108,7 +108,7 @@ class SiteRun:
     def figures(self) -> Mapping[str, Any]:
         """Return key figures by name."""
         by_work = {e.stage.work: e.figures for e in reversed(self.outcomes) if e.has_result}
-        unsure = doubts_of(self.outcomes)
+        doubts = doubts_of(self.outcomes)
         heat, tiles = by_work.get(work.heatmap_stage), by_work.get(work.tiles_stage)
         names = (*_POSE, "fitness", "scan_check", "state")
         sensors = sensors_of(self.outcomes, self.site).items()
@@ -123,15 +123,18 @@ class SiteRun:
                 for k, value in (by_work.get(work.measure_stage) or {}).items()
                 if k in {"vehicles", "heavy", "passages"}
             },
-            **({"not_known_to_fit": [*unsure.values()]} if unsure else {}),
+            **({"not_known_to_fit": [*doubts.values()]} if doubts else {}),
             "warnings": len(warnings_of(self.outcomes)),
             "stages": len(self.outcomes),
             "stages_done_before": sum(each.state == "kept" for each in self.outcomes),
         }
 
     def __repr__(self) -> str:
-        lost = [f"; no result for {name}: {why.message}" for name, why in self.missing.items()]
-        return f"SiteRun({self.site!r}, {len(self.outcomes)} stages, {self.folder}{''.join(lost)})"
+        without_result = [
+            f"; no result for {name}: {why.message}" for name, why in self.missing.items()
+        ]
+        lacking = "".join(without_result)
+        return f"SiteRun({self.site!r}, {len(self.outcomes)} stages, {self.folder}{lacking})"
 
     def _repr_html_(self) -> str:
         return card(f"Run of {self.site.title or self.site.path}", self.figures())
@@ -183,25 +186,25 @@ def run_site(
     site, root = read_site(path), Path(folder).absolute()
     refuse_inputs(root, site.path, *site.inputs)
     with ExitStack() as stack:
-        kept, scratch = stack.enter_context(_opened(Path(folder), reporter))
+        state, scratch = stack.enter_context(_opened(Path(folder), reporter))
         if fresh:
-            kept.outdate()
-        _hash_inputs(site, kept, reporter)
-        _write_record(site, root, (), kept, finished=False)
+            state.invalidate()
+        _hash_inputs(site, state, reporter)
+        _write_record(site, root, (), state, finished=False)
         pool = stack.enter_context(process_pool(jobs or workers_here(), scratch, site.language))
         try:
             execution = Execution(
-                stages=stages_of(site, root), state=kept, pool=pool, reporter=reporter,
+                stages=stages_of(site, root), state=state, pool=pool, reporter=reporter,
                 timezone=site.timezone, folder=site.path.absolute().parent,
             )  # fmt: skip
-            forget_stages_gone(kept, execution.stages, reporter)
-            _write_record(site, root, execution.run(-1), kept, finished=False)
+            drop_removed_stages(state, execution.stages, reporter)
+            _write_record(site, root, execution.run(-1), state, finished=False)
             outcomes = execution.run()
         except KeyboardInterrupt:
             reporter.log("stopped; what is done stays done: the same call goes on from there")
             raise
-        kept.save()
-        _write_record(site, root, outcomes, kept, finished=True)
+        state.save()
+        _write_record(site, root, outcomes, state, finished=True)
     return SiteRun(site=site, folder=Path(folder), outcomes=outcomes)
 
 
@@ -224,14 +227,14 @@ def prepare_site(site: Site, folder: Path, *, reporter: Reporter = QUIET) -> Seq
     """
     root = folder.absolute()
     before = takewhile(lambda stage: stage.work != work.measure_stage, stages_of(site, root))
-    with _opened(folder, reporter) as (kept, _), own_pool() as pool:
+    with _opened(folder, reporter) as (state, _), thread_pool() as pool:
         execution = Execution(
-            stages=list(before), state=kept, pool=pool,
+            stages=list(before), state=state, pool=pool,
             reporter=reporter, timezone=site.timezone, folder=site.path.absolute().parent,
         )  # fmt: skip
         outcomes = execution.run()
-        kept.save()
-        _write_record(site, root, outcomes, kept, finished=False)
+        state.save()
+        _write_record(site, root, outcomes, state, finished=False)
     return outcomes
 
 
@@ -250,8 +253,8 @@ def _opened(folder: Path, reporter: Reporter) -> Iterator[tuple[RunState, Path]]
         (state / ".gitignore").write_text("*\n", encoding="utf-8")
     scratch = state / "scratch"
     with only_writer(folder, lock=state / "lock", reporter=reporter):
-        halves = [each for pattern in (".*.part", ".*.before") for each in root.rglob(pattern)]
-        for leftover in (*halves, scratch):
+        unfinished = [each for pattern in (".*.part", ".*.before") for each in root.rglob(pattern)]
+        for leftover in (*unfinished, scratch):
             shutil.rmtree(leftover, ignore_errors=True)
         scratch.mkdir()
         try:
@@ -260,7 +263,7 @@ def _opened(folder: Path, reporter: Reporter) -> Iterator[tuple[RunState, Path]]
             shutil.rmtree(scratch, ignore_errors=True)
 
 
-def forget_stages_gone(state: RunState, stages: Sequence[Stage], reporter: Reporter) -> None:
+def drop_removed_stages(state: RunState, stages: Sequence[Stage], reporter: Reporter) -> None:
     """Drop the records of stages that the site no longer has, and remove their results.
 
     Parameters
@@ -275,7 +278,7 @@ def forget_stages_gone(state: RunState, stages: Sequence[Stage], reporter: Repor
     names = {stage.name for stage in stages}
     made = {path for stage in stages for path in stage.outputs}
     for name in sorted(state.records.keys() - names):
-        outputs = [path for path in state.forget(name) if path not in made]
+        outputs = [path for path in state.drop(name) if path not in made]
         discard(outputs)
         if outputs:
             reporter.log(Text("{}: no longer part of the site, its results were removed", name))
@@ -314,21 +317,22 @@ def _write_record(
         "sensors_in_heat_maps": sensors_in(outcomes),
         "inputs": {_relative(p, base): state.hash_of(p) for p in (site.path, *site.inputs)},
         "software": software(),
-        "stages": [_stage(each, base, root) for each in outcomes],
+        "stages": [_stage_record(each, base, root) for each in outcomes],
     }
     with atomic_write(root / "run.json") as part:
         text = json_text(with_texts(document), indent=1, default=lambda path: _relative(path, base))
         part.write_text(text + "\n", encoding="utf-8")
 
 
-def _named(name: str, error: GisRadarError) -> GisRadarError:
+def _with_sensor_name(name: str, error: GisRadarError) -> GisRadarError:
     """Return the error of a sensor without a result, with the sensor's name."""
     if name in error.message.partition(":")[0].split():  # it names the sensor itself
         return error
     return type(error)("{}: {}", name, error.message, hint=error.hint)
 
 
-def _stage(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
+def _stage_record(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
+    """Return the entry of a stage in `run.json`."""
     stage, error = outcome.stage, outcome.error
     return {
         "name": stage.name,
@@ -343,11 +347,11 @@ def _stage(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
 
 
 def _relative(path: Path, *bases: Path) -> str:
-    whole = path.resolve()
+    absolute = path.resolve()
     for base in bases:
-        if whole.is_relative_to(base.resolve()):
-            return whole.relative_to(base.resolve()).as_posix()
-    return str(whole)
+        if absolute.is_relative_to(base.resolve()):
+            return absolute.relative_to(base.resolve()).as_posix()
+    return str(absolute)
 
 
 def sensors_in(outcomes: Sequence[Outcome]) -> list[str]:

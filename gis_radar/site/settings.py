@@ -1,6 +1,7 @@
 """The site file: maps, scans, sensors and settings of one site, in TOML.
 
-The models say it once: types check the values, their fields give template and reference.
+Each key is declared once, as a field of a Pydantic model: its type checks the value, and its
+docstring is the text of template and reference.
 """
 
 from __future__ import annotations
@@ -94,6 +95,7 @@ class ScanTable(TomlTable):
 
     @model_validator(mode="after")
     def _has_one_source(self) -> Self:
+        """Refuse a table with both `files` and `road`, or with neither."""
         if bool(self.files) == (self.road is not None):
             both = "both files and road are" if self.files else "neither files nor road is"
             raise Unfit(
@@ -163,6 +165,7 @@ class ViewTable(TomlTable):
 
     @model_validator(mode="after")
     def _ranges_ascend(self) -> Self:
+        """Refuse a least range that is not below the greatest."""
         if not self.min_range_m < self.max_range_m:
             raise Unfit(
                 message=Text(
@@ -222,7 +225,7 @@ class Sensor(TomlTable):
         return tuple(each for each in self.recordings if self.convert or not is_recording(each))
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
+    def _is_consistent(self) -> Self:
         if self.guess is None and self.pose is None:
             raise Unfit(
                 message=Text("has neither guess nor pose"),
@@ -273,11 +276,15 @@ class Site(TomlTable):
     _path: Path = PrivateAttr(Path("SITE.toml"))
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
+    def _is_consistent(self) -> Self:
         names: dict[str, str] = {}
         for place, name in enumerate(each.name for each in self.sensor):
-            if (twin := names.get(name.casefold())) is not None:
-                same = f"{name!r}" if name == twin else Text("{} and {}", repr(twin), repr(name))
+            if (same_name := names.get(name.casefold())) is not None:
+                same = (
+                    f"{name!r}"
+                    if name == same_name
+                    else Text("{} and {}", repr(same_name), repr(name))
+                )
                 raise Unfit(
                     message=Text("two sensors are called {}", same),
                     hint=Text("folders carry their names"),
@@ -290,10 +297,12 @@ class Site(TomlTable):
                 raise Unfit(
                     message=Text("lane {} has two tables", number), at=("lane", place, "id")
                 )
-        lost = [each.name for each in self.sensor if each.guess is not None]
-        if lost and self.scan is None:
+        unplaced = [each.name for each in self.sensor if each.guess is not None]
+        if unplaced and self.scan is None:
             raise Unfit(
-                message=Text("the pose of {} is to be found, which needs a scan", ", ".join(lost)),
+                message=Text(
+                    "the pose of {} is to be found, which needs a scan", ", ".join(unplaced)
+                ),
                 hint="add a table [scan] with files, or give poses",
             )
         return self
@@ -361,12 +370,12 @@ _HEAD = """\
 # Paths are relative to the folder of this file. Positions are metres of the map frame.
 # Then: gis-radar run SITE.toml -o results
 """
-_GIVEN = {("scan", "files"), ("sensor", "guess")}  # one of several keys that will do
+_NOT_COMMENTED = {("scan", "files"), ("sensor", "guess")}  # one of several keys that will do
 
 
 def site_template() -> str:
     """Return a commented site file to fill in."""
-    return toml_template(Site, _HEAD, given=_GIVEN)
+    return toml_template(Site, _HEAD, given=_NOT_COMMENTED)
 
 
 def site_reference() -> str:

@@ -29,7 +29,7 @@ from gis_radar.base import (
 from gis_radar.poses import COMPONENTS, Pose, PoseTrack, View, read_track
 from gis_radar.site.recipes import mask_scans, measure_site, split_map
 from gis_radar.site.together import (
-    RECORDED,
+    RECORDING_FILE,
     read_together,
     refuse_candidates,
     solve_together,
@@ -125,7 +125,7 @@ def _by_sensor(recordings: Paths, numbers: dict[str, int], folder: Path) -> dict
     left, paths = list(recordings), {}
     for name, number in numbers.items():
         paths[name], left = left[:number], left[number:]
-        if (converted := folder / name / RECORDED).exists():
+        if (converted := folder / name / RECORDING_FILE).exists():
             paths[name].append(converted)
     return paths
 

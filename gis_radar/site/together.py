@@ -21,7 +21,11 @@ from gis_radar.base import (
 )
 from gis_radar.poses import Pose, pose_from_dict, read_pose
 
-FOUND, SEVERAL, RECORDED = "localization.json", "candidates.json", "recording.parquet"
+POSE_FILE, CANDIDATES_FILE, RECORDING_FILE = (
+    "localization.json",
+    "candidates.json",
+    "recording.parquet",
+)
 Record = dict[str, Any]
 
 
@@ -71,8 +75,8 @@ def solve_together(
         For each sensor its `pose`, or the `message` and `hint` of its refusal; and `line`, a text
         on what the adjustment gained, or why the sensor is not part of it.
     """
-    alone = {name: _alone(folder / name) for name in sensors}
-    poses = {name: found[0] for name, found in alone.items() if found[0]}
+    candidates = {name: _own_candidates(folder / name) for name in sensors}
+    poses = {name: found[0] for name, found in candidates.items() if found[0]}
     solved = calibration.Solved(poses={}, chosen={}, refused={}, pairs={})
     if len(poses) > 1:
         roads = hdmap.read_map(map_file, reporter=reporter, **options)
@@ -82,23 +86,23 @@ def solve_together(
             clocks=known, reporter=reporter,
         )  # fmt: skip
     return {
-        name: _entry(name, found, solved, alone[name][1])
+        name: _sensor_record(name, found, solved, candidates[name][1])
         for name, found in poses.items()
     }  # fmt: skip
 
 
-def _alone(place: Path) -> tuple[tuple[Pose, ...], Record]:
+def _own_candidates(place: Path) -> tuple[tuple[Pose, ...], Record]:
     """Return the poses that a sensor may have by itself, and its refusal if these are several."""
-    if (place / FOUND).exists():
-        return (read_pose(place / FOUND),), {}
-    if not (place / SEVERAL).exists():
+    if (place / POSE_FILE).exists():
+        return (read_pose(place / POSE_FILE),), {}
+    if not (place / CANDIDATES_FILE).exists():
         return (), {}
-    record = _read(place / SEVERAL)
-    what = str(place / SEVERAL)
+    record = _read(place / CANDIDATES_FILE)
+    what = str(place / CANDIDATES_FILE)
     return tuple(pose_from_dict(each, what=what) for each in record.pop("poses")), record
 
 
-def _entry(
+def _sensor_record(
     name: str, poses: tuple[Pose, ...], solved: calibration.Solved, refusal: Record
 ) -> Record:
     """Return the record of a sensor, as :func:`solve_together` returns it."""

@@ -87,7 +87,7 @@ def _first_error(
             for other in errors
         )
     ]  # fmt: skip
-    found = [_described(each, raw, root, of_site=of_site) for each in inner]
+    found = [_error_parts(each, raw, root, of_site=of_site) for each in inner]
 
     def line_of(steps: Steps) -> int:
         return next((lines[steps[:n]] for n in range(len(steps), 0, -1) if steps[:n] in lines), 0)
@@ -99,11 +99,11 @@ def _first_error(
     return InputError("{}{}: {}: {}", path, line, place, message, hint=hint)
 
 
-def _described(
+def _error_parts(
     error: ErrorDetails, raw: Any, root: type[TomlTable], *, of_site: bool
 ) -> tuple[Steps, bool, str, str]:
     """Return the place of an error, whether its key is known, its message, and its hint."""
-    table, field, steps = _found(error["loc"], root)
+    table, field, steps = _locate(error["loc"], root)
     if error["type"] == "extra_forbidden":
         name, known = str(steps[-1]), list(table.model_fields)
         near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.6)
@@ -123,16 +123,16 @@ def _described(
     for step in steps:
         value = value[step]
     expected = unfit.expected or (value_of(field) if field else Text("a table"))
-    return steps, True, Text("is {}, expected {}", _shown(value), expected), unfit.hint
+    return steps, True, Text("is {}, expected {}", _value_text(value), expected), unfit.hint
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if isinstance(value, dict):
         return Text("a table")
     return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
-def _found(loc: Steps, root: type[TomlTable]) -> tuple[type[TomlTable], FieldInfo | None, Steps]:
+def _locate(loc: Steps, root: type[TomlTable]) -> tuple[type[TomlTable], FieldInfo | None, Steps]:
     """Return the innermost table and key of a place, and the steps to that key."""
     table: type[TomlTable] = root
     field: FieldInfo | None = None
@@ -172,47 +172,48 @@ def toml_reference(root: type[TomlTable]) -> str:
 
 
 def _template(
-    table: type[TomlTable], path: str, given: Collection[tuple[str, str]], *, off: str = ""
+    table: type[TomlTable], path: str, given: Collection[tuple[str, str]], *, comment: str = ""
 ) -> Iterator[str]:
     """Yield the lines of a table: first its keys, then the tables below it."""
-    keys, below = _parts(table, path)
+    keys, subtables = _keys_and_subtables(table, path)
     for name, field in keys.items():
         needed = field.is_required() or (path, name) in given
         text = f"{field.description} ({value_of(field)}; {_default(field)})"
         yield from textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ")
-        yield f"{off if needed else '# '}{name} = {(field.examples or [''])[0]}"
+        yield f"{comment if needed else '# '}{name} = {(field.examples or [''])[0]}"
     yield ""
-    for whole, field, inner in below:
-        inner_off = "# " if whole in OPTIONAL else off
-        header_off = "# " if whole.startswith("sensor.") else inner_off
-        yield f"{header_off}{_header(whole, field)}  # {field.description}"
-        yield from _template(inner, whole, given, off=inner_off)
+    for inner_path, field, inner in subtables:
+        inner_comment = "# " if inner_path in OPTIONAL else comment
+        header_comment = "# " if inner_path.startswith("sensor.") else inner_comment
+        yield f"{header_comment}{_header(inner_path, field)}  # {field.description}"
+        yield from _template(inner, inner_path, given, comment=inner_comment)
 
 
 def _reference(table: type[TomlTable], path: str, title: str) -> Iterator[str]:
-    keys, below = _parts(table, path)
+    """Yield the lines of the reference of a table and of those below it."""
+    keys, subtables = _keys_and_subtables(table, path)
     yield from (f"### {title}", "", "| key | value | what it is |", "|---|---|---|")
     for name, field in keys.items():
         value = value_of(field).replace("|", "\\|").replace("*", "\\*")
         meaning = (field.description or "").replace("|", "\\|")
         yield f"| `{name}` | {value}; {_default(field)} | {meaning} |"
     yield ""
-    for whole, field, inner in below:
-        yield from _reference(inner, whole, f"`{_header(whole, field)}`")
+    for inner_path, field, inner in subtables:
+        yield from _reference(inner, inner_path, f"`{_header(inner_path, field)}`")
 
 
-def _parts(
+def _keys_and_subtables(
     table: type[TomlTable], path: str
 ) -> tuple[dict[str, FieldInfo], list[tuple[str, FieldInfo, type[TomlTable]]]]:
     """Return the keys of a table, and the tables below it with their paths."""
     inner = {name: table_of(field) for name, field in table.model_fields.items()}
     keys = {name: field for name, field in table.model_fields.items() if inner[name] is None}
-    below = [
+    subtables = [
         (f"{path}.{name}".lstrip("."), table.model_fields[name], each)
         for name, each in inner.items()
         if each is not None
     ]
-    return keys, below
+    return keys, subtables
 
 
 def _header(path: str, field: FieldInfo) -> str:
@@ -220,6 +221,7 @@ def _header(path: str, field: FieldInfo) -> str:
 
 
 def _default(field: FieldInfo) -> str:
+    """Return `required`, or the default of a key as TOML writes it."""
     if field.is_required():
         return "required"
     extra = field.json_schema_extra

@@ -37,7 +37,7 @@ from gis_radar.base import (
     zone_of,
 )
 
-_WILD = frozenset("*?[")
+_WILDCARDS = frozenset("*?[")
 
 Steps = tuple[str | int, ...]
 Value = TypeVar("Value")
@@ -67,6 +67,7 @@ def _text(value: Any) -> str:
 
 
 def _name(value: Any) -> str:
+    """Return a text that folders and topics can have as a name; refuse any other."""
     text = _text(value)
     if not is_folder_name(text):
         raise Unfit(
@@ -79,6 +80,7 @@ def _name(value: Any) -> str:
 
 
 def _position(numbers: tuple[float, ...]) -> tuple[float, ...]:
+    """Return a position in metres; refuse one that looks like degrees."""
     if looks_like_degrees(*numbers[:2]):
         raise Unfit(
             Text("metres of the map, not degrees"),
@@ -122,6 +124,7 @@ def _intervals(texts: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _cycle(value: Any) -> float:
+    """Return the seconds of a cycle; refuse one of no radar."""
     text = _text(value)
     if text == "auto":
         raise Unfit(hint=CYCLE_HINT)
@@ -140,6 +143,7 @@ def _place(value: Any, info: ValidationInfo) -> Path:
 
 
 def _file(value: Any, info: ValidationInfo, *, folders: bool = False) -> Path:
+    """Return the path of a file that exists, from the site file's folder."""
     path = _place(value, info)
     is_folder = os.path.isdir(path)  # noqa: PTH112 - pathlib raises where a name is too long
     if not os.path.isfile(path) and not (folders and is_folder):  # noqa: PTH113
@@ -158,7 +162,7 @@ def _files(value: Any, info: ValidationInfo, *, folders: bool = False) -> tuple[
         raise Unfit
     found: dict[Path, None] = {}
     for pattern in map(_text, patterns):
-        if _WILD & {*pattern}:
+        if _WILDCARDS & {*pattern}:
             found |= dict.fromkeys(_matches(pattern, _folder(info), folders=folders))
         else:
             found[_file(pattern, info, folders=folders)] = None
@@ -171,10 +175,11 @@ def _expanded(text: str) -> Path:
 
 
 def _matches(pattern: str, folder: Path, *, folders: bool) -> list[Path]:
-    whole = _expanded(pattern)
-    root = Path(whole.anchor) if whole.is_absolute() else folder
+    """Return the files that match a pattern, sorted by name; refuse one without any."""
+    expanded = _expanded(pattern)
+    root = Path(expanded.anchor) if expanded.is_absolute() else folder
     try:
-        found = root.glob(str(whole.relative_to(whole.anchor)))
+        found = root.glob(str(expanded.relative_to(expanded.anchor)))
         matches = sorted(path for path in found if folders or path.is_file())
     except (ValueError, OSError) as error:
         raise Unfit(hint=first_line(error)) from error

@@ -25,13 +25,13 @@ from gis_radar.base import (
     OutputError,
     Reporter,
     go_offline,
-    speak,
+    set_language,
     stop_workers,
     watch_parent,
 )
 
 _REPORT_S = 0.05  # least time between reports: faster bars are not seen, and cost both ends
-_ENDED = 128 + signal.SIGTERM  # exit code of a worker that SIGTERM ended
+_TERMINATED = 128 + signal.SIGTERM  # exit code of a worker that SIGTERM ended
 
 Event = dict[str, Any]
 Send = Callable[[Event], None]
@@ -98,7 +98,7 @@ def carry_out(
         where = f"{error.filename}: " if error.filename else ""
         raise OutputError("{}{}", where, error.strerror or error) from error
     except SystemExit:  # raised by _end; unfinished files have been removed
-        os._exit(_ENDED)
+        os._exit(_TERMINATED)
     except Exception as error:
         raise RuntimeError(f"{name}: fault in gis_radar\n{traceback.format_exc()}") from error
 
@@ -138,7 +138,10 @@ def process_pool(jobs: int, scratch: Path, language: str = "en") -> Iterator[Poo
     context = WorkerContext()
     events: SimpleQueue[Event] = context.SimpleQueue()
     executor = ProcessPoolExecutor(
-        jobs, mp_context=context, initializer=_begin, initargs=(events, str(scratch), language)
+        jobs,
+        mp_context=context,
+        initializer=_prepare_worker,
+        initargs=(events, str(scratch), language),
     )
     try:
         yield Pool(executor=executor, send=_send, events=events)
@@ -149,7 +152,7 @@ def process_pool(jobs: int, scratch: Path, language: str = "en") -> Iterator[Poo
 
 
 @contextmanager
-def own_pool() -> Iterator[Pool]:
+def thread_pool() -> Iterator[Pool]:
     """Provide a thread of this process, which does one stage after the other."""
     events: queue.SimpleQueue[Event] = queue.SimpleQueue()
     with ThreadPoolExecutor(1) as executor:
@@ -190,15 +193,15 @@ class WorkerContext(SpawnContext):
 _events: SimpleQueue[Event] | None = None  # of this worker
 
 
-def _begin(events: SimpleQueue[Event], scratch: str, language: str) -> None:
+def _prepare_worker(events: SimpleQueue[Event], scratch: str, language: str) -> None:
     """Prepare a worker: it ends with the run, and libraries' output goes to standard error."""
     global _events  # noqa: PLW0603 - an initializer has no other way
     watch_parent()
     go_offline()
-    signal.signal(signal.SIGTERM, _end)
+    signal.signal(signal.SIGTERM, _raise_exit)
     os.dup2(2, 1)
     tempfile.tempdir = scratch
-    speak(language)
+    set_language(language)
     _events = events
 
 
@@ -208,6 +211,6 @@ def _send(event: Event) -> None:
         _events.put(event)
 
 
-def _end(_signal: int, _frame: FrameType | None) -> None:
+def _raise_exit(_signal: int, _frame: FrameType | None) -> None:
     """End the worker; on the way, `SystemExit` has unfinished files removed."""
-    raise SystemExit(_ENDED)
+    raise SystemExit(_TERMINATED)

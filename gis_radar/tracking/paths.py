@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gis_radar.base import Floats, Integers, compiled, turned
+from gis_radar.base import Floats, Integers, compiled, heading_difference
 from gis_radar.tracking.size import LONGEST_M
 
 TIGHTEST_M = 5.0  # radius of the turning circle of a small car
@@ -166,7 +166,7 @@ def _onward(
         last = kept[count - 1]
         dx, dy = states[k, 0] - states[last, 0], states[k, 1] - states[last, 1]
         forward = way * (dx * np.cos(states[k, 2]) + dy * np.sin(states[k, 2]))
-        turn = abs(turned(states[k, 2], states[last, 2]))
+        turn = abs(heading_difference(states[k, 2], states[last, 2]))
         way_m, lapse = np.hypot(dx, dy), abs(states[k, 3] - states[last, 3])
         # no vehicle turns in less way than that, nor is so fast: the state is off its way
         able = turn < FREE_TURN + way_m / TIGHTEST_M and way_m < LONGEST_M + FASTEST_MPS * lapse

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.base import Floats, Integers, compiled, turned
+from gis_radar.base import Floats, Integers, compiled, heading_difference
 from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
 
 MOST = 8  # most lanelets at one point
@@ -79,7 +79,7 @@ def _likeliest(
                 here = OFF_LANE
                 known[i, j, 0] = -1.0
             elif j < number:
-                turn = abs(turned(found[j, 3], heading[i]))
+                turn = abs(heading_difference(found[j, 3], heading[i]))
                 if turn > MOST_RAD:
                     continue
                 here = (found[j, 2] / LEFT_M) ** 2 + (turn / TURN_RAD) ** 2

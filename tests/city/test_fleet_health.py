@@ -11,7 +11,7 @@ from datasets import pose_rows
 from sites import pose
 
 import gis_radar as gr
-from gis_radar.base import speaking
+from gis_radar.base import in_language
 from gis_radar.calibration import WRONG, Finding
 from gis_radar.dataset import POSES, write_single_file
 from gis_radar.dataset.files.tables import SIGHTS
@@ -124,7 +124,7 @@ def test_a_pose_that_does_not_fit_and_a_clock(tmp_path, source):
     assert known == {("a", "R1"): "pose doubtful"}
     assert "3 of 90 paths on lanes" in table["reasons"][0]
     assert "0.250 s" in table["reasons"][0]
-    with speaking("de"):
+    with in_language("de"):
         assert "0,250 s" in gr.fleet_health(tmp_path, MONTH)["reasons"][0]
     since = pd.Timestamp(HOURS[1] * 3600, unit="s", tz="UTC")
     dated = replace(found, since=since.isoformat(), until="2030-01-01T00:00:00Z")

@@ -89,7 +89,7 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(
     out = shutil.copytree(unbroken, tmp_path / "out")
     state = RunState(out / product.STATE / "state.json", out)
     for name in sorted(state.records.keys() - {"mask", "localize R1"}):
-        discard(state.forget(name))
+        discard(state.drop(name))
     state.save()
     with pytest.raises(KeyboardInterrupt):
         gr.run_site(path, out, reporter=Killing("tiles"))
@@ -129,7 +129,7 @@ def test_finished_means_that_the_record_says_so(small, copied, blank_paper):
                 raise KeyboardInterrupt
 
     state = RunState(out / product.STATE / "state.json", out)
-    discard(state.forget("report"))
+    discard(state.drop("report"))
     state.save()
     with pytest.raises(KeyboardInterrupt):
         gr.run_site(path, out, reporter=Stopping())
@@ -249,10 +249,10 @@ def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(
     assert any("no longer part of the site" in text for _, text in heard.messages)
     state = RunState(out / product.STATE / "state.json", out)
     assert "localize R1" in state.records
-    state.outdate()
+    state.invalidate()
     localized = next(each.stage for each in done.outcomes if each.stage.name == "localize R1")
-    assert state.kept(localized) is None
-    product.forget_stages_gone(state, [localized], heard)
+    assert state.recorded_outcome(localized) is None
+    product.drop_removed_stages(state, [localized], heard)
     assert set(state.records) == {"localize R1"}
     assert not (out / "sensors" / "R1" / "pose.json").exists()
 
@@ -296,9 +296,10 @@ def test_a_pose_is_searched_again_only_where_it_was_not_found(copied, blank_pape
     recordings = stage.inputs["recordings"]
     more = replace(stage, inputs={**stage.inputs, "recordings": (*recordings, path)})
     before = replace(stage, inputs={**stage.inputs, "recordings": (path, *recordings)})
-    assert [state.kept(each) is not None for each in (stage, more, before)] == [True, True, False]
+    recorded = [state.recorded_outcome(each) for each in (stage, more, before)]
+    assert [each is not None for each in recorded] == [True, True, False]
     state.records["localize R1"].figures.pop("asked")  # as of a refusal
-    assert state.kept(more) is None
+    assert state.recorded_outcome(more) is None
 
 
 def test_what_is_set_for_measuring_counts_and_repeats_no_localization(

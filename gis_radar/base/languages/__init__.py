@@ -15,8 +15,10 @@ from pathlib import Path
 from gis_radar.base.languages.po import read_catalogue
 
 LANGUAGES = ("en", "de")
-CHOSEN = "GIS_RADAR_LANGUAGE"  # the environment variable that the plugin sets for its worker
-_OF_THE_SYSTEM = ("LANGUAGE", "LC_ALL", "LC_MESSAGES", "LANG")  # as gettext asks them
+LANGUAGE_VARIABLE = (
+    "GIS_RADAR_LANGUAGE"  # the environment variable that the plugin sets for its worker
+)
+_SYSTEM_VARIABLES = ("LANGUAGE", "LC_ALL", "LC_MESSAGES", "LANG")  # as gettext asks them
 
 
 @cache
@@ -34,7 +36,7 @@ def users_language(*, chosen_only: bool = False) -> str:
     chosen_only : bool
         Whether only `GIS_RADAR_LANGUAGE` counts, and not the language of the system.
     """
-    names = (CHOSEN,) if chosen_only else (CHOSEN, *_OF_THE_SYSTEM)
+    names = (LANGUAGE_VARIABLE,) if chosen_only else (LANGUAGE_VARIABLE, *_SYSTEM_VARIABLES)
     wanted = next((os.environ[name] for name in names if os.environ.get(name)), "")
     short = (each[:2] for each in wanted.split(":"))
     return next((each for each in short if each in LANGUAGES), LANGUAGES[0])

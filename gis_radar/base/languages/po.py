@@ -17,18 +17,18 @@ def read_catalogue(path: Path) -> dict[str, str]:
     path : Path
         A file of entries with a blank line between them, as Babel writes it.
     """
-    found: dict[str, str] = {}
+    by_text: dict[str, str] = {}
     for entry in path.read_text(encoding="utf-8").split("\n\n"):
         texts: list[str] = []
         translations: list[str] = []
-        into = texts
+        current = texts
         for line in entry.splitlines():
             keyword, _, quoted = line.partition(" ")
             if line.startswith('"'):
-                into[-1] += json.loads(line)
+                current[-1] += json.loads(line)
             elif keyword.startswith("msg"):
-                into = texts if keyword.startswith("msgid") else translations
-                into.append(json.loads(quoted))
-        found.update(zip(texts, translations))  # noqa: B905 - read by Python 3.9, too
-    found.pop("", None)  # the header
-    return found
+                current = texts if keyword.startswith("msgid") else translations
+                current.append(json.loads(quoted))
+        by_text.update(zip(texts, translations))  # noqa: B905 - read by Python 3.9, too
+    by_text.pop("", None)  # the header
+    return by_text

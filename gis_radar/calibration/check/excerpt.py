@@ -1,4 +1,4 @@
-"""Excerpt: pieces of a sensor's recordings, spread over their time, and the traffic in them."""
+"""Excerpts: segments of a sensor's recordings, spread over their time, and the traffic in them."""
 
 from __future__ import annotations
 
@@ -11,68 +11,69 @@ import numpy as np
 from gis_radar.base import Booleans, Floats, Integers, iso_from_step, step_of
 from gis_radar.calibration.check.scene_change import SceneChange, detect_scene_change
 from gis_radar.calibration.registration.traces import (
-    CREEPING,
     MIN_SPEED_MPS,
+    MOST_WALKERS,
     NONE,
     Moving,
     link_tracks,
     top_speeds,
     vehicles_of,
 )
-from gis_radar.calibration.single.moving import RIGHT, recorded_between
+from gis_radar.calibration.single.moving import NO_OFFSET, recorded_between
 from gis_radar.calibration.timing.clocks import SensorClock
 from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Detections, Recording
 
-PIECE_S = 20.0  # length of a piece: a vehicle crosses the view in it
-PIECES = 5  # least number of pieces: together as long as the window of a localization
-MOST_PIECES = 33  # for quiet nights; of 5, 9, 17, 33 pieces the earlier ones are among the later
-ENOUGH = 30  # vehicles from which on no further pieces are read
-LEAST_VEHICLES = 10  # with fewer vehicles nothing is concluded
-CYCLING_MPS = 7.0  # 25 km/h: cyclists go at 5 and 1, pedelecs are held to that
-CORRECTED_M = 1.0  # poses of a pose track that are farther apart are different places
-PER_TRACK = 40  # most detections of a track that are kept: more add nothing
-WILD_MPS, LEAST_WILD = 300.0, 30  # no unit that is m/s or km/h shows so many so fast
-LEAST_REPEATED = 2  # least detections of a frame that cannot be repeated by chance
+SEGMENT_S = 20.0  # length of a segment: a vehicle crosses the view in it
+LEAST_SEGMENTS = 5  # together as long as the window of a localization
+MOST_SEGMENTS = 33  # for quiet nights; of 5, 9, 17, 33 segments the earlier are among the later
+ENOUGH_VEHICLES = 30  # an excerpt with so many is complete: no further segments are read
+LEAST_VEHICLES = 10  # fewer give no verdict
+CYCLING_MPS = 7.0  # 25 km/h: cyclists ride at 5 m/s on average, motors of pedelecs stop at 7
+SAME_PLACE_M = 1.0  # poses of a pose track that are farther apart are different places
+PER_TRACK = 40  # most detections that a track keeps: more add no information
+# So many detections faster than this (m/s) cannot be vehicles, in m/s or in km/h.
+TOO_FAST_MPS, LEAST_TOO_FAST = 300.0, 30
+LEAST_REPEATED = 2  # smaller frames equal the one before by chance
 
 
 @dataclass(frozen=True, kw_only=True)
 class Excerpt:
-    """Traffic in pieces of a sensor's recordings.
+    """Traffic in segments of a sensor's recordings.
 
     Parameters
     ----------
     moving : Moving
         All moving detections, their times corrected by the clock.
     track : (m,) array
-        The track of each moving detection, `NONE` for those of none.
-    held : (m,) array
+        Number of the track of each moving detection; `NONE` for those on no track.
+    moving_pose : (m,) array
         Index in `poses` of the pose in force at each moving detection.
     frozen : (begin, end, frames) or None
         The longest run of equal frames: its begin and end, UNIX seconds, and number of frames.
-    doubled : float
-        Share of the moving detections that are in their frame a second time.
+    duplicate_share : float
+        Share of the moving detections that repeat another one of their frame.
     scene_change : SceneChange or None
-        Whether the static surroundings of the sensor change; None where too little stands.
-    wild : int
-        Number of impossibly fast detections; where it is not 0, no tracks are linked.
+        Change of the static surroundings of the sensor; None where too few cells are static.
+    too_fast : int
+        Number of impossibly fast detections, 0 below `LEAST_TOO_FAST`; else no tracks are linked.
     time, points, range_rate : arrays
         Detections on tracks, thinned: UNIX seconds, (n, 3) metres in the sensor frame, m/s.
     vehicle : (n,) array
-        Number of the vehicle of each, from 0.
+        Number of the vehicle of each thinned detection, from 0.
     pose : (n,) array
-        Index in `poses` of the pose in force.
+        Index in `poses` of the pose in force at each thinned detection.
     poses : tuple of Pose
         The poses that were in force.
     """
 
     moving: Moving
     track: Integers
-    held: Integers
+    moving_pose: Integers
     frozen: tuple[float, float, int] | None
-    doubled: float
+    duplicate_share: float
     scene_change: SceneChange | None = None
-    wild: int
+    too_fast: int
     time: Floats
     points: Floats
     range_rate: Floats
@@ -85,60 +86,61 @@ class Excerpt:
 
     @property
     def vehicles(self) -> int:
-        """How many vehicles there are."""
+        """Number of vehicles with thinned detections."""
         return len(np.unique(self.vehicle))
 
     @cached_property
     def reach_m(self) -> float:
-        """Range that 99.5 % of the moving detections stay below, metres."""
-        off_m = np.linalg.norm(np.nan_to_num(self.moving.points), axis=1)
-        return float(np.percentile(off_m, 99.5)) if len(off_m) else 0.0
+        """99.5 % quantile of the ranges of moving detections, metres; 0 without any."""
+        range_m = np.linalg.norm(np.nan_to_num(self.moving.points), axis=1)
+        return float(np.percentile(range_m, 99.5)) if len(range_m) else 0.0
 
     @property
     def usual(self) -> Pose:
         """The pose that was in force for most of the moving detections."""
-        return self.poses[int(np.bincount(self.held).argmax())]
+        return self.poses[int(np.bincount(self.moving_pose).argmax())]
 
     @property
     def as_usual(self) -> tuple[Moving, Integers]:
-        """The moving detections as seen from the usual pose, and their tracks.
+        """The moving detections in the sensor frame of the usual pose, and their tracks.
 
-        Detections from another place, farther off than poses are corrected, are left out; tracks
-        are numbered anew, from 0 without gaps.
+        Detections of poses more than `SAME_PLACE_M` away are left out; tracks are numbered anew,
+        from 0 without gaps.
         """
         usual, points = self.usual, self.moving.points.copy()
         near = np.ones(len(points), dtype=bool)
         for number, pose in enumerate(self.poses):
-            mine = self.held == number
-            if np.linalg.norm(pose.position - usual.position) > CORRECTED_M:
-                near[mine] = False
+            rows = self.moving_pose == number
+            if np.linalg.norm(pose.position - usual.position) > SAME_PLACE_M:
+                near[rows] = False
             elif pose != usual:
-                there = pose.to_map(points[mine]) - usual.position
-                points[mine] = there @ usual.R_map_sensor
+                offset = pose.to_map(points[rows]) - usual.position
+                points[rows] = offset @ usual.R_map_sensor
         moving = replace(self.moving, points=points).where(near)
         track, on = self.track[near], self.track[near] != NONE
         track[on] = np.unique(track[on], return_inverse=True)[1]
         return moving, track
 
-    def parted(self, when: float) -> tuple[Excerpt, Excerpt]:
-        """Split the excerpt at a time (UNIX seconds); a vehicle belongs to where it appears."""
+    def split_at(self, when: float) -> tuple[Excerpt, Excerpt]:
+        """Split the excerpt at a time (UNIX s), each vehicle to the side of its first detection."""
         first = np.full(int(self.vehicle.max(initial=-1)) + 1, np.inf)
         np.minimum.at(first, self.vehicle, self.time)
         late, since = first[self.vehicle] >= when, self.moving.time >= when
         return self._where(~late, ~since), self._where(late, since)
 
-    def _where(self, kept: Booleans, moving: Booleans) -> Excerpt:
+    def _where(self, on_tracks: Booleans, moving: Booleans) -> Excerpt:
+        """Return the selected detections, of the thinned ones on tracks and of all moving ones."""
         names = ("time", "points", "range_rate", "vehicle", "pose")
         return replace(
-            self, track=self.track[moving], held=self.held[moving],
+            self, track=self.track[moving], moving_pose=self.moving_pose[moving],
             moving=self.moving.where(moving),
-            **{name: getattr(self, name)[kept] for name in names},
+            **{name: getattr(self, name)[on_tracks] for name in names},
         )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Rows:
-    """Rows of several recordings, in order of time."""
+    """Detections of several recordings, in order of time; `source` is the recording's index."""
 
     time: Floats
     points: Floats
@@ -151,83 +153,91 @@ def read_excerpts(
     tracks: Sequence[PoseTrack] = (),
     clock: SensorClock | None = None,
 ) -> Iterator[Excerpt]:
-    """Yield excerpts of a sensor's recordings, with more and more pieces, as far as there are any.
+    """Yield excerpts of a sensor's recordings, each with more segments than the one before.
 
-    The first has `ENOUGH` vehicles where the recordings do; the next ones are for callers to whom
-    that is too little. Which pieces they hold follows from the first and last times of the
-    recordings and from their traffic alone.
+    The first one has `ENOUGH_VEHICLES` where the recordings do; callers read on when they need
+    more traffic. The choice of segments depends on the recordings' first and last times and on
+    their traffic alone.
 
     Parameters
     ----------
     recordings : sequence of Recording
         The recordings of one sensor.
     tracks : sequence of PoseTrack
-        As many, in order; none where the pose is not known.
+        The pose track of each recording; empty where the pose is not known.
     clock : SensorClock, optional
-        How far the sensor's clock is ahead.
+        Offset of the sensor's clock; none by default.
 
     Raises
     ------
     InputError
         If a recording is damaged.
     """
-    spans, count = [recorded_between(each) for each in recordings], PIECES
+    spans, count = [recorded_between(each) for each in recordings], LEAST_SEGMENTS
     length_s = sum(end - begin for begin, end in spans)
     while True:
-        rows = _rows(recordings, _begins(spans, count), clock or RIGHT)
-        found = _excerpt(rows, tracks)
-        last = PIECE_S * count >= length_s or count >= MOST_PIECES
-        if last or found.vehicles >= ENOUGH or found.wild:
-            found = replace(found, scene_change=_scene_change(rows, tracks) if tracks else None)
+        rows = _read_rows(recordings, _segment_begins(spans, count), clock or NO_OFFSET)
+        excerpt = _excerpt(rows, tracks)
+        last = SEGMENT_S * count >= length_s or count >= MOST_SEGMENTS
+        if last or excerpt.vehicles >= ENOUGH_VEHICLES or excerpt.too_fast:
+            excerpt = replace(excerpt, scene_change=_scene_change(rows, tracks) if tracks else None)
             del rows  # the caller may keep this generator for long before asking for more
-            yield found
+            yield excerpt
         if last:
             return
         count = 2 * count - 1
 
 
-def _begins(spans: Sequence[tuple[float, float]], count: int) -> list[Floats]:
-    """Return the begins (UNIX seconds) of each recording's pieces, spread evenly over its time."""
+def _segment_begins(spans: Sequence[tuple[float, float]], count: int) -> list[Floats]:
+    """Return the begins of each recording's segments, UNIX s, spread evenly over all recordings."""
     length = np.array([end - begin for begin, end in spans])
-    until = np.cumsum(length)
-    step = max(PIECE_S, (until[-1] - PIECE_S) / (count - 1))
-    at = step * np.arange(count)
-    at = at[at < max(until[-1], PIECE_S)]
-    of = np.minimum(np.searchsorted(until, at, side="right"), len(spans) - 1)
-    found = [spans[k][0] + at[of == k] - (until[k] - length[k]) for k in range(len(spans))]
-    if step == PIECE_S:
-        return found
-    # on a common grid of time, so that pieces of sensors with a common view coincide
-    return [np.unique(np.floor(each / PIECE_S) * PIECE_S) for each in found]
+    ends = np.cumsum(length)
+    step = max(SEGMENT_S, (ends[-1] - SEGMENT_S) / (count - 1))
+    offsets = step * np.arange(count)
+    offsets = offsets[offsets < max(ends[-1], SEGMENT_S)]
+    recording = np.minimum(np.searchsorted(ends, offsets, side="right"), len(spans) - 1)
+    begins = [
+        spans[k][0] + offsets[recording == k] - (ends[k] - length[k]) for k in range(len(spans))
+    ]
+    if step == SEGMENT_S:
+        return begins
+    # on a common grid of time, so that segments of sensors with a common view coincide
+    return [np.unique(np.floor(each / SEGMENT_S) * SEGMENT_S) for each in begins]
 
 
-def _rows(recordings: Sequence[Recording], begins: Sequence[Floats], clock: SensorClock) -> _Rows:
-    none = np.empty(0), np.empty((0, 3)), np.empty(0), np.empty(0, np.int64)
-    parts = [none]
-    for number, (recording, at) in enumerate(zip(recordings, begins, strict=True)):
-        for rows in _pieces(recording, at):
+def _read_rows(
+    recordings: Sequence[Recording], begins: Sequence[Floats], clock: SensorClock
+) -> _Rows:
+    """Read the segments of all recordings, with times corrected by the clock."""
+    empty = np.empty(0), np.empty((0, 3)), np.empty(0), np.empty(0, np.int64)
+    columns = [empty]
+    for number, (recording, segment_begins) in enumerate(zip(recordings, begins, strict=True)):
+        for rows in _read_segments(recording, segment_begins):
             source = np.full(len(rows), number)
-            parts.append((clock.corrected(rows.time), rows.points, rows.range_rate, source))
-    time, points, rate, source = (np.concatenate(each) for each in zip(*parts, strict=True))
+            columns.append((clock.corrected(rows.time), rows.points, rows.range_rate, source))
+    time, points, rate, source = (np.concatenate(each) for each in zip(*columns, strict=True))
     order = np.argsort(time, kind="stable")
     return _Rows(
         time=time[order], points=points[order], range_rate=rate[order], source=source[order]
     )
 
 
-def _pieces(recording: Recording, begins: Floats) -> Iterator[Detections]:
-    """Yield the rows of some pieces of a recording."""
-    if recording.batches_from is None:  # such a format is read from its begin only
+def _read_segments(recording: Recording, begins: Floats) -> Iterator[Detections]:
+    """Yield the detections of a recording in the segments that begin at these times (UNIX s)."""
+    if recording.batches_from is None:  # the format has no random access: read all of it
         for rows in recording.read() if len(begins) else ():
-            at = np.maximum(np.searchsorted(begins, rows.time, side="right") - 1, 0)
-            yield rows.take((rows.time >= begins[at]) & (rows.time < begins[at] + PIECE_S))
+            segment = np.maximum(np.searchsorted(begins, rows.time, side="right") - 1, 0)
+            yield rows.take(
+                (rows.time >= begins[segment]) & (rows.time < begins[segment] + SEGMENT_S)
+            )
         return
     for begin in begins.tolist():
-        for rows in recording.read_between(begin, begin + PIECE_S):
-            yield rows.take((rows.time >= begin) & (rows.time < begin + PIECE_S))
+        for rows in recording.read_between(begin, begin + SEGMENT_S):
+            yield rows.take((rows.time >= begin) & (rows.time < begin + SEGMENT_S))
 
 
 def _excerpt(rows: _Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
+    """Return the excerpt of detections: tracks, thinned samples and faults; no scene change yet."""
     moves = np.abs(rows.range_rate) > MIN_SPEED_MPS
     frames = np.unique(rows.time)
     moving = Moving(
@@ -236,73 +246,73 @@ def _excerpt(rows: _Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
         end=float(frames[-1]) if len(frames) else np.nan,
     )  # fmt: skip
     level = replace(moving, points=np.nan_to_num(moving.points))  # z is NaN without elevation
-    wild = int((np.abs(moving.range_rate) > WILD_MPS).sum())
-    wild = wild if wild >= LEAST_WILD else 0
-    number = np.full(len(moving), NONE) if wild else link_tracks(level)
-    vehicle = vehicles_of(level, number)
-    kept = _thinned(number)
-    kept = kept[~_cycling(level, number, vehicle)[number[kept]]]
-    poses, held = _in_force(moving.time, rows.source[moves], tracks)
+    too_fast = int((np.abs(moving.range_rate) > TOO_FAST_MPS).sum())
+    too_fast = too_fast if too_fast >= LEAST_TOO_FAST else 0
+    track = np.full(len(moving), NONE) if too_fast else link_tracks(level)
+    vehicle = vehicles_of(level, track)
+    thinned = _thinned(track)
+    thinned = thinned[~_maybe_cyclists(level, track, vehicle)[track[thinned]]]
+    poses, moving_pose = _poses_in_force(moving.time, rows.source[moves], tracks)
     return Excerpt(
-        moving=moving, track=number, held=held, frozen=_frozen(rows),
-        doubled=_doubled(moving, rows.source[moves]), wild=wild,
-        time=moving.time[kept],
-        points=moving.points[kept], range_rate=moving.range_rate[kept],
-        vehicle=vehicle[number[kept]], pose=held[kept], poses=poses,
+        moving=moving, track=track, moving_pose=moving_pose, frozen=_longest_frozen_run(rows),
+        duplicate_share=_duplicate_share(moving, rows.source[moves]), too_fast=too_fast,
+        time=moving.time[thinned],
+        points=moving.points[thinned], range_rate=moving.range_rate[thinned],
+        vehicle=vehicle[track[thinned]], pose=moving_pose[thinned], poses=poses,
     )  # fmt: skip
 
 
 def _thinned(track: Integers) -> Integers:
-    """Return rows of detections on tracks, evenly thinned over each, in order of time."""
-    on = np.flatnonzero(track != NONE)
-    on = on[np.argsort(track[on], kind="stable")]
-    first, count = np.unique(track[on], return_index=True, return_counts=True)[1:]
-    rank = np.arange(len(on)) - np.repeat(first, count)
-    every = np.repeat(-(-count // PER_TRACK), count)
-    return np.sort(on[rank % np.maximum(every, 1) == 0])
+    """Return indices of detections on tracks, thinned evenly to `PER_TRACK` a track, ascending."""
+    rows = np.flatnonzero(track != NONE)
+    rows = rows[np.argsort(track[rows], kind="stable")]
+    first, count = np.unique(track[rows], return_index=True, return_counts=True)[1:]
+    rank = np.arange(len(rows)) - np.repeat(first, count)
+    step = np.repeat(-(-count // PER_TRACK), count)
+    return np.sort(rows[rank % np.maximum(step, 1) == 0])
 
 
-def _cycling(moving: Moving, track: Integers, vehicle: Integers) -> Booleans:
-    """Return which tracks may be of cyclists or walkers, who need not keep to lanes.
+def _maybe_cyclists(moving: Moving, track: Integers, vehicle: Integers) -> Booleans:
+    """Return for each track whether it may be of a cyclist or walker, who need not keep to lanes.
 
-    These are the tracks of objects never faster than `CYCLING_MPS`, where such are many and enough
-    others drive: in a jam all vehicles creep.
+    These are tracks of objects never faster than `CYCLING_MPS`, if more than `MOST_WALKERS` of all
+    objects are so slow and `LEAST_VEHICLES` are faster: in a jam all vehicles are slow.
     """
     if len(vehicle) == 0:
         return np.zeros(0, dtype=bool)
     top = np.zeros(int(vehicle.max()) + 1)
     np.maximum.at(top, vehicle, top_speeds(moving, track))
     slow = top <= CYCLING_MPS
-    leave_out = slow.mean() > CREEPING and (~slow).sum() >= LEAST_VEHICLES
+    leave_out = slow.mean() > MOST_WALKERS and (~slow).sum() >= LEAST_VEHICLES
     return np.asarray(slow[vehicle] & leave_out)
 
 
-def _in_force(
+def _poses_in_force(
     time: Floats, source: Integers, tracks: Sequence[PoseTrack]
 ) -> tuple[tuple[Pose, ...], Integers]:
     """Return the poses in force, and for each time the index of its pose."""
-    poses, number = list[Pose](), np.zeros(len(time), np.int64)
+    poses, pose_index = list[Pose](), np.zeros(len(time), np.int64)
     for k, track in enumerate(tracks):
-        mine = np.flatnonzero(source == k)
-        held = track.at(time[mine])
-        for index in np.unique(held).tolist():
-            number[mine[held == index]] = len(poses)
+        rows = np.flatnonzero(source == k)
+        in_force = track.at(time[rows])
+        for index in np.unique(in_force).tolist():
+            pose_index[rows[in_force == index]] = len(poses)
             poses.append(track.poses[index])
-    return tuple(poses), number
+    return tuple(poses), pose_index
 
 
 def _scene_change(rows: _Rows, tracks: Sequence[PoseTrack]) -> SceneChange | None:
-    """Return whether the static surroundings change in the map, given the poses."""
-    poses, held = _in_force(rows.time, rows.source, tracks)
+    """Return the change of what stands around the sensor, placed in the map by its poses."""
+    poses, pose_index = _poses_in_force(rows.time, rows.source, tracks)
     places = np.full((len(rows.time), 2), np.nan)
     for number, pose in enumerate(poses):
-        mine = held == number
-        places[mine] = pose.to_map(np.nan_to_num(rows.points[mine]))[:, :2]
+        rows_of_pose = pose_index == number
+        places[rows_of_pose] = pose.to_map(np.nan_to_num(rows.points[rows_of_pose]))[:, :2]
     places[~np.isfinite(rows.points[:, :2]).all(axis=1)] = np.nan
     return detect_scene_change(rows.time, places, rows.range_rate)
 
 
-def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
+def _longest_frozen_run(rows: _Rows) -> tuple[float, float, int] | None:
     """Return begin, end and number of frames of the longest run of equal frames, or None."""
     present = np.isfinite(rows.points[:, 0])
     time = rows.time[present]
@@ -314,7 +324,7 @@ def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
     sums = np.add.reduceat(values, first)
     same = (np.diff(count) == 0) & (np.diff(sums, axis=0) == 0.0).all(axis=1)
     same = np.append(False, same & (count[1:] >= LEAST_REPEATED))
-    # where a run of equal frames ends, and how many equal the one before in it
+    # number of frames up to each one that in a row equal the frame before them
     total = np.cumsum(same)
     run = total - np.maximum.accumulate(np.where(same, 0, total))
     last = int(run.argmax())
@@ -322,8 +332,8 @@ def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
     return (float(frames[last - length]), float(frames[last]), length + 1) if length else None
 
 
-def _doubled(moving: Moving, source: Integers) -> float:
-    """Return the share of detections that are in their frame of one recording a second time."""
+def _duplicate_share(moving: Moving, source: Integers) -> float:
+    """Return the share of detections that repeat another one of the same recording and frame."""
     values = np.column_stack([source, moving.time, moving.points, moving.range_rate])
     values = np.nan_to_num(values[np.lexsort(values.T)])
     return float((np.diff(values, axis=0) == 0.0).all(axis=1).sum() / max(len(values), 1))

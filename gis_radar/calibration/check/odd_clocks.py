@@ -1,4 +1,4 @@
-"""Find odd clocks: sensors that see the vehicles of a common view at different times."""
+"""Find wrong clocks: sensors that see the same vehicles at the same places at different times."""
 
 from __future__ import annotations
 
@@ -14,47 +14,51 @@ from gis_radar.calibration.findings import CLOCKS_APART, Finding, wrong
 from gis_radar.calibration.timing.clock_offsets import ClockOffset, measured_offset
 from gis_radar.calibration.timing.lane_detections import LaneDetections
 
-CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0  # largest offset in a common view: a car's length and more
+# Clocks contradict each other from this offset on; a car drives its length in it.
+CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0
 PARTNERS = 3  # comparisons that suffice for a sensor: two of them are the majority
 
 
 def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
-    """Return the findings on sensors whose clock is off those of sensors with a common view.
+    """Return the findings on sensors whose clock contradicts those of sensors with a common view.
+
+    The sensor with most contradictions is off; of two that contradict each other alone, both are
+    named.
 
     Parameters
     ----------
     seen : mapping of str to LaneDetections
         Detections that move along lanes, by sensor.
     """
-    odd: dict[str, list[tuple[str, float, float]]] = {}
+    contradictions: dict[str, list[tuple[str, float, float]]] = {}
     for (one, other), offset in clock_offsets_between(seen).items():
         if abs(offset.offset_s) > max(CLOCK_S, CLOCK_SIGMAS * offset.sigma_s):
-            odd.setdefault(one, []).append((other, -offset.offset_s, offset.sigma_s))
-            odd.setdefault(other, []).append((one, offset.offset_s, offset.sigma_s))
-    told = dict[str, Finding]()
-    while odd:  # the sensor with most contradictions is off; of two alone, either may be
-        most = max(map(len, odd.values()))
-        named = {name for name, pairs in odd.items() if len(pairs) == most}
-        told |= {name: _apart(name, *odd[name][0]) for name in named}
-        odd = {
-            key: left
-            for key, pairs in odd.items()
-            if key not in named and (left := [each for each in pairs if each[0] not in named])
+            contradictions.setdefault(one, []).append((other, -offset.offset_s, offset.sigma_s))
+            contradictions.setdefault(other, []).append((one, offset.offset_s, offset.sigma_s))
+    findings = dict[str, Finding]()
+    while contradictions:
+        most = max(map(len, contradictions.values()))
+        blamed = {name for name, pairs in contradictions.items() if len(pairs) == most}
+        findings |= {name: _clocks_apart(name, *contradictions[name][0]) for name in blamed}
+        contradictions = {
+            key: remaining
+            for key, pairs in contradictions.items()
+            if key not in blamed
+            and (remaining := [each for each in pairs if each[0] not in blamed])
         }
-    return dict(sorted(told.items()))
+    return dict(sorted(findings.items()))
 
 
 def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str, str], ClockOffset]:
-    """Measure the clock of each sensor against those that see most of its places.
+    """Measure clock offsets between sensors, those with most common places first.
 
-    Two sensors with `PARTNERS` each are compared only where no chain of comparisons links them yet,
-    as with two recorders: a comparison takes a second, and a hundred sensors of one view make five
-    thousand pairs.
+    Two sensors that have `PARTNERS` comparisons each are compared only if no chain of comparisons
+    links them yet: a comparison takes a second, and a hundred sensors make five thousand pairs.
 
     Parameters
     ----------
     seen : mapping of str to LaneDetections
-        What moved along lanes, by sensor.
+        Detections that move along lanes, by sensor.
 
     Returns
     -------
@@ -66,21 +70,22 @@ def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str,
         (one, other): len(np.intersect1d(places[one], places[other], assume_unique=True))
         for one, other in combinations(seen, 2)
     }
-    found, partners = dict[tuple[str, str], ClockOffset](), Counter[str]()
+    offsets, partners = dict[tuple[str, str], ClockOffset](), Counter[str]()
     linked = {name: {name} for name in seen}
     for one, other in sorted(shared, key=lambda pair: -shared[pair]):
         if other in linked[one] and min(partners[one], partners[other]) >= PARTNERS:
             continue
         try:
-            found[one, other] = measured_offset(seen[one], seen[other])
+            offsets[one, other] = measured_offset(seen[one], seen[other])
         except NoAnswerError:  # no common view
             continue
         partners.update((one, other))
-        linked |= dict.fromkeys(joined := linked[one] | linked[other], joined)
-    return found
+        linked |= dict.fromkeys(chain := linked[one] | linked[other], chain)
+    return offsets
 
 
-def _apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:
+def _clocks_apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:
+    """Return the finding that a sensor's clock is ahead of another's, or behind."""
     ahead = Text(
         "by vehicles that both see, this one is {:.2f} \u00b1 {:.2f} s ahead", ahead_s, sigma_s
     )
@@ -89,5 +94,5 @@ def _apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:
     )
     evidence = ahead if ahead_s > 0.0 else behind
     cause = Text(CLOCKS_APART, other)
-    found = wrong(evidence, cause, Text("find the offset with gis-radar clocks"))
-    return replace(found, sensor=name)
+    finding = wrong(evidence, cause, Text("find the offset with gis-radar clocks"))
+    return replace(finding, sensor=name)

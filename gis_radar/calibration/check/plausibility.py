@@ -1,8 +1,8 @@
 """Check whether poses and recordings fit each other and the map, before results rest on them.
 
-The traffic is explained in rival ways on equal terms: as given, and by usual mistakes. A sensor
-fits, does not fit (by a named mistake, or by an unknown one), or has too little traffic for a
-verdict.
+The likelihood of the traffic with the given pose is compared with that after usual mistakes are
+corrected. A sensor fits, does not fit (the cause is named, or unknown), or has too little traffic
+for a verdict.
 """
 
 from __future__ import annotations
@@ -13,21 +13,20 @@ from itertools import chain
 
 import numpy as np
 
-from gis_radar.base import QUIET, Reporter, Text
+from gis_radar.base import QUIET, Booleans, Floats, Reporter, Text
 from gis_radar.calibration.check.excerpt import (
     LEAST_VEHICLES,
-    WILD_MPS,
+    TOO_FAST_MPS,
     Excerpt,
     iso,
     read_excerpts,
 )
-from gis_radar.calibration.check.explanations import by_lanes, least_share
-from gis_radar.calibration.check.nearly_right import pose_off
+from gis_radar.calibration.check.explanations import compare_explanations, least_share
+from gis_radar.calibration.check.nearly_right import judge_offset
 from gis_radar.calibration.check.odd_clocks import odd_clocks
 from gis_radar.calibration.check.rivals import (
     AGAINST,
     LaneMap,
-    best_split,
     on_lanes,
     score,
     signs_lost,
@@ -39,7 +38,7 @@ from gis_radar.calibration.findings import (
     UNKNOWN_CAUSE,
     WRONG,
     Finding,
-    either,
+    join_mistakes,
     wrong,
 )
 from gis_radar.calibration.range_scale import measure_range_scale
@@ -51,12 +50,13 @@ from gis_radar.recordings import Recording
 
 STAGE = "checking poses and recordings"
 
-MOST_DOUBLED = 0.1  # share of a recording's detections; by chance there are none
-FROZEN_FRAMES = 20  # equal frames in a row: a second at 20 Hz; by chance there are no two
-# Least vehicles on either side of a change, and its log likelihood ratio over no change: odds of
-# 3,000, and of 20 where a mistake explains the traffic on one side.
-LEAST_PART, CHANGED, EXPLAINED = 8, 8.0, 3.0
-OF_RATES = AGAINST.cause, ABSOLUTE.looks  # causes that leave the surroundings as they are
+MOST_DUPLICATES = 0.1  # share of repeated detections that is accepted; by chance there are none
+FROZEN_FRAMES = 20  # least number of equal frames in a row that is a fault; 1 s at 20 Hz
+LEAST_SIDE = 8  # least number of vehicles on either side of a change
+# Least log likelihood ratio of a change over none: odds of 3,000, and of 20 where a mistake
+# explains the traffic on one side.
+CHANGED, EXPLAINED = 8.0, 3.0
+RATE_CAUSES = AGAINST.cause, ABSOLUTE.looks  # causes that do not move static surroundings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,9 +68,9 @@ class RecordedSensor:
     recordings : sequence of Recording
         The sensor's recordings.
     tracks : sequence of PoseTrack
-        As many, in order; none where the pose is not known.
+        The pose track of each recording; empty where the pose is not known.
     clock : SensorClock, optional
-        How far the sensor's clock is ahead.
+        Offset of the sensor's clock; none by default.
     """
 
     recordings: Sequence[Recording]
@@ -102,32 +102,32 @@ def check_plausibility(
     InputError
         If a recording is damaged.
     """
-    found, seen = dict[str, Finding](), dict[str, LaneDetections]()
-    more = {
+    findings, lane_detections = dict[str, Finding](), dict[str, LaneDetections]()
+    excerpts = {
         name: read_excerpts(each.recordings, each.tracks, each.clock)
         for name, each in sorted(sensors.items())
     }
-    first = {name: next(excerpts) for name, excerpts in more.items()}
+    first_excerpts = {name: next(remaining) for name, remaining in excerpts.items()}
     poses = {
         name: each.usual if each.poses else sensors[name].tracks[0].poses[0]
-        for name, each in first.items()
+        for name, each in first_excerpts.items()
     }
-    for done, name in enumerate(first):
+    for done, name in enumerate(first_excerpts):
         reporter.progress(STAGE, done, len(sensors))
         others = {other: pose for other, pose in poses.items() if other != name}
-        excerpts = chain([first[name]], more[name])
-        found[name], excerpt = judge(name, excerpts, lanes, others)
-        if found[name].verdict == FITS and len(sensors) > 1:
-            seen[name] = on_lanes(excerpt, lanes)
-    found |= odd_clocks(seen)
+        remaining = chain([first_excerpts[name]], excerpts[name])
+        findings[name], excerpt = judge(name, remaining, lanes, others)
+        if findings[name].verdict == FITS and len(sensors) > 1:
+            lane_detections[name] = on_lanes(excerpt, lanes)
+    findings |= odd_clocks(lane_detections)
     reporter.progress(STAGE, len(sensors), len(sensors))
-    return tuple(found.values())
+    return tuple(findings.values())
 
 
 def check_recordings(
     sensors: Mapping[str, RecordedSensor], *, reporter: Reporter = QUIET
 ) -> tuple[Finding, ...]:
-    """Check recordings alone, where poses are not yet known: frozen frames, units, signs, traffic.
+    """Check recordings whose poses are not yet known: frozen frames, units, signs, traffic.
 
     Parameters
     ----------
@@ -139,22 +139,22 @@ def check_recordings(
     Returns
     -------
     tuple of Finding
-        What does not fit, or shows too little traffic, in the order of names; nothing on others.
+        Findings on sensors that do not fit or have too little traffic, in the order of names.
 
     Raises
     ------
     InputError
         If a recording is damaged.
     """
-    found = []
+    findings = []
     for done, (name, each) in enumerate(sorted(sensors.items())):
         reporter.progress(STAGE, done, len(sensors))
         excerpt = next(read_excerpts(each.recordings, clock=each.clock))
-        odd = _odd_recording(excerpt) or odd_scale(measure_range_scale(excerpt.moving))
-        odd = odd or _too_little(excerpt)
-        found += [replace(odd, sensor=name)] if odd is not None else []
+        finding = _odd_recording(excerpt) or odd_scale(measure_range_scale(excerpt.moving))
+        finding = finding or _too_little_traffic(excerpt)
+        findings += [replace(finding, sensor=name)] if finding is not None else []
     reporter.progress(STAGE, len(sensors), len(sensors))
-    return tuple(found)
+    return tuple(findings)
 
 
 def judge(
@@ -165,9 +165,9 @@ def judge(
     Parameters
     ----------
     sensor : str
-        Its name.
+        Name of the sensor.
     excerpts : iterable of Excerpt
-        Excerpts of its recordings; the next one is read where the traffic is too little.
+        Excerpts of its recordings; the next one is read while the traffic is too little.
     lanes : LaneMap
         The map.
     others : mapping of str to Pose
@@ -181,40 +181,46 @@ def judge(
         The excerpt on which it rests.
     """
     for excerpt in excerpts:
-        found = _judged(excerpt, lanes, others)
-        if found.verdict != UNKNOWN:
+        finding = _judge_excerpt(excerpt, lanes, others)
+        if finding.verdict != UNKNOWN:
             break
-    return replace(found, sensor=sensor), excerpt
+    return replace(finding, sensor=sensor), excerpt
 
 
-def _judged(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding:
-    scale = None if excerpt.wild else measure_range_scale(excerpt.moving)
-    is_known = scale is not None and scale.known
-    found = _odd_recording(excerpt) or odd_scale(scale) or _replaced(excerpt, lanes, others)
-    found = found or _too_little(excerpt) or _changed(excerpt, lanes, others)
-    units = () if is_known else (FEET, YARDS)
-    found = found or by_lanes(excerpt, lanes, others, units)
-    if found.verdict == FITS:
-        found = pose_off(excerpt, lanes, found, scale)
-    other = None
-    if found.cause == AGAINST.cause and not is_known:  # both turn the direction of travel
-        other = SIGN
-    if found.cause == SIGN.looks and signs_lost(excerpt):  # where all approach, both are the same
-        other = ABSOLUTE
-    if other is not None:
-        cause, advice = either([(found.cause, found.advice), (other.looks, other.advice)])
-        found = replace(found, cause=cause, advice=advice)
-    if found.verdict == FITS and not is_known:
-        evidence = Text(
-            "{}, too few approach or recede to compare ranges with range rates", found.evidence
+def _judge_excerpt(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding:
+    """Return the finding of the first check that has one; the last check always has one."""
+    scale = None if excerpt.too_fast else measure_range_scale(excerpt.moving)
+    scale_known = scale is not None and scale.known
+    finding = (
+        _odd_recording(excerpt) or odd_scale(scale) or _sensor_replaced(excerpt, lanes, others)
+    )
+    finding = finding or _too_little_traffic(excerpt) or _fault_from_moment(excerpt, lanes, others)
+    position_units = () if scale_known else (FEET, YARDS)
+    finding = finding or compare_explanations(excerpt, lanes, others, position_units)
+    if finding.verdict == FITS:
+        finding = judge_offset(excerpt, lanes, finding, scale)
+    alternative = None
+    if finding.cause == AGAINST.cause and not scale_known:  # both reverse the direction of travel
+        alternative = SIGN
+    if finding.cause == SIGN.looks and signs_lost(excerpt):  # if all approach, data are the same
+        alternative = ABSOLUTE
+    if alternative is not None:
+        cause, advice = join_mistakes(
+            [(finding.cause, finding.advice), (alternative.looks, alternative.advice)]
         )
-        found = replace(found, evidence=evidence)
-        if not found.cause:
-            found = replace(found, verdict=UNKNOWN, advice=RECORD_MORE)
-    return found
+        finding = replace(finding, cause=cause, advice=advice)
+    if finding.verdict == FITS and not scale_known:
+        evidence = Text(
+            "{}, too few approach or recede to compare ranges with range rates", finding.evidence
+        )
+        finding = replace(finding, evidence=evidence)
+        if not finding.cause:
+            finding = replace(finding, verdict=UNKNOWN, advice=RECORD_MORE)
+    return finding
 
 
-def _too_little(excerpt: Excerpt) -> Finding | None:
+def _too_little_traffic(excerpt: Excerpt) -> Finding | None:
+    """Return the finding that there are fewer than `LEAST_VEHICLES`, if so."""
     if excerpt.vehicles >= LEAST_VEHICLES:
         return None
     evidence = Text("{} vehicles move, {} are needed", excerpt.vehicles, LEAST_VEHICLES)
@@ -222,40 +228,42 @@ def _too_little(excerpt: Excerpt) -> Finding | None:
 
 
 def _odd_recording(excerpt: Excerpt) -> Finding | None:
-    """Return the finding on faults that a recording shows without map and pose, if any."""
+    """Return the finding on frozen, repeated or impossibly fast detections, if any."""
     if excerpt.frozen is not None and excerpt.frozen[2] >= FROZEN_FRAMES:
         begin, end, frames = excerpt.frozen
         evidence = Text("{} frames from {} to {} are the same", frames, iso(begin), iso(end))
         return wrong(evidence, Text("the recording is frozen"), Text("leave that time out"))
-    if excerpt.doubled > MOST_DOUBLED:
-        evidence = Text("{:.0%} of the moving detections are twice in it", excerpt.doubled)
+    if excerpt.duplicate_share > MOST_DUPLICATES:
+        evidence = Text("{:.0%} of the moving detections are twice in it", excerpt.duplicate_share)
         cause = Text("a file was joined with a copy of itself")
         return wrong(evidence, cause, Text("leave each detection once"))
     infinite = int(np.isinf(excerpt.moving.range_rate).sum())
-    if excerpt.wild and 2 * infinite > excerpt.wild:  # another unit makes all of them large
+    if excerpt.too_fast and 2 * infinite > excerpt.too_fast:  # a wrong unit leaves them finite
         evidence = Text("{:,} range rates are infinite", infinite)
         advice = Text("a detection without a range rate has NaN there")
         return wrong(evidence, Text("the recording is damaged, or was converted wrongly"), advice)
-    if excerpt.wild:
-        evidence = Text("{:,} detections are faster than {:g} m/s", excerpt.wild, WILD_MPS)
+    if excerpt.too_fast:
+        evidence = Text("{:,} detections are faster than {:g} m/s", excerpt.too_fast, TOO_FAST_MPS)
         advice = Text("range_rate is m/s")
         return wrong(evidence, Text("range rates look like cm/s or mm/s"), advice)
     return None
 
 
-def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding | None:
-    """Return the finding that data are another sensor's from a moment on, by its surroundings."""
+def _sensor_replaced(
+    excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]
+) -> Finding | None:
+    """Return the finding that the static surroundings change: another sensor, or it was moved."""
     change = excerpt.scene_change
     if change is None or change.time is None:
         return None
     when = iso(change.time)
-    parts = zip(excerpt.parted(change.time), ("until {}: {}", "from {} on: {}"), strict=True)
-    for part, template in parts:
-        if part.vehicles < LEAST_PART:  # too little traffic, as at night, to name a cause
+    sides = zip(excerpt.split_at(change.time), ("until {}: {}", "from {} on: {}"), strict=True)
+    for side, template in sides:
+        if side.vehicles < LEAST_SIDE:  # too little traffic, as at night, to name a cause
             continue
-        bad = by_lanes(part, lanes, others)
-        if bad.verdict == WRONG and bad.cause != UNKNOWN_CAUSE:
-            return replace(bad, cause=Text(template, when, bad.cause))
+        finding = compare_explanations(side, lanes, others)
+        if finding.verdict == WRONG and finding.cause != UNKNOWN_CAUSE:
+            return replace(finding, cause=Text(template, when, finding.cause))
     evidence = Text(
         "across that moment {:.0%} of what stands around it stays where it was, "
         "across others {:.0%}",
@@ -272,23 +280,46 @@ def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> F
     )
 
 
-def _changed(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding | None:
-    """Return the finding on a fault before or after a moment, where the rest fits."""
-    first = np.unique(excerpt.vehicle, return_index=True)[1]
-    order = np.argsort(excerpt.time[first], kind="stable")
+def _fault_from_moment(
+    excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]
+) -> Finding | None:
+    """Return the finding on a fault that the traffic shows before or after a moment only."""
+    first_rows = np.unique(excerpt.vehicle, return_index=True)[1]
+    order = np.argsort(excerpt.time[first_rows], kind="stable")
     driving = score(excerpt, lanes).driving[order]
-    split, gain = best_split(driving, LEAST_PART)
-    parts = driving[:split], driving[split:]
-    if gain < EXPLAINED or all(each.mean() < least_share(len(each)) for each in parts):
-        return None  # where neither part fits, the fault is there all the time
-    when = float(excerpt.time[first[order[split]]])
-    until, since = (by_lanes(part, lanes, others) for part in excerpt.parted(when))
-    bad = since if until.verdict == FITS else until
-    if until.verdict == since.verdict or (gain < CHANGED and bad.cause == UNKNOWN_CAUSE):
+    split, gain = _best_split(driving, LEAST_SIDE)
+    sides = driving[:split], driving[split:]
+    if gain < EXPLAINED or all(each.mean() < least_share(len(each)) for each in sides):
+        return None  # where neither side fits, the fault is there all the time
+    when = float(excerpt.time[first_rows[order[split]]])
+    until, since = (compare_explanations(side, lanes, others) for side in excerpt.split_at(when))
+    worse = since if until.verdict == FITS else until
+    if until.verdict == since.verdict or (gain < CHANGED and worse.cause == UNKNOWN_CAUSE):
         return None
-    same_place = excerpt.scene_change is not None  # place and axes are those of before
-    if same_place and bad.cause not in OF_RATES:
+    same_scene = excerpt.scene_change is not None  # compared without a change: same place and axes
+    if same_scene and worse.cause not in RATE_CAUSES:
         return None
     if until.verdict == WRONG:
         return replace(until, cause=Text("until {}: {}", iso(when), until.cause))
     return replace(since, cause=Text("from {} on: {}", iso(when), since.cause))
+
+
+def _best_split(driving: Booleans, least: int) -> tuple[int, float]:
+    """Return the index at which the share of true values changes, and its log likelihood ratio.
+
+    The ratio is of two shares over one share for all; either side has at least `least` values.
+    """
+    count, total = len(driving), int(driving.sum())
+    before = np.arange(least, count - least + 1).astype(np.float64)
+    if len(before) == 0:
+        return 0, 0.0
+    hits = np.cumsum(driving)[before.astype(np.int64) - 1].astype(np.float64)
+
+    def likelihood(hit: Floats, of: Floats) -> Floats:
+        share = np.clip(hit / of, 1e-9, 1.0 - 1e-9)
+        return np.asarray(hit * np.log(share) + (of - hit) * np.log(1.0 - share))
+
+    split_likelihood = likelihood(hits, before) + likelihood(total - hits, count - before)
+    gain = split_likelihood - likelihood(np.array([float(total)]), np.array([float(count)]))
+    best = int(gain.argmax())
+    return int(before[best]), float(gain[best])

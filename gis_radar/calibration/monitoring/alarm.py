@@ -1,14 +1,14 @@
-"""The alarm: small moves of a sensor, noticed against what it saw in its own first hour.
+"""Detect small moves of a sensor by a change of the vehicles' mean offsets in their lanes.
 
-Where in their lanes drivers keep, and the map's own error, are known to some decimetres only, but
-are the same before and after a move. So the mean place of vehicles in each cell of the lanes is
-learnt as the sensor sees it, and the newest minutes are compared with it: a move shifts all lanes
-together, a change of habit or an obstacle one of them.
+Drivers' offsets and the map's error are known to some decimetres only, but do not change with a
+move of the sensor. The mean offset in each cell of the lanes is learnt as a reference, from the
+first hour on, and compared with that of the newest minutes: a move changes it on all lanes, an
+obstacle or a new habit of drivers on one.
 
-The evidence about the cells' means `m` is kept as normal equations `A m = b`, in which each
-vehicle's own place in the lane is eliminated (a random effect, so vehicles are the units and not
-their detections); only sums of these are stored. Reference (A, b) and newest blocks (A', b') give
-the move: `A m = b`, `A' (m + K x) = b'`, where `x` is the move and the change of drivers' habits.
+The information about the cells' means `m` is stored as normal equations `A m = b`, in which the
+random effect of each vehicle is eliminated, so that vehicles are the units. Reference (A, b) and
+newest blocks (A', b') give the move: `A m = b`, `A' (m + K x) = b'`, where `x` are the move and
+changes of drivers' habits.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from gis_radar.calibration.monitoring.kalman_filter import DRIFT, HOUR_S
 from gis_radar.calibration.monitoring.lane_places import WITHIN_M, Cells, LanePlaces
 
 # *Measured* is on two hours of the sample junction, simulated as recorded (`bench/alarm.py`).
-BLOCK_S = 60.0  # traffic is summed by blocks, and tested at the end of each
-SETTLE_S = 7.0  # a vehicle counts in the block that holds this time after its last detection
-# Newest blocks that are tested: five for a strong move, nine for a small one (with SETTLE_S within
-# ten minutes), thirty for light traffic.
+BLOCK_S = 60.0  # length of a block of traffic; tests are made at its end
+SETTLE_S = 7.0  # time after its last detection at which a vehicle is assigned to a block
+# Numbers of newest blocks that are tested: five for a strong move, nine for a small one (with
+# SETTLE_S within ten minutes), thirty for light traffic.
 BLOCKS = (5, 9, 30)
 # Largest share of all blocks that is tested: five blocks are tested from 15 minutes on, nine from
 # 27 on, thirty from 90 on.
@@ -35,62 +35,61 @@ SHARE = 0.34
 # The reference is the first hour; then it forgets with a time constant of an hour or of
 # REFERENCE_VEHICLES, whichever is longer, to follow slow changes.
 REFERENCE_H, REFERENCE_VEHICLES = 1.0, 1000
-# Scatter between blocks over that of independent vehicles, a ratio of variances (broken tracks,
-# platoons; measured 1.4 to 2.1): its prior mean, and the blocks that this prior counts for.
+# Variance between blocks over that of independent vehicles (broken tracks, platoons; measured 1.4
+# to 2.1): prior mean, and number of blocks as which the prior counts.
 DISPERSION, DISPERSION_BLOCKS = 2.0, 20.0
-# Standard deviations of drivers' habit on a stretch beyond which a change is taken for an obstacle
-# and weighs less and less.
+# A change on a stretch beyond so many standard deviations of drivers' habit is taken for an
+# obstacle and has a lower weight.
 OUTLIER = 2.0
-# Score beyond which a move is noticed: 0.2 false alarms a month, 95 % under 2.0, by the tail of 240
-# hours of changing traffic (`bench/alarm.py`).
+# Least score of a significant move: 0.2 false alarms a month, below 2.0 with 95 % confidence, by
+# the tail of 240 hours of changing traffic (`bench/alarm.py`).
 GATE = 24.0
 
-TAPER_M = 1.3  # farther from the middle of its lane a vehicle counts less and less
-# Standard deviations: between vehicles, from cell to cell, and of one detection (faces, bearing).
-# Measured: 0.35, 0.45 to 0.49, 0.3 to 0.6.
+TAPER_M = 1.3  # offsets beyond this have a lower weight
+# Standard deviations of offsets: between vehicles, between cells of a vehicle, and of a detection
+# (faces, azimuth). Measured: 0.35, 0.45 to 0.49, 0.3 to 0.6.
 DRIVER_M = 0.35
 SWAY_M = 0.46
 HIT_M = 0.5
-# The same for heights over the road; ELEVATION_RAD grows with range; measured.
+# The same of heights over the road; that between cells grows with range by ELEVATION_RAD; measured.
 TALL_M = 0.55
 BUMP_M = 0.3
 ELEVATION_HIT_M = 1.0
 ELEVATION_RAD = 0.014
-WARM_UP = 10  # blocks of reference with which the dispersion can be measured
-LEAST_VEHICLES = 12  # fewer in the tested blocks contradict nothing
-# Cells with less than so many vehicles in the reference do not measure dispersion.
+WARM_UP = 10  # least number of blocks in the reference to measure the dispersion
+LEAST_VEHICLES = 12  # least number of vehicles in tested blocks
+# The dispersion is measured in cells with so many vehicles in the reference, ...
 KNOWN_VEHICLES = 3.0
-# Nor do combinations of moves and habits with a smaller (scaled) eigenvalue of information.
+# ... and by combinations of moves and habits with a (scaled) eigenvalue of information above this.
 LEAST_SEEN = 0.05
-# How far drivers change their habit on a stretch within an hour, one standard deviation.
+# 1 sigma of the change within an hour of drivers' offsets on a stretch, ...
 STRETCH_HABIT_M = 0.05
-# The same for all drivers at once (rain, night), and for where vehicles reflect across the sight
-# (trucks are broader).
+# ... of all drivers' offsets (rain, night), and of the visible half width (trucks are broader).
 COMMON_M = 0.05
 BREADTH_M = 0.02
-# The same for heights over the road: on a stretch, of all vehicles at once.
+# 1 sigma of the change within an hour of heights on a stretch, and of all vehicles.
 HEIGHT_HABIT_M = 0.08
 TALLER_M = 0.15
 ROUNDS = 4  # reweightings of stretches
 
-FREE = RIDGE = 1e-6  # information of a prior that knows nothing, 1/m^2
-MOVE = 6
+FREE = RIDGE = 1e-6  # information of a vague prior, 1/m^2
+MOVE = 6  # number of components of a move
 
 
 @dataclass(frozen=True, kw_only=True)
-class Habits:
-    """Evidence of some vehicles about the mean place in each cell, as normal equations.
+class NormalEquations:
+    """Normal equations of the mean offset or height in each cell, from some vehicles.
 
     Parameters
     ----------
     cell : (c,) array
-        The cells that they drove through, ascending.
+        The cells with vehicles, ascending.
     weight : (c, c) array
         A, 1/m^2.
     gradient : (c,) array
         b, 1/m.
     vehicles : float
-        Number of vehicles, forgotten ones counted in part.
+        Number of vehicles, reduced by forgetting.
     time : float
         Mean time of the vehicles, UNIX seconds.
     """
@@ -101,22 +100,25 @@ class Habits:
     vehicles: float = 0.0
     time: float = 0.0
 
-    def __add__(self, other: Habits) -> Habits:
-        """Return the evidence of both together."""
+    def __add__(self, other: NormalEquations) -> NormalEquations:
+        """Return the sum of both normal equations."""
         cell = np.union1d(self.cell, other.cell)
-        (weight, gradient), (more, steeper) = self.over(cell), other.over(cell)
+        (weight, gradient), (other_weight, other_gradient) = (
+            self.expanded(cell),
+            other.expanded(cell),
+        )
         vehicles = self.vehicles + other.vehicles
-        whole = self.vehicles * self.time + other.vehicles * other.time
-        return Habits(
+        time_sum = self.vehicles * self.time + other.vehicles * other.time
+        return NormalEquations(
             cell=cell,
-            weight=weight + more,
-            gradient=gradient + steeper,
+            weight=weight + other_weight,
+            gradient=gradient + other_gradient,
             vehicles=vehicles,
-            time=whole / vehicles if vehicles else other.time,
+            time=time_sum / vehicles if vehicles else other.time,
         )
 
-    def over(self, cell: Integers) -> tuple[Floats, Floats]:
-        """Return weight and gradient for a list of cells that holds all of its own."""
+    def expanded(self, cell: Integers) -> tuple[Floats, Floats]:
+        """Return weight and gradient for a superset of its cells."""
         if len(cell) == len(self.cell):
             return self.weight, self.gradient
         place = np.searchsorted(cell, self.cell)
@@ -125,8 +127,8 @@ class Habits:
         gradient[place] = self.gradient
         return weight, gradient
 
-    def kept(self, share: float) -> Habits:
-        """Return a share of the evidence; the rest is forgotten."""
+    def scaled(self, share: float) -> NormalEquations:
+        """Return the normal equations times `share`: the rest is forgotten."""
         return replace(
             self,
             weight=share * self.weight,
@@ -134,72 +136,76 @@ class Habits:
             vehicles=share * self.vehicles,
         )
 
-    def where(self, good: Booleans) -> Habits:
-        """Return the evidence about some cells, with the means of the others eliminated."""
-        if good.all():
+    def marginal(self, keep: Booleans) -> NormalEquations:
+        """Return the normal equations of some cells, with the means of the others eliminated."""
+        if keep.all():
             return self
-        cut = self.weight[np.ix_(good, ~good)]
-        inner = self.weight[np.ix_(~good, ~good)] + RIDGE * np.eye(int((~good).sum()))
-        gain = np.linalg.solve(inner, cut.T).T
+        cross = self.weight[np.ix_(keep, ~keep)]
+        inner = self.weight[np.ix_(~keep, ~keep)] + RIDGE * np.eye(int((~keep).sum()))
+        gain = np.linalg.solve(inner, cross.T).T
         return replace(
             self,
-            cell=self.cell[good],
-            weight=self.weight[np.ix_(good, good)] - gain @ cut.T,
-            gradient=self.gradient[good] - gain @ self.gradient[~good],
+            cell=self.cell[keep],
+            weight=self.weight[np.ix_(keep, keep)] - gain @ cross.T,
+            gradient=self.gradient[keep] - gain @ self.gradient[~keep],
         )
 
 
-NOTHING = Habits(cell=np.empty(0, dtype=np.int64), weight=np.empty((0, 0)), gradient=np.empty(0))
+NO_EVIDENCE = NormalEquations(
+    cell=np.empty(0, dtype=np.int64), weight=np.empty((0, 0)), gradient=np.empty(0)
+)
 
 
-def habits_of(
-    seen: LanePlaces, value: Floats, *, sigma: tuple[float, Floats, float], time: float
-) -> Habits:
-    """Sum up vehicles; the rows of one have `V = driver^2 11' + diag(sway^2 + hit^2/n)`.
+def normal_equations(
+    places: LanePlaces, value: Floats, *, sigma: tuple[float, Floats, float], time: float
+) -> NormalEquations:
+    """Return the normal equations of vehicles, with their random effects eliminated.
+
+    The rows of a vehicle have the covariance `driver^2 11' + diag(sway^2 + hit^2/n)`.
 
     Parameters
     ----------
-    seen : LanePlaces
-        Places of some vehicles, a row a vehicle and cell.
+    places : LanePlaces
+        Offsets of vehicles, a row for each vehicle and cell.
     value : (n,) array
-        The coordinate that is averaged (place in the lane or height), metres; NaN is left out.
+        The value of each row that is averaged (offset or height), metres; NaN is left out.
     sigma : (float, (c,) array, float)
         Standard deviations between vehicles, between a vehicle's cells (by cell), and of one
         detection.
     time : float
         UNIX seconds.
     """
-    good = np.isfinite(value)
-    cell, column = np.unique(seen.cell[good], return_inverse=True)
+    known = np.isfinite(value)
+    cell, column = np.unique(places.cell[known], return_inverse=True)
     driver, sway, hit = sigma
-    precision = 1.0 / (sway[seen.cell[good]] ** 2 + hit**2 / seen.count[good])
-    rows = np.zeros((seen.vehicles, len(cell)))
-    rows[seen.vehicle[good], column] = precision
+    precision = 1.0 / (sway[places.cell[known]] ** 2 + hit**2 / places.count[known])
+    rows = np.zeros((places.vehicles, len(cell)))
+    rows[places.vehicle[known], column] = precision
     gain = 1.0 / (driver**-2 + rows.sum(axis=1))
-    force = np.zeros((seen.vehicles, len(cell)))
-    force[seen.vehicle[good], column] = precision * value[good]
+    weighted = np.zeros((places.vehicles, len(cell)))
+    weighted[places.vehicle[known], column] = precision * value[known]
     weight = np.diag(rows.sum(axis=0)) - (rows * gain[:, None]).T @ rows
-    gradient = force.sum(axis=0) - rows.T @ (gain * force.sum(axis=1))
-    return Habits(
-        cell=cell, weight=weight, gradient=gradient, vehicles=float(seen.vehicles), time=time
+    gradient = weighted.sum(axis=0) - rows.T @ (gain * weighted.sum(axis=1))
+    return NormalEquations(
+        cell=cell, weight=weight, gradient=gradient, vehicles=float(places.vehicles), time=time
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Displacement:
-    """A move of a sensor that explains what changed.
+    """Move of a sensor, estimated from a change of its data.
 
     Parameters
     ----------
     score : float
-        How far it is beyond chance: the chi-square of the moved components, reduced for the heavy
-        tails of few vehicles or targets.
+        Chi-square of the estimated components, reduced for the heavy tails of few vehicles or
+        targets.
     seconds : float
         Length of the newest time that was tested, seconds.
     move : (6,) array
         Metres, and a turn about the map's axes in radians; zeros where nothing is known.
     covariance : (6, 6) array
-        Of the move.
+        Covariance of the move.
     """
 
     score: float
@@ -208,34 +214,36 @@ class Displacement:
     covariance: Floats
 
     def turned(self, turn: Floats) -> Displacement:
-        """Turn a displacement in the sensor's axes into the map's, by `turn` = `R_map_sensor`."""
-        both = np.kron(np.eye(2), turn)
-        return replace(self, move=both @ self.move, covariance=both @ self.covariance @ both.T)
+        """Rotate a displacement from the sensor's axes to the map's by `turn` = `R_map_sensor`."""
+        rotation = np.kron(np.eye(2), turn)
+        return replace(
+            self, move=rotation @ self.move, covariance=rotation @ self.covariance @ rotation.T
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChangeDetector:
-    """A coordinate of vehicles that moves of the sensor change: place in the lane, or height.
+    """Model of a value of vehicles, offset or height, that changes with a move of the sensor.
 
     Parameters
     ----------
     moved : tuple of int
-        Which components of a move it shows.
+        Indices of the components of a move that it observes.
     by_move : (c, d) array
-        By how much each of them changes the mean of each cell.
+        Derivative of the mean of each cell by these components.
     by_habit : (c, k) array
-        The same for habits that change for all vehicles at once.
+        Derivative of the mean of each cell by changes that all vehicles share.
     habit_m : (k,) array
-        Change of these habits within an hour, one standard deviation.
+        1 sigma of these changes within an hour.
     stretch : (c,) array
         The stretch of each cell.
     stretch_m : float
-        Change of the habit on a stretch, one standard deviation.
+        1 sigma of the change of a stretch.
     sigma : (float, (c,) array, float)
-        As for :func:`habits_of`.
+        As for :func:`normal_equations`.
     edge_m : (float, float)
-        Distances from the middle of the lane up to which a place counts fully, and from which on
-        not at all; infinite where every place counts fully.
+        Absolute value up to which a value is not tapered, and that from which on it is 0; infinite
+        for no taper.
     """
 
     moved: tuple[int, ...]
@@ -247,12 +255,12 @@ class ChangeDetector:
     sigma: tuple[float, Floats, float]
     edge_m: tuple[float, float]
 
-    def counted(self, value: Floats) -> tuple[Floats, Floats]:
-        """Return places tapered towards the lane's edge, and the slope (Hampel's function).
+    def taper(self, value: Floats) -> tuple[Floats, Floats]:
+        """Return values tapered to 0 at the lane's edge, and the slopes (Hampel's function).
 
-        A vehicle beyond the edge of its lane is taken for one in the next, on the other side of its
-        middle. So places near an edge are tapered; the slope tells by how much smaller that makes
-        a move look.
+        A vehicle beyond the edge of its lane is matched to the next lane with an offset of the
+        other sign, so offsets near an edge are unreliable. The mean slope is the factor by which
+        the taper reduces a move.
         """
         full_m, edge_m = self.edge_m
         slope = np.where(np.isfinite(value), 1.0, np.nan)
@@ -266,25 +274,25 @@ class ChangeDetector:
 
 
 def detectors(cells: Cells, place: Floats) -> tuple[ChangeDetector, ChangeDetector]:
-    """Return the detectors of place in the lane (moves in the plane) and of height (tilts).
+    """Return the detectors of offsets in the lane (moves in the plane) and of heights (tilts).
 
-    With the old pose, a sensor that has moved by `d` and turned by `w` shows a point at the
-    offset `a` from it at `a - d - w x a`.
+    Placed by the old pose, detections of a sensor that has moved by `d` and turned by `w` are
+    displaced from the vector `a` to `a - d - w x a`.
 
     Parameters
     ----------
     cells : Cells
         The lanes.
     place : (2,) array
-        Of the sensor, local coordinates.
+        Position of the sensor, local coordinates, metres.
     """
-    arm, left = cells.centre - place, cells.left
-    side = np.sum(arm * left, axis=1) / np.maximum(np.hypot(*arm.T), 1.0)
+    offset, left = cells.centre - place, cells.left
+    side = np.sum(offset * left, axis=1) / np.maximum(np.hypot(*offset.T), 1.0)
     ones = np.ones(len(cells))
-    turned = left[:, 1] * arm[:, 0] - left[:, 0] * arm[:, 1]
+    by_turn = left[:, 1] * offset[:, 0] - left[:, 0] * offset[:, 1]
     across = ChangeDetector(
         moved=(0, 1, 5),
-        by_move=-np.column_stack([left, turned]),
+        by_move=-np.column_stack([left, by_turn]),
         by_habit=np.column_stack([ones, -side]),
         habit_m=np.array([COMMON_M, BREADTH_M]),
         stretch=cells.stretch,
@@ -292,10 +300,10 @@ def detectors(cells: Cells, place: Floats) -> tuple[ChangeDetector, ChangeDetect
         sigma=(DRIVER_M, SWAY_M * ones, HIT_M),
         edge_m=(TAPER_M, WITHIN_M),
     )
-    bump_m = np.hypot(BUMP_M, ELEVATION_RAD * np.hypot(*arm.T))
-    over = ChangeDetector(
+    bump_m = np.hypot(BUMP_M, ELEVATION_RAD * np.hypot(*offset.T))
+    height = ChangeDetector(
         moved=(3, 4),
-        by_move=np.column_stack([-arm[:, 1], arm[:, 0]]),
+        by_move=np.column_stack([-offset[:, 1], offset[:, 0]]),
         by_habit=ones[:, None],
         habit_m=np.array([TALLER_M]),
         stretch=cells.stretch,
@@ -303,160 +311,170 @@ def detectors(cells: Cells, place: Floats) -> tuple[ChangeDetector, ChangeDetect
         sigma=(TALL_M, bump_m, ELEVATION_HIT_M),
         edge_m=(np.inf, np.inf),
     )
-    return across, over
+    return across, height
 
 
 class Memory:
-    """The reference of a change detector, and its newest blocks.
+    """Reference of a change detector, and its newest blocks.
 
     Parameters
     ----------
     detector : ChangeDetector
-        The coordinate that is followed.
+        The model of the compared value.
     """
 
     def __init__(self, detector: ChangeDetector) -> None:
         self.detector = detector
-        self.reference = NOTHING
-        self.learnt = 0
-        self._recent: deque[Habits] = deque()
-        self._scatter = np.zeros(2)  # squares, and how many blocks
-        self._slope = np.zeros(2)  # of `ChangeDetector.counted`, summed, and how many places
+        self.reference = NO_EVIDENCE
+        self.learnt_blocks = 0
+        self._recent: deque[NormalEquations] = deque()
+        self._scatter = np.zeros(2)  # sum of squares, and number of blocks
+        self._slope = np.zeros(2)  # sum of slopes of `ChangeDetector.taper`, and their number
         effects = np.eye(int(detector.stretch.max(initial=-1)) + 1)[detector.stretch]
         self._effects = np.hstack([detector.by_move, detector.by_habit, effects])
         self._drift = np.diag(np.square(DRIFT)[list(detector.moved)]) / HOUR_S
 
     @property
     def dispersion(self) -> float:
-        """Scatter of blocks over that of independent vehicles, a ratio of variances, at least 1."""
+        """Variance between blocks over that of independent vehicles, at least 1."""
         squares, blocks = DISPERSION_BLOCKS * DISPERSION, DISPERSION_BLOCKS
         return float(max((squares + self._scatter[0]) / (blocks + self._scatter[1]), 1.0))
 
-    def push(self, seen: LanePlaces, value: Floats, time: float) -> None:
-        """Add the newest block; blocks that are no longer tested join the reference."""
-        value, slope = self.detector.counted(value)
+    def push(self, places: LanePlaces, value: Floats, time: float) -> None:
+        """Add a block; blocks that are no longer tested are added to the reference."""
+        value, slope = self.detector.taper(value)
         self._slope += [np.nansum(slope), np.isfinite(slope).sum()]
-        self._recent.append(habits_of(seen, value, sigma=self.detector.sigma, time=time))
-        held = SHARE * (self.learnt + len(self._recent))
-        while len(self._recent) > min(max(held, BLOCKS[-2]), BLOCKS[-1]):
-            self._learn(self._recent.popleft())
+        self._recent.append(normal_equations(places, value, sigma=self.detector.sigma, time=time))
+        most_recent = SHARE * (self.learnt_blocks + len(self._recent))
+        while len(self._recent) > min(max(most_recent, BLOCKS[-2]), BLOCKS[-1]):
+            self._join_reference(self._recent.popleft())
 
-    def _learn(self, block: Habits) -> None:
-        if self.learnt >= WARM_UP and block.vehicles >= LEAST_VEHICLES:
+    def _join_reference(self, block: NormalEquations) -> None:
+        """Add a block to the reference, which forgets by its time constant."""
+        if self.learnt_blocks >= WARM_UP and block.vehicles >= LEAST_VEHICLES:
             self._measure_scatter(block)
-        self.learnt += 1
+        self.learnt_blocks += 1
         share = 1.0
-        hours = self.learnt * BLOCK_S / HOUR_S
+        hours = self.learnt_blocks * BLOCK_S / HOUR_S
         if hours > REFERENCE_H and self.reference.vehicles > REFERENCE_VEHICLES:
             forgotten = block.vehicles / self.reference.vehicles
             share = 1.0 - min(BLOCK_S / HOUR_S / REFERENCE_H, forgotten)
-        self.reference = self.reference.kept(share) + block
+        self.reference = self.reference.scaled(share) + block
 
-    def _measure_scatter(self, block: Habits) -> None:
-        """Compare a block with the reference: `b - A m` has covariance `A + A A_ref^-1 A`."""
+    def _measure_scatter(self, block: NormalEquations) -> None:
+        """Add the scatter of a block about the reference.
+
+        The residual `b - A m` has the covariance `A + A A_ref^-1 A` for independent vehicles.
+        """
         detector = self.detector
         least = KNOWN_VEHICLES / detector.sigma[0] ** 2
-        before = self.reference.where(np.diag(self.reference.weight) > least)
-        part = block.where(np.isin(block.cell, before.cell))
-        if len(part.cell) == 0:
+        reference = self.reference.marginal(np.diag(self.reference.weight) > least)
+        common = block.marginal(np.isin(block.cell, reference.cell))
+        if len(common.cell) == 0:
             return
-        weight, gradient = part.over(before.cell)
-        factor = _factor(before.weight)
+        weight, gradient = common.expanded(reference.cell)
+        factor = _factor(reference.weight)
         columns = detector.by_move.shape[1] + detector.by_habit.shape[1]
-        design = self._effects[before.cell, :columns]
+        design = self._effects[reference.cell, :columns]
         weighted = weight @ design
-        rest = gradient - weight @ cho_solve(factor, before.gradient)
+        residual = gradient - weight @ cho_solve(factor, reference.gradient)
         square = design.T @ weighted + weighted.T @ cho_solve(factor, weighted)
         scale = np.sqrt(np.maximum(np.diag(square), RIDGE))
         values, vectors = np.linalg.eigh(square / np.outer(scale, scale))
-        seen = values > LEAST_SEEN
-        score = vectors.T @ (design.T @ rest / scale)
-        self._scatter += [np.mean(np.square(score[seen]) / values[seen]), 1.0]
+        observable = values > LEAST_SEEN
+        score = vectors.T @ (design.T @ residual / scale)
+        self._scatter += [np.mean(np.square(score[observable]) / values[observable]), 1.0]
 
     def displacements(self, now: float) -> list[Displacement]:
-        """Return the likeliest move for each tested number of newest blocks."""
-        found = []
-        newest, tested = NOTHING, {}
-        every = self.learnt + len(self._recent)
+        """Return the likeliest move for each number of newest blocks that is tested."""
+        moves = []
+        recent, tested = NO_EVIDENCE, {}
+        count = self.learnt_blocks + len(self._recent)
         for number, block in enumerate(reversed(self._recent), start=1):
-            newest = newest + block
-            if number in BLOCKS and number <= SHARE * every:
-                tested[number] = newest
-        whole = self.reference + newest
+            recent = recent + block
+            if number in BLOCKS and number <= SHARE * count:
+                tested[number] = recent
+        total = self.reference + recent
         for number, part in tested.items():
             if part.vehicles >= LEAST_VEHICLES:
-                found.append(self._displacement(whole, part, number, now))
-        return found
+                moves.append(self._displacement(total, part, number, now))
+        return moves
 
-    def _displacement(self, whole: Habits, newest: Habits, blocks: int, now: float) -> Displacement:
+    def _displacement(
+        self, total: NormalEquations, newest: NormalEquations, blocks: int, now: float
+    ) -> Displacement:
+        """Return the move between the blocks before and the newest ones, with its score."""
         moved = list(self.detector.moved)
-        mean, covariance = self._solved(whole, newest)
-        before = max(whole.vehicles - newest.vehicles, 1.0)
-        time = (whole.vehicles * whole.time - newest.vehicles * newest.time) / before
-        # a random walk: from about the middle of each to now
+        mean, covariance = self._solve_move(total, newest)
+        before = max(total.vehicles - newest.vehicles, 1.0)
+        time = (total.vehicles * total.time - newest.vehicles * newest.time) / before
+        # the pose drifts as a random walk between the mean times of both, and up to now
         lag_s = max(now - 0.5 * (newest.time + time), 0.0)
         covariance = covariance + lag_s * self._drift
         chi2 = float(mean @ np.linalg.solve(covariance, mean))
         score = newest.vehicles * float(np.log1p(chi2 / newest.vehicles))
-        move, every = np.zeros(MOVE), np.zeros((MOVE, MOVE))
+        move, full_covariance = np.zeros(MOVE), np.zeros((MOVE, MOVE))
         move[moved] = mean
-        every[np.ix_(moved, moved)] = covariance
+        full_covariance[np.ix_(moved, moved)] = covariance
         seconds = blocks * BLOCK_S
-        return Displacement(score=score, seconds=seconds, move=move, covariance=every)
+        return Displacement(score=score, seconds=seconds, move=move, covariance=full_covariance)
 
-    def _solved(self, whole: Habits, newest: Habits) -> tuple[Floats, Floats]:
-        """Return the move and its covariance, with cells and habits eliminated."""
+    def _solve_move(self, total: NormalEquations, newest: NormalEquations) -> tuple[Floats, Floats]:
+        """Return the move and its covariance, with the cells' means and habits eliminated."""
         detector = self.detector
-        there = np.flatnonzero(np.any(self._effects[newest.cell] != 0.0, axis=0))
+        involved = np.flatnonzero(np.any(self._effects[newest.cell] != 0.0, axis=0))
         slope = self._slope[0] / self._slope[1]
-        effects, size = slope * self._effects[np.ix_(whole.cell, there)], len(detector.moved)
-        weight, gradient = newest.over(whole.cell)
+        effects, size = slope * self._effects[np.ix_(total.cell, involved)], len(detector.moved)
+        weight, gradient = newest.expanded(total.cell)
         weighted = weight @ effects
-        both = cho_solve(_factor(whole.weight), weighted)
-        information = (effects.T @ weighted - weighted.T @ both) / self.dispersion
-        force = (effects.T @ gradient - both.T @ whole.gradient) / self.dispersion
-        first = np.concatenate([np.full(size, FREE), detector.habit_m**-2.0])
+        eliminated = cho_solve(_factor(total.weight), weighted)
+        information = (effects.T @ weighted - weighted.T @ eliminated) / self.dispersion
+        gradient_of_effects = (
+            effects.T @ gradient - eliminated.T @ total.gradient
+        ) / self.dispersion
+        known_prior = np.concatenate([np.full(size, FREE), detector.habit_m**-2.0])
         usual_m = detector.stretch_m
-        spread = np.full(len(there) - len(first), usual_m)
+        spread = np.full(len(involved) - len(known_prior), usual_m)
         for _ in range(ROUNDS):
-            prior = np.diag(np.concatenate([first, spread**-2.0]))
+            prior = np.diag(np.concatenate([known_prior, spread**-2.0]))
             covariance = np.linalg.inv(information + prior)
-            answer = covariance @ force
-            off = np.abs(answer[len(first) :]) / (OUTLIER * usual_m)
-            spread = usual_m * np.maximum(off, 1.0)
-        return answer[:size], covariance[:size, :size]
+            solution = covariance @ gradient_of_effects
+            excess = np.abs(solution[len(known_prior) :]) / (OUTLIER * usual_m)
+            spread = usual_m * np.maximum(excess, 1.0)
+        return solution[:size], covariance[:size, :size]
 
 
 def _factor(weight: Floats) -> tuple[Floats, bool]:
+    """Return the Cholesky factor of regularised normal equations."""
     return cho_factor(weight + RIDGE * np.eye(len(weight)))
 
 
 class Alarm:
-    """Alarm of small moves of a sensor, from where vehicles drive in their lanes.
+    """Alarm of small moves of a sensor, by offsets and heights of vehicles in their lanes.
 
     Parameters
     ----------
     cells : Cells
         Cells of the lanes around the sensor.
     place : (2,) array
-        The sensor's place, local coordinates.
+        Position of the sensor, local coordinates, metres.
     """
 
     def __init__(self, cells: Cells, place: Floats) -> None:
         self.memories = [Memory(each) for each in detectors(cells, place)]
 
-    def push(self, seen: LanePlaces, time: float) -> Displacement | None:
-        """Add the vehicles of a block that ended at a time; return the likeliest move, if any.
+    def push(self, places: LanePlaces, time: float) -> Displacement | None:
+        """Add the vehicles of a block that ended at a time; return the move of highest score.
 
         Parameters
         ----------
-        seen : LanePlaces
-            Places of the block's vehicles.
+        places : LanePlaces
+            Offsets of the block's vehicles.
         time : float
             UNIX seconds.
         """
-        found: list[Displacement] = []
-        for memory, value in zip(self.memories, (seen.across_m, seen.over_m), strict=True):
-            memory.push(seen, value, time)
-            found += memory.displacements(time)
-        return max(found, key=lambda shift: shift.score, default=None)
+        displacements: list[Displacement] = []
+        for memory, value in zip(self.memories, (places.across_m, places.over_m), strict=True):
+            memory.push(places, value, time)
+            displacements += memory.displacements(time)
+        return max(displacements, key=lambda shift: shift.score, default=None)

@@ -1,8 +1,8 @@
-"""Kalman filter of a pose that hardly changes, corrected by measurements with a common error.
+"""Kalman filter of a nearly constant pose, with measurements that share a common error.
 
 The paper's Kalman filter ("Localization with ICP", Eqs. 2-7) on the error of the state: metres, and
-a turn about the map's axes. An error that all measurements have in common, such as the map's own,
-never averages out; it is a seventh to twelfth component of the state that is considered and not
+a rotation vector about the map's axes. An error that all measurements share, such as that of the
+map, does not average out; it is a further component of the state that is considered and not
 estimated (a Schmidt-Kalman filter). Without it the equations are the paper's.
 """
 
@@ -17,9 +17,9 @@ from gis_radar.base import Floats
 from gis_radar.calibration.registration.state import LEVER_M, State, angles_from_turn
 
 HOUR_S = 3600.0
-CYCLE_S = 5.0  # between two corrected poses (the paper)
-# 1 sigma of easting, northing, height (m) and turns about the map's axes (radians): DRIFT, by which
-# sun and wind bend a mast within an hour; KNOCK, by which a blow moves a sensor that stays in use.
+CYCLE_S = 5.0  # time between two corrected poses (the paper)
+# 1 sigma of easting, northing, height (m) and turns about the map's axes (radians): DRIFT of a mast
+# within an hour, by sun and wind; KNOCK, the move of a sensor by a blow after which it still works.
 DRIFT = np.array([0.02, 0.02, 0.01, *np.radians([0.1, 0.1, 0.1])])
 KNOCK = np.array([0.7, 0.7, 0.4, *np.radians([3.0, 3.0, 4.0])])
 LEVER = np.array([1.0, 1.0, 1.0, LEVER_M, LEVER_M, LEVER_M])
@@ -27,12 +27,12 @@ LEVER = np.array([1.0, 1.0, 1.0, LEVER_M, LEVER_M, LEVER_M])
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A pose with its uncertainty, the paper's state (Eq. 2).
+    """Estimate of a pose: the paper's state (Eq. 2).
 
     Parameters
     ----------
     time : float
-        UNIX seconds; the estimate rests on no later data.
+        UNIX seconds; no later data are used.
     position : (3,) array
         Local easting and northing and the height, metres.
     quaternion : (4,) array
@@ -40,7 +40,7 @@ class Estimate:
     covariance : (6, 6) array
         P, of easting, northing, height and a turn about the map's axes; metres and radians.
     common : (6, 6) array
-        Covariance of the estimate's error (truth less estimate) with the common error of all
+        Cross-covariance of the estimate's error (truth less estimate) and the common error of all
         measurements, the latter in standard deviations.
     """
 
@@ -63,7 +63,7 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """A pose as one window of data shows it: `z = x + v` with `v ~ N(0, R)`.
+    """Measurement of a pose by one window of data: `z = x + v` with `v ~ N(0, R)`.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class Innovation:
 
 
 def by_common_error(covariance: Floats) -> Floats:
-    """Return the (6, 6) square root of a pose's covariance: one standard deviation a column."""
+    """Return the symmetric square root (6, 6) of a pose's covariance, scaled by `LEVER`."""
     values, vectors = np.linalg.eigh(LEVER[:, None] * covariance * LEVER)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     return np.asarray(root / LEVER[:, None])
@@ -116,13 +116,13 @@ def by_common_error(covariance: Floats) -> Floats:
 
 def covariance_from_angles(quaternion: Floats, covariance: Floats) -> Floats:
     """Convert a covariance of roll, pitch and yaw to one of a turn about the map's axes."""
-    to_turn = np.linalg.inv(_to_angles(quaternion))
+    to_turn = np.linalg.inv(_angle_jacobian(quaternion))
     return np.asarray(to_turn @ covariance @ to_turn.T)
 
 
 def covariance_of_angles(quaternion: Floats, covariance: Floats) -> Floats:
     """Convert a covariance of a turn about the map's axes to one of roll, pitch and yaw."""
-    to_angles = _to_angles(quaternion)
+    to_angles = _angle_jacobian(quaternion)
     return np.asarray(to_angles @ covariance @ to_angles.T)
 
 
@@ -132,7 +132,7 @@ def predicted(estimate: Estimate, time: float) -> Estimate:
     Parameters
     ----------
     estimate : Estimate
-        The last one.
+        The last estimate.
     time : float
         UNIX seconds.
     """
@@ -142,7 +142,7 @@ def predicted(estimate: Estimate, time: float) -> Estimate:
 
 
 def innovation(estimate: Estimate, measurement: Measurement) -> Innovation:
-    """Return `z - x` and its covariance `P + R`, less the error common to both (of Eq. 5)."""
+    """Return `z - x` and its covariance: `P + R` and the cross terms of the common error."""
     turn = (
         Rotation.from_quat(measurement.quaternion) * Rotation.from_quat(estimate.quaternion).inv()
     )
@@ -153,14 +153,14 @@ def innovation(estimate: Estimate, measurement: Measurement) -> Innovation:
     )
 
 
-def likeliest_move(found: Innovation) -> Floats:
-    """Return the likeliest move behind a gap, (6,), given that blows are of size `KNOCK`."""
-    may = np.diag(np.square(KNOCK))
-    return np.asarray(may @ np.linalg.solve(may + found.covariance, found.gap))
+def likeliest_move(gap: Innovation) -> Floats:
+    """Return the likeliest move (6,) given an innovation and the prior of blows, `KNOCK`."""
+    prior = np.diag(np.square(KNOCK))
+    return np.asarray(prior @ np.linalg.solve(prior + gap.covariance, gap.gap))
 
 
 def widened(estimate: Estimate, move: Floats) -> Estimate:
-    """Widen an estimate so that its standard deviation along a move is at least the move.
+    """Widen an estimate so that a move is within one standard deviation.
 
     Parameters
     ----------
@@ -169,11 +169,11 @@ def widened(estimate: Estimate, move: Floats) -> Estimate:
     move : (6,) array
         Metres and a turn about the map's axes in radians.
     """
-    far = float(move @ np.linalg.solve(estimate.covariance, move))
-    if far <= 1.0:
+    chi2 = float(move @ np.linalg.solve(estimate.covariance, move))
+    if chi2 <= 1.0:
         return estimate
-    more = (1.0 - 1.0 / far) * np.outer(move, move)
-    return replace(estimate, covariance=estimate.covariance + more)
+    widening = (1.0 - 1.0 / chi2) * np.outer(move, move)
+    return replace(estimate, covariance=estimate.covariance + widening)
 
 
 def displaced(estimate: Estimate, move: Floats, covariance: Floats) -> Estimate:
@@ -182,7 +182,7 @@ def displaced(estimate: Estimate, move: Floats, covariance: Floats) -> Estimate:
     Parameters
     ----------
     estimate : Estimate
-        Before the move.
+        The estimate before the move.
     move : (6,) array
         Metres and a turn about the map's axes in radians.
     covariance : (6, 6) array
@@ -203,14 +203,15 @@ def corrected(estimate: Estimate, measurement: Measurement) -> Estimate:
     Parameters
     ----------
     estimate : Estimate
-        Predicted to the measurement's time, from data that the measurement does not use.
+        The estimate predicted to the measurement's time, from data that the measurement does not
+        use.
     measurement : Measurement
-        A measurement of the pose.
+        The measurement of the pose.
     """
-    found = innovation(estimate, measurement)
+    observed = innovation(estimate, measurement)
     cross = estimate.common @ measurement.common.T
-    gain = np.linalg.solve(found.covariance, (estimate.covariance + cross).T).T  # Eq. 5
-    step = gain @ found.gap
+    gain = np.linalg.solve(observed.covariance, (estimate.covariance + cross).T).T  # Eq. 5
+    step = gain @ observed.gap
     turn = Rotation.from_rotvec(step[3:]) * Rotation.from_quat(estimate.quaternion)
     keep = np.eye(6) - gain
     covariance = (  # Eq. 7, with the terms of the common error
@@ -229,11 +230,12 @@ def corrected(estimate: Estimate, measurement: Measurement) -> Estimate:
 
 
 def same_sign(quaternion: Floats, like: Floats) -> Floats:
-    """Normalise a quaternion, with the sign that brings it nearer to another one."""
+    """Normalise a quaternion, with the sign that is nearer to another quaternion."""
     unit = quaternion / np.linalg.norm(quaternion)
     return np.asarray(-unit if unit @ like < 0.0 else unit)
 
 
-def _to_angles(quaternion: Floats) -> Floats:
+def _angle_jacobian(quaternion: Floats) -> Floats:
+    """Return the Jacobian (6, 6) from a turn about the map's axes to roll, pitch and yaw."""
     yaw, pitch, _ = Rotation.from_quat(quaternion).as_euler("ZYX")
     return angles_from_turn(float(yaw), float(pitch))

@@ -1,4 +1,4 @@
-"""Calibration monitor, which follows the pose of a sensor through a recording."""
+"""Calibration monitor: follow the pose of a sensor through a recording."""
 
 from __future__ import annotations
 
@@ -58,15 +58,15 @@ from gis_radar.hdmap import LaneletMap
 from gis_radar.poses import COMPONENTS, Evidence, Pose, PoseTrack, as_track
 from gis_radar.recordings import Detections, Recording, as_recording
 
-# Seconds of rejected fits, a whole window, after which the event is `moved` with unknown pose.
+# Time of rejected fits, a full window, after which the sensor counts as moved with unknown pose.
 LOST_S = 100.0
 # 1 sigma of a start pose that states none: measured with tape, compass and spirit level.
 BY_HAND = (1.0, 1.0, 1.0, math.radians(2.0), math.radians(2.0), math.radians(2.0))
-LEAST_CYCLE = 0.5  # the last cycle gives a pose if it is at least this share of a whole one
+LEAST_CYCLE = 0.5  # least length of the last cycle, as a share of a full one, to give a pose
 # Least sigma of a start pose; keeps the covariance regular.
 LEAST_SIGMA = (1e-3, 1e-3, 1e-3, math.radians(1e-3), math.radians(1e-3), math.radians(1e-3))
-# Share of the variance of a localized pose that is noise of its window; the rest, errors of the
-# map and the model, is in every window.
+# Share of the variance of a localized pose that is noise of its window; the rest, by errors of map
+# and model, is common to all windows.
 NOISE_SHARE = 0.3
 
 STAGE = "following the pose"
@@ -95,8 +95,8 @@ def track(
     road_points : (n, 3) array
         Points of the road's surface in the map's CRS, as :func:`gis_radar.read_road` gives them.
     pose : Pose, PoseTrack or its file
-        Where the sensor stands when the recording begins, as :func:`gis_radar.localize` finds it;
-        of a track the pose that holds then.
+        Pose of the sensor at the begin of the recording, as from :func:`gis_radar.localize`; of a
+        track the pose that is valid then.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -107,15 +107,16 @@ def track(
     InputError
         If the recording cannot be read, or scan and map do not overlap.
     NoAnswerError
-        If the data do not confirm the start pose: no traffic, too few frames, a pose too far off.
+        If the data do not confirm the start pose: too little traffic, too few frames, or a pose
+        too far off.
     """
-    opened, known = as_recording(recording), as_track(pose)
+    opened, start_track = as_recording(recording), as_track(pose)
     opened.require_elevation("its pose cannot be followed")
-    require_same(known.poses[0].crs, roads.crs, what="the pose", other_what="the map")
+    require_same(start_track.poses[0].crs, roads.crs, what="the pose", other_what="the map")
     cycles = _cycles(opened, reporter)
-    first, ends = next(cycles)
+    first, first_end = next(cycles)
     begin = float(first.time[0])
-    start = known.poses[int(known.at(np.array([begin]))[0])]
+    start = start_track.poses[int(start_track.at(np.array([begin]))[0])]
     problem = Problem(
         name=start.sensor,
         roads=roads,
@@ -124,19 +125,19 @@ def track(
     )
     fitter = WindowFitter(problem, reporter=reporter)
     follower = Follower(fitter, start_estimate(start, begin), name=start.sensor, reporter=reporter)
-    for rows, end in chain([(first, ends)], cycles):
+    for rows, end in chain([(first, first_end)], cycles):
         follower.push(rows)
         if end is not None:
             follower.cycle(end)
     follower.finish(str(opened.path))
-    found = track_of(problem, start, follower.rows)
-    for line in found.poses.vague(begin, follower.now.time):
+    followed = track_of(problem, start, follower.rows)
+    for line in followed.poses.warn_uncertain(begin, follower.now.time):
         reporter.warn(line)
-    return found
+    return followed
 
 
 def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detections, float | None]]:
-    """Cut a recording into cycles; yield its parts, each with the time if a cycle ends there."""
+    """Yield batches of a recording, cut at the ends of cycles: with that time, or None between."""
     begin = last = due = np.nan
     done = 0
     for batch in recording.read():
@@ -148,7 +149,7 @@ def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detectio
             early = rows.time < due
             yield rows.take(early), due
             rows = rows.take(~early)
-            # no pose where there are no frames
+            # skip cycles without frames
             count = np.floor((rows.time[0] - begin) / CYCLE_S) + 1.0
             due = begin + CYCLE_S * count
             if due <= rows.time[0]:  # rounding: the cycle must end after this frame
@@ -162,13 +163,13 @@ def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detectio
 def start_estimate(pose: Pose, time: float) -> Estimate:
     """Convert a pose to an estimate; its easting and northing become the local (0, 0).
 
-    A pose that was found from the data that follow holds no further information: it is the start
-    only, with the uncertainty of a pose measured by hand.
+    A pose that was found from the same data gets the sigma of one measured by hand, so that they
+    do not count twice.
 
     Parameters
     ----------
     pose : Pose
-        With `covariance` or `sigma` in its evidence, or neither.
+        A pose with `covariance` or `sigma` in its evidence, or neither.
     time : float
         UNIX seconds of the first frame.
 
@@ -178,31 +179,33 @@ def start_estimate(pose: Pose, time: float) -> Estimate:
         If covariance or sigma are invalid.
     """
     evidence = pose.parsed_evidence()
-    found_here = evidence.method in SAME_MAP
+    shares_errors = evidence.method in SAME_MAP
     covariance = _stated_covariance(evidence)
-    if covariance is None or (found_here and _sees(evidence, time, pose.sensor)):
-        found_here = False
+    if covariance is None or (shares_errors and _uses_data_after(evidence, time, pose.sensor)):
+        shares_errors = False
         covariance = np.diag(np.square(BY_HAND))
-    turned = covariance_from_angles(pose.quaternion, covariance) + np.diag(np.square(LEAST_SIGMA))
+    turn_covariance = covariance_from_angles(pose.quaternion, covariance) + np.diag(
+        np.square(LEAST_SIGMA)
+    )
     position = np.array([0.0, 0.0, pose.height])
     common = np.zeros((6, 6))
-    if found_here:
-        common = -by_common_error(turned - NOISE_SHARE * turned)
+    if shares_errors:
+        common = -by_common_error(turn_covariance - NOISE_SHARE * turn_covariance)
     return Estimate(
         time=time,
         position=position,
         quaternion=pose.quaternion,
-        covariance=turned,
+        covariance=turn_covariance,
         common=common,
     )
 
 
-def _sees(evidence: Evidence, time: float, sensor: str) -> bool:
-    """Return whether a pose rests on data after a time."""
+def _uses_data_after(evidence: Evidence, time: float, sensor: str) -> bool:
+    """Return whether a pose was found from data after a time (UNIX seconds), or may have been."""
     if not evidence.time:
         return True
-    found = seconds_from_iso(evidence.time, what=Text("pose of {}: time", sensor))
-    return found > time + STEP_S
+    found_at = seconds_from_iso(evidence.time, what=Text("pose of {}: time", sensor))
+    return found_at > time + STEP_S
 
 
 def _stated_covariance(evidence: Evidence) -> Floats | None:
@@ -218,19 +221,19 @@ def _stated_covariance(evidence: Evidence) -> Floats | None:
 
 
 class Follower:
-    """Follower of the pose of one sensor through its frames.
+    """Follows the pose of one sensor through its frames.
 
-    Each cycle fits the rolling window to the lanes and corrects with this fit the estimate from
-    **before the window began**: so no detection counts twice although windows overlap by 95 %.
+    Each cycle fits the rolling window to the lanes, and with this fit corrects the estimate from
+    **before the window began**, so that no detection counts twice although windows overlap.
 
     Parameters
     ----------
     fitter : WindowFitter
         The lanes.
     start : Estimate
-        The pose to begin with.
+        The start pose.
     name : str
-        The sensor's name, for warnings.
+        Name of the sensor, for warnings.
     reporter : Reporter
         Receives a warning for each move.
     """
@@ -251,7 +254,7 @@ class Follower:
         self._window = MovingWindow()
         self._past: deque[Estimate] = deque([start])
         self._reflection_m = REFLECTION_M
-        self._seen: WindowFit | None = None
+        self._last_fit: WindowFit | None = None
         self._vehicles = 0
         self._rejected_since: Estimate | None = None
 
@@ -267,38 +270,38 @@ class Follower:
             self.watch.push(rows)
 
     def cycle(self, time: float) -> None:
-        """End a cycle: correct the pose by all frames so far.
+        """End a cycle: correct the pose by the frames of the window.
 
         Parameters
         ----------
         time : float
-            UNIX seconds: the end of the last frame, when the corrected pose becomes valid.
+            End of the cycle, UNIX seconds, from which the corrected pose is valid.
 
         Raises
         ------
         NoAnswerError
-            If a whole window of traffic does not confirm the start pose.
+            If a full window of traffic does not confirm the start pose.
         """
         traffic = WindowTraffic.of(self._window.moving())
         suspected = self._suspected_move(traffic, time)
         if suspected is not None and suspected.change is not None:
-            self._restart(suspected.change, time)
+            self._restart_at_change(suspected.change, time)
         else:
-            row = self._corrected(
+            row = self._correct(
                 traffic, time, suspected=suspected is not None and suspected.certain
             )
-            self._keep(row if suspected is None else _allowing(row, suspected.move))
+            self._append(row if suspected is None else _widened_row(row, suspected.move))
         self._give_up_if_lost(time)
-        whole = traffic if self.confirmed and self._window.full and traffic.vehicles else None
-        noticed = self.watch.look(whole, self.now.state(self._reflection_m), time)
-        if noticed is not None and self.confirmed:
-            self._move(noticed, time)
+        full_window = traffic if self.confirmed and self._window.full and traffic.vehicles else None
+        move = self.watch.look(full_window, self.now.state(self._reflection_m), time)
+        if move is not None and self.confirmed:
+            self._apply_move(move, time)
         self._vehicles = max(self._vehicles, traffic.vehicles)
-        if not self.confirmed and self._window.full and self._seen:
-            self._refuse_start(self._seen)
+        if not self.confirmed and self._window.full and self._last_fit:
+            self._refuse_start(self._last_fit)
 
     def _suspected_move(self, traffic: WindowTraffic, time: float) -> SuspectedMove | None:
-        """Return the move that the newest data suggest, or None."""
+        """Return the move that the newest part of the window suggests, or None."""
         if not self.confirmed or traffic.vehicles < LEAST_TRACKS or self.watch.unmoved:
             return None
         expected = partial(self._expected, time=time)
@@ -307,62 +310,65 @@ class Follower:
         )
         return test.suspected(self._reflection_m)
 
-    def _corrected(self, traffic: WindowTraffic, time: float, *, suspected: bool) -> Row:
-        held = Row(estimate=predicted(self.now, time), vehicles=traffic.vehicles)
+    def _correct(self, traffic: WindowTraffic, time: float, *, suspected: bool) -> Row:
+        """Return the pose at `time`, corrected by the window if its fit is trusted."""
+        row = Row(estimate=predicted(self.now, time), vehicles=traffic.vehicles)
         if suspected:
-            return replace(held, event=REJECTED)
+            return replace(row, event=REJECTED)
         prior = self._expected(traffic.moving.begin, time)
-        seen = self._fitter.fit(traffic, prior, self._reflection_m)
-        if seen is None:
-            return held
-        self._seen = seen
-        found = innovation(prior, seen.measurement)
-        held = replace(held, fitness=seen.fit.fitness, chi2=found.chi2)
-        if not seen.on_lanes:
-            return replace(held, event=REJECTED)
-        if seen.trusted and found.chi2 > GATE:
-            return _allowing(replace(held, event=REJECTED), likeliest_move(found))
-        if not seen.trusted:
-            return held  # not converged: no measurement
+        window_fit = self._fitter.fit(traffic, prior, self._reflection_m)
+        if window_fit is None:
+            return row
+        self._last_fit = window_fit
+        gap = innovation(prior, window_fit.measurement)
+        row = replace(row, fitness=window_fit.fit.fitness, chi2=gap.chi2)
+        if not window_fit.on_lanes:
+            return replace(row, event=REJECTED)
+        if window_fit.trusted and gap.chi2 > GATE:
+            return _widened_row(replace(row, event=REJECTED), likeliest_move(gap))
+        if not window_fit.trusted:
+            return row  # not converged
         if not self._window.full:
-            self._fitter.refuse_other_lane(seen)
+            self._fitter.refuse_other_lane(window_fit)
         self.confirmed = True
-        self._reflection_m = seen.fit.state.reflection
-        self._fitter.adapt(seen)
-        return replace(held, estimate=corrected(prior, seen.measurement), corrected=True)
+        self._reflection_m = window_fit.fit.state.reflection
+        self._fitter.adapt(window_fit)
+        return replace(row, estimate=corrected(prior, window_fit.measurement), corrected=True)
 
-    def _expected(self, seen: float, time: float) -> Estimate:
-        """Return the pose at `time`, predicted from the data before `seen` (UNIX seconds)."""
-        return predicted(self._before(seen), time)
+    def _expected(self, before: float, time: float) -> Estimate:
+        """Return the pose at `time`, predicted from the data until `before` (UNIX seconds)."""
+        return predicted(self._estimate_before(before), time)
 
-    def _before(self, time: float) -> Estimate:
-        """Return the latest estimate that rests on no data after a time, or else the first."""
+    def _estimate_before(self, time: float) -> Estimate:
+        """Return the latest estimate that used no data after a time, else the first."""
         earlier = [e for e in self._past if e.time <= time]
         return earlier[-1] if earlier else self._past[0]
 
-    def _keep(self, row: Row) -> None:
+    def _append(self, row: Row) -> None:
+        """Append a row; drop past estimates that no window needs."""
         self.rows.append(row)
         self._past.append(row.estimate)
         while len(self._past) > 1 and self._past[1].time <= self._window.begin:
             self._past.popleft()
 
-    def _move(self, noticed: Displacement, time: float) -> None:
-        """Move the pose by the alarm's move since the alarm's time, and restart the watch."""
-        since = time - SETTLE_S - noticed.seconds
+    def _apply_move(self, displacement: Displacement, time: float) -> None:
+        """Move the pose by a displacement, from the begin of its blocks on; restart the watch."""
+        since = time - SETTLE_S - displacement.seconds
         earlier = [row.estimate for row in self.rows if row.estimate.time <= since]
         before = predicted((earlier or [self.rows[0].estimate])[-1], since)
-        new = displaced(before, noticed.move, noticed.covariance)
-        self._begin_anew(Row(estimate=new, vehicles=self.rows[-1].vehicles))
-        self._warn(new, noticed.move)
+        new = displaced(before, displacement.move, displacement.covariance)
+        self._continue_from_move(Row(estimate=new, vehicles=self.rows[-1].vehicles))
+        self._warn_of_move(new, displacement.move)
 
-    def _begin_anew(self, row: Row, later: str = NOTHING) -> None:
-        """Continue from the pose after a move, with the frames since then."""
+    def _continue_from_move(self, row: Row, later: str = NOTHING) -> None:
+        """Continue from the pose after a move, with the frames and rows since then."""
         self._window.forget(row.estimate.time)
         self._replace_since(replace(row, event=MOVED), later)
         self._past, self._rejected_since = deque([row.estimate]), None
         self.watch.restart()
 
-    def _warn(self, new: Estimate, move: Floats) -> None:
+    def _warn_of_move(self, new: Estimate, move: Floats) -> None:
+        """Report a move, with its size and time."""
         when = iso_from_step(int(step_of(np.array(new.time))))
         self._reporter.warn(
             "{} was moved by about {:.2f} m and {:.2f} deg around {}",
@@ -372,21 +378,21 @@ class Follower:
             when,
         )
 
-    def _restart(self, change: Change, time: float) -> None:
-        """Restart the filter at a change of the pose, and replace the poses since then."""
-        before, fit = self._expected(change.time, change.time), change.found.fit
-        start = _knocked(before)
-        new = corrected(start, change.found.measurement)
+    def _restart_at_change(self, change: Change, time: float) -> None:
+        """Restart the filter at a change of the pose, and replace the rows since then."""
+        before, fit = self._expected(change.time, change.time), change.fit.fit
+        start = _after_blow(before)
+        new = corrected(start, change.fit.measurement)
         self._reflection_m = fit.state.reflection
         row = Row(
-            estimate=new, vehicles=change.found.samples.tracks, fitness=fit.fitness,
+            estimate=new, vehicles=change.fit.samples.tracks, fitness=fit.fitness,
             chi2=change.chi2, corrected=True,
         )  # fmt: skip
         self.rows.append(replace(row, estimate=predicted(new, time)))
-        self._begin_anew(row)
+        self._continue_from_move(row)
         self._past = deque([start, self.now])
-        gap = innovation(before, change.found.measurement)
-        self._warn(new, likeliest_move(gap))
+        gap = innovation(before, change.fit.measurement)
+        self._warn_of_move(new, likeliest_move(gap))
 
     def _give_up_if_lost(self, time: float) -> None:
         """Declare `moved` with unknown pose after `LOST_S` of rejected fits."""
@@ -398,10 +404,10 @@ class Follower:
             self._rejected_since = row.estimate
         if not self.confirmed or time - self._rejected_since.time < LOST_S:
             return
-        self._begin_anew(Row(estimate=_knocked(self._rejected_since)), REJECTED)
+        self._continue_from_move(Row(estimate=_after_blow(self._rejected_since)), REJECTED)
 
     def _replace_since(self, row: Row, event: str = NOTHING) -> None:
-        """Insert a row, and replace all later ones by what follows from it."""
+        """Insert a row, and replace all later ones by its predictions."""
         begin = row.estimate.time
         late = [r.estimate.time for r in self.rows if r.estimate.time > begin]
         self.rows = [r for r in self.rows if r.estimate.time < begin] + [row]
@@ -410,12 +416,12 @@ class Follower:
         ]
 
     def finish(self, name: str) -> None:
-        """Refuse a track that no data have confirmed.
+        """Refuse a track whose start pose was not confirmed.
 
         Parameters
         ----------
         name : str
-            The recording's name.
+            Name of the recording.
 
         Raises
         ------
@@ -432,8 +438,8 @@ class Follower:
                 LEAST_FRAMES,
                 hint=Text("record longer: {} frames are a good length", FRAMES),
             )
-        if self._seen:
-            self._refuse_start(self._seen)
+        if self._last_fit:
+            self._refuse_start(self._last_fit)
         raise NoAnswerError(
             "{}: {} moving vehicles in the window, at least {} are needed to confirm the "
             "start pose",
@@ -444,6 +450,7 @@ class Follower:
         )
 
     def _refuse_start(self, seen: WindowFit) -> None:
+        """Refuse the start pose, which a fit contradicts."""
         if not seen.trusted:
             raise NoAnswerError(
                 "at the start pose only {:.0%} of the traffic lie on lanes",
@@ -460,11 +467,11 @@ class Follower:
         )
 
 
-def _knocked(estimate: Estimate) -> Estimate:
-    """Return an estimate whose sensor may have moved."""
+def _after_blow(estimate: Estimate) -> Estimate:
+    """Return an estimate with the covariance of a blow, `KNOCK`, added."""
     return replace(estimate, covariance=estimate.covariance + np.diag(np.square(KNOCK)))
 
 
-def _allowing(row: Row, move: Floats) -> Row:
-    """Widen the pose of a row by a possible move: a failure must not look like an answer."""
+def _widened_row(row: Row, move: Floats) -> Row:
+    """Return a row with its estimate widened by a possible move."""
     return replace(row, estimate=widened(row.estimate, move))

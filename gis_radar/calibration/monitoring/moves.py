@@ -1,4 +1,4 @@
-"""Test whether a sensor has moved, since when, and whether it only shook."""
+"""Test whether a sensor has moved, when, and whether the change lasts."""
 
 from __future__ import annotations
 
@@ -24,74 +24,74 @@ from gis_radar.calibration.registration.certainty import z_score
 from gis_radar.calibration.registration.solver import FAR, Fit
 from gis_radar.calibration.registration.state import POSE, State
 
-# Lengths of the newest parts of the window that are tested for a move: a short one shows a blow
-# early, but holds few vehicles; a long one shows a shift of some decimetres.
+# Lengths of the newest parts of the window that are tested for a move: the short one shows a blow
+# early, but holds few vehicles; the long one shows a shift of some decimetres.
 LENGTHS_S: tuple[float, ...] = (20.0, 60.0)
-# Largest number of false moves an hour, as if all tests were independent.
+# Expected number of false moves an hour, if all tests were independent.
 FALSE_ALARMS = 0.01
-# Standard errors by which the vehicles, each counting once, must prefer the move. Measured where
-# both other criteria are met: at rest in light traffic 0.1 to 1.5, within 25 s of a turn by a
-# degree 1.9 to 2.2, after a shift of half a metre 2.6 to 3.3.
+# Least z score of a move, over vehicles. Measured where both other criteria are met: at rest in
+# light traffic 0.1 to 1.5, within 25 s of a turn by a degree 1.9 to 2.2, after a shift of half a
+# metre 2.6 to 3.3.
 AGREEMENT = 1.65
 
 
 def chi2_quantile(level: float) -> float:
-    """Return a quantile of chi2 with six degrees of freedom, without loading scipy.stats."""
+    """Return a quantile of chi-square with six degrees of freedom, without loading scipy.stats."""
     return float(2.0 * scipy.special.gammaincinv(3.0, level))
 
 
-# Chi2 with six degrees of freedom: the largest by chance; that from which on a move is looked for
-# and the pose's sigma widened; the median.
+# Chi-square with six degrees of freedom: threshold of a certain move; of a suspected one, which
+# widens the pose's sigma; median.
 GATE = chi2_quantile(1.0 - FALSE_ALARMS / (HOUR_S / CYCLE_S * len(LENGTHS_S)))
 SUSPECT = chi2_quantile(0.95)
-USUAL = chi2_quantile(0.5)
-# Number of the last tests that measure by how much chi2 is larger at this sensor than it should be,
-# and number of assumed tests in which it is as it should be. Simulated drivers as recorded: 2 to 3
-# times, and one false move in some minutes without it.
+MEDIAN = chi2_quantile(0.5)
+# Number of the last tests from which the ratio of chi-square to its expectation is measured at a
+# sensor, and number of assumed tests with a ratio of 1. With simulated drivers it is 2 to 3; if it
+# is ignored, there is a false move in some minutes.
 SCATTER_TESTS = 60
 ASSUMED_TESTS = 4
 NEWEST_VEHICLES = 8  # least vehicles in a tested part; it grows until it holds them
-MATURE_S = 30.0  # seconds of data before a tested part from which the pose is known
+LEAST_BEFORE_S = 30.0  # seconds of data before a tested part from which the pose is known
 SETTLED_S = 15.0  # a shorter deviation is a shake
 LATEST_S = 8.0  # newest seconds in which the new pose must still be the better one
 SLICE_S = 1.0  # resolution of the time of a move: half a second to either side
-BACK_S = 75.0  # how far back a move is looked for: within the window of 100 s, less MATURE_S
+BACK_S = 75.0  # how far back a move is looked for: within the window of 100 s, less LEAST_BEFORE_S
 CHANGE_ROUNDS = 2  # rounds in which time and pose of a move are estimated alternately
 FAR_WINDOW = replace(FAR, rounds=12)  # fit after a suspected move
 
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """A sensor that has moved.
+    """Lasting change of a sensor's pose.
 
     Parameters
     ----------
     time : float
         UNIX seconds of the move.
-    found : WindowFit
+    fit : WindowFit
         The pose since then.
     chi2 : float
-        Misfit of this pose and the pose before, six degrees of freedom.
+        Chi-square of this pose less the pose before, six degrees of freedom.
     """
 
     time: float
-    found: WindowFit
+    fit: WindowFit
     chi2: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class SuspectedMove:
-    """A move that the newest part of a window suggests.
+    """Move that the newest part of a window suggests.
 
     Parameters
     ----------
     certain : bool
-        Whether the data contradict the pose beyond chance.
+        Whether the data contradict the pose significantly.
     move : (6,) array
-        The likeliest move, metres and a turn about the map's axes in radians; zeros where the data
-        fit no pose.
+        The likeliest move, metres and a turn about the map's axes in radians; zeros where no pose
+        fits the data.
     change : Change or None
-        The lasting change of the pose, where there is one already.
+        The change of the pose, if it already lasts.
     """
 
     certain: bool
@@ -99,35 +99,34 @@ class SuspectedMove:
     change: Change | None = None
 
 
-def score(gap: Innovation, seen: WindowFit) -> float:
-    """Return the chi2 of a fit's gap, reduced for the heavy tail of few vehicles.
+def score(gap: Innovation, window_fit: WindowFit) -> float:
+    """Return the chi-square of an innovation, reduced for the heavy tail of few vehicles.
 
-    The noise of the fit along the gap is estimated from the vehicles that share it, the rest of the
-    variance is known (Welch and Satterthwaite's degrees of freedom).
+    The noise along the innovation is estimated from vehicles, the other part of its variance is
+    known: together they have the degrees of freedom of Welch and Satterthwaite.
 
     Parameters
     ----------
     gap : Innovation
-        Innovation of the fit and a pose.
-    seen : WindowFit
+        Innovation of the fit and the expected pose.
+    window_fit : WindowFit
         The fit.
     """
     chi2, along = gap.chi2, np.linalg.solve(gap.covariance, gap.gap)
-    influence = seen.fit.scores @ np.linalg.inv(seen.fit.information)[:, POSE] @ along
+    influence = window_fit.fit.scores @ np.linalg.inv(window_fit.fit.information)[:, POSE] @ along
     squares = np.square(influence)
     if chi2 <= 0.0 or not squares.any():
         return chi2
-    variance = float(along @ seen.measurement.noise @ along) * squares / squares.sum()
+    variance = float(along @ window_fit.measurement.noise @ along) * squares / squares.sum()
     freedom = chi2**2 / float(np.square(variance).sum())
     return freedom * float(np.log1p(chi2 / freedom))
 
 
 def agreement(rest: Fit, moved: Fit) -> float:
-    """Return by how many standard errors vehicles, each counting once, prefer `moved` to `rest`.
+    """Return the z score of `moved` over `rest`, by the costs of vehicles (Vuong 1989).
 
-    The result is the mean gain of a vehicle over its standard error (Vuong 1989 with the vehicles
-    as clusters): a move of the sensor gives all of them a gain, an odd vehicle gives it to itself
-    only.
+    It is the mean gain of vehicles over its standard error: a move of the sensor gives most of them
+    a gain, a single odd vehicle does not.
 
     Parameters
     ----------
@@ -139,35 +138,33 @@ def agreement(rest: Fit, moved: Fit) -> float:
 
 
 class Scatter:
-    """Ratio by which parts of traffic differ more than their covariances state, at one sensor.
+    """Ratio of the variance between parts of traffic to their covariances, at one sensor.
 
-    Tracks are cut into pieces that count as independent, and drivers keep aside for some hundred
-    metres: so chi2 is too large where nothing moves. Its median shows by how much.
+    Without a move, chi-square is larger than expected, as tracks that are cut count as independent,
+    and offsets of drivers last for some hundred metres. The ratio is that of the medians.
     """
 
     def __init__(self) -> None:
         self._last: deque[float] = deque(maxlen=SCATTER_TESTS)
 
     def add(self, chi2: float) -> None:
-        """Add the result of a test."""
+        """Add the chi-square of a test."""
         self._last.append(chi2)
 
     @property
     def ratio(self) -> float:
         """Ratio of variances, at least 1."""
-        return max(float(np.median([USUAL] * ASSUMED_TESTS + [*self._last])) / USUAL, 1.0)
+        return max(float(np.median([MEDIAN] * ASSUMED_TESTS + [*self._last])) / MEDIAN, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MoveTest:
     """Test of a window of traffic for a move of its sensor.
 
-    The error common to all windows is the same before and after a move, which is therefore compared
-    with the noise of the vehicles alone (`innovation` of the Kalman filter).
-    It must be beyond chance in three ways: the distance of the newest data's pose from the pose
-    before, the likelihood that the data gain there, and the agreement of the vehicles in that gain.
-    Some seconds of traffic do not fix all directions: along such a one a fit may be metres away
-    without being any likelier.
+    A move is significant by three criteria: the innovation of the newest part's pose against the
+    pose before, whose covariance excludes the common error; the log likelihood ratio of both; and
+    the z score of the vehicles. The innovation alone does not suffice, as some seconds of traffic
+    leave directions in which a fit may be metres away without a higher likelihood.
 
     Parameters
     ----------
@@ -176,9 +173,9 @@ class MoveTest:
     traffic : WindowTraffic
         The window.
     now : float
-        UNIX seconds at which it ends.
+        End of the window, UNIX seconds.
     expected : callable
-        Returns the pose now, predicted from data before a time.
+        Function of a time that predicts the pose at `now` from data before that time.
     scatter : Scatter
         Scatter of earlier tests, to which the results of this one are added.
     """
@@ -190,42 +187,44 @@ class MoveTest:
     scatter: Scatter
 
     def suspected(self, reflection_m: float) -> SuspectedMove | None:
-        """Test whether the newest data contradict the pose, and estimate the change behind it.
+        """Return the move that the newest parts of the window suggest, or None.
 
         Parameters
         ----------
         reflection_m : float
-            Height of the vehicles' reflections so far, metres.
+            Current mean height of reflections, metres.
         """
         suspected, ratio = None, self.scatter.ratio
         for length_s in LENGTHS_S:
-            part = self.newest(length_s)
-            if part.moving.begin - self.traffic.moving.begin < MATURE_S:
-                break  # a pose from so little data is corrected by the next windows anyway
-            held = self.expected(part.moving.begin)
-            seen = self.fitter.fit(part, held, reflection_m, near=KNOCK, schedule=FAR_WINDOW)
-            if seen is None:
+            newest_part = self.newest(length_s)
+            if newest_part.moving.begin - self.traffic.moving.begin < LEAST_BEFORE_S:
+                break  # too little data for the pose before
+            expected = self.expected(newest_part.moving.begin)
+            fit = self.fitter.fit(
+                newest_part, expected, reflection_m, near=KNOCK, schedule=FAR_WINDOW
+            )
+            if fit is None:
                 continue
-            if not seen.trusted:
-                found = self.fitter.find(part, held, reflection_m, near=KNOCK)
-                if found is None and seen.on_lanes:
-                    continue  # a fit of few vehicles that did not converge contradicts nothing
-                if found is None:
+            if not fit.trusted:
+                searched = self.fitter.find(newest_part, expected, reflection_m, near=KNOCK)
+                if searched is None and fit.on_lanes:
+                    continue  # a fit that did not converge is no contradiction
+                if searched is None:
                     return SuspectedMove(certain=True, move=np.zeros(6))
-                seen = found
-            gap = innovation(held, seen.measurement)
-            beyond = score(gap, seen)
-            self.scatter.add(beyond)
-            if beyond < ratio * SUSPECT:
+                fit = searched
+            gap = innovation(expected, fit.measurement)
+            score_of_fit = score(gap, fit)
+            self.scatter.add(score_of_fit)
+            if score_of_fit < ratio * SUSPECT:
                 continue
-            likelier, agreed = self._likelier(part, held, seen)
-            beyond = min(beyond, likelier)
-            if beyond < ratio * SUSPECT:
+            gain, agree = self._likelihood_gain(newest_part, expected, fit)
+            score_of_fit = min(score_of_fit, gain)
+            if score_of_fit < ratio * SUSPECT:
                 continue
             suspected = SuspectedMove(
-                certain=beyond >= ratio * GATE and agreed >= AGREEMENT,
+                certain=score_of_fit >= ratio * GATE and agree >= AGREEMENT,
                 move=likeliest_move(gap),
-                change=self.lasting_change(held, seen),
+                change=self.lasting_change(expected, fit),
             )
             if suspected.change is not None or suspected.certain:
                 return suspected
@@ -246,57 +245,56 @@ class MoveTest:
             part = self.traffic.between(self.now - length_s, np.inf)
         return part
 
-    def lasting_change(self, held: Estimate, seen: WindowFit) -> Change | None:
-        """Return the change that the newest data show, if it lasts and is certain.
+    def lasting_change(self, expected: Estimate, fit: WindowFit) -> Change | None:
+        """Return the change of the pose, if it lasts for `SETTLED_S` and is significant.
 
         Parameters
         ----------
-        held : Estimate
-            The pose now, predicted from data before.
-        seen : WindowFit
-            Fit of the newest data alone.
+        expected : Estimate
+            The pose at `now`, predicted from data before the newest part.
+        fit : WindowFit
+            Fit of the newest part.
         """
         fitter, traffic = self.fitter, self.traffic
         for _ in range(CHANGE_ROUNDS):
-            new = seen.fit.state
-            old = held.state(new.reflection)
+            new = fit.fit.state
+            old = expected.state(new.reflection)
             since = self.change_time(old, new)
             part = traffic.between(since, np.inf)
-            held = self.expected(since)  # without the data of the new pose
-            again = fitter.fit(part, held, new.reflection, near=KNOCK, start=new)
-            if self.now - since < SETTLED_S or again is None or not again.trusted:
+            expected = self.expected(since)  # without the data of the new pose
+            refitted = fitter.fit(part, expected, new.reflection, near=KNOCK, start=new)
+            if self.now - since < SETTLED_S or refitted is None or not refitted.trusted:
                 return None
-            seen = again
+            fit = refitted
         latest = traffic.between(self.now - LATEST_S, np.inf).samples()
-        if len(latest) and fitter.cost(latest, seen.fit.state) > fitter.cost(latest, old):
+        if len(latest) and fitter.cost(latest, fit.fit.state) > fitter.cost(latest, old):
             return None
-        gap = innovation(held, seen.measurement)
-        likelier, agreed = self._likelier(part, held, seen)
-        contradiction = min(score(gap, seen), likelier)
-        if contradiction < self.scatter.ratio * GATE or agreed < AGREEMENT:
+        gap = innovation(expected, fit.measurement)
+        gain, agree = self._likelihood_gain(part, expected, fit)
+        contradiction = min(score(gap, fit), gain)
+        if contradiction < self.scatter.ratio * GATE or agree < AGREEMENT:
             return None
-        return Change(time=since, found=seen, chi2=contradiction)
+        return Change(time=since, fit=fit, chi2=contradiction)
 
-    def _likelier(
-        self, part: WindowTraffic, held: Estimate, seen: WindowFit
+    def _likelihood_gain(
+        self, part: WindowTraffic, expected: Estimate, fit: WindowFit
     ) -> tuple[float, float]:
-        """Return twice the log likelihood ratio of a fit to the best one near rest, and agreement.
+        """Return twice the log likelihood ratio and the z score of a fit over that without a move.
 
-        Agreement counts vehicles: a bus or a lorry gives as many detections as ten cars.
+        The z score counts vehicles: a lorry has as many detections as ten cars.
         """
-        near = np.sqrt(np.diag(held.covariance))
-        reflection_m = seen.fit.state.reflection
-        rest = self.fitter.fit(part, held, reflection_m, near=near, schedule=FAR_WINDOW)
+        sigma = np.sqrt(np.diag(expected.covariance))
+        reflection_m = fit.fit.state.reflection
+        rest = self.fitter.fit(part, expected, reflection_m, near=sigma, schedule=FAR_WINDOW)
         if rest is None:
             return np.inf, np.inf
-        return 2.0 * (rest.fit.cost - seen.fit.cost), agreement(rest.fit, seen.fit)
+        return 2.0 * (rest.fit.cost - fit.fit.cost), agreement(rest.fit, fit.fit)
 
     def change_time(self, old: State, new: State) -> float:
-        """Estimate the time (UNIX s) from which on the new pose explains the data better.
+        """Return the likeliest time (UNIX s) of a change from an old to a new pose.
 
-        This is the likeliest time of one change: the excess of the old pose's cost over the new
-        one's, summed over all later slices of time, is greatest there. Between vehicles the latest
-        such time is taken.
+        It maximises the cost of the old pose less that of the new one, summed over all later slices
+        of time; of equal times the latest one is returned.
 
         Parameters
         ----------

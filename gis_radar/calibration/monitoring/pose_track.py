@@ -1,4 +1,4 @@
-"""Pose track of a sensor: its poses over time, its events, its picture."""
+"""Pose track of a sensor: poses over time, events, and picture."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ LEAST_SPAN = (0.1, 0.05)  # least span of an axis, metres and degrees, lest nois
 def _draw_bands(
     ax: Any, time: np.ndarray, value: Floats, sigma: Floats, moved: Booleans, least: float
 ) -> None:
-    """Draw one component; a move breaks the line."""
-    for number, piece in enumerate(np.split(np.arange(len(value)), np.flatnonzero(moved))):
-        if len(piece) == 0:
+    """Draw one component with bands of 1 and 2 sigma; the line breaks at moves."""
+    for number, rows in enumerate(np.split(np.arange(len(value)), np.flatnonzero(moved))):
+        if len(rows) == 0:
             continue
         # a pose holds until the next one
-        until = min(int(piece[-1]) + 1, len(value) - 1)
-        t = np.append(time[piece], time[until])
-        y, s = (np.append(v[piece], v[piece[-1]]) for v in (value, sigma))
+        until = min(int(rows[-1]) + 1, len(value) - 1)
+        t = np.append(time[rows], time[until])
+        y, s = (np.append(v[rows], v[rows[-1]]) for v in (value, sigma))
         labels = ("pose", "1 sigma", "2 sigma") if number == 0 else (None, None, None)
         ax.fill_between(
             t, y - 2 * s, y + 2 * s, step="post", color=FAR, linewidth=0, label=labels[2]
@@ -62,6 +62,7 @@ def _draw_bands(
 
 
 def _draw_events(ax: Any, time: np.ndarray, events: np.ndarray, idle: Booleans) -> None:
+    """Draw bands where the pose was not corrected or a fit was rejected, and lines at moves."""
     kinds = (
         (idle & (events == ""), QUIET, "no correction"),
         (events == REJECTED, REJECT, REJECTED),
@@ -78,20 +79,20 @@ def _draw_events(ax: Any, time: np.ndarray, events: np.ndarray, idle: Booleans) 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One pose of the track.
+    """Row of a pose track.
 
     Parameters
     ----------
     estimate : Estimate
-        The pose, from its time on.
+        The pose, valid from its time on.
     event : str
-        `moved`, `rejected`, or nothing.
+        `moved`, `rejected`, or empty.
     vehicles : int
-        Number of moving objects in the window.
+        Number of vehicles in the window.
     fitness : float
-        Share of the window's traces on lanes; NaN where it was not registered.
+        Share of the window's samples on lanes; NaN without a fit.
     chi2 : float
-        Misfit of the window's pose and the expected one; NaN where it was not registered.
+        Chi-square of the innovation by the window's fit; NaN without a fit.
     corrected : bool
         Whether the window corrected the pose.
     """
@@ -106,15 +107,15 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """Something that happened to the sensor.
+    """Event of a pose track.
 
     Parameters
     ----------
     time : str
         Time, ISO 8601, UTC.
     kind : str
-        `moved`: the sensor stands or looks elsewhere since then; `rejected`: the pose from the
-        window's data was not used, and the pose kept.
+        `moved`: the sensor has another pose since then; `rejected`: the fit of the window was not
+        used.
     """
 
     time: str
@@ -123,7 +124,7 @@ class Event:
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
-    """The poses of a sensor over a recording.
+    """Result of following a sensor's pose through a recording.
 
     Parameters
     ----------
@@ -184,7 +185,7 @@ class Track:
         return ax
 
     def draw(self, path: str | Path) -> None:
-        """Draw the pose over time with bands of one and two sigma, and what happened (PNG).
+        """Draw the pose over time with bands of one and two sigma, and events, as a PNG.
 
         Parameters
         ----------
@@ -217,7 +218,7 @@ class Track:
         ax.spines[["top", "right"]].set_visible(False)
 
     def describe(self) -> str:
-        """Return the track in a line: how many poses, what moved, how well the end is known."""
+        """Return a line with the number of poses, the number of moves, and the last sigma."""
         sigma = self.poses.poses[-1].evidence["sigma"]
         across = float(np.hypot(sigma["easting"], sigma["northing"]))
         moves = sum(event.kind == MOVED for event in self.events)
@@ -243,16 +244,18 @@ def track_of(problem: Problem, start: Pose, rows: list[Row]) -> Track:
     problem : Problem
         The sensor; its guess is the local (0, 0).
     start : Pose
-        Its view goes into every pose.
+        The start pose, whose view every pose gets.
     rows : list of Row
-        In the order of time.
+        Rows in the order of time.
     """
     steps = step_of(np.array([row.estimate.time for row in rows]))
-    later = np.append(True, np.diff(steps) > 0)
-    kept = [(int(s), row) for s, row, new in zip(steps, rows, later, strict=True) if new]
-    poses = [replace(_pose(problem, row, step), view=start.view) for step, row in kept]
-    since = np.array([step * STEP_US / 1e6 for step, _ in kept])
-    events = [Event(time=iso_from_step(step), kind=row.event) for step, row in kept if row.event]
+    is_later = np.append(True, np.diff(steps) > 0)
+    distinct = [(int(s), row) for s, row, new in zip(steps, rows, is_later, strict=True) if new]
+    poses = [replace(_pose(problem, row, step), view=start.view) for step, row in distinct]
+    since = np.array([step * STEP_US / 1e6 for step, _ in distinct])
+    events = [
+        Event(time=iso_from_step(step), kind=row.event) for step, row in distinct if row.event
+    ]
     track = PoseTrack(poses=tuple(poses), since=since)
     return Track(poses=track, events=tuple(events))
 

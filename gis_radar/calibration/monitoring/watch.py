@@ -1,4 +1,4 @@
-"""Watch for small moves, by stationary targets and by the places of vehicles in their lanes."""
+"""Detect small moves of a sensor, by stationary targets and by offsets of vehicles in lanes."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ from gis_radar.calibration.monitoring.windows import WindowFitter, WindowTraffic
 from gis_radar.calibration.registration.state import State
 from gis_radar.recordings import Detections
 
-# Number of newest blocks by which a blow is excluded, and by which the size of a move is measured.
+# Number of newest blocks that are tested for a blow, and from which the size of a move is measured.
 BLOW_BLOCKS = 1
 LATEST_BLOCKS = 3
 
 
-def decided(verdicts: Sequence[Verdict], driven: Displacement | None) -> Displacement | None:
-    """Return the move that is beyond chance, or None.
+def decided(verdicts: Sequence[Verdict], by_vehicles: Displacement | None) -> Displacement | None:
+    """Return the significant move, by stationary targets or by vehicles, or None.
 
-    Where stationary targets would show a move of the wanted size, they alone decide: they measure
-    it to centimetres and hundredths of degrees, vehicles in ten minutes to decimetres, and drivers
-    change their habits. Elsewhere a move by either is reported.
+    Where stationary targets are sensitive, they alone decide: they measure a move to centimetres
+    and hundredths of degrees; vehicles, in ten minutes, to decimetres, and drivers change their
+    habits. Elsewhere a move by either is reported.
 
     Parameters
     ----------
     verdicts : sequence of Verdict
         Verdicts of stationary targets.
-    driven : Displacement or None
-        The move by vehicles.
+    by_vehicles : Displacement or None
+        The likeliest move by vehicles.
     """
-    found = max((each.found for each in verdicts), key=lambda f: f.score, default=None)
-    if found is not None and found.score > GATE:
-        return found
-    if driven is None or any(each.sees for each in verdicts):
+    by_targets = max((each.displacement for each in verdicts), key=lambda f: f.score, default=None)
+    if by_targets is not None and by_targets.score > GATE:
+        return by_targets
+    if by_vehicles is None or any(each.sensitive for each in verdicts):
         return None
-    return driven if driven.score > alarm.GATE else None
+    return by_vehicles if by_vehicles.score > alarm.GATE else None
 
 
 class Watch:
-    """Watch of a sensor for small moves while its pose is followed.
+    """Watches a sensor for small moves while its pose is followed.
 
     Parameters
     ----------
@@ -61,73 +61,76 @@ class Watch:
         self.restart()
 
     def restart(self) -> None:
-        """Reset what was learnt: the sensor was moved."""
+        """Reset cells, targets and references, after the sensor was moved."""
         self._cells: Cells | None = None
-        self._since = np.nan
-        self._still = StationaryTargets()
+        self._vehicles_since = np.nan
+        self._targets = StationaryTargets()
         self._block_since = np.nan
         self._newest: Verdict | None = None
 
     def push(self, batch: Detections) -> None:
-        """Add the next detections, stationary ones, too."""
-        self._still.push(batch.time, batch.points, batch.range_rate)
+        """Add the next detections, moving and stationary ones."""
+        self._targets.push(batch.time, batch.points, batch.range_rate)
 
     @property
     def unmoved(self) -> bool:
         """Whether stationary targets show that the sensor was not moved, up to the last block."""
-        return self._newest is not None and self._newest.rests
+        return self._newest is not None and self._newest.at_rest
 
     def look(self, traffic: WindowTraffic | None, state: State, time: float) -> Displacement | None:
-        """Return the move noticed so far, if any.
+        """Return the significant move up to a time, if any, in the map's axes.
 
         Parameters
         ----------
         traffic : WindowTraffic or None
-            The window up to now; None while there is no whole one with vehicles.
+            The window up to the time; None while the window is not full or has no vehicles.
         state : State
-            The pose; vehicles are placed by the first one since the start.
+            The pose; the first one since the last restart places the vehicles.
         time : float
-            The present, UNIX seconds.
+            UNIX seconds.
         """
-        ended = self._still_block(time)
-        driven = self._by_vehicles(traffic, state, time) if traffic is not None else None
-        if not ended and driven is None:
+        block_ended = self._end_block_if_due(time)
+        by_vehicles = self._move_by_vehicles(traffic, state, time) if traffic is not None else None
+        if not block_ended and by_vehicles is None:
             return None
-        found = decided(self._still.tested, driven)
-        if found is None or found is driven:
-            return found
-        # blocks from before a recent move would make it too small
-        latest = self._still.verdict(LATEST_BLOCKS)
+        move = decided(self._targets.tested, by_vehicles)
+        if move is None or move is by_vehicles:
+            return move
+        # measured by the latest blocks only: earlier ones may be from before the move
+        latest = self._targets.verdict(LATEST_BLOCKS)
         if latest is not None:
-            found = replace(found, move=latest.found.move, covariance=latest.found.covariance)
-        return found.turned(state.R_map_sensor)
+            move = replace(
+                move, move=latest.displacement.move, covariance=latest.displacement.covariance
+            )
+        return move.turned(state.R_map_sensor)
 
-    def _still_block(self, time: float) -> bool:
-        """Compare stationary targets if a block ends; return whether it did."""
+    def _end_block_if_due(self, time: float) -> bool:
+        """End a block of the stationary targets if it is due; return whether it was."""
         if np.isnan(self._block_since):
             self._block_since = time
         if time - self._block_since < BLOCK_S:
             return False
         self._block_since = time
-        self._still.end_block()
-        self._newest = self._still.verdict(BLOW_BLOCKS)
+        self._targets.end_block()
+        self._newest = self._targets.verdict(BLOW_BLOCKS)
         return True
 
-    def _by_vehicles(
+    def _move_by_vehicles(
         self, traffic: WindowTraffic, state: State, time: float
     ) -> Displacement | None:
+        """End a block of vehicles if it is due; return the move of highest score, if any."""
         if self._cells is None:
             self._cells = cells_along(self._fitter.lanes(traffic.samples()))
-            self._state, self._since = state, time
+            self._state, self._vehicles_since = state, time
             self._alarm = Alarm(self._cells, state.position[:2])
-        if time - self._since < alarm.BLOCK_S:
+        if time - self._vehicles_since < alarm.BLOCK_S:
             return None
         seen = lane_places(
             traffic.moving,
             self._cells,
             self._state,
-            since=self._since - alarm.SETTLE_S,
+            since=self._vehicles_since - alarm.SETTLE_S,
             until=time - alarm.SETTLE_S,
         )
-        self._since = time
+        self._vehicles_since = time
         return self._alarm.push(seen, time)

@@ -1,4 +1,4 @@
-"""Register a window of traffic to the lanes, from a pose that is nearly right."""
+"""Register a window of traffic to the lanes, starting near the right pose."""
 
 from __future__ import annotations
 
@@ -40,27 +40,26 @@ from gis_radar.calibration.single.result import Problem
 NEAR = np.array([1.0, 1.0, 1.0, *np.radians([2.0, 2.0, 2.0])])
 # Schedule of the fit of a window, which starts within decimetres.
 WINDOW = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=12)
-# Information of the data below this share of the prior's counts as none, and is set to UNKNOWN.
-LEAST_KNOWN = 0.05
+# Information of the data below this share of the prior's is taken for none and set to UNKNOWN.
+LEAST_DATA = 0.05
 UNKNOWN = 1e-4
-# Lanes are sampled so many times as far as the traces reach, so that they are seldom sampled anew.
-REACH_GROWS = 1.2
-# A pose a lane off refutes the start if vehicles prefer it by so many standard deviations (one more
-# than separates two answers of a localization), and if it is at least so far off.
+REACH_GROWS = 1.2  # factor on the range of traces for sampling lanes, so that it is seldom repeated
+# A pose a lane off contradicts the start pose with this z score (1 more than for ambiguous
+# localizations) and distance.
 OTHER_LANE = 3.5
 OTHER_LANE_M = 1.0
-# Schedule of a first fit from a lane off: most come back to within half of OTHER_LANE_M, and are
-# fitted no further.
+# Schedule of a first fit from a lane off; fits that return to within half of OTHER_LANE_M are not
+# continued.
 LANE_OFF = Schedule(scales_m=(0.75, 0.3), rounds=3)
-# Sigmas of a blow within which the pose is searched where no fit nearby lies on lanes.
-FARTHEST = 4.0
+FARTHEST = 4.0  # largest distance of a searched pose, in sigmas of its prior
 
 
 def data_alone(fit: Fit, prior: Prior) -> Measurement:
-    """Remove the prior from a fit; else every window would confirm the pose before it.
+    """Return the measurement by the data of a fit, with the prior removed.
 
-    In coordinates where the prior has variance one along each axis, `1 + m` is the information of
-    the fit and `m` that of the data; the data's pose is farther off by `(1 + m) / m`.
+    With the prior, every window would confirm the pose before it. In coordinates where the prior
+    has unit variance, the fit has information `1 + m` and the data `m` along each eigenvector, and
+    the data's pose is farther from the prior's mean by the factor `(1 + m) / m`.
 
     Parameters
     ----------
@@ -72,36 +71,37 @@ def data_alone(fit: Fit, prior: Prior) -> Measurement:
     known = certainty(fit, map_sigma_m=0.0)
     quaternion = _quaternion(fit.state)
     unit = np.diag(prior.information[POSE, POSE]) ** -0.5
-    whole, noise = (
+    total, noise = (
         covariance_from_angles(quaternion, part) / np.outer(unit, unit)
         for part in (known.covariance, known.noise)
     )
-    values, vectors = np.linalg.eigh(np.linalg.inv(whole))
+    values, vectors = np.linalg.eigh(np.linalg.inv(total))
     data = values - 1.0
-    seen = data > LEAST_KNOWN
-    away = fit.state.difference(prior.mean)[POSE] / unit
-    farther = np.where(seen, values / np.where(seen, data, 1.0), 0.0)
+    informed = data > LEAST_DATA
+    offset = fit.state.difference(prior.mean)[POSE] / unit
+    factor = np.where(informed, values / np.where(informed, data, 1.0), 0.0)
     step = np.zeros(SIZE)
-    step[POSE] = unit * (vectors @ (farther * (vectors.T @ away)))
-    there = prior.mean.moved(step)
-    # the common error does not grow in directions in which this window holds no information
-    noise_grows = np.sqrt(values / np.where(seen, data, UNKNOWN))
-    common_grows = np.where(seen, noise_grows, 1.0)
+    step[POSE] = unit * (vectors @ (factor * (vectors.T @ offset)))
+    state = prior.mean.moved(step)
+    # in directions without information only the noise is scaled, not the common error
+    noise_scale = np.sqrt(values / np.where(informed, data, UNKNOWN))
+    common_scale = np.where(informed, noise_scale, 1.0)
     noise, common = (
-        _stretched(part, vectors * grows @ vectors.T, unit)
-        for part, grows in ((noise, noise_grows), (whole - noise, common_grows))
+        _scaled_covariance(part, vectors * grows @ vectors.T, unit)
+        for part, grows in ((noise, noise_scale), (total - noise, common_scale))
     )
     return Measurement(
-        position=there.position,
-        quaternion=_quaternion(there),
+        position=state.position,
+        quaternion=_quaternion(state),
         covariance=noise + common,
         noise=noise,
     )
 
 
-def _stretched(part: Floats, stretch: Floats, unit: Floats) -> Floats:
-    wide = stretch @ part @ stretch.T * np.outer(unit, unit)
-    return np.asarray((wide + wide.T) / 2.0)
+def _scaled_covariance(covariance: Floats, scale: Floats, unit: Floats) -> Floats:
+    """Return a covariance in units of `unit`, scaled by a matrix, in metres and radians."""
+    scaled = scale @ covariance @ scale.T * np.outer(unit, unit)
+    return np.asarray((scaled + scaled.T) / 2.0)
 
 
 def _quaternion(state: State) -> Floats:
@@ -117,7 +117,7 @@ class WindowTraffic:
     moving : Moving
         The detections.
     number : (n,) array
-        The track of each.
+        Number of the track of each detection.
     """
 
     moving: Moving
@@ -139,7 +139,7 @@ class WindowTraffic:
 
     @cached_property
     def vehicles(self) -> int:
-        """Number of vehicles; the parts of a track that was cut count as one."""
+        """Number of vehicles; a vehicle may have several tracks."""
         return len(np.unique(vehicles_of(self.moving, self.number)))
 
     def samples(self) -> Samples:
@@ -149,18 +149,18 @@ class WindowTraffic:
 
 @dataclass(frozen=True, kw_only=True)
 class WindowFit:
-    """The fit of a window, and the pose that it measures.
+    """Fit of a window, and the pose that it measures.
 
     Parameters
     ----------
     measurement : Measurement
-        The pose, from the data alone.
+        The pose by the data alone.
     fit : Fit
         The registration.
     samples : Samples
         The samples that were registered.
     on_lanes : bool
-        Whether the traffic is on the lanes.
+        Whether at least `LEAST_FITNESS` of the samples are on lanes.
     """
 
     measurement: Measurement
@@ -170,17 +170,17 @@ class WindowFit:
 
     @property
     def trusted(self) -> bool:
-        """Whether the fit converged, with the traffic on the lanes."""
+        """Whether the fit converged with the samples on lanes."""
         return self.fit.converged and self.on_lanes
 
 
 class WindowFitter:
-    """Fitter of windows of traffic to the lanes around a sensor.
+    """Fits windows of traffic to the lanes around a sensor.
 
     Parameters
     ----------
     problem : Problem
-        Map, road and place of the sensor.
+        Map, road and approximate position of the sensor.
     reporter : Reporter
         Receives remarks.
     """
@@ -203,7 +203,7 @@ class WindowFitter:
         return self._lanes
 
     def scene(self, samples: Samples) -> Scene:
-        """Return samples with the lanes within their reach."""
+        """Return the scene of samples and the lanes within their reach."""
         return Scene(
             lanes=self.lanes(samples), samples=samples, lane_sigma_m=(0.0, 0.0), keeps_lanes=False
         )
@@ -227,7 +227,7 @@ class WindowFitter:
         centre : Estimate
             Centre of the prior.
         reflection_m : float
-            Height of the vehicles' reflections so far, metres.
+            Mean height of reflections, metres, of the prior.
         near : (6,) array
             1 sigma of the prior: metres, radians.
         start : State, optional
@@ -251,7 +251,7 @@ class WindowFitter:
     def find(
         self, traffic: WindowTraffic, centre: Estimate, reflection_m: float, *, near: Floats
     ) -> WindowFit | None:
-        """Search the pose farther around where the traffic fits no lanes; None if none is found.
+        """Search a pose within `FARTHEST` sigmas at which the traffic fits; None if none is found.
 
         Parameters
         ----------
@@ -260,20 +260,20 @@ class WindowFitter:
         """
         samples, state = traffic.samples(), centre.state(reflection_m)
         heading = float(state.yaw_pitch_roll[0]), HEADING_TOLERANCE
-        for tried in find_hypotheses(self.scene(samples), heading=heading):
-            away = tried.fit.state.difference(state)[POSE] / near
-            if np.abs(away).max() < FARTHEST:
-                found = self.fit(traffic, centre, reflection_m, near=near, start=tried.fit.state)
-                return found if found is not None and found.trusted else None
+        for hypothesis in find_hypotheses(self.scene(samples), heading=heading):
+            offset = hypothesis.fit.state.difference(state)[POSE] / near
+            if np.abs(offset).max() < FARTHEST:
+                fit = self.fit(traffic, centre, reflection_m, near=near, start=hypothesis.fit.state)
+                return fit if fit is not None and fit.trusted else None
         return None
 
     def cost(self, samples: Samples, state: State) -> float:
         """Return the cost of samples at a pose, a negative log likelihood."""
         return cost_at(self.scene(samples), state, model=self._model)
 
-    def adapt(self, found: WindowFit) -> None:
-        """Adapt prior and model to this radar by a trusted fit, starting from the defaults."""
-        samples, fit = found.samples, found.fit
+    def adapt(self, window_fit: WindowFit) -> None:
+        """Adapt prior and model of later fits to this radar, by a trusted fit."""
+        samples, fit = window_fit.samples, window_fit.fit
         before = Prior(mean=fit.state, information=np.zeros((SIZE, SIZE)))
         after, self._model = adapted(self.scene(samples), fit, before, MODEL)
         if after is not before:
@@ -281,6 +281,7 @@ class WindowFitter:
             self._reflections = after.mean.reflection, known
 
     def _prior(self, centre: State, near: Floats) -> Prior:
+        """Return the prior about a state, with 1 sigma `near` and the adapted reflections."""
         information = prior_at(centre).information.copy()
         information[POSE, POSE] = np.diag(near**-2.0)
         if self._reflections is not None:
@@ -288,30 +289,32 @@ class WindowFitter:
             centre = replace(centre, reflection=mean_m)
         return Prior(mean=centre, information=information)
 
-    def refuse_other_lane(self, found: WindowFit) -> None:
-        """Refuse a pose where the same data fit clearly better on a neighbouring lane.
+    def refuse_other_lane(self, window_fit: WindowFit) -> None:
+        """Refuse a fit if a pose that is a lane off fits significantly better.
 
         Raises
         ------
         NoAnswerError
-            If the vehicles prefer a pose that is a lane off.
+            If there is such a pose.
         """
-        part, here = rough(self.scene(found.samples)), found.fit.state
+        scene, state_found = rough(self.scene(window_fit.samples)), window_fit.fit.state
 
-        def at(state: State, schedule: Schedule = FAR) -> Fit:
+        def fit_at(state: State, schedule: Schedule = FAR) -> Fit:
             prior = replace(prior_at(state), mean=state)
-            return solve(part, state, prior, schedule=schedule)
+            return solve(scene, state, prior, schedule=schedule)
 
         def apart_m(one: Fit, other: Fit) -> float:
             return float(np.hypot(*one.state.difference(other.state)[:2]))
 
-        back = at(here, LANE_OFF)
-        tried = [(state, at(state, LANE_OFF)) for state in _a_lane_off(part, found.fit)]
-        away = [state for state, fit in tried if apart_m(fit, back) > OTHER_LANE_M / 2.0]
-        first = at(here) if away else back
-        for other in map(at, away):
-            away_m = apart_m(other, first)
-            z_score = advantage(other, first, part.samples)
+        refitted = fit_at(state_found, LANE_OFF)
+        starts = [
+            (state, fit_at(state, LANE_OFF)) for state in _states_a_lane_off(scene, window_fit.fit)
+        ]
+        distinct = [state for state, fit in starts if apart_m(fit, refitted) > OTHER_LANE_M / 2.0]
+        own = fit_at(state_found) if distinct else refitted
+        for other in map(fit_at, distinct):
+            away_m = apart_m(other, own)
+            z_score = advantage(other, own, scene.samples)
             if z_score > OTHER_LANE and away_m > OTHER_LANE_M:
                 raise NoAnswerError(
                     "{}: the traffic fits clearly better with the sensor {:.1f} m from "
@@ -322,12 +325,12 @@ class WindowFitter:
                 )
 
 
-def _a_lane_off(scene: Scene, fit: Fit) -> list[State]:
-    """Return the fit's state moved by a lane to every side of the main directions of traffic."""
+def _states_a_lane_off(scene: Scene, fit: Fit) -> list[State]:
+    """Return the fit's state moved by a lane's width along and across the direction of traffic."""
     lanes, used = scene.lanes, fit.matches.lane[fit.matches.found]
     if len(used) == 0:
         return []
-    # twice the angle: both directions of a street are one
+    # mean of doubled angles: both directions of a street are one
     turn = np.arctan2(lanes.along[used, 1], lanes.along[used, 0])
     sides = np.angle(np.mean(np.exp(2j * turn))) / 2.0 + np.arange(4) * np.pi / 2.0
     width_m = float(np.median(lanes.width_m[used]))

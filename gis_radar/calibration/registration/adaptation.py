@@ -1,4 +1,4 @@
-"""Adaptation of prior and model to a recording's radar and vehicles, estimated near a fit."""
+"""Adapt prior and model to a recording's radar and vehicles, given a fit near the optimum."""
 
 from __future__ import annotations
 
@@ -23,37 +23,37 @@ from gis_radar.calibration.registration.solver import Fit, Prior
 from gis_radar.calibration.registration.state import REFLECTION
 from gis_radar.calibration.registration.traces import SPELL_S, Samples
 
-# Height over the road at which bumpers, sills and wheels end (ground clearance 0.12 to 0.3 m).
+# Lower edge of reflections over the road and 1 sigma of it: ground clearance is 0.12 to 0.3 m.
 EDGE_M = 0.2
 EDGE_SIGMA_M = 0.07
 NODES = 16  # of the quadrature over the gamma distribution of heights above the edge
 # Share of reflections that come from bodies, and their lowest and highest height above the edge.
 TALL_SHARE = 0.2
 TALL_M = (0.2, 2.8)
-# Share of stray reflections, and the range of heights over which they spread evenly.
+# Share of outliers, and the interval of heights over which they are uniform.
 STRAY_HEIGHTS = 0.05
 STRAY_M = 8.0
-NEAR_M = 80.0  # farther samples fix no heights: 0.6 degrees are 0.8 m
-MOST_SAMPLES = 1500  # more cost time only
+NEAR_M = 80.0  # farther samples are left out: 0.6 degrees are 0.8 m there
+MOST_SAMPLES = 1500  # more do not improve the estimate
 NOISE_M = 0.05  # 1 sigma of the heights of scan and map
-# Edge (m), scale (m) and elevation noise (radians): start of the fit and its bounds.
+# Edge (m), scale (m) and elevation noise (radians): start of the fit, and its bounds.
 START = (0.2, 0.2, math.radians(0.5))
-LOWEST = (-1.5, 0.05, math.radians(0.1))
-HIGHEST = (2.0, 0.6, math.radians(2.0))
-LEAST_SAMPLES = 200  # near enough; with fewer no heights are estimated
-# Number of factors on the side strength that are tried, from 1 / MOST_FACTOR to MOST_FACTOR.
+LOWER_BOUND = (-1.5, 0.05, math.radians(0.1))
+UPPER_BOUND = (2.0, 0.6, math.radians(2.0))
+LEAST_SAMPLES = 200  # least number of samples within NEAR_M to estimate heights
+# Number of tried factors on the side strength, from 1 / MOST_FACTOR to MOST_FACTOR.
 FACTORS = 17
 MOST_FACTOR = 4.0
 FACTOR_SIGMA = math.log(2.0)  # 1 sigma of the logarithm of such a factor in the prior
 DERIVATIVE_STEP = 1e-4  # of numerical derivatives
-# Shares of the elevation's variance tried as a lasting error; iterations of the random effects.
+# Tried shares of the elevation's variance that are correlated; iterations of the random effects.
 BENT_SHARES: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
-BENT_ROUNDS = 4
+EFFECT_ROUNDS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Heights:
-    """Heights at which vehicles reflect.
+    """Distribution of the heights of reflections.
 
     Parameters
     ----------
@@ -69,46 +69,48 @@ class Heights:
 
 
 def adapted(scene: Scene, fit: Fit, prior: Prior, model: Model) -> tuple[Prior, Model]:
-    """Adapt prior and model to the radar and the vehicles of a recording.
+    """Return prior and model adapted to the radar and the vehicles of a recording.
+
+    The model gets the estimated strength of sides and errors of elevation, the prior the estimated
+    mean height of reflections.
 
     Parameters
     ----------
     scene : Scene
         The map and the traces.
     fit : Fit
-        A fit near the answer.
+        A fit near the optimum.
     prior, model : Prior, Model
-        Those with which it was found.
+        Those of that fit.
     """
     model = replace(model, side_strength=side_strength(scene, fit, model))
     found = heights(scene, fit)
     if found is None:
         return prior, model
-    model = bent(scene, fit, replace(model, elevation=found.elevation))
-    found = heights(scene, fit, alone=_alone(scene.samples, model)) or found
+    model = split_elevation_noise(scene, fit, replace(model, elevation=found.elevation))
+    found = heights(scene, fit, weight=_independent_weights(scene.samples, model)) or found
     information, known = prior.information.copy(), prior.information[REFLECTION, REFLECTION]
     information[REFLECTION, REFLECTION] = known + found.sigma_m**-2
-    both = known * prior.mean.reflection + found.mean_m * found.sigma_m**-2
-    mean = replace(prior.mean, reflection=float(both / information[REFLECTION, REFLECTION]))
+    weighted = known * prior.mean.reflection + found.mean_m * found.sigma_m**-2
+    mean = replace(prior.mean, reflection=float(weighted / information[REFLECTION, REFLECTION]))
     prior = Prior(mean=mean, information=information)
     return prior, model
 
 
-def bent(scene: Scene, fit: Fit, model: Model) -> Model:
-    """Split a model's elevation noise into an independent part and one that lasts for seconds.
+def split_elevation_noise(scene: Scene, fit: Fit, model: Model) -> Model:
+    """Split a model's elevation noise into an independent part and one correlated over seconds.
 
-    The likeliest split is taken, with the random effects of the vehicles integrated out (Laplace's
-    method): where the detections of one vehicle agree better than those of different vehicles,
-    they share an error, and count less.
+    The split of highest likelihood is taken, with the random effects of the vehicles integrated out
+    (Laplace's method).
 
     Parameters
     ----------
     scene : Scene
         The map and the traces.
     fit : Fit
-        Near the answer.
+        A fit near the optimum.
     model : Model
-        Its `elevation` is the whole noise of the elevation angles.
+        Its `elevation` is the total noise of the elevation angles.
     """
     placed = place(scene.samples, fit.state)
     models = [
@@ -121,9 +123,9 @@ def bent(scene: Scene, fit: Fit, model: Model) -> Model:
     ]
 
     def cost(tried: Model) -> float:
-        compared = _compared(scene, fit, placed, tried)
+        compared = _comparison(scene, fit, placed, tried)
         effect = np.zeros_like(fit.effects[1])
-        for _ in range(BENT_ROUNDS):
+        for _ in range(EFFECT_ROUNDS):
             rows = height(compared, effect)
             normal = assemble([rows], [effect])
             ((gradient, _, covariance),) = normal.shared
@@ -137,20 +139,20 @@ def bent(scene: Scene, fit: Fit, model: Model) -> Model:
     return min(models, key=cost)
 
 
-def _compared(scene: Scene, fit: Fit, placed: Placed, model: Model) -> LaneComparison:
-    """Return placed samples with their lanes, from which a model's residuals follow."""
+def _comparison(scene: Scene, fit: Fit, placed: Placed, model: Model) -> LaneComparison:
+    """Return placed samples with their lanes, to compute the residuals of a model."""
     return LaneComparison(lanes=scene.lanes, placed=placed, matches=fit.matches, model=model)
 
 
 def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
-    """Estimate how strongly sides reflect relative to fronts (a ratio) from where samples lie.
+    """Estimate the model's `side_strength` from where samples lie across their lanes.
 
     Parameters
     ----------
     scene : Scene
         The map and the traces.
     fit : Fit
-        Near the answer.
+        A fit near the optimum.
     model : Model
         Its side strength is the prior's mean, with 1 sigma of a factor of two.
     """
@@ -158,7 +160,7 @@ def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
 
     def cost(factor: float) -> float:
         tried = replace(model, side_strength=model.side_strength * factor)
-        compared = _compared(scene, fit, placed, tried)
+        compared = _comparison(scene, fit, placed, tried)
         prior = (np.log(factor) / FACTOR_SIGMA) ** 2
         rows = lateral(compared, fit.effects[0])
         return float(rows.weight @ rows.loss + 0.5 * prior)
@@ -167,39 +169,38 @@ def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
     return float(model.side_strength * min(factors, key=cost))
 
 
-def _alone(samples: Samples, model: Model) -> Floats:
-    """Return each sample's weight, up to 1, among those of its vehicle that share its error."""
-    longest, together = samples.spell_reach.shape[1], round(model.lasting / SPELL_S)
-    spell = samples.spells % longest // max(together, 1)
-    key = samples.track * longest + spell
-    _, whose, count = np.unique(key, return_inverse=True, return_counts=True)
+def _independent_weights(samples: Samples, model: Model) -> Floats:
+    """Return each sample's weight, lower where samples of a vehicle share an error of elevation."""
+    longest, correlated = samples.spell_reach.shape[1], round(model.lasting / SPELL_S)
+    block = samples.spells % longest // max(correlated, 1)
+    key = samples.track * longest + block
+    _, group, count = np.unique(key, return_inverse=True, return_counts=True)
     lasting = np.square(model.bent * samples.reach)
     own = np.square(model.elevation * samples.reach) + model.low**2
-    return np.asarray(1.0 / (1.0 + (count[whose] - 1) * lasting / (lasting + own)))
+    return np.asarray(1.0 / (1.0 + (count[group] - 1) * lasting / (lasting + own)))
 
 
-def heights(scene: Scene, fit: Fit, *, alone: Floats | None = None) -> Heights | None:
-    """Estimate at which heights vehicles reflect, from the distribution of heights in a fit.
+def heights(scene: Scene, fit: Fit, *, weight: Floats | None = None) -> Heights | None:
+    """Estimate the distribution of the heights of reflections from their heights in a fit.
 
-    A sensor placed higher looks like reflections that lie higher, but no vehicle reflects from
-    below its bumpers, sills and wheels, and these end 0.2 m over the road whatever the
-    radar. The lower edge of the reflections is therefore known; their spread over it, and the
-    noise that blurs it with the range, follow by maximum likelihood: a gamma distribution of
-    shape 2 over the edge, bodies above, strays.
+    A higher sensor and higher reflections give the same heights, but the lower edge of reflections
+    is known: vehicles end `EDGE_M` over the road. Their scale above the edge, and the noise of
+    elevations that blurs it, follow by maximum likelihood of a mixture: a gamma distribution of
+    shape 2 above the edge, reflections from bodies, and outliers.
 
     Parameters
     ----------
     scene : Scene
         The map and the traces.
     fit : Fit
-        Near the answer.
-    alone : (n,) array, optional
+        A fit near the optimum.
+    weight : (n,) array, optional
         Weight of each sample; by default 1.
 
     Returns
     -------
     Heights or None
-        None where too few samples are near enough.
+        None where fewer than `LEAST_SAMPLES` are within `NEAR_M`.
     """
     samples, reach = scene.samples, scene.samples.reach
     over = height_over_road(scene.lanes, place(samples, fit.state), fit.matches)
@@ -209,24 +210,24 @@ def heights(scene: Scene, fit: Fit, *, alone: Floats | None = None) -> Heights |
         return None
     usable = np.random.default_rng(0).permutation(usable)[:MOST_SAMPLES]
     over, reach = over[usable], reach[usable]
-    weight = np.ones(len(over)) if alone is None else alone[usable]
+    weights = np.ones(len(over)) if weight is None else weight[usable]
 
     def cost(parameters: Floats) -> float:
-        return -float(weight @ _log_density(parameters, over, reach))
+        return -float(weights @ _log_density(parameters, over, reach))
 
     start, low, high = (
         np.array([edge, np.log(scale), np.log(noise)])
-        for edge, scale, noise in (START, LOWEST, HIGHEST)
+        for edge, scale, noise in (START, LOWER_BOUND, UPPER_BOUND)
     )
     fitted = minimize(cost, start, method="L-BFGS-B", bounds=Bounds(low, high))
-    found: Floats = np.asarray(fitted.x)
+    parameters: Floats = np.asarray(fitted.x)
     clusters = samples.vehicles[samples.track[usable]]
-    error = _sandwich(found, over, reach, clusters, weight)
-    shift = found[0] - EDGE_M
+    error = _clustered_error(parameters, over, reach, clusters, weights)
+    shift = parameters[0] - EDGE_M
     return Heights(
         mean_m=float(fit.state.reflection - shift),
         sigma_m=float(np.hypot(EDGE_SIGMA_M, error)),
-        elevation=float(np.exp(found[2])),
+        elevation=float(np.exp(parameters[2])),
     )
 
 
@@ -244,14 +245,14 @@ def _log_density(parameters: Floats, over: Floats, reach: Floats) -> Floats:
     return np.asarray(np.log((1.0 - stray) * vehicle + stray / STRAY_M))
 
 
-def _sandwich(
+def _clustered_error(
     parameters: Floats,
     over: Floats,
     reach: Floats,
     track: Integers,
     weight: Floats,
 ) -> float:
-    """Return the standard error of the edge, with the vehicles as clusters."""
+    """Return the cluster-robust standard error of the edge, metres, with vehicles as clusters."""
 
     def density(shift: Floats) -> Floats:
         return _log_density(parameters + shift, over, reach)

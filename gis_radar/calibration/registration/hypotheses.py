@@ -1,4 +1,4 @@
-"""Hypotheses of a pose, found by a search over places and headings, fitted and compared."""
+"""Find hypotheses of a pose by a search over places and headings, fit and compare them."""
 
 from __future__ import annotations
 
@@ -29,66 +29,67 @@ from gis_radar.calibration.registration.solver import Fit, Prior, Schedule, cost
 from gis_radar.calibration.registration.state import LEVER_M, POSE, REFLECTION, SIZE, State
 from gis_radar.calibration.registration.traces import Samples
 
-GUESS_M = 15.0  # how far a guess may be off (contract)
-HEADING_TOLERANCE = math.radians(30.0)  # to either side of a heading: 25 degrees (contract) + slack
+GUESS_M = 15.0  # largest error of a guess (docs/limits.md)
+HEADING_TOLERANCE = math.radians(30.0)  # to either side of a heading: documented 25 degrees + slack
 # Schedules of the first fit of every candidate, and of each finalist, to a part of the samples.
 ROUGH = Schedule(scales_m=(1.5, 0.75, 0.3), rounds=4)
 SETTLE = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=4)
-FINALISTS = 4  # hypotheses that are fitted to the end, at most
-# Hypotheses within so many standard deviations of the best are fitted in full, which improves them
-# by about half of one; more than the z score of a clear answer.
-RIVAL = 3.5
+FINALISTS = 4  # most hypotheses that are fitted to all samples
+# Hypotheses within this z score of the best are improved, which gains about 0.5; it exceeds the z
+# score of a clear answer.
+CLOSE_Z = 3.5
 BEYOND_GUESS_M = 2.0  # margin of the search beyond the largest error of a guess
 TILT = math.radians(6.0)  # 1 sigma of the tilt of masts and roads
-# 1 sigma of reflections about the levelled plane: vehicles, and elevation noise (radians).
+# 1 sigma of reflections about the road plane: vehicles, and elevation noise (radians).
 LEVEL_SPREAD_M = 0.5
 LEVEL_ELEVATION = math.radians(0.6)
-LEVEL_ROUNDS = 12  # reweighted fits of the plane; it settles in five to eight
-SCORED = 900  # samples scored; cost in proportion
+LEVEL_ROUNDS = 12  # reweighted fits of the plane; it converges in five to eight
+SCORED_SAMPLES = 900  # samples that the search scores; cost in proportion
 SIGHTS = 64  # bins of the direction of sight, 5.6 degrees
-# Spread (1 sigma) across a lane; steps of the grids of places, and of headings (1.7 m at 50 m).
+# 1 sigma across a lane in the search; steps of its grid of places, and of headings (1.7 m at 50 m).
 SPREAD_M = 2.0
 STEP_M = 2.0
 YAW_STEP = math.radians(2.0)
-# Cosine by which a lane's direction may disagree with the Doppler's sign (15 degrees).
-BESIDE = 0.25
-# Peaks closer than this are one.
+# A lane disagrees with the Doppler's sign if the cosine between lane and sight is below minus this
+# (15 degrees).
+OPPOSITE_COSINE = 0.25
+# Peaks of the search that are closer are one.
 NEAR_M = 3.0
 NEAR_RAD = math.radians(5.0)
-# Prior of the mean height of reflections: between wheel hubs and belt lines. (The check of a
-# given pose takes 0.7: with it the sample's height is right to 0.05 m, with 0.6 to 0.1 m.)
+# Prior of the mean height of reflections: between wheel hubs and belt lines. The check of a given
+# pose takes 0.7, with which the sample's height is right to 0.05 m, with 0.6 to 0.1 m.
 REFLECTION_M = 0.6
 REFLECTION_SIGMA_M = 0.25
 ROUGH_SAMPLES = 1000  # enough to rank hypotheses; cost in proportion
-GONE = 5.0  # hypotheses farther behind the best (standard deviations) are no finalists
-# Fits closer than this are one: easting, northing, height; turns about the axes.
-TWIN_M = (0.3, 0.3, 0.5)
-TWIN_RAD = (math.radians(0.5), math.radians(0.5), math.radians(0.3))
-# Grid around an optimum on which better ones are looked for: its step, half a vehicle's width, and
-# the number of steps to every side and of turns to either side (a turn in metres at LEVER_M).
+MOST_BEHIND = 5.0  # hypotheses whose z score is farther behind the best are no finalists
+# Fits that are closer are one: easting, northing, height; rotations about the axes.
+SAME_M = (0.3, 0.3, 0.5)
+SAME_RAD = (math.radians(0.5), math.radians(0.5), math.radians(0.3))
+# Grid of starts around an optimum: step, half a vehicle's width, and number of steps to each side
+# in place and in yaw (its steps in metres at LEVER_M).
 LOOK_M = 0.5
 LOOK_STEPS = (3, 2)
-# Widening of the spreads on this grid (drivers differ by as much), number of samples scored, and
-# number of the lowest places that are fitted.
+# On this grid: standard deviation added to that of the model, as large as that of drivers; number
+# of samples; number of local minima from which fits start.
 LOOK_SCALE_M = 0.3
 LOOK_SAMPLES = 400
 LOOK_PLACES = 4
-# Peaks that are fitted, without and with a heading; cost in proportion.
+# Number of peaks that are fitted, without and with a heading; cost in proportion.
 CANDIDATES = 10
 KNOWN_CANDIDATES = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Levelling:
-    """The road plane as the sensor sees it.
+    """Road plane in the sensor frame.
 
     Parameters
     ----------
     R_level_sensor : (3, 3) array
-        Rotation from the sensor frame to one in which the road's plane is level and below; the
-        heading of the x axis stays.
+        Rotation from the sensor frame to a level one, with the road plane horizontal and below the
+        sensor, and the heading of the x axis unchanged.
     depth_m : float
-        Height of the sensor over the plane of the reflections.
+        Height of the sensor over the plane of the reflections, metres.
     """
 
     R_level_sensor: Floats
@@ -96,12 +97,14 @@ class Levelling:
 
 
 def level(scene: Scene) -> Levelling:
-    """Fit a plane to the traces, robustly; where it lies above the sensor, that is upside down.
+    """Fit the road plane to the traces, robustly (iteratively reweighted least squares).
+
+    A plane above the sensor means that the sensor is mounted upside down.
 
     Parameters
     ----------
     scene : Scene
-        The traces.
+        The map and the traces.
     """
     samples = scene.samples
     x, y, z = samples.points.T
@@ -118,16 +121,16 @@ def level(scene: Scene) -> Levelling:
     depth = -plane[2] * up[2]
     if depth < 0.0:
         up, depth = -up, -depth
-    ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    ahead /= np.linalg.norm(ahead)
+    x_axis = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    x_axis /= np.linalg.norm(x_axis)
     return Levelling(
-        R_level_sensor=np.vstack([ahead, np.cross(up, ahead), up]), depth_m=float(depth)
+        R_level_sensor=np.vstack([x_axis, np.cross(up, x_axis), up]), depth_m=float(depth)
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A place and a heading that the search found.
+    """Place and heading that the search found.
 
     Parameters
     ----------
@@ -136,7 +139,7 @@ class Candidate:
     yaw : float
         Radians.
     score : float
-        Mean closeness of the traces to lanes, 0 to 1.
+        Mean over the samples of their closeness to lanes (:func:`closeness`), 0 to 1.
     """
 
     place: Floats
@@ -147,28 +150,30 @@ class Candidate:
 def search(
     scene: Scene, levelled: Floats, *, heading: tuple[float, float] | None, most: int
 ) -> list[Candidate]:
-    """Score every place and heading on a grid, and return the best that differ.
+    """Score every place and heading on a grid, and return the best local maxima, the best first.
 
     Parameters
     ----------
     scene : Scene
         The lanes around the guess, which is the local (0, 0), and the traces.
     levelled : (n, 3) array
-        The traces' points in a levelled sensor frame: z up, yaw unknown.
+        The traces' points in the level sensor frame, metres.
     heading : (yaw, tolerance) or None
         Radians; without it all headings are tried.
     most : int
-        Candidates to return, the best first.
+        Largest number of candidates.
     """
     lanes, samples = scene.lanes, scene.samples
-    chosen = np.random.default_rng(0).permutation(len(samples))[:SCORED]
+    chosen = np.random.default_rng(0).permutation(len(samples))[:SCORED_SAMPLES]
     points, away = levelled[chosen, :2].copy(), samples.range_rate[chosen] > 0.0
     places, yaws = _places(GUESS_M + BEYOND_GUESS_M, STEP_M), _yaws(heading, YAW_STEP)
-    scores = _score(closeness(lanes), lanes.corner, LANE_CELL_M, points, away, places, yaws)
+    layers = closeness(lanes)
+    scores = _mean_closeness(layers, lanes.corner, LANE_CELL_M, points, away, places, yaws)
     return _peaks(np.asarray(scores), places, yaws, most)
 
 
 def _yaws(heading: tuple[float, float] | None, step: float) -> Floats:
+    """Return yaws about `step` apart (radians) within the tolerance of a heading, or all around."""
     centre, tolerance = heading or (0.0, np.pi)
     count = int(np.ceil(tolerance / step))
     steps = np.arange(-count, count + 1) * tolerance / count
@@ -176,6 +181,7 @@ def _yaws(heading: tuple[float, float] | None, step: float) -> Floats:
 
 
 def _places(radius_m: float, step_m: float) -> Floats:
+    """Return (n, 2) places on a square grid within a radius of the local origin, metres."""
     count = np.ceil(radius_m / step_m)
     steps = np.arange(-count, count + 1) * step_m
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
@@ -183,7 +189,10 @@ def _places(radius_m: float, step_m: float) -> Floats:
 
 
 def closeness(lanes: Lanes) -> NDArray[np.uint8]:
-    """Return for each direction of sight how close each cell is to lanes that lead away along it.
+    """Return for each direction of sight and cell the closeness to lanes on which vehicles recede.
+
+    Closeness is a Gaussian of the distance to the centre line. Vehicles on a lane recede if it
+    does not lead against the direction of sight, by more than 15 degrees across.
 
     Parameters
     ----------
@@ -193,55 +202,54 @@ def closeness(lanes: Lanes) -> NDArray[np.uint8]:
     Returns
     -------
     (sights, rows, columns) uint8 array
-        255 on a centre line. For approaching traffic the layer of the opposite direction of sight
-        is looked up.
+        255 on a centre line. For approaching traffic take the layer of the opposite direction.
     """
     near = np.exp(-0.5 * (lanes.distance / SPREAD_M) ** 2)
     sights, bins = SIGHTS, len(near)
-    ways = np.arange(bins) * (2.0 * np.pi / bins)
-    out = np.zeros((sights, *near.shape[1:]), dtype=np.uint8)
-    bytes_near = np.rint(near * 255.0).astype(np.uint8)
+    directions = np.arange(bins) * (2.0 * np.pi / bins)
+    layers = np.zeros((sights, *near.shape[1:]), dtype=np.uint8)
+    near_bytes = np.rint(near * 255.0).astype(np.uint8)
     for sight in range(sights):
-        agree = np.cos(ways - sight * (2.0 * np.pi / sights)) > -BESIDE
-        out[sight] = bytes_near[agree].max(axis=0)
-    return out
+        agree = np.cos(directions - sight * (2.0 * np.pi / sights)) > -OPPOSITE_COSINE
+        layers[sight] = near_bytes[agree].max(axis=0)
+    return layers
 
 
 def _peaks(scores: Floats, places: Floats, yaws: Floats, most: int) -> list[Candidate]:
-    """Return the best candidates, no two of them close to each other."""
+    """Return the best candidates, at least `NEAR_M` or `NEAR_RAD` from each other."""
     order = np.argsort(-scores, axis=None)[: 400 * most]
-    kept: list[Candidate] = []
-    for flat in order:
-        i, j = divmod(int(flat), scores.shape[1])
+    peaks: list[Candidate] = []
+    for index in order:
+        i, j = divmod(int(index), scores.shape[1])
         place, yaw = places[i], float(yaws[j])
-        twin = any(
+        close = any(
             np.hypot(*(place - other.place)) < NEAR_M
             and abs(math.remainder(yaw - other.yaw, math.tau)) < NEAR_RAD
-            for other in kept
+            for other in peaks
         )
-        if not twin:
-            kept.append(Candidate(place=place, yaw=yaw, score=float(scores[i, j])))
-            if len(kept) == most:
+        if not close:
+            peaks.append(Candidate(place=place, yaw=yaw, score=float(scores[i, j])))
+            if len(peaks) == most:
                 break
-    return kept
+    return peaks
 
 
 @compiled
-def _score(
-    close: NDArray[np.uint8],
+def _mean_closeness(
+    closeness_layers: NDArray[np.uint8],
     corner: Floats,
     cell_m: float,
     points: Floats,
-    away: Booleans,
+    receding: Booleans,
     places: Floats,
     yaws: Floats,
 ) -> Floats:
-    """Return the mean closeness for each place (rows) and yaw (columns)."""
-    sights, rows, columns = close.shape
-    cells, per_m = close.reshape(sights, rows * columns), 1.0 / cell_m
+    """Return the mean closeness of the points for each place (rows) and yaw (columns)."""
+    sights, rows, columns = closeness_layers.shape
+    cells, per_m = closeness_layers.reshape(sights, rows * columns), 1.0 / cell_m
     total = np.zeros((len(places), len(yaws)))
     east, north = places[:, 0].copy(), places[:, 1].copy()
-    # Cells first, what lies in them then: so the first loop takes several places at a time.
+    # two loops over places, as the compiler vectorises the first one, without look-ups
     column, row = np.empty(len(places), np.int32), np.empty(len(places), np.int32)
     sums = np.empty(len(places), np.int32)
     for j in range(len(yaws)):
@@ -250,34 +258,34 @@ def _score(
         for k in range(len(points)):
             x = cos * points[k, 0] - sin * points[k, 1]
             y = sin * points[k, 0] + cos * points[k, 1]
-            turn = np.arctan2(y, x) / (2.0 * np.pi) + (0.0 if away[k] else 0.5)
-            seen = cells[int(np.rint(turn * sights)) % sights]
+            turn = np.arctan2(y, x) / (2.0 * np.pi) + (0.0 if receding[k] else 0.5)
+            layer = cells[int(np.rint(turn * sights)) % sights]
             for i in range(len(places)):
                 column[i] = np.int32((x + east[i] - corner[0]) * per_m)
                 row[i] = np.int32((y + north[i] - corner[1]) * per_m)
             for i in range(len(places)):
                 if 0 <= column[i] < columns and 0 <= row[i] < rows:
-                    sums[i] += seen[row[i] * columns + column[i]]
+                    sums[i] += layer[row[i] * columns + column[i]]
         total[:, j] = sums
     return total / (255.0 * max(len(points), 1))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hypothesis:
-    """One way to place the recording on the map.
+    """Hypothesis of a pose: a local optimum of the registration.
 
     Parameters
     ----------
     fit : Fit
         The local optimum.
     prior : Prior
-        The prior with which it was found.
+        The prior of that fit.
     score : float
-        Score of the search at its candidate, 0 to 1.
+        Score of the search at the candidate from which the fit began, 0 to 1.
     model : Model
         How vehicles drive and reflect.
     rival : State or None
-        Another optimum, so near that both are one answer.
+        Another optimum, too near to be another answer; it widens the covariance.
     """
 
     fit: Fit
@@ -293,7 +301,7 @@ class Hypothesis:
 
 
 def find_hypotheses(scene: Scene, *, heading: tuple[float, float] | None) -> list[Hypothesis]:
-    """Find hypotheses that differ, the best first, fitted to a part of the samples.
+    """Find hypotheses by search and fit to a part of the samples, without twins, the best first.
 
     Parameters
     ----------
@@ -304,9 +312,9 @@ def find_hypotheses(scene: Scene, *, heading: tuple[float, float] | None) -> lis
     """
     levelling, part = level(scene), rough(scene)
     most = CANDIDATES if heading is None else KNOWN_CANDIDATES
-    found = _searched(scene, levelling, heading, most)
-    tried = [_rough_fit(part, _start(part, levelling, c), c.score) for c in found]
-    return _ranked(tried)
+    candidates = _search_levelled(scene, levelling, heading, most)
+    hypotheses = [_rough_fit(part, _start(part, levelling, c), c.score) for c in candidates]
+    return _ranked(hypotheses)
 
 
 def search_score(scene: Scene, *, heading: tuple[float, float] | None) -> float:
@@ -317,68 +325,70 @@ def search_score(scene: Scene, *, heading: tuple[float, float] | None) -> float:
     scene, heading
         As for :func:`find_hypotheses`.
     """
-    return _searched(scene, level(scene), heading, 1)[0].score
+    return _search_levelled(scene, level(scene), heading, 1)[0].score
 
 
-def _searched(
+def _search_levelled(
     scene: Scene, levelling: Levelling, heading: tuple[float, float] | None, most: int
 ) -> list[Candidate]:
+    """Return the candidates of the search, with the traces rotated to the level frame."""
     levelled = scene.samples.points @ levelling.R_level_sensor.T
     return search(scene, levelled, heading=heading, most=most)
 
 
 def rough(scene: Scene) -> Scene:
-    """Return the scene with an even part of the samples, enough to rank hypotheses."""
-    return _part(scene, ROUGH_SAMPLES)
+    """Return the scene with random `ROUGH_SAMPLES`, enough to rank hypotheses."""
+    return _draw_samples(scene, ROUGH_SAMPLES)
 
 
 def few_samples(scene: Scene) -> Scene:
-    """Return the scene with as few samples as a grid of starts is compared by."""
-    return _part(scene, LOOK_SAMPLES)
+    """Return the scene with random `LOOK_SAMPLES`, enough to compare a grid of starts."""
+    return _draw_samples(scene, LOOK_SAMPLES)
 
 
-def _part(scene: Scene, most: int) -> Scene:
+def _draw_samples(scene: Scene, most: int) -> Scene:
+    """Return the scene with at most so many random samples."""
     samples = scene.samples
     chosen = np.random.default_rng(1).permutation(len(samples))[:most]
     return scene.of(samples.where(np.isin(np.arange(len(samples)), chosen)))
 
 
-def _settled(scene: Scene, hypothesis: Hypothesis, start: State) -> Hypothesis:
+def _settle_from(scene: Scene, hypothesis: Hypothesis, start: State) -> Hypothesis:
+    """Return the hypothesis fitted anew from a start, with the schedule `SETTLE`."""
     return replace(hypothesis, fit=solve(scene, start, hypothesis.prior, schedule=SETTLE))
 
 
 def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Fit the first hypotheses to all samples, and return them the best first.
 
-    The best one, and each that could still overtake it, is improved by :func:`look_around` and
-    fitted with prior and model adapted to the recording.
+    Those within `CLOSE_Z` of the best are improved by :func:`look_around` and fitted with prior and
+    model adapted to the recording.
     """
     part, best = rough(scene), hypotheses[0]
-    near = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < GONE]
-    settled = _ranked([_settled(part, h, h.fit.state) for h in near[:FINALISTS]])
-    fine = _ranked([_fine(scene, h) for h in settled])
-    looked = _with_rivals(fine, scene, partial(look_around, scene))
-    return _with_rivals(looked, scene, partial(_adapted, scene))
+    contenders = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < MOST_BEHIND]
+    settled = _ranked([_settle_from(part, h, h.fit.state) for h in contenders[:FINALISTS]])
+    fine = _ranked([_fit_fine(scene, h) for h in settled])
+    looked_around = _improve_near_best(fine, scene, partial(look_around, scene))
+    return _improve_near_best(looked_around, scene, partial(_fit_adapted, scene))
 
 
-def _with_rivals(
+def _improve_near_best(
     ranked: Sequence[Hypothesis], scene: Scene, better: Callable[[Hypothesis], Hypothesis]
 ) -> list[Hypothesis]:
-    """Improve the best hypothesis and its rivals, and return all, the best first."""
-    near = [advantage(ranked[0].fit, h.fit, scene.samples) < RIVAL for h in ranked]
+    """Improve the hypotheses within `CLOSE_Z` of the best, and return all, the best first."""
+    near = [advantage(ranked[0].fit, h.fit, scene.samples) < CLOSE_Z for h in ranked]
     improved = [better(h) if close else h for h, close in zip(ranked, near, strict=True)]
     return _ranked(improved)
 
 
 def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
-    """Look for better optima around one: score a grid of places, and fit from its best ones.
+    """Search a better optimum near one: fit from the local minima of the cost on a grid of starts.
 
-    The choice of face and lane for each sample gives the cost many local optima within a metre,
-    where drivers keep off the middle of their lanes.
+    The cost has many local optima within a metre, by the choice of face and lane of each sample.
     """
-    aside, turned = (np.arange(-n, n + 1) * LOOK_M for n in LOOK_STEPS)
+    offsets_m, turns_m = (np.arange(-n, n + 1) * LOOK_M for n in LOOK_STEPS)
     few = few_samples(scene)
-    grid = np.stack(np.meshgrid(aside, aside, turned / LEVER_M, indexing="ij"), axis=-1)
+    grid = np.stack(np.meshgrid(offsets_m, offsets_m, turns_m / LEVER_M, indexing="ij"), axis=-1)
     steps = np.zeros((grid.size // 3, SIZE))
     steps[:, PLANE] = grid.reshape(-1, 3)
     for _ in range(LOOKS):
@@ -388,33 +398,34 @@ def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
         lowest = np.argwhere(costs == minimum_filter(costs, size=3))
         order = np.argsort(costs[tuple(lowest.T)])[:LOOK_PLACES]
         chosen = np.ravel_multi_index(tuple(lowest[order].T), costs.shape)
-        others = [_settled(scene, best, starts[k]) for k in chosen]
-        better = min(others, key=lambda h: h.fit.cost)
+        refitted = [_settle_from(scene, best, starts[k]) for k in chosen]
+        better = min(refitted, key=lambda h: h.fit.cost)
         if better.fit.cost > best.fit.cost - LOOK_GAIN:
             break
         best = better
     return best
 
 
-def _fine(scene: Scene, hypothesis: Hypothesis) -> Hypothesis:
+def _fit_fine(scene: Scene, hypothesis: Hypothesis) -> Hypothesis:
+    """Return the hypothesis fitted to all samples, with the schedule `FINE`."""
     h = hypothesis
     return replace(h, fit=solve(scene, h.fit.state, h.prior, schedule=FINE, model=h.model))
 
 
-def _adapted(scene: Scene, fine: Hypothesis) -> Hypothesis:
+def _fit_adapted(scene: Scene, fine: Hypothesis) -> Hypothesis:
     """Fit to all samples, with prior and model adapted to them."""
     prior, model = adapted(scene, fine.fit, fine.prior, fine.model)
-    return _fine(scene, replace(fine, model=model, prior=prior))
+    return _fit_fine(scene, replace(fine, model=model, prior=prior))
 
 
 def widen_by_profile(scene: Scene, hypothesis: Hypothesis) -> Hypothesis:
-    """Widen sigma along the least-known direction by profile likelihood."""
+    """Widen sigma along the least-known direction by its profile likelihood."""
     h = hypothesis
     return replace(h, fit=along_valley(scene, h.fit, h.prior, h.model))
 
 
 def _start(scene: Scene, levelling: Levelling, candidate: Candidate) -> State:
-    """Return the state at a candidate, at the height at which the traces lie over the road."""
+    """Return the state at a candidate, with the height at which traces lie on the road."""
     lanes = scene.lanes
     turn = Rotation.from_euler("Z", candidate.yaw).as_matrix()
     state = State(
@@ -423,22 +434,22 @@ def _start(scene: Scene, levelling: Levelling, candidate: Candidate) -> State:
         reflection=REFLECTION_M,
     )
     placed = place(scene.samples, state)
-    flat = placed.points * [1.0, 1.0, np.nan]
-    matches = match(lanes, replace(placed, points=flat))
-    over = lanes.points[matches.lane, 2] + REFLECTION_M - placed.points[:, 2]
-    over = over[matches.found & np.isfinite(over)]
+    without_height = placed.points * [1.0, 1.0, np.nan]
+    matches = match(lanes, replace(placed, points=without_height))
+    heights = lanes.points[matches.lane, 2] + REFLECTION_M - placed.points[:, 2]
+    heights = heights[matches.found & np.isfinite(heights)]
     known = lanes.points[:, 2][np.isfinite(lanes.points[:, 2])]
-    height = np.median(over) if len(over) else np.median(known) + levelling.depth_m
+    height = np.median(heights) if len(heights) else np.median(known) + levelling.depth_m
     return replace(state, position=np.array([*candidate.place, float(height)]))
 
 
 def prior_at(state: State) -> Prior:
-    """Return the prior of a start: a place near the guess, and a mast that hardly leans.
+    """Return the prior of a start: 1 sigma of place about the guess, and of tilt about the start's.
 
     Parameters
     ----------
     state : State
-        A start, with the tilt of the levelling; the guess is the local (0, 0).
+        The start, with the tilt of the levelling; the guess is the local (0, 0).
     """
     information = np.zeros((SIZE, SIZE))
     sigma = np.array([GUESS_M / 2, GUESS_M / 2, GUESS_M, TILT, TILT, np.pi])
@@ -449,23 +460,24 @@ def prior_at(state: State) -> Prior:
 
 
 def _rough_fit(scene: Scene, start: State, score: float) -> Hypothesis:
+    """Return the hypothesis fitted from a start, with the schedule `ROUGH`."""
     prior = prior_at(start)
     fit = solve(scene, start, prior, schedule=ROUGH)
     return Hypothesis(fit=fit, prior=prior, score=score)
 
 
 def _ranked(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return hypotheses the best first, without those that are near a better one."""
-    twin = np.array([*TWIN_M, *TWIN_RAD])
-    kept: list[Hypothesis] = []
+    """Return hypotheses the best first, without those equal to a better one (`SAME_M`, ...)."""
+    same = np.array([*SAME_M, *SAME_RAD])
+    distinct: list[Hypothesis] = []
     for h in sorted(hypotheses, key=lambda h: h.loss):
-        gaps = [np.abs(h.fit.state.difference(k.fit.state)[POSE]) / twin for k in kept]
+        gaps = [np.abs(h.fit.state.difference(k.fit.state)[POSE]) / same for k in distinct]
         if not any((gap < 1.0).all() for gap in gaps):
-            kept.append(h)
-    return kept
+            distinct.append(h)
+    return distinct
 
 
 def mirrored(samples: Samples) -> Samples:
-    """Return the samples with the sign of y changed, as if left and right were swapped."""
+    """Return the samples with the sign of y changed, left and right swapped."""
     points: Floats = samples.points * [1.0, -1.0, 1.0]
     return replace(samples, points=points)

@@ -1,4 +1,4 @@
-"""Lanes as sampled centre lines, and the lane of each detection that its Doppler allows."""
+"""Lanes as sampled centre lines with a grid of the nearest sample, and traces placed among them."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from gis_radar.calibration.registration.state import State
 from gis_radar.calibration.registration.traces import Samples
 from gis_radar.hdmap import is_driven
 
-# Spacing of centre line samples and edge of the grid's cells: bends of 10 m radius lose 1 cm.
+# Spacing of centre line samples and side of the grid's cells: error 1 cm in bends of 10 m radius.
 LANE_STEP_M = 1.0
 LANE_CELL_M = 1.0
-LANE_BINS = 16  # bins of direction, 22.5 degrees each: lanes of a junction stay apart
-LANE_REACH_M = 12.0  # a point farther from every lane matches none; more than three lanes
+LANE_BINS = 16  # bins of direction, 22.5 degrees each: the grid keeps crossing lanes apart
+LANE_REACH_M = 12.0  # largest distance from a lane of a point that matches it: three lanes
 MARGIN_M = 20.0  # reach of the lanes beyond the farthest traces and the error of the guess
 SAME_LEVEL_M = 2.0  # scanned points farther from the map's height are of another level
-# A sample's height is the median of so many scanned points at most, within SCAN_NEAR_M.
+# A sample's height is the median of up to SCAN_POINTS scanned points within SCAN_NEAR_M.
 SCAN_NEAR_M = 2.0
 SCAN_POINTS = 12
-SLOPE_REACH = 3  # samples to either side over which the rise is taken
-MOST_SLOPE = 0.2  # steeper is an error: roads rise 12 % at most (RAL), ramps 20 %
+SLOPE_REACH = 3  # number of samples to either side from which a slope is computed
+MOST_SLOPE = 0.2  # steeper slopes are errors: roads rise 12 % at most (RAL), ramps 20 %
 UNLIMITED_MPS = 55.0  # top speed where the map has no limit, 200 km/h
 # Top speed as a multiple of the limit, and its least value (54 km/h).
 SPEEDING = 1.5
 MIN_TOP_MPS = 15.0
-BORDER_M = 1.0  # a sample nearer to its lane's middle is of no other lane: less than half a lane
-NEXT_LANE_M = 5.5  # largest distance between the middles of lanes beside each other
+BORDER_M = 1.0  # a sample nearer to its lane's middle is in no other lane: less than half a lane
+NEXT_LANE_M = 5.5  # largest distance between the centre lines of neighbouring lanes
 PARALLEL = 0.87  # least cosine between their directions (30 degrees)
-NO_WAY_M = 1e-9  # shorter vectors have no direction
-# Length of the mean of a lane's directions under which it bends: an arc of 30 degrees.
-STRAIGHT = 0.9886
-# 1 sigma, among streets, of the lanes' place in the map, and of the scan's heights.
+NO_DIRECTION_M = 1e-9  # shorter vectors have no direction
+# A lane bends if the mean of its unit vectors is shorter: that of an arc of 30 degrees.
+BENT_BELOW = 0.9886
+# 1 sigma, among streets, of the error of lanes in the map, and of the scan's heights.
 STREET_SIGMA_M = (0.3, 0.2)
-# 1 sigma, among lanes, of the mean offset of a lane's drivers from its middle: on straight lanes,
-# and in bends; from three recorded junctions.
+# 1 sigma, among lanes, of the mean offset of drivers from the middle of their lane: on straight
+# lanes, and in bends; from three recorded junctions.
 LANE_SIGMA_M = (0.18, 0.36)
 
 
@@ -54,31 +54,32 @@ class Lanes:
     origin : (2,) array
         Map position of the local (0, 0), metres; all else is local in easting and northing.
     points : (m, 3) array
-        Samples of centre lines, about a metre apart; heights of the scanned road, NaN where
-        neither scan nor map has one.
+        Samples of centre lines, about a metre apart; heights of the scanned road, else of the
+        map, else NaN.
     along : (m, 2) array
-        Unit vectors of travel.
+        Unit vectors in the direction of travel.
     slope : (m,) array
         Rise of the road along the lane, metres a metre.
     top_speed : (m,) array
-        Speed that no vehicle exceeds there, m/s.
+        Largest speed of vehicles, m/s.
     width_m : (m,) array
-        Width of the lane.
+        Width of the lane, metres.
     lane : (m,) array
         Number of the lane: its row in the table of lanelets, or that plus the table's length
         where it is driven against its direction.
     s_m : (m,) array
-        Place along the lane, in the direction of travel.
+        Distance along the lane in the direction of travel, metres.
     corner : (2,) array
-        South-west corner of the grid.
+        South-west corner of the grid, local, metres.
     nearest : (bins, rows, columns) int32 array
-        Index of the nearest sample among those of a bin of direction, -1 where none is near.
+        Index of the sample nearest to a cell's centre among those of a bin of direction; -1 where
+        none is within `LANE_REACH_M`.
     distance : (bins, rows, columns) float32 array
-        Distance to it, metres.
+        Distance to that sample, metres.
     directed : bool
-        Whether most of the lanes have a direction.
+        Whether most of the lanes are one-way.
     scanned : float
-        Share of the samples whose height the scanned road gives.
+        Share of the samples whose height is from the scanned road.
     """
 
     origin: Floats
@@ -97,37 +98,38 @@ class Lanes:
 
     @cached_property
     def bends(self) -> Booleans:
-        """Whether the lane of each sample bends by more than 30 degrees in all."""
+        """Whether the lane of each sample bends by more than 30 degrees."""
         _, lane = np.unique(self.lane, return_inverse=True)
         mean = [(np.bincount(lane, way) / np.bincount(lane))[lane] for way in self.along.T]
-        return np.asarray(np.hypot(*mean) < STRAIGHT)
+        return np.asarray(np.hypot(*mean) < BENT_BELOW)
 
     @cached_property
     def next_lanes(self) -> Integers:
-        """Sample beside each one on the next lane of its direction, left and right; -1 for none."""
+        """Index (m, 2) of the sample on the next lane to the left and right; -1 for none."""
         pairs = scipy.spatial.cKDTree(self.points[:, :2]).query_pairs(
             NEXT_LANE_M, output_type="ndarray"
         )
-        one, other = np.concatenate([pairs, pairs[:, ::-1]]).T
-        ahead, left, _ = self.beside(one, self.points[other])
-        same = np.sum(self.along[one] * self.along[other], axis=1) > PARALLEL
-        near = same & (np.abs(ahead) < LANE_STEP_M) & (np.abs(left) > BORDER_M)
-        found = np.full((len(self.points), 2), -1)
+        sample, neighbour = np.concatenate([pairs, pairs[:, ::-1]]).T
+        ahead, left, _ = self.beside(sample, self.points[neighbour])
+        parallel = np.sum(self.along[sample] * self.along[neighbour], axis=1) > PARALLEL
+        near = parallel & (np.abs(ahead) < LANE_STEP_M) & (np.abs(left) > BORDER_M)
+        beside = np.full((len(self.points), 2), -1)
         order = np.flatnonzero(near)[np.argsort(-np.abs(left[near]), kind="stable")]
-        found[one[order], np.where(left[order] > 0.0, 0, 1)] = other[order]  # the nearest is last
-        return found
+        side = np.where(left[order] > 0.0, 0, 1)
+        beside[sample[order], side] = neighbour[order]  # the nearest one is the last and stays
+        return beside
 
     @property
     def raster(self) -> tuple[Floats, Floats, Floats, Floats, np.ndarray]:
-        """What points are matched with."""
+        """Points, directions, top speeds, corner and nearest samples, for compiled matching."""
         return self.points, self.along, self.top_speed, self.corner, self.nearest
 
     def beside(self, sample: Integers, points: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return how far points are ahead of a sample, left of its lane, and over it, metres."""
-        off, way = points - self.points[sample], self.along[sample]
-        ahead = np.sum(off[:, :2] * way, axis=1)
-        left = off[:, 1] * way[:, 0] - off[:, 0] * way[:, 1]
-        return ahead, left, off[:, 2] - self.slope[sample] * ahead
+        """Return offsets of points from samples: ahead, to the left, and above the lane, metres."""
+        offset, direction = points - self.points[sample], self.along[sample]
+        ahead = np.sum(offset[:, :2] * direction, axis=1)
+        left = offset[:, 1] * direction[:, 0] - offset[:, 0] * direction[:, 1]
+        return ahead, left, offset[:, 2] - self.slope[sample] * ahead
 
 
 def sample_lanes(
@@ -140,7 +142,7 @@ def sample_lanes(
     lanelets : GeoDataFrame
         As in :class:`gis_radar.hdmap.LaneletMap`.
     road : (n, 3) array
-        Points of the road's surface in the lanelets' CRS, metres; it gives the heights.
+        Points of the road's surface in the lanelets' CRS, metres, for the heights of lanes.
     place : (2,) array
         Easting and northing around which to sample; becomes the local origin.
     reach_m : float
@@ -153,8 +155,8 @@ def sample_lanes(
     """
     driven = lanelets["participants"].map(is_driven).astype(bool)
     close = lanelets["centre"].distance(shapely.Point(place)) < reach_m
-    kept = np.flatnonzero(driven & close)
-    table = lanelets.iloc[kept]
+    driven_rows = np.flatnonzero(driven & close)
+    table = lanelets.iloc[driven_rows]
     if table.empty:
         raise NoAnswerError(
             "no lane for vehicles within {:.0f} m of the guess {:.1f},{:.1f}",
@@ -163,13 +165,13 @@ def sample_lanes(
             place[1],
             hint="check the guess, its coordinate system, and that the map is the right one",
         )
-    parts = [_sampled(line, LANE_STEP_M) for line in table["centre"]]
-    count = [len(xyz) for xyz, _, _ in parts]
-    local = np.vstack([xyz for xyz, _, _ in parts]) - [*place, 0.0]
-    along = np.vstack([way for _, way, _ in parts])
-    s_m = np.concatenate([at for _, _, at in parts])
-    lane = np.repeat(np.arange(len(parts)), count)
-    height, scanned = _heights(local, road - [*place, 0.0])
+    sampled = [_sample_line(line, LANE_STEP_M) for line in table["centre"]]
+    count = [len(xyz) for xyz, _, _ in sampled]
+    local = np.vstack([xyz for xyz, _, _ in sampled]) - [*place, 0.0]
+    along = np.vstack([direction for _, direction, _ in sampled])
+    s_m = np.concatenate([places for _, _, places in sampled])
+    lane = np.repeat(np.arange(len(sampled)), count)
+    height, scanned = _scanned_heights(local, road - [*place, 0.0])
     local[:, 2] = height
     slope = _slopes(local, along, lane)
     limit = table["speed_limit_kmh"].to_numpy(np.float64)[lane] / 3.6
@@ -180,8 +182,8 @@ def sample_lanes(
     near = np.hypot(local[:, 0], local[:, 1]) < reach_m
     rows = np.concatenate([np.flatnonzero(near), np.flatnonzero(near & two_way)])
     turn = np.where(np.arange(len(rows)) < near.sum(), 1.0, -1.0)
-    back = np.where(turn > 0.0, 0, 1)
-    corner, nearest, distance = _raster(local[rows], along[rows] * turn[:, None])
+    backwards = np.where(turn > 0.0, 0, 1)
+    corner, nearest, distance = _nearest_samples(local[rows], along[rows] * turn[:, None])
     return Lanes(
         origin=np.asarray(place, dtype=np.float64),
         points=local[rows],
@@ -189,8 +191,8 @@ def sample_lanes(
         slope=slope[rows] * turn,
         top_speed=top[rows],
         width_m=width[rows],
-        lane=kept[lane[rows]] + back * len(lanelets),
-        s_m=turn * s_m[rows] + back * table["centre"].length.to_numpy()[lane[rows]],
+        lane=driven_rows[lane[rows]] + backwards * len(lanelets),
+        s_m=turn * s_m[rows] + backwards * table["centre"].length.to_numpy()[lane[rows]],
         corner=corner,
         nearest=nearest,
         distance=distance,
@@ -199,29 +201,32 @@ def sample_lanes(
     )
 
 
-def _sampled(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats, Floats]:
-    """Return points about `step_m` apart, their directions and places along the line (m)."""
+def _sample_line(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats, Floats]:
+    """Return points about `step_m` apart, their directions, and distances along the line (m)."""
     xyz = shapely.get_coordinates(line, include_z=True)
     step = np.hypot(*np.diff(xyz[:, :2], axis=0).T)
     xyz, step = xyz[np.append(True, step > 1e-6)], step[step > 1e-6]
     s = np.append(0.0, np.cumsum(step))
     n = max(int(np.ceil(s[-1] / step_m)), 1)
-    at = (np.arange(n) + 0.5) * s[-1] / n
-    points = np.column_stack([np.interp(at, s, c) for c in xyz.T])
+    places = (np.arange(n) + 0.5) * s[-1] / n
+    points = np.column_stack([np.interp(places, s, c) for c in xyz.T])
     reach = min(step_m, s[-1] / 2)
     ahead, behind = (
-        np.column_stack([np.interp(np.clip(at + d, 0, s[-1]), s, c) for c in xyz[:, :2].T])
-        for d in (reach, -reach)
+        np.column_stack([np.interp(np.clip(places + shift, 0, s[-1]), s, c) for c in xyz[:, :2].T])
+        for shift in (reach, -reach)
     )
-    way = ahead - behind
-    return points, way / np.hypot(*way.T)[:, None], at
+    direction = ahead - behind
+    return points, direction / np.hypot(*direction.T)[:, None], places
 
 
-def _heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
-    """Return heights at samples, and whether they are the scan's; the map's tell levels apart."""
-    known = local[:, 2]
+def _scanned_heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
+    """Return heights at samples, and whether they are from the scan.
+
+    Only scanned points within `SAME_LEVEL_M` of the map's height count, as roads cross on levels.
+    """
+    map_height = local[:, 2]
     if len(road) == 0:
-        return known, np.zeros(len(known), dtype=bool)
+        return map_height, np.zeros(len(map_height), dtype=bool)
     gap, index = scipy.spatial.cKDTree(road[:, :2]).query(
         local[:, :2],
         k=min(SCAN_POINTS, len(road)),
@@ -229,20 +234,20 @@ def _heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
     )
     gap, index = (np.asarray(a).reshape(len(local), -1) for a in (gap, index))
     z = np.where(np.isfinite(gap), road[np.minimum(index, len(road) - 1), 2], np.nan)
-    z = np.where(np.abs(z - known[:, None]) > SAME_LEVEL_M, np.nan, z)
-    found = np.isfinite(z).sum(axis=1)
+    z = np.where(np.abs(z - map_height[:, None]) > SAME_LEVEL_M, np.nan, z)
+    count = np.isfinite(z).sum(axis=1)
     ranked = np.sort(z, axis=1)
     rows = np.arange(len(z))
-    low, high = ranked[rows, np.maximum(found - 1, 0) // 2], ranked[rows, found // 2 % z.shape[1]]
-    height = np.where(found > 0, np.where(found % 2 == 1, low, (low + high) / 2), known)
-    return height, np.asarray(found > 0)
+    low, high = ranked[rows, np.maximum(count - 1, 0) // 2], ranked[rows, count // 2 % z.shape[1]]
+    height = np.where(count > 0, np.where(count % 2 == 1, low, (low + high) / 2), map_height)
+    return height, np.asarray(count > 0)
 
 
 def _slopes(points: Floats, along: Floats, lane: Integers) -> Floats:
-    """Return the rise along each lane (m/m); 0 where the heights are unknown."""
+    """Return the slope along the lane at each sample (m/m); 0 where heights are unknown."""
     last = len(points) - 1
     ahead, behind = (
-        np.clip(np.arange(len(points)) + d, 0, last) for d in (SLOPE_REACH, -SLOPE_REACH)
+        np.clip(np.arange(len(points)) + shift, 0, last) for shift in (SLOPE_REACH, -SLOPE_REACH)
     )
     ahead = np.where(lane[ahead] == lane, ahead, np.arange(len(points)))
     behind = np.where(lane[behind] == lane, behind, np.arange(len(points)))
@@ -252,28 +257,28 @@ def _slopes(points: Floats, along: Floats, lane: Integers) -> Floats:
     return np.asarray(np.clip(np.nan_to_num(rise), -MOST_SLOPE, MOST_SLOPE))
 
 
-def _raster(points: Floats, along: Floats) -> tuple[Floats, np.ndarray, np.ndarray]:
-    """Return the grid's corner, and for each bin of direction the nearest sample of each cell."""
+def _nearest_samples(points: Floats, along: Floats) -> tuple[Floats, np.ndarray, np.ndarray]:
+    """Return the grid's corner, and the nearest sample of each cell and bin, with its distance."""
     cell_m, reach = LANE_CELL_M, LANE_REACH_M / LANE_CELL_M
     corner = np.floor(points[:, :2].min(axis=0)) - LANE_REACH_M
     place = (points[:, :2] - corner) / cell_m
     columns, rows = np.floor(place.max(axis=0)).astype(np.int64) + 1 + int(reach)
     nearest = np.full((LANE_BINS, rows, columns), -1, dtype=np.int32)
     distance = np.full((LANE_BINS, rows, columns), np.float32(np.inf))
-    _spread(nearest, distance, direction_bin(along, LANE_BINS), place, reach)
+    _fill_cells(nearest, distance, direction_bin(along, LANE_BINS), place, reach)
     distance *= np.float32(cell_m)
     return corner, nearest, distance
 
 
 @compiled
-def _spread(  # pragma: no cover - compiled
+def _fill_cells(  # pragma: no cover - compiled
     nearest: NDArray[np.int32],
     distance: NDArray[np.float32],
     bins: Integers,
     place: Floats,
     reach: float,
 ) -> None:
-    """Enter each sample, and its distance in cells, where no other of its bin is nearer."""
+    """Fill each cell of a bin with its nearest sample, and the distance in cells, in place."""
     _, rows, columns = nearest.shape
     for k in range(len(place)):
         b, x, y = bins[k], place[k, 0] - 0.5, place[k, 1] - 0.5  # of the cells' centres
@@ -302,11 +307,11 @@ class Scene:
     samples : Samples
         The traces.
     lane_sigma_m : (2,) tuple
-        1 sigma of the mean offset of a lane's drivers, on straight lanes and in bends; 0 among
-        windows of one recording, which share it.
+        1 sigma of the mean offset of a lane's drivers, on straight lanes and in bends; 0 where
+        windows of one recording are compared, in which it is the same.
     keeps_lanes : bool
-        Whether tracks take paths through the lanes, not each sample the nearest. False in windows:
-        some seconds of a track leave its path open, and half a metre of a move hides in it.
+        Whether tracks are matched to paths through lanes instead of each sample to the nearest
+        lane. False in windows: a choice of path for few seconds can hide half a metre of a move.
     """
 
     lanes: Lanes
@@ -334,7 +339,7 @@ class Placed:
     arms : (n, 3) array
         Vectors from the sensor to the samples, in the map's axes, metres.
     flat : (n,) array
-        Distances from the sensor in the plane, metres.
+        Horizontal distances from the sensor, metres.
     sight : (n, 2) array
         Unit vectors from the sensor to the samples in the plane; east where the distance is 0.
     """
@@ -357,13 +362,13 @@ def place(samples: Samples, state: State) -> Placed:
     state : State
         Assumed state of the sensor.
     """
-    turn = np.ascontiguousarray(state.R_map_sensor)  # other layouts would be compiled anew
-    points, arms, flat, sight = _placed(samples.points, turn, state.position)
+    turn = np.ascontiguousarray(state.R_map_sensor)  # numba compiles anew for another layout
+    points, arms, flat, sight = _transform(samples.points, turn, state.position)
     return Placed(samples=samples, state=state, points=points, arms=arms, flat=flat, sight=sight)
 
 
 @compiled
-def _placed(  # pragma: no cover - compiled
+def _transform(  # pragma: no cover - compiled
     seen: Floats, turn: Floats, position: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return points, arms, distances and directions of sight, as in `Placed`."""
@@ -375,6 +380,6 @@ def _placed(  # pragma: no cover - compiled
             points[i, j] = arms[i, j] + position[j]
         flat[i] = np.hypot(arms[i, 0], arms[i, 1])
         sight[i, 0], sight[i, 1] = 1.0, 0.0
-        if flat[i] > NO_WAY_M:
+        if flat[i] > NO_DIRECTION_M:
             sight[i, 0], sight[i, 1] = arms[i, 0] / flat[i], arms[i, 1] / flat[i]
     return points, arms, flat, sight

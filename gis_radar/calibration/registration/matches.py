@@ -1,4 +1,4 @@
-"""The lanes of which a sample may be: near it, and of a direction that fits its range rate."""
+"""Match samples to lanes that are near and whose direction agrees with the range rate."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from gis_radar.calibration.registration.lanes import (
     Placed,
 )
 
-# Largest height between sample and lane: LEVEL_M plus a share of the range (3 degrees of tilt).
+# Largest difference of height between sample and lane, metres, plus a share of the range: 3
+# degrees of tilt.
 LEVEL_M = 4.0
 LEVEL_SHARE = 0.05
-SLACK_MPS = 0.5  # tolerance of range rates: noise, and the turning of a long vehicle
+SLACK_MPS = 0.5  # tolerance of range rates: noise, and the rotation of a long vehicle
 
 
 @dataclass(frozen=True, kw_only=True)
 class Matches:
-    """The lane sample of each trace sample.
+    """Association of trace samples with lane samples.
 
     Parameters
     ----------
@@ -34,8 +35,8 @@ class Matches:
     found : (n,) bool array
         Whether there is a match.
     path_cost : (n,) array
-        Negative log likelihood of a change of lanes before the sample, and of a place past the end
-        of its lane.
+        Negative log likelihood of a change of lanes before the sample, plus that of a position
+        past the end of its lane.
     """
 
     lane: Integers
@@ -44,7 +45,7 @@ class Matches:
 
 
 def match(lanes: Lanes, placed: Placed) -> Matches:
-    """Find for each sample the nearest lane of a direction that fits its range rate.
+    """Find for each sample the nearest lane whose direction agrees with its range rate.
 
     Parameters
     ----------
@@ -60,13 +61,16 @@ def match(lanes: Lanes, placed: Placed) -> Matches:
 def match_along(
     lanes: Lanes,
     points: Floats,
-    way: Floats,
+    direction: Floats,
     speed: Floats,
     reach: Floats,
     *,
     least_cosine: float = 0.0,
 ) -> Matches:
-    """Find for each point the nearest lane whose traffic may have its speed along a direction.
+    """Find for each point the nearest lane on which a vehicle may have its speed.
+
+    On a lane the speed component along `direction` has the sign of the lane's direction, and the
+    lane's top speed bounds it.
 
     Parameters
     ----------
@@ -74,22 +78,24 @@ def match_along(
         The map.
     points : (n, 3) array
         Local map coordinates; a height that is NaN fits every lane.
-    way : (n, 2) array
-        Unit vectors along which the speed is known: the direction of sight, or that of travel.
+    direction : (n, 2) array
+        Unit vectors along which the speed is known: the line of sight, or the direction of travel.
     speed : (n,) array
-        Speed along `way`, m/s.
+        Speed along `direction`, m/s.
     reach : (n,) array
-        Distance from the sensor, metres: farther points may be higher or lower.
+        Distance from the sensor, metres; the tolerance of height grows with it.
     least_cosine : float
-        Least cosine of the angle between lane and `way`.
+        Least cosine of the angle between lane and `direction`.
     """
-    no_other = np.empty((len(lanes.points), 0), dtype=np.int64)
-    lane = _match(1, no_other, least_cosine, points, way, reach, speed, *lanes.raster)[:, 0]
+    no_neighbours = np.empty((len(lanes.points), 0), dtype=np.int64)
+    lane = _match_lanes(
+        1, no_neighbours, least_cosine, points, direction, reach, speed, *lanes.raster
+    )[:, 0]
     return Matches(lane=np.maximum(lane, 0), found=lane >= 0, path_cost=np.zeros(len(lane)))
 
 
 def lanes_near(lanes: Lanes, placed: Placed, *, most: int) -> Integers:
-    """Find for each sample the lanes of which it may be.
+    """Find for each sample all lanes that are near and agree with its range rate.
 
     Parameters
     ----------
@@ -98,22 +104,22 @@ def lanes_near(lanes: Lanes, placed: Placed, *, most: int) -> Integers:
     placed : Placed
         Traces, placed by the assumed state of the sensor.
     most : int
-        Most lanes of a sample.
+        Largest number of lanes of a sample.
 
     Returns
     -------
     (n, most) int64 array
-        Indices of lane samples: of :func:`match` first, then of other lanes; -1 for none.
+        Indices of lane samples: first that of :func:`match`, then of other lanes; -1 for none.
     """
     samples = placed.samples
-    return _match(
+    return _match_lanes(
         most, lanes.next_lanes, 0.0, placed.points, placed.sight, samples.reach,
         samples.range_rate, *lanes.raster,
     )  # fmt: skip
 
 
 @compiled
-def _match(  # noqa: C901, PLR0912, PLR0917 - calls of compiled functions cost  # pragma: no cover
+def _match_lanes(  # noqa: C901, PLR0912, PLR0917 - calls of compiled functions cost  # pragma: no cover
     most: int,
     next_lanes: Integers,
     least_cosine: float,
@@ -134,7 +140,8 @@ def _match(  # noqa: C901, PLR0912, PLR0917 - calls of compiled functions cost  
         best = np.inf
         for b in range(bins):
             east, north = points[i, 0] - corner[0], points[i, 1] - corner[1]
-            # the nearest lane of a cell's centre; then, where lanes meet, of the cell beside it
+            # the lane nearest to the centre of the point's cell may not be the nearest to the
+            # point: try the next cell in its direction, too
             for _ in range(2):
                 column, row = int(np.floor(east / LANE_CELL_M)), int(np.floor(north / LANE_CELL_M))
                 if not (0 <= column < columns and 0 <= row < rows):
@@ -148,14 +155,14 @@ def _match(  # noqa: C901, PLR0912, PLR0917 - calls of compiled functions cost  
                         q = int(next_lanes[k, side - 1])
                         if q < 0:
                             continue
-                    # not as arrays: numba would allocate one for each
+                    # scalars: numba would allocate arrays
                     x = points[i, 0] - lane_points[q, 0]
                     y = points[i, 1] - lane_points[q, 1]
                     z = points[i, 2] - lane_points[q, 2]
                     across = y * along[q, 0] - x * along[q, 1]
                     left = left if side > 0 else across
-                    # Doppler sign and size: the speed along the lane that explains the range rate
-                    # is neither negative nor above the lane's top speed
+                    # the speed along the lane that explains the range rate is neither negative nor
+                    # above the lane's top speed
                     cosine = along[q, 0] * sight[i, 0] + along[q, 1] * sight[i, 1]
                     forward = range_rate[i] if cosine >= 0.0 else -range_rate[i]
                     allowed = -SLACK_MPS <= forward <= abs(cosine) * top_speed[q] + SLACK_MPS
@@ -164,11 +171,11 @@ def _match(  # noqa: C901, PLR0912, PLR0917 - calls of compiled functions cost  
                         if side > 0:
                             continue
                         break
-                    # past the end of a lane counts as off it; samples are a step apart
+                    # the distance past the end of a lane counts, too; samples are a step apart
                     ahead = abs(x * along[q, 0] + y * along[q, 1]) - 1.5 * LANE_STEP_M
                     gap = np.hypot(across, ahead) if ahead > 0.0 else abs(across)
                     if gap < best or gap < NEXT_LANE_M:
-                        best = _enter(lane, i, q, gap, best)
+                        best = _insert_by_gap(lane, i, q, gap, best)
                     elif side == 0:
                         break
                 if abs(left) < BORDER_M:
@@ -179,8 +186,10 @@ def _match(  # noqa: C901, PLR0912, PLR0917 - calls of compiled functions cost  
 
 
 @compiled
-def _enter(rows: Integers, i: int, lane: int, gap: float, best: float) -> float:  # pragma: no cover
-    """Enter a lane in row i of lanes, the nearest one first; return the least gap, metres."""
+def _insert_by_gap(
+    rows: Integers, i: int, lane: int, gap: float, best: float
+) -> float:  # pragma: no cover
+    """Insert a lane into row i, the nearest one first; return the least gap of the row, metres."""
     for at in range(rows.shape[1]):
         if rows[i, at] < 0 or rows[i, at] == lane:
             break

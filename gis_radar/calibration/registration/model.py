@@ -1,4 +1,4 @@
-"""Model of how vehicles drive and reflect, each constant with the uncertainty of its value."""
+"""Model of how vehicles drive and reflect: constants, each with the uncertainty of its value."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 def _known(value: float, *, within: float) -> Any:
-    """Return a field for a constant that is known within a factor (one standard deviation)."""
+    """Return a field for a constant whose logarithm has the standard deviation `log(within)`."""
     return field(default=value, metadata={"within": within})
 
 
@@ -25,33 +25,34 @@ class Model:
     Parameters
     ----------
     habit : float
-        Mean distance by which drivers keep to the left of the middle of their lane.
+        Mean offset of drivers to the left of the middle of their lane.
     half_width : float
-        From the middle of a vehicle to its side: small cars to lorries, 1.7 to 2.5 m wide.
+        Half of a vehicle's width: small cars to lorries are 1.7 to 2.5 m wide.
     side_strength : float
-        Strength of a side over that of a front, both seen straight on.
+        Number of detections of a side over that of a front, both seen perpendicularly.
     hidden_strength, hidden_share : float
-        The same where the next vehicle hides a vehicle's ends, as in a queue; and the share of
+        The same ratio of vehicles in a queue, whose fronts and rears are hidden, and the share of
         such vehicles.
     face : float
-        Spread of the reflections of a side, or of a third of a front, one standard deviation.
+        One standard deviation of reflections about a side, or about a third of a front.
     driver : float
-        Spread of the drivers' places in the lane, one standard deviation.
+        One standard deviation, among vehicles, of the offset from `habit`.
     wander : float
-        Swaying of a vehicle in its lane from one ten metres to the next, one standard deviation.
+        One standard deviation of a vehicle's offset from one ten metres of its lane to the next.
     bearing, elevation : float
         One standard deviation of the radar's angles.
     low : float
-        Spread in height of reflections from bumpers, sills and wheels, one standard deviation.
+        One standard deviation of the height of reflections from bumpers, sills and wheels.
     vehicle : float
-        Spread among vehicles of the height at which they reflect, one standard deviation.
+        One standard deviation, among vehicles, of the mean height of these reflections.
     bent : float
-        Angle by which neighbours and the ground bend all detections of a vehicle up or down, one
-        standard deviation.
+        One standard deviation of an error of elevation that all detections of a vehicle share, by
+        multipath over the ground and other vehicles.
     lasting : float
-        Time over which that angle lasts, seconds: of a Matern covariance of order 3/2.
+        Correlation time of that error, seconds: of a Matern covariance of order 3/2.
     body_share, body_over, body : float
-        Reflections from the rest of the body: their share, height over the others, and spread.
+        Reflections from the rest of the body: their share, mean height over the others, and one
+        standard deviation of it.
     """
 
     habit: float = field(default=0.0, metadata={"sigma": 0.1})

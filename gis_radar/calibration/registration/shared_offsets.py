@@ -1,4 +1,4 @@
-"""Offsets that drivers share on a section of a street, or in a lane; they do not average out."""
+"""Uncertainty by offsets that all vehicles of a street section or a lane share."""
 
 from __future__ import annotations
 
@@ -18,13 +18,17 @@ from gis_radar.calibration.registration.matches import Matches
 from gis_radar.calibration.registration.residuals import sums
 from gis_radar.calibration.registration.traces import Samples
 
+# The group of each track, and one standard deviation (m) of the offset of each group; of street
+# sections, then of lanes.
 Groups = list[tuple[Integers, Floats]]
 
-STREET_M = 60.0  # length of a street section with a bias of its own
+STREET_M = 60.0  # length of a street section, over which the error of the map is constant
 
 
 def biases_of(scene: Scene, matches: Matches, offsets: Sequence[Floats]) -> tuple[Groups, Floats]:
-    """Return the groups of tracks whose offsets are shared, and all biases (:class:`Fit`).
+    """Return the groups of tracks with common offsets, and the biases of the state by them.
+
+    A bias is the change of the state by one standard deviation of an offset (:class:`Fit`).
 
     Parameters
     ----------
@@ -37,29 +41,29 @@ def biases_of(scene: Scene, matches: Matches, offsets: Sequence[Floats]) -> tupl
     """
     lanes, (across, up) = scene.lanes, offsets
     sample = matches.lane[matches.found]
-    drawn_m, scanned_m = STREET_SIGMA_M
-    street, count = _most_driven(scene.samples, matches, _sections(lanes, sample))
-    biases = [drawn_m * sums(street, across, count), scanned_m * sums(street, up, count)]
-    lane, count = _most_driven(scene.samples, matches, lanes.lane[sample])
+    map_sigma_m, scan_sigma_m = STREET_SIGMA_M
+    street, count = _commonest_key(scene.samples, matches, _street_sections(lanes, sample))
+    biases = [map_sigma_m * sums(street, across, count), scan_sigma_m * sums(street, up, count)]
+    lane, count = _commonest_key(scene.samples, matches, lanes.lane[sample])
     _, first = np.unique(lanes.lane[sample], return_index=True)
     straight_m, bend_m = scene.lane_sigma_m
-    driven_m = np.append(np.where(lanes.bends[sample[first]], bend_m, straight_m), 0.0)
-    biases.append(driven_m[:, None] * sums(lane, across, count))
-    groups = [(street, np.full(int(street.max()) + 1, drawn_m)), (lane, driven_m)]
+    lane_sigma_m = np.append(np.where(lanes.bends[sample[first]], bend_m, straight_m), 0.0)
+    biases.append(lane_sigma_m[:, None] * sums(lane, across, count))
+    groups = [(street, np.full(int(street.max()) + 1, map_sigma_m)), (lane, lane_sigma_m)]
     return groups, np.vstack(biases)
 
 
-def _sections(lanes: Lanes, sample: Integers) -> Integers:
-    """Return for samples of lanes the number of their street section in one direction."""
-    way = direction_bin(lanes.along[sample], LANE_BINS) // 2
+def _street_sections(lanes: Lanes, sample: Integers) -> Integers:
+    """Return for samples of lanes the number of their street section and direction."""
+    direction = direction_bin(lanes.along[sample], LANE_BINS) // 2
     cell = np.floor(lanes.points[sample, :2] / STREET_M).astype(np.int64)
     low = cell.min(axis=0, initial=0)
     span = cell.max(axis=0, initial=0) - low + 1
-    return np.ravel_multi_index((*(cell - low).T, way), (*span, LANE_BINS))
+    return np.ravel_multi_index((*(cell - low).T, direction), (*span, LANE_BINS))
 
 
-def _most_driven(samples: Samples, matches: Matches, keys: Integers) -> tuple[Integers, int]:
-    """Return the number of the commonest key of each track's samples, and how many there are."""
+def _commonest_key(samples: Samples, matches: Matches, keys: Integers) -> tuple[Integers, int]:
+    """Return for each track the number of its samples' commonest key, and the count of numbers."""
     numbers, number = np.unique(keys, return_inverse=True)
     count = len(numbers) + 1
     votes = np.bincount(
@@ -69,20 +73,20 @@ def _most_driven(samples: Samples, matches: Matches, keys: Integers) -> tuple[In
 
 
 def habits_of(by_offset: Floats, stiff: Floats, variance: Floats, street: Integers) -> float:
-    """Return the variance of the loss by an offset that the drivers of a street share.
+    """Return the variance of the cost by an offset that the drivers of a street section share.
 
-    With the vehicles' own effects at their optimum the loss changes with the offset c of a street
-    as `c sum b_k / tau^2 + c^2 / 2 sum 1 / (tau^2 + 1 / P_k)`; c is normal.
+    With the vehicles' random effects at their optimum, the cost changes with the offset c of a
+    section by `c sum b_k / tau^2 + c^2 / 2 sum 1 / (tau^2 + 1 / P_k)`; c is normal.
 
     Parameters
     ----------
     by_offset : (tracks,) array
         Derivative of each vehicle's cost by a common offset of drivers across their lane, 1/m.
     stiff, variance : (tracks,) arrays
-        Inverse variance of a vehicle's own offset by the prior (1/m^2), and its variance by all
+        Inverse variance of a vehicle's own offset by the prior (1/m^2), and its posterior variance
         (m^2).
     street : (tracks,) int array
-        Street section of each.
+        Street section of each vehicle.
     """
     sigma_m = STREET_SIGMA_M[0]
     linear = np.bincount(street, weights=by_offset)
@@ -91,15 +95,14 @@ def habits_of(by_offset: Floats, stiff: Floats, variance: Floats, street: Intege
 
 
 def shared_variance(groups: Groups, by_offset: Floats) -> float:
-    """Return the variance of a change of cost by the offsets that drivers share.
+    """Return the variance of a difference of costs by the offsets that vehicles share.
 
     Parameters
     ----------
     groups : Groups
-        By street section and by lane: the group of each vehicle, and one standard deviation of the
-        offset of each group, metres.
+        The groups of vehicles, with the standard deviations of their offsets.
     by_offset : (tracks,) array
-        Derivative of each vehicle's change of cost by such an offset, 1/m.
+        Derivative of each vehicle's difference of costs by such an offset, 1/m.
     """
     return sum(
         float(np.square(sigma_m * np.bincount(group, by_offset, len(sigma_m))).sum())

@@ -1,4 +1,4 @@
-"""Extract traces of moving vehicles from a window: link detections to tracks, thin to samples."""
+"""Extract traces of vehicles from a window: link moving detections to tracks, thin to samples."""
 
 from __future__ import annotations
 
@@ -12,49 +12,48 @@ from gis_radar.base import Booleans, Floats, Integers, compiled
 
 FRAMES = 2000  # of the window, 100 s at 20 Hz (the paper's n_f)
 LEAST_FRAMES = 100  # fewer are refused: 5 s show no traffic
-MIN_SPEED_MPS = 0.15  # least absolute range rate of what moves (the paper)
-SEGMENT_S = 8.0  # a stream of vehicles that never breaks counts as several tracks of this length
-WALK_MPS = 2.7  # slower tracks, by range rates and by way, may be of walkers and their limbs
+MIN_SPEED_MPS = 0.15  # least absolute range rate of moving detections (the paper)
+SEGMENT_S = 8.0  # longer tracks are cut: a dense stream of vehicles may be linked without end
+WALK_MPS = 2.7  # slower tracks, by range rates and by displacement, may be of walkers
 MOST_SAMPLES = 6000  # most samples in all; cost grows in proportion
-LINK_S = 0.35  # longest gap in a track: a far vehicle is hit in every fourth frame or so
-RANGE_M = 1.5  # largest disagreement of range and Doppler: between the faces of one vehicle
-# Largest step across the sight: a vehicle's size, and a crossing speed that the Doppler misses.
+LINK_S = 0.35  # longest gap in a track: a far vehicle is detected in one frame of four
+RANGE_M = 1.5  # largest difference between change of range and Doppler: faces of one vehicle
+# Largest displacement across the line of sight: a vehicle's size, and a speed without Doppler.
 ACROSS_M = 1.5
 ACROSS_MPS = 6.0
-RATE_MPS = 1.5  # largest difference of range rates in a track: a vehicle that turns
+RATE_MPS = 1.5  # largest difference of range rates in a track, as of a turning vehicle
 # A track of fewer points is a false alarm, a slow track with a shorter path is a leaf.
 MIN_POINTS = 6
 MIN_PATH_M = 3.0
-SURE_MPS = 1.5  # leaves have a lower median range rate
-# Share of all tracks from which on those no faster than walkers are left out: up to 0.11 in a
-# gridlock, 0.2 and more with 48 walkers in view; the fit takes a share as small for strays.
-CREEPING = 0.15
-# Voxels wider than a vehicle, and samples kept of a track in each: enough to keep the proportion
-# of its faces.
+LEAF_MPS = 1.5  # leaves have a lower median range rate
+# Slow tracks are left out if they are a larger share of all: in gridlock up to 0.11 are slow, with
+# 48 walkers in view 0.2 and more. The fit tolerates smaller shares as outliers.
+MOST_WALKERS = 0.15
+# Side of voxels, wider than a vehicle, and most samples of a track in each: enough to keep the
+# proportion of its faces.
 VOXEL_M = 6.0
 PER_VOXEL = 8
-CROWD_M = 10.0  # length over which the samples of a vehicle share its swaying (`Model.wander`)
-# A track that begins where a hidden vehicle would be by then, within the vehicle's length and a
-# growing error, is of that vehicle.
+CROWD_M = 10.0  # length over which samples of a vehicle share its offset (`Model.wander`)
+# A track is of a vehicle that was hidden for up to HIDDEN_S if it begins within VEHICLE_M of the
+# vehicle's predicted position, plus STRAY_MPS times the time hidden.
 HIDDEN_S = 6.0
 VEHICLE_M = 5.0
 STRAY_MPS = 1.0
-# Time over which begin and motion of a track are taken, and largest difference of range rates of
-# one vehicle's tracks: more than RATE_MPS, as it may turn while it is hidden.
+# Time over which the motion at a track's begin and end is averaged, and largest difference of range
+# rates of one vehicle's tracks: more than RATE_MPS, as it may turn while it is hidden.
 PACE_S = 0.5
 PACE_MPS = 3.0
-PACE_POINTS = 4  # least detections in PACE_S: the median of three may be a limb
-# Length of a spell, in which samples of a vehicle share an error of elevation (`Model.bent`): much
-# shorter than the time in which that changes.
+PACE_POINTS = 4  # least detections in PACE_S: the median of three may be of a limb
+# Length of a spell, within which samples of a vehicle share an error of elevation (`Model.bent`):
+# much shorter than `Model.lasting`.
 SPELL_S = 1.0
-
 
 NONE = -1  # track number of detections on no track
 
 
 @dataclass(frozen=True, kw_only=True)
 class Moving:
-    """The moving detections of a window.
+    """Moving detections of a window.
 
     Parameters
     ----------
@@ -67,7 +66,7 @@ class Moving:
     frames : int
         Number of frames of the window.
     begin, end : float
-        UNIX seconds of its first and last frame.
+        UNIX seconds of the first and last frame of the window.
     """
 
     time: Floats
@@ -81,7 +80,7 @@ class Moving:
         return len(self.time)
 
     def where(self, keep: Booleans | Integers | slice) -> Moving:
-        """Return some of the detections, of the same window."""
+        """Return the selected detections, of the same window."""
         rows = ("time", "points", "range_rate")
         return replace(self, **{name: getattr(self, name)[keep] for name in rows})
 
@@ -101,11 +100,11 @@ class Samples:
     tracks : int
         Number of tracks.
     elevation : float
-        Half of the vertical opening of the view, radians: hardly any detection exceeds it.
+        Half of the vertical opening of the view, radians: 99.5 % quantile of the elevations.
     spell : (n,) array, optional
-        Number of each sample's spell of `SPELL_S` in its track, from 0; by default all in one.
+        Number of each sample's spell of `SPELL_S` in its track, from 0; by default one spell.
     vehicle : (tracks,) array, optional
-        Number of the vehicle of each track, from 0; by default each track is one.
+        Number of the vehicle of each track, from 0; by default each track is a vehicle.
     """
 
     points: Floats
@@ -118,7 +117,7 @@ class Samples:
 
     @cached_property
     def crowd(self) -> Integers:
-        """Number of samples of the same track within the same `CROWD_M`, itself included."""
+        """Number of samples of the same track in the same cell of `CROWD_M`, itself included."""
         cells = np.floor(self.points[:, :2] / CROWD_M).astype(np.int64)
         keys = np.column_stack([self.track, cells])
         _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
@@ -131,7 +130,7 @@ class Samples:
 
     @cached_property
     def in_order(self) -> Integers:
-        """Indices of the samples, track by track and each in time, as samples are by time."""
+        """Indices of the samples by track, and within a track by time."""
         return np.argsort(self.track, kind="stable")
 
     @cached_property
@@ -161,7 +160,7 @@ class Samples:
 
     @cached_property
     def upward(self) -> Floats:
-        """Elevation angles of the samples, radians."""
+        """Elevation angles of the samples, radians, positive upwards."""
         x, y, z = self.points.T
         return np.asarray(np.arctan2(z, np.hypot(x, y)), dtype=np.float64)
 
@@ -182,61 +181,61 @@ class Samples:
 def link_tracks(moving: Moving, *, segment_s: float = SEGMENT_S) -> Integers:
     """Link moving detections to tracks.
 
-    Two detections belong together where the range changed as the Doppler states and bearing and
-    Doppler are alike. Tracks of few points are false alarms; slow ones that go nowhere are leaves;
-    where many are no faster than walkers, these are left out.
+    Two detections are linked if the range changed by the Doppler, and azimuth and Doppler are
+    similar. Left out are tracks of few points (false alarms), slow tracks without displacement
+    (leaves), and, if many tracks are no faster than walkers, these.
 
     Parameters
     ----------
     moving : Moving
-        Of one window.
+        Moving detections of one window.
     segment_s : float
         Longer tracks are cut, seconds.
 
     Returns
     -------
     (n,) int64 array
-        Number of the track, `NONE` for detections of none.
+        Number of the track of each detection; `NONE` for those on no track.
     """
     if len(moving) == 0:
         return np.empty(0, dtype=np.int64)
     time = moving.time - moving.time[0]
     x, y = moving.points[:, 0], moving.points[:, 1]
-    reach = np.linalg.norm(moving.points, axis=1)
-    root = _link(time, reach, np.arctan2(y, x), moving.range_rate)
+    range_m = np.linalg.norm(moving.points, axis=1)
+    root = _track_roots(time, range_m, np.arctan2(y, x), moving.range_rate)
     table = pd.DataFrame({"root": root, "segment": (time / segment_s).astype(np.int64)})
     number = np.asarray(table.groupby(["root", "segment"], sort=True).ngroup(), dtype=np.int64)
-    good = _goes_somewhere(number, time, moving)
-    renumbered = np.where(good, np.cumsum(good) - 1, NONE)
+    is_vehicle = _is_vehicle(number, time, moving)
+    renumbered = np.where(is_vehicle, np.cumsum(is_vehicle) - 1, NONE)
     return np.asarray(renumbered[number])
 
 
-def _goes_somewhere(number: Integers, time: Floats, moving: Moving) -> Booleans:
-    """Return which tracks are long and fast enough for something that drives."""
+def _is_vehicle(number: Integers, time: Floats, moving: Moving) -> Booleans:
+    """Return which tracks are long and fast enough to be of vehicles."""
     x, y, _ = moving.points.T
     columns = {"n": number, "x": x, "y": y, "rate": np.abs(moving.range_rate)}
     rows = pd.DataFrame(columns).groupby("n")
     early, late = rows.head(2).groupby("n").mean(), rows.tail(2).groupby("n").mean()
     path = np.hypot(late["x"] - early["x"], late["y"] - early["y"])
     extent = np.hypot(rows["x"].max() - rows["x"].min(), rows["y"].max() - rows["y"].min())
-    goes = (path >= MIN_PATH_M) & (path >= 0.5 * extent)
-    streams = (rows["rate"].median() >= SURE_MPS) & (extent >= MIN_PATH_M)
-    good = (rows.size() >= MIN_POINTS) & (goes | streams)
-    drives = good & (_fastest(number, time, moving) > WALK_MPS)
-    # walkers keep off the lanes, but in a queue vehicles are as slow
-    walkers = 1.0 - drives.sum() / max(good.sum(), 1)
-    return np.asarray(drives if walkers > CREEPING else good)
+    moves = (path >= MIN_PATH_M) & (path >= 0.5 * extent)
+    streams = (rows["rate"].median() >= LEAF_MPS) & (extent >= MIN_PATH_M)
+    plausible = (rows.size() >= MIN_POINTS) & (moves | streams)
+    fast = plausible & (_top_speed(number, time, moving) > WALK_MPS)
+    # in a queue vehicles are as slow as walkers: drop slow tracks only where they are many
+    walkers = 1.0 - fast.sum() / max(plausible.sum(), 1)
+    return np.asarray(fast if walkers > MOST_WALKERS else plausible)
 
 
-def _fastest(number: Integers, time: Floats, moving: Moving) -> Floats:
-    """Return the highest lasting speed of each track, m/s."""
-    return np.maximum(_pace(number, time, moving), _steady_speed(number, time, moving))
+def _top_speed(number: Integers, time: Floats, moving: Moving) -> Floats:
+    """Return the top speed of each track, m/s: the larger one by range rates and by positions."""
+    return np.maximum(_top_range_rate(number, time, moving), _speed_of_line(number, time, moving))
 
 
-def _pace(number: Integers, time: Floats, moving: Moving) -> Floats:
-    """Return the highest lasting range rate of each track, m/s: a median over `PACE_S`.
+def _top_range_rate(number: Integers, time: Floats, moving: Moving) -> Floats:
+    """Return the highest absolute range rate of each track, m/s, of medians over `PACE_S`.
 
-    A walker's limbs swing at up to two and a half times the walking speed, the trunk does not.
+    A walker's limbs are up to 2.5 times as fast as the trunk; the median leaves them out.
     """
     rate = pd.Series(np.abs(moving.range_rate))
     spell = np.floor(time / PACE_S).astype(np.int64)
@@ -246,54 +245,58 @@ def _pace(number: Integers, time: Floats, moving: Moving) -> Floats:
     return np.asarray(fastest, dtype=np.float64)
 
 
-def _steady_speed(number: Integers, time: Floats, moving: Moving) -> Floats:
-    """Return the speed of the straight line that fits a track, m/s; 0 where none does.
+def _speed_of_line(number: Integers, time: Floats, moving: Moving) -> Floats:
+    """Return the speed of the straight line fitted to a track, m/s; 0 if residuals are large.
 
-    Objects that cross the sight have no Doppler; people behind each other form no line.
+    This finds vehicles that cross the line of sight without Doppler; tracks that link several
+    people do not fit a line.
     """
     count = np.bincount(number)
-    centred = [v - (np.bincount(number, v) / count)[number] for v in (time, *moving.points.T[:2])]
+    centred = [
+        values - (np.bincount(number, values) / count)[number]
+        for values in (time, *moving.points.T[:2])
+    ]
     t, east, north = centred
     spread = np.maximum(np.bincount(number, t**2), 1e-9)
-    slopes = [np.bincount(number, t * way) / spread for way in (east, north)]
+    slopes = [np.bincount(number, t * coordinate) / spread for coordinate in (east, north)]
     speed = np.hypot(*slopes)
-    left = np.bincount(number, east**2 + north**2) / count - speed**2 * spread / count
-    return np.where(np.sqrt(np.maximum(left, 0.0)) < ACROSS_M, speed, 0.0)
+    residual = np.bincount(number, east**2 + north**2) / count - speed**2 * spread / count
+    return np.where(np.sqrt(np.maximum(residual, 0.0)) < ACROSS_M, speed, 0.0)
 
 
 def top_speeds(moving: Moving, tracks: Integers) -> Floats:
-    """Return the highest lasting speed of each track, m/s.
+    """Return the top speed of each track, m/s, over at least `PACE_S`.
 
     Parameters
     ----------
     moving : Moving
-        Of one window.
+        Moving detections of one window.
     tracks : (n,) array
         As from :func:`link_tracks`.
     """
-    on = tracks != NONE
-    followed = moving.where(on)
-    return _fastest(tracks[on], followed.time - moving.begin, followed)
+    on_track = tracks != NONE
+    linked = moving.where(on_track)
+    return _top_speed(tracks[on_track], linked.time - moving.begin, linked)
 
 
 def thin(moving: Moving, tracks: Integers, *, most: int = MOST_SAMPLES) -> Samples:
-    """Keep a few detections of each track in each voxel, thinned evenly to a limit.
+    """Return up to `PER_VOXEL` random detections of each track and voxel, at most `most` in all.
 
     Parameters
     ----------
     moving : Moving
-        Of one window.
+        Moving detections of one window.
     tracks : (n,) array
         As from :func:`link_tracks`.
     most : int
         Most samples in all.
     """
     rng = np.random.default_rng(0)
-    on = np.flatnonzero(tracks != NONE)
-    on = on[rng.permutation(len(on))]
-    cells = np.floor(moving.points[on, :2] / VOXEL_M).astype(np.int64)
-    frame = pd.DataFrame({"k": tracks[on], "i": cells[:, 0], "j": cells[:, 1]})
-    keep = on[(frame.groupby(["k", "i", "j"]).cumcount() < PER_VOXEL).to_numpy()][:most]
+    rows = np.flatnonzero(tracks != NONE)
+    rows = rows[rng.permutation(len(rows))]
+    cells = np.floor(moving.points[rows, :2] / VOXEL_M).astype(np.int64)
+    frame = pd.DataFrame({"k": tracks[rows], "i": cells[:, 0], "j": cells[:, 1]})
+    keep = rows[(frame.groupby(["k", "i", "j"]).cumcount() < PER_VOXEL).to_numpy()][:most]
     keep.sort()
     return Samples(
         points=moving.points[keep],
@@ -307,15 +310,15 @@ def thin(moving: Moving, tracks: Integers, *, most: int = MOST_SAMPLES) -> Sampl
 
 
 def vehicles_of(moving: Moving, tracks: Integers) -> Integers:
-    """Return which tracks are of one vehicle that was hidden for a while, or whose faces differ.
+    """Return the vehicle of each track: one vehicle has several if it was hidden for a while.
 
-    A track that begins where another one is at that time, or would be by then, with the same range
-    rate, is of the same vehicle.
+    A track belongs to the vehicle of another one if it begins where that one is, or is predicted
+    to be, with a similar range rate.
 
     Parameters
     ----------
     moving : Moving
-        Of one window.
+        Moving detections of one window.
     tracks : (n,) array
         As from :func:`link_tracks`.
 
@@ -329,7 +332,7 @@ def vehicles_of(moving: Moving, tracks: Integers) -> Integers:
     first = np.unique(tracks[rows], return_index=True)[1]
     if len(first) == 0:
         return np.empty(0, dtype=np.int64)
-    parent = _join(
+    parent = _first_tracks(
         np.append(first, len(rows)), moving.time[rows], moving.points[rows, :2],
         moving.range_rate[rows],
     )  # fmt: skip
@@ -337,7 +340,7 @@ def vehicles_of(moving: Moving, tracks: Integers) -> Integers:
 
 
 @compiled
-def _join(  # pragma: no cover - compiled
+def _first_tracks(  # pragma: no cover - compiled
     first: Integers, time: Floats, points: Floats, rate: Floats
 ) -> Integers:
     """Return for each track the first track of its vehicle; rows are sorted by track, then time."""
@@ -353,14 +356,14 @@ def _join(  # pragma: no cover - compiled
             ended = time[first[i + 1] - 1]
             if i == j or time[first[i]] > begin or ended < begin - HIDDEN_S:
                 continue
-            # motion of the other track around that time, or at its end
+            # motion of track i around the begin of track j, or at its own end
             until = min(ended, begin + PACE_S)
             known, then, a, b, east, north, pace = straight_line(
                 time, points, rate, first[i], first[i + 1], until - 2.0 * PACE_S, until
             )
             c, d = a + east * (now - then), b + north * (now - then)
             off = np.hypot(c - x, d - y) - STRAY_MPS * max(begin - ended, 0.0)
-            # as it passes the sensor its range rate changes
+            # predict the change of range rate by the changed line of sight
             pace += (east * c + north * d) / max(np.hypot(c, d), 1.0)
             pace -= (east * a + north * b) / max(np.hypot(a, b), 1.0)
             if known > 2.0 and off < best and abs(pace - slow) < PACE_MPS:
@@ -373,9 +376,10 @@ def _join(  # pragma: no cover - compiled
 def straight_line(  # pragma: no cover - compiled
     time: Floats, points: Floats, rate: Floats, low: int, high: int, since: float, until: float
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Fit a straight line to the rows between two times.
+    """Fit a straight line to the rows low to high between two times.
 
-    Returns the number of rows, their mean time and place, the velocity, and the mean range rate.
+    Returns the number of rows, their mean time and position (2), the velocity (2), and the mean
+    range rate.
     """
     n, t, x, y, w, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(low, high):
@@ -406,6 +410,7 @@ def _spells(time: Floats, track: Integers) -> Integers:
 
 
 def _elevation(points: Floats) -> float:
+    """Return the 99.5 % quantile of absolute elevations, radians."""
     if len(points) == 0:
         return np.pi / 2
     x, y, z = points.T
@@ -413,10 +418,10 @@ def _elevation(points: Floats) -> float:
 
 
 @compiled
-def _link(  # pragma: no cover - compiled
+def _track_roots(  # pragma: no cover - compiled
     time: Floats, reach: Floats, bearing: Floats, rate: Floats
 ) -> Integers:
-    """Return the root of each detection's track (union-find over pairs that agree)."""
+    """Return the first detection of each one's track (union-find over pairs that agree)."""
     parent = np.arange(len(time))
     for i in range(len(time)):
         for j in range(i + 1, len(time)):

@@ -1,4 +1,4 @@
-"""Result of a scan check: what stands around a sensor, the verdict, and its picture."""
+"""Result of a scan check: static cells, scan, verdict, and its picture."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ from gis_radar.poses import Pose
 
 CONFIRMS, DOUBTS = Text("confirms"), Text("doubts")
 UNCLEAR, UNDECIDED = Text("nothing to compare"), Text("undecided")
-SHIFT_M = 10.0  # reach, ahead and aside, of the search for better poses
+SHIFT_M = 10.0  # reach, ahead and to the sides, of the search for better poses
 
-DPI = 216
-SIZE_IN = (6.6, 6.6)
-MARGIN_M = 12.0
-TALLEST_M = 15.0
+DPI = 216  # of the picture
+SIZE_IN = (6.6, 6.6)  # inches
+MARGIN_M = 12.0  # of the picture around the static cells
+TALLEST_M = 15.0  # height from which on colours are darkest
 ON, LEAVES, OFF, SENSOR = "#1e1b6b", "#0e93c9", "#dc2626", "#111827"
 BARE, UNSEEN = "#f4f2ec", "#ffffff"
 CANOPY, ROOF, TALL = ("#d3e8c4", "#4f9a51"), ("#e6ddd3", "#a8927e"), ("#dfe5d3", "#83997a")
 WALL = "#6b5c4f"
-RUSTLING = 0.15  # share of a cell's detections that move like leaves, from which on it is leaves
-FITS = 0.3  # closeness from which on a cell fits the scan
-LINE, LEGEND_LINE = 46, 22  # letters in a line of the title, and of the legend in two columns
+RUSTLING = 0.15  # least share of moving detections of a cell that is drawn as leaves
+FITS = 0.3  # least closeness of a cell that is drawn as fitting the scan
+LINE, LEGEND_LINE = 46, 22  # most letters in a line of the title, and of the legend
 
 
 @dataclass(frozen=True, kw_only=True)
 class PoseOffset:
-    """Offset of a pose from the answer, and how well it fits there.
+    """Offset from the checked pose, with its score.
 
     Parameters
     ----------
     ahead_m, left_m : float
-        Shift ahead and to the left, in the direction in which the sensor looks.
+        Shift ahead and to the left by the yaw of the checked pose.
     turn_deg : float
         Turn about the sensor, counter-clockwise, -180 to 180.
     score : float
@@ -75,15 +75,15 @@ class PoseOffset:
         return Text("{:.1f} m and {:.1f} deg away", self.shift_m, abs(self.turn_deg))
 
     def beyond(self, shift_m: float, turn_deg: float) -> bool:
-        """Return whether it is moved by `shift_m` or turned by `turn_deg`, or more."""
+        """Return whether the shift is at least `shift_m` or the turn at least `turn_deg`."""
         return self.shift_m >= shift_m or abs(self.turn_deg) >= turn_deg
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class ScanCheck:
-    """Scan check of a pose: what stands around the sensor, compared with a scan, and the verdict.
+    """Scan check of a pose: static cells around the sensor, compared with a scan, and the verdict.
 
-    The score is the share of what stands (cells of half a metre) that is on canopy and walls of
+    The score is about the share of static cells, of half a metre, that lie on canopy and walls of
     the scan. It does not measure height, roll and pitch.
 
     Parameters
@@ -91,7 +91,7 @@ class ScanCheck:
     pose : Pose
         The pose that was checked.
     verdict : str
-        `confirms`, `doubts`, `undecided` (two places fit alike) or `nothing to compare`.
+        `confirms`, `doubts`, `undecided` (two poses fit alike) or `nothing to compare`.
     reason : str
         The reason for the verdict, in one line.
     score : float
@@ -99,18 +99,17 @@ class ScanCheck:
     chance : float
         Mean score of all poses up to 10 m away, in all headings.
     best : PoseOffset, optional
-        Where the score is highest, near the pose or up to 10 m ahead and aside, in all headings.
+        Offset of the highest score, up to 10 m ahead and to the sides, in all headings.
     rival : PoseOffset, optional
-        The best offset a lane (3 m) or 3 degrees or more away from the pose.
+        Best offset of 3 m (a lane) or 3 degrees or more.
     z_score : float
-        By how many standard deviations what stands prefers the pose to `rival`; negative where it
-        prefers the rival, infinite where there is none.
+        Z score of the pose over `rival`; infinite where there is no rival.
     standing : Standing
-        What stands, in the level frame of the pose.
+        The static cells, in the level frame of the pose.
     closeness : (n,) array
-        Closeness of each standing cell to a structure, 0 to 1; the score is the mean.
+        Closeness of each static cell to a structure, 0 to 1; the score is the mean.
     covered : float
-        Share of the standing cells over which the scan has points.
+        Share of the static cells over which the scan has points.
     structure : Structure
         The structures of the scan.
     surface : (k, k) array
@@ -136,7 +135,7 @@ class ScanCheck:
 
     @property
     def level(self) -> LevelFrame:
-        """The frame of the cells and the structure."""
+        """The level frame of the static cells and the scan's structures."""
         return LevelFrame(pose=self.pose)
 
     def __repr__(self) -> str:
@@ -145,10 +144,9 @@ class ScanCheck:
     def figures(self) -> Mapping[str, Any]:
         """Return the figures, ready for JSON.
 
-        `best_east_m`, `best_north_m` and `best_turn_deg` lead from the pose to where the score is
-        highest.
+        `best_east_m`, `best_north_m` and `best_turn_deg` are the offset of the highest score.
         """
-        found: dict[str, Any] = {
+        values: dict[str, Any] = {
             "verdict": self.verdict,
             "reason": self.reason,
             "standing_cells": len(self.standing),
@@ -157,7 +155,7 @@ class ScanCheck:
         if self.best is not None:
             beside = np.array([[self.best.ahead_m, self.best.left_m]])
             east, north = (self.level.to_map(beside)[0] - self.pose.position[:2]).tolist()
-            found |= {
+            values |= {
                 "covered": round(self.covered, 3),
                 "score": round(self.score, 3),
                 "chance": round(self.chance, 3),
@@ -167,11 +165,11 @@ class ScanCheck:
                 "best_turn_deg": round(self.best.turn_deg, 2),
             }
         if self.rival is not None:
-            found |= {"rival_score": round(self.rival.score, 3), "z_score": round(self.z_score, 2)}
-        return found
+            values |= {"rival_score": round(self.rival.score, 3), "z_score": round(self.z_score, 2)}
+        return values
 
     def draw(self, path: str | Path) -> None:
-        """Draw what stands around the pose over the scan's canopy, roofs and walls (PNG).
+        """Draw static cells over the scan's canopy, roofs and walls, as a PNG.
 
         Parameters
         ----------
@@ -182,7 +180,7 @@ class ScanCheck:
             self.plot(figure.add_subplot())
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the same into axes.
+        """Draw static cells over the scan's canopy, roofs and walls.
 
         Parameters
         ----------
@@ -204,9 +202,9 @@ class ScanCheck:
             extent=(-half, half, -half, half), interpolation="nearest",
             transform=into_map + ax.transData,
         )  # fmt: skip
-        handles = [*_draw_standing(ax, self), *_kinds(self.structure)]
+        handles = [*_draw_standing(ax, self), *_structure_handles(self.structure)]
         ahead = self.pose.R_map_sensor[:2, 0]
-        low, high = _window(self)
+        low, high = _map_window(self)
         tip = place + ahead * float((high - low).max()) / 12.0
         ax.plot(*np.column_stack([place, tip]), color=SENSOR, linewidth=1.5, zorder=5)
         handles.append(
@@ -219,14 +217,14 @@ class ScanCheck:
         ax.set_title(_title(self))
         legend_below(ax, handles)
         if self.surface.size:
-            _draw_surface(ax.inset_axes(_corner(self, low, high)), self)
+            _draw_surface(ax.inset_axes(_inset_corner(self, low, high)), self)
         return ax
 
 
-def _title(look: ScanCheck) -> str:
-    reason = ";\n".join(fill(part, LINE) for part in tr(look.reason).split("; "))
+def _title(check: ScanCheck) -> str:
+    reason = ";\n".join(fill(part, LINE) for part in tr(check.reason).split("; "))
     verdict = tr(
-        "{sensor}, scan check: {verdict}", sensor=look.pose.sensor, verdict=tr(look.verdict)
+        "{sensor}, scan check: {verdict}", sensor=check.pose.sensor, verdict=tr(check.verdict)
     )
     return f"{verdict}\n{reason}"
 
@@ -248,7 +246,7 @@ def _colours(structure: Structure) -> Floats:
     return np.where(walls[..., None], 0.55 * image + 0.45 * np.array(to_rgb(WALL)), image)
 
 
-def _kinds(structure: Structure) -> list[Any]:
+def _structure_handles(structure: Structure) -> list[Any]:
     from matplotlib.patches import Patch  # noqa: PLC0415 - where it draws
 
     shown: tuple[tuple[str, str], ...] = (
@@ -259,14 +257,14 @@ def _kinds(structure: Structure) -> list[Any]:
     return [Patch(color=colour, label=tr(label)) for colour, label in shown]
 
 
-def _draw_standing(ax: Any, look: ScanCheck) -> list[Any]:
+def _draw_standing(ax: Any, check: ScanCheck) -> list[Any]:
     from matplotlib.lines import Line2D  # noqa: PLC0415 - where it draws
 
-    found = look.standing
+    found = check.standing
     if len(found) == 0:
         return []
-    east, north = look.level.to_map(found.points[:, :2]).T
-    off = look.closeness < FITS if len(look.closeness) else np.zeros(len(found), bool)
+    east, north = check.level.to_map(found.points[:, :2]).T
+    off = check.closeness < FITS if len(check.closeness) else np.zeros(len(found), bool)
     leaves = ~off & (found.rustles > RUSTLING)
     kinds: tuple[tuple[Booleans, str, str, float, str], ...] = (
         (~off & ~leaves, ON, "o", 3.0, "stands"),
@@ -290,13 +288,13 @@ def _draw_standing(ax: Any, look: ScanCheck) -> list[Any]:
     return handles
 
 
-def _window(look: ScanCheck) -> tuple[Floats, Floats]:
-    """Return the corners of the picture, a square around what stands and the sensor."""
-    place = look.pose.position[:2]
-    if len(look.standing) == 0:
-        half = len(look.structure.top) // 2 * CELL_M
+def _map_window(check: ScanCheck) -> tuple[Floats, Floats]:
+    """Return the map corners of the picture, a square around static cells and sensor."""
+    place = check.pose.position[:2]
+    if len(check.standing) == 0:
+        half = len(check.structure.top) // 2 * CELL_M
         return place - half, place + half
-    spots = look.level.to_map(look.standing.points[:, :2])
+    spots = check.level.to_map(check.standing.points[:, :2])
     low = np.minimum(np.percentile(spots, 0.5, axis=0), place) - MARGIN_M
     high = np.maximum(np.percentile(spots, 99.5, axis=0), place) + MARGIN_M
     side = float((high - low).max())
@@ -304,26 +302,26 @@ def _window(look: ScanCheck) -> tuple[Floats, Floats]:
     return middle - side / 2.0, middle + side / 2.0
 
 
-def _corner(look: ScanCheck, low: Floats, high: Floats) -> tuple[float, float, float, float]:
-    """Choose the emptiest corner, other than the legend's, for the inset."""
+def _inset_corner(check: ScanCheck, low: Floats, high: Floats) -> tuple[float, float, float, float]:
+    """Return x, y, width and height (axes) of the inset, in the corner with fewest cells."""
     size, gap = 0.24, 0.07  # the gap holds title and numbers of the inset
     far = 1.0 - size - gap
     corners = [(far, far), (gap, far), (far, gap)]
-    spots = np.vstack([look.level.to_map(look.standing.points[:, :2]), look.pose.position[:2]])
+    spots = np.vstack([check.level.to_map(check.standing.points[:, :2]), check.pose.position[:2]])
     share = ((spots - low) / (high - low))[:, None]
     counts = ((share > corners) & (share < np.add(corners, size))).all(axis=2).sum(axis=0)
     return (*corners[int(np.argmin(counts))], size, size)
 
 
-def _draw_surface(ax: Any, look: ScanCheck) -> None:
-    """Draw the score over offsets, north up, with the answer in the middle."""
+def _draw_surface(ax: Any, check: ScanCheck) -> None:
+    """Draw the score over shifts, north up, with the checked pose in the middle."""
     from matplotlib.transforms import Affine2D  # noqa: PLC0415 - where it draws
 
     shift_m = SHIFT_M
     half = shift_m + CELL_M / 2.0
     ax.imshow(
-        look.surface.T, extent=(-half, half, -half, half), origin="lower", cmap="magma", vmin=0.0,
-        vmax=1.0, transform=Affine2D().rotate_deg(look.pose.yaw) + ax.transData,
+        check.surface.T, extent=(-half, half, -half, half), origin="lower", cmap="magma", vmin=0.0,
+        vmax=1.0, transform=Affine2D().rotate_deg(check.pose.yaw) + ax.transData,
     )  # fmt: skip
     ax.plot(0.0, 0.0, marker="+", color="white", markersize=10, markeredgewidth=1.2)
     span = (-shift_m, shift_m)

@@ -1,7 +1,7 @@
-"""Find what stands around a sensor: in its recording, and in an airborne scan of the place.
+"""Find static structures around a sensor, in its recording and in an airborne scan.
 
-In a recording these are facades, crowns and poles, hit repeatedly at one place; in a scan the
-crowns of trees, and where walls rise.
+In a recording these are cells with detections at all times: of facades, crowns of trees, poles. In
+a scan they are plants, and steps of height at walls and rims of crowns.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ from gis_radar.scans import (
 # OVERHEAD_M or LEAST_SPANS halved or doubled, as CLOSE_M of the scan check, the verdicts stay
 # `confirms` and `doubts`; the score moves by up to 0.09 at the true pose, and beside it by up to
 # 0.10, with CLOSE_M doubled by 0.24.
-SLOW_MPS = 1.0  # largest absolute range rate of what stands: leaves rustle up to here
-# Least number of the SPANS equal parts of the window in which a standing cell is hit: people and
-# vehicles that wait or pass are hit in fewer.
+SLOW_MPS = 1.0  # largest absolute range rate of static targets: leaves in wind reach it
+# A cell is static with detections in LEAST_SPANS of SPANS equal spans of the window: people and
+# vehicles that wait or pass are detected in fewer.
 LEAST_SPANS = 8
 OVERHEAD_M = 2.0  # least height over the ground of detections: above parked cars, people, shrubs
-TALL_M = 2.5  # least height of a step in the scan at a wall or crown: above vans and hedges
-SPANS = 20  # equal parts of the window, in which hits of a cell are looked for
-PATCH_M = 8.0  # side of the patches that count as one: a tree, or a piece of wall
-JUMP_CELLS = 3  # window in which a step is looked for, cells of 0.5 m
-GAP_CELLS = 3  # holes of the scan up to so many cells are filled
-GROUND_CELLS = 4  # side of a cell of the ground, cells of 0.5 m
-WIDEST_ROOF_M = 40.0  # in scans without classes: opening that removes roofs from the ground
-LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
+TALL_M = 2.5  # least step of height in the scan at a wall or crown: above vans and hedges
+SPANS = 20
+PATCH_M = 8.0  # side of the patches that are independent: a tree, or a section of wall
+JUMP_CELLS = 3  # width over which a step of height is measured, in cells of 0.5 m
+GAP_CELLS = 3  # gaps of the scan up to this distance are filled, in cells
+GROUND_CELLS = 4  # side of a cell of the ground, in cells
+WIDEST_ROOF_M = 40.0  # opening that removes roofs from the ground in scans without classes
+LEAST_GROUND = 0.01  # least share of points in ground classes of a classified scan
 
 
 @dataclass(frozen=True, kw_only=True)
 class LevelFrame:
-    """A level frame at a sensor, turned by its yaw, with the map's heights.
+    """Level frame at a sensor: x along its yaw, y to the left, z the map's heights.
 
-    In this frame results do not depend on the site's place on earth and orientation.
+    Results in this frame do not depend on the site's position and orientation in the map.
 
     Parameters
     ----------
@@ -65,24 +65,26 @@ class LevelFrame:
         yaw = np.radians(self.pose.yaw)
         return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
 
-    def from_map(self, xyz: Floats) -> Floats:
+    def from_map(self, points: Floats) -> Floats:
         """Move (n, 3) points from the map into the frame."""
-        return np.column_stack([(xyz[:, :2] - self.pose.position[:2]) @ self._turn, xyz[:, 2]])
+        return np.column_stack(
+            [(points[:, :2] - self.pose.position[:2]) @ self._turn, points[:, 2]]
+        )
 
-    def to_map(self, xyz: Floats) -> Floats:
+    def to_map(self, points: Floats) -> Floats:
         """Move (n, 2) or (n, 3) points from the frame into the map."""
-        flat = xyz[:, :2] @ self._turn.T + self.pose.position[:2]
-        return np.column_stack([flat, xyz[:, 2:]])
+        flat = points[:, :2] @ self._turn.T + self.pose.position[:2]
+        return np.column_stack([flat, points[:, 2:]])
 
-    def from_sensor(self, xyz: Floats) -> Floats:
+    def from_sensor(self, points: Floats) -> Floats:
         """Move (n, 3) points from the sensor frame into the frame."""
-        return self.from_map(self.pose.to_map(xyz))
+        return self.from_map(self.pose.to_map(points))
 
     @staticmethod
     def cells(points: Floats, size: int) -> tuple[Integers, Integers]:
         """Return row and column, ahead and left, of points in a grid of `size` cells a side.
 
-        The sensor is in the grid's middle; points beyond its edge count to the outermost.
+        The sensor is in the grid's middle; points beyond its edge go to the outermost cells.
         """
         half = size // 2
         grid = Grid(cell_m=CELL_M, west=-half, south=-half, columns=size, rows=size)
@@ -91,16 +93,16 @@ class LevelFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class Slow:
-    """Detections that hardly move, from the last frames of a recording.
+    """Detections of low range rate, from the last frames of a recording.
 
     Parameters
     ----------
     points : (n, 3) array
         Sensor frame, metres.
     rustles : (n,) bool array
-        Whether they move like leaves rather than not at all.
+        Whether their range rate is that of leaves in wind, not 0.
     span : (n,) array
-        Number of the equal part of the window, from 0.
+        Number of the span of the window, 0 to `SPANS` - 1.
     frames : int
         Length of the window, frames.
     range_m : float
@@ -115,7 +117,7 @@ class Slow:
 
     @property
     def reach_m(self) -> float:
-        """99th percentile of the distances, metres."""
+        """99th percentile of the ranges, metres."""
         if len(self.points) == 0:
             return 0.0
         return float(np.percentile(np.linalg.norm(self.points, axis=1), 99.0))
@@ -123,14 +125,14 @@ class Slow:
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """Standing cells: cells of the plane over which something stands, in a pose's level frame.
+    """Static cells: cells of 0.5 m in a pose's level frame that have detections at all times.
 
     Parameters
     ----------
     points : (n, 3) array
-        Mean place of the detections over each cell: ahead, left, height; metres.
+        Mean position of the detections of each cell: ahead, left, height; metres.
     rustles : (n,) array
-        Share of these detections that move like leaves.
+        Share of these detections that move like leaves in wind.
     """
 
     points: Floats
@@ -141,7 +143,7 @@ class Standing:
 
     @property
     def patch(self) -> Integers:
-        """Number of the patch, a square of `PATCH_M`, in which each cell is."""
+        """Number of each cell's patch, a square of `PATCH_M`."""
         squares = np.floor(self.points[:, :2] / PATCH_M).astype(np.int64)
         return np.asarray(np.unique(squares, axis=0, return_inverse=True)[1])
 
@@ -152,7 +154,7 @@ class Standing:
 
 
 def read_slow(recording: str | Path | Recording, *, reporter: Reporter = QUIET) -> Slow:
-    """Read the detections that hardly move in a recording's last frames, in bounded memory.
+    """Read the slow detections of a recording's last frames, in bounded memory.
 
     Raises
     ------
@@ -172,9 +174,9 @@ def read_slow(recording: str | Path | Recording, *, reporter: Reporter = QUIET) 
         reporter.progress("reading what stands", done, source.rows)
     slow = window.content()
     frame = np.searchsorted(slow.frame_times, slow.time)
-    as_recorded: Any = slow.points.astype(np.float32)  # there are many
+    single_precision: Any = slow.points.astype(np.float32)  # there are many
     return Slow(
-        points=as_recorded,
+        points=single_precision,
         rustles=np.abs(slow.range_rate.astype(np.float32)) > MIN_SPEED_MPS,
         span=frame * SPANS // len(window),
         frames=len(window),
@@ -189,12 +191,12 @@ def standing(
     *,
     reach_m: float,
 ) -> Standing:
-    """Find the cells over which something stands through most of the window.
+    """Return the static cells, with detections in `LEAST_SPANS` of the window's spans.
 
     Parameters
     ----------
     slow : Slow
-        From :func:`read_slow`.
+        Slow detections, from :func:`read_slow`.
     level : LevelFrame
         The level frame of the pose.
     ground : (cells, cells) array
@@ -206,16 +208,16 @@ def standing(
     near = np.hypot(points[:, 0], points[:, 1]) < reach_m
     rows, columns = level.cells(points[near], len(ground))
     over = points[near, 2] - ground[rows, columns]
-    # far below the ground: in a house whose roof was taken for the ground
+    # those far below are kept, too: there a roof was taken for the ground
     tall = ~(np.abs(over) < OVERHEAD_M)
     points, span, rustles = points[near][tall], slow.span[near][tall], slow.rustles[near][tall]
     cells, place = np.unique(rows[tall] * len(ground) + columns[tall], return_inverse=True)
     hit = np.zeros((len(cells), SPANS), bool)
     hit[place, span] = True
-    kept = hit.sum(axis=1) >= LEAST_SPANS
-    counts = np.bincount(place, minlength=len(cells))[kept]
+    static = hit.sum(axis=1) >= LEAST_SPANS
+    counts = np.bincount(place, minlength=len(cells))[static]
     means = [
-        np.bincount(place, values, minlength=len(cells))[kept] / counts
+        np.bincount(place, values, minlength=len(cells))[static] / counts
         for values in (*points.T, rustles)
     ]
     return Standing(points=np.column_stack(means[:3]), rustles=means[3])
@@ -223,18 +225,18 @@ def standing(
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """Grids of cells in the level frame of a pose, rows ahead and columns left.
+    """Structures of a scan: grids of cells in a pose's level frame, rows ahead and columns left.
 
     Parameters
     ----------
     top : (n, n) array
         Height of the highest point, metres; NaN where the scan has none.
     ground : (n, n) array
-        Height of the ground, also under roofs and crowns; NaN far from any point.
+        Height of the ground, also under roofs and crowns, metres; NaN far from any point.
     canopy, roof : (n, n) bool array
-        Plants of more than `TALL_M` and buildings, by their classes; False without classes.
+        Plants higher than `TALL_M`, and buildings, by the classes of points.
     edge : (n, n) bool array
-        Where something rises by more than `TALL_M`: walls, rims of crowns.
+        Steps of height by more than `TALL_M`: walls, rims of crowns.
     classified : bool
         Whether the classes distinguish plants or buildings.
     """
@@ -248,7 +250,7 @@ class Structure:
 
     @property
     def visible(self) -> Booleans:
-        """Cells in which a radar may see something that stands."""
+        """Cells in which a radar may detect a structure: edges and canopy."""
         return self.edge | self.canopy
 
 
@@ -260,7 +262,7 @@ def read_structure(
     scan_crs: Any = None,
     reporter: Reporter = QUIET,
 ) -> Structure | None:
-    """Read what stands around a sensor from airborne scans, in batches.
+    """Read the structures around a sensor from airborne scans, in batches.
 
     Parameters
     ----------
@@ -287,23 +289,24 @@ def read_structure(
     opened = [open_scan(scan, crs=scan_crs) for scan in scans]
     half = int(np.ceil(reach_m / CELL_M))
     grid = Grid(cell_m=CELL_M, west=-half, south=-half, columns=2 * half, rows=2 * half)
-    window = ScanColumns(grid=grid, from_map=level.from_map)
+    columns = ScanColumns(grid=grid, from_map=level.from_map)
     east, north, _ = level.pose.position
     box = box_with_margin((east, north, east, north), reach_m * np.sqrt(2.0))
-    grounds = read_columns(opened, [window], box, level.pose.crs, reporter=reporter)
-    if window.points == 0:
+    ground_share = read_columns(opened, [columns], box, level.pose.crs, reporter=reporter)
+    if columns.points == 0:
         return None
-    return _structure(window, classified=grounds >= LEAST_GROUND)
+    return _structure(columns, classified=ground_share >= LEAST_GROUND)
 
 
-def _structure(tops: ScanColumns, *, classified: bool) -> Structure:
-    away, index = nearest_known(np.isfinite(tops.top))
+def _structure(columns: ScanColumns, *, classified: bool) -> Structure:
+    """Return the structures in the columns of a scan, with small gaps filled."""
+    distance, index = nearest_known(np.isfinite(columns.top))
     top, plants, building = (
-        np.where(away <= GAP_CELLS, grid[index], np.nan)
-        for grid in (tops.top, tops.plants, tops.building)
+        np.where(distance <= GAP_CELLS, grid[index], np.nan)
+        for grid in (columns.top, columns.plants, columns.building)
     )
     ground = ground_under(
-        np.minimum(tops.ground, tops.deck) if classified else tops.low,
+        np.minimum(columns.ground, columns.deck) if classified else columns.low,
         cell_m=CELL_M,
         coarse_cells=GROUND_CELLS,
         widest_roof_m=WIDEST_ROOF_M,
@@ -311,22 +314,22 @@ def _structure(tops: ScanColumns, *, classified: bool) -> Structure:
     )
     below = scipy.ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), JUMP_CELLS)
     low = scipy.ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), JUMP_CELLS)
-    high = _solid(np.nan_to_num(top - low, nan=0.0) > TALL_M)
-    # the wall itself runs between the last high cell and the first low one
+    high = _without_isolated(np.nan_to_num(top - low, nan=0.0) > TALL_M)
+    # the wall is between the last high cell and the first low one: take both
     edge = high | (
         scipy.ndimage.binary_dilation(high) & (np.nan_to_num(below - top, nan=0.0) > TALL_M)
     )
-    canopy = _solid(np.nan_to_num(plants - ground, nan=-1.0) > TALL_M)
-    roof = _solid(np.isfinite(building))
-    # a tree over a roof's edge is seen, one over the middle of a roof is taken for a roof
+    canopy = _without_isolated(np.nan_to_num(plants - ground, nan=-1.0) > TALL_M)
+    roof = _without_isolated(np.isfinite(building))
+    # canopy over the middle of a roof is the roof; over its edge the radar may detect a tree
     return Structure(
         top=top, ground=ground, canopy=canopy & ~(roof & ~edge), roof=roof, edge=edge,
         classified=classified and bool((canopy | roof).any()),
     )  # fmt: skip
 
 
-def _solid(cells: Booleans) -> Booleans:
-    """Return the cells that are not isolated: three or more of the nine around are set."""
+def _without_isolated(cells: Booleans) -> Booleans:
+    """Return the set cells with at least two set neighbours among the eight."""
     around = scipy.ndimage.convolve(
         cells.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant"
     )

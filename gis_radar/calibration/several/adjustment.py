@@ -1,4 +1,4 @@
-"""Poses of several sensors adjusted together by their correspondences, by least squares."""
+"""Adjust the poses of several sensors together by their correspondences, by least squares."""
 
 from __future__ import annotations
 
@@ -26,34 +26,34 @@ from gis_radar.poses import COMPONENTS, Pose
 HALF_LENGTH_SIGMA_M = 0.25  # 1 sigma of the mean half length of vehicles
 HALF_WIDTH_SIGMA_M = 0.1  # 1 sigma of their mean half width
 SIDE_SIGMA = math.log(1.5)  # 1 sigma of the logarithm of the side strength
-# 1 sigma, along and across, of the gap that all vehicles on a stretch of a lane have in common
-# between two radars: 0.2 to 0.3 and 0.1 m at the true poses of two simulators.
+# 1 sigma, along and across, of the gap between two radars that all vehicles on a stretch of a lane
+# share: 0.2 to 0.3 and 0.1 m at the true poses of two simulators.
 STRETCH_SIGMA_M = (0.3, 0.1)
-CLOCK_S = 0.02  # offset of a sensor's clock, one standard deviation: NTP on a local network
-# The same for unsynchronised clocks: at a larger offset no vehicle finds its pair.
+CLOCK_S = 0.02  # 1 sigma of a clock's offset: NTP on a local network
+# The same of clocks that are not synchronised; with larger offsets, vehicles are not paired.
 FREE_CLOCK_S = 1.0
-# Degrees of freedom of Student's t for a pair's misfit: every tenth pair or so is wrong.
+# Degrees of freedom of Student's t for a pair's gap: about one pair of ten is wrong.
 FREEDOM_T = 4.0
 
-STEPS = 8  # of weights and poses in turn; they settle after three or four
-OWN = 2 * PLANAR  # unknowns of a pair's poses
-SHARED = OWN + FACES + 2  # these with the constants of the faces and both clocks: eleven
+ITERATIONS = 8  # of weights and poses in turn; they converge in three or four
+POSES = 2 * PLANAR  # unknowns: the poses of both sensors
+UNKNOWNS = POSES + FACES + 2  # with face constants and both clocks: 11
 Edge = tuple[int, int]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Correspondences:
-    """Evidence of the pairs of two sensors, each vehicle's own effects eliminated.
+    """Normal equations of the pairs of two sensors, with vehicles' random effects eliminated.
 
     Parameters
     ----------
     information : (pairs, 13, 13) array
-        About 13 unknowns: the poses of both (6), the constants of the faces (3), both clocks (2),
-        and the gap common to a stretch of road (2).
+        Information about 13 unknowns: the poses of both (6), the face constants (3), both clocks
+        (2), and the gap that vehicles on a stretch of road share (2).
     gradient : (pairs, 13) array
-        Of the cost by these unknowns, at the present poses.
+        Gradient of the cost by these unknowns, at the current poses.
     gap, slope, covariance : (pairs, 2), (pairs, 2, 13), (pairs, 2, 2) arrays
-        The mean gap in metres, its derivative, and its covariance among vehicles.
+        Mean gap of each pair in metres, its Jacobian, and its covariance among vehicles.
     stretch : (pairs,) array
         Number of the stretch of road.
     """
@@ -66,54 +66,54 @@ class Correspondences:
     stretch: Integers
 
     def chi2(self, step: Floats) -> Floats:
-        """Return the misfit (chi-square) of each pair after a step of the first 11 unknowns."""
-        gap = self.gap + self.slope[:, :, :SHARED] @ step
+        """Return the chi-square of each pair's mean gap after a step of the first 11 unknowns."""
+        gap = self.gap + self.slope[:, :, :UNKNOWNS] @ step
         return np.asarray(np.einsum("pi,pij,pj->p", gap, np.linalg.inv(self.covariance), gap))
 
-    def summed(self, weight: Floats, step: Floats) -> tuple[Floats, Floats]:
-        """Return the information about the first 11 unknowns, and each pair's part of the gradient.
+    def normal_equations(self, weight: Floats, step: Floats) -> tuple[Floats, Floats]:
+        """Return the information about the first 11 unknowns, and each pair's gradient by them.
 
-        The gap common to a stretch is eliminated.
+        The gap that vehicles on a stretch share is eliminated.
 
         Parameters
         ----------
         weight : (pairs,) array
             Weight of each pair.
         step : (11,) array
-            Step from the present poses at which the gradient is taken.
+            Step from the current poses at which the gradient is evaluated.
         """
-        known = weight[:, None, None] * self.information
-        gradient = weight[:, None] * self.gradient + known[:, :, :SHARED] @ step
-        total, parts = np.zeros((SHARED, SHARED)), gradient[:, :SHARED].copy()
-        alike = np.diag(np.square(STRETCH_SIGMA_M) ** -1.0)
+        information = weight[:, None, None] * self.information
+        gradient = weight[:, None] * self.gradient + information[:, :, :UNKNOWNS] @ step
+        reduced, gradients = np.zeros((UNKNOWNS, UNKNOWNS)), gradient[:, :UNKNOWNS].copy()
+        prior = np.diag(np.square(STRETCH_SIGMA_M) ** -1.0)
         for number in np.unique(self.stretch):
-            on = self.stretch == number
-            here = known[on].sum(axis=0)
-            gain = here[:SHARED, SHARED:] @ np.linalg.inv(here[SHARED:, SHARED:] + alike)
-            total += here[:SHARED, :SHARED] - gain @ here[SHARED:, :SHARED]
-            parts[on] -= gradient[on, SHARED:] @ gain.T
-        return total, parts
+            rows = self.stretch == number
+            here = information[rows].sum(axis=0)
+            gain = here[:UNKNOWNS, UNKNOWNS:] @ np.linalg.inv(here[UNKNOWNS:, UNKNOWNS:] + prior)
+            reduced += here[:UNKNOWNS, :UNKNOWNS] - gain @ here[UNKNOWNS:, :UNKNOWNS]
+            gradients[rows] -= gradient[rows, UNKNOWNS:] @ gain.T
+        return reduced, gradients
 
 
 def sum_correspondences(rows: Rows) -> Correspondences:
-    """Sum up the moments of each pair, with the random effects of its vehicle eliminated."""
-    alike = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
-    slope = np.concatenate([rows.poses, rows.constants, rows.clocks, alike], axis=2)
+    """Return the normal equations of each pair, with its vehicle's random effects eliminated."""
+    stretch_slope = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
+    slope = np.concatenate([rows.poses, rows.constants, rows.clocks, stretch_slope], axis=2)
     by_effect, variances = effects(rows)
     weight = SHARE / rows.variance
 
-    def total(a: Floats, b: Floats) -> Floats:
+    def by_pair(a: Floats, b: Floats) -> Floats:
         each = np.einsum("rik,ri,ril->rkl", a, weight, b)
         return np.asarray(np.add.reduceat(each, rows.first, axis=0))
 
     gap = rows.gap[:, :, None]
-    inner = np.linalg.inv(np.diag(1.0 / variances) + total(by_effect, by_effect))
-    coupled = total(slope, by_effect)
-    gain = coupled @ inner
-    mean, covariance = mean_gaps(rows, np.zeros((OWN, OWN)))
+    effect_covariance = np.linalg.inv(np.diag(1.0 / variances) + by_pair(by_effect, by_effect))
+    coupling = by_pair(slope, by_effect)
+    gain = coupling @ effect_covariance
+    mean, covariance = mean_gaps(rows, np.zeros((POSES, POSES)))
     return Correspondences(
-        information=total(slope, slope) - gain @ np.swapaxes(coupled, 1, 2),
-        gradient=(total(slope, gap) - gain @ total(by_effect, gap))[:, :, 0],
+        information=by_pair(slope, slope) - gain @ np.swapaxes(coupling, 1, 2),
+        gradient=(by_pair(slope, gap) - gain @ by_pair(by_effect, gap))[:, :, 0],
         gap=mean,
         slope=rows.means(slope),
         covariance=covariance,
@@ -123,21 +123,21 @@ def sum_correspondences(rows: Rows) -> Correspondences:
 
 @dataclass(frozen=True, kw_only=True)
 class Adjusted:
-    """Poses adjusted together.
+    """Result of an adjustment of poses.
 
     Parameters
     ----------
     step : (n, 3) array
-        From the poses before to the adjusted ones: easting, northing (m), yaw (radians).
+        Adjusted poses less those before: easting, northing (m), yaw (radians).
     covariance : (3 n, 3 n) array
-        Of the adjusted poses.
+        Covariance of the adjusted poses.
     clocks_s : (n,) array
-        How far each clock is ahead.
+        Offset of each clock, positive when ahead, seconds.
     clock_covariance : (n, n) array
-        Of the clocks, s^2.
+        Covariance of the offsets, s^2.
     misfit : dict
         By pair of sensors, the chi-square (three degrees of freedom) of the difference between
-        the single answers and the correspondences.
+        the poses from single localization and those from correspondences.
     """
 
     step: Floats
@@ -148,7 +148,7 @@ class Adjusted:
 
     @property
     def clock_gap(self) -> tuple[float, float]:
-        """By how much the second clock is ahead of the first, and 1 sigma, both in seconds."""
+        """Offset of the second clock less that of the first, and 1 sigma, both in seconds."""
         gap = np.array([-1.0, 1.0])
         variance = gap @ self.clock_covariance[:2, :2] @ gap
         return float(gap @ self.clocks_s[:2]), float(np.sqrt(variance))
@@ -162,48 +162,48 @@ def adjust(
     clocks_s: Sequence[float] | None = None,
     held: Collection[Edge] = (),
 ) -> Adjusted:
-    """Adjust the poses of sensors, and their clocks, by correspondences and single answers.
+    """Adjust the poses of sensors, and their clocks, by correspondences and single localizations.
 
-    Traffic in opposite directions separates an error of a clock from one of a place; where all
-    traffic goes one way, the sigma of a clock becomes large. Pairs have Student's t weights. The
-    covariance is cluster-robust with the vehicles as clusters, never below the model's and never
-    above that of the single answers.
+    Traffic in both directions separates an error of a clock from one of a place; where all traffic
+    goes one way, the sigma of a clock becomes large. Pairs have Student's t weights. The covariance
+    is cluster-robust with the vehicles as clusters, never below the model's and never above that of
+    the single localizations.
 
     Parameters
     ----------
     correspondences : mapping
         By pair of sensors.
     away : (n, 3) array
-        The present poses less the single answers.
+        The current poses less those of single localization.
     covariances : sequence of (3, 3) arrays
-        Of the single answers.
+        Covariance of each pose by single localization.
     clocks_s : sequence of float, optional
         Standard deviations of the clocks; by default `CLOCK_S` each.
     held : collection of (int, int)
-        Pairs of sensors that are only compared: their correspondences move no pose.
+        Pairs of sensors whose `misfit` is computed, but whose correspondences are not used.
     """
     n = len(covariances)
-    clocks = [CLOCK_S] * n if clocks_s is None else list(clocks_s)
+    clock_sigmas = [CLOCK_S] * n if clocks_s is None else list(clocks_s)
     prior = np.zeros((PLANAR * n + FACES + n, PLANAR * n + FACES + n))
     single = shared_covariance(covariances)
     prior[: PLANAR * n, : PLANAR * n] = np.linalg.inv(single)
-    nuisance = _nuisance(clocks)
+    nuisance = _nuisance_information(clock_sigmas)
     prior[PLANAR * n :, PLANAR * n :] = np.diag(nuisance)
     start = np.concatenate([away.ravel(), np.zeros(FACES + n)])
     step = np.zeros(len(prior))
-    for _ in range(STEPS):
-        weights = {edge: _weights(matched, step[_index(edge, n)])
+    for _ in range(ITERATIONS):
+        weights = {edge: _weights(matched, step[_unknowns_of(edge, n)])
                    for edge, matched in correspondences.items()}  # fmt: skip
         information, scores = prior.copy(), []
         for edge, matched in correspondences.items():
             if edge in held:
                 continue
-            at, weight = _index(edge, n), weights[edge]
-            known, parts = matched.summed(weight, step[at])
-            information[np.ix_(at, at)] += known
-            each = np.zeros((len(weight), len(prior)))
-            each[:, at] = parts
-            scores.append(each)
+            index, weight = _unknowns_of(edge, n), weights[edge]
+            edge_information, gradients = matched.normal_equations(weight, step[index])
+            information[np.ix_(index, index)] += edge_information
+            padded = np.zeros((len(weight), len(prior)))
+            padded[:, index] = gradients
+            scores.append(padded)
         clusters = np.vstack([np.zeros((0, len(prior))), *scores])
         step = step - np.linalg.solve(information, clusters.sum(axis=0) + prior @ (start + step))
     inverse = np.asarray(np.linalg.inv(information))
@@ -211,8 +211,9 @@ def adjust(
         inverse = cluster_robust(inverse, clusters, prior, unknowns=PLANAR)
     covariance = inverse[: PLANAR * n, : PLANAR * n]
     misfit = {
-        edge: _misfit(matched, weights[edge], away[list(edge)], [covariances[i] for i in edge],
-                      _nuisance([clocks[i] for i in edge]))
+        edge: _contradiction(matched, weights[edge], away[list(edge)],
+                             [covariances[i] for i in edge],
+                             _nuisance_information([clock_sigmas[i] for i in edge]))
         for edge, matched in correspondences.items()
     }  # fmt: skip
     return Adjusted(
@@ -225,60 +226,60 @@ def adjust(
 
 
 def shared_covariance(covariances: Sequence[Floats]) -> Floats:
-    """Return the covariance of several single answers, which have map and model in common.
+    """Return the joint covariance of single localizations, which share errors of map and model.
 
-    How much they have in common is not known. The parallel sum of their covariances in the plane is
-    taken: half of each where two are alike, all of the better one's where the other is far worse,
-    so that a sensor placed by another is no surer than that one.
+    The covariance between two poses is not known; it is set to the parallel sum of their own ones
+    in the plane: half of each where they are equal, that of the better one where the other is far
+    worse, so that a sensor placed by another has no smaller sigma than that one.
     """
     n = len(covariances)
-    given = [np.linalg.inv(each)[:2, :2] for each in covariances]
-    common = np.linalg.inv(np.sum(given, axis=0)) if n > 1 else np.zeros((2, 2))
-    whole = np.zeros((n, PLANAR, n, PLANAR))
-    whole[:, :2, :, :2] = common[None, :, None, :]
-    for i, each in enumerate(covariances):
-        whole[i, :, i] = each
-    return whole.reshape(n * PLANAR, n * PLANAR)
+    plane_information = [np.linalg.inv(own)[:2, :2] for own in covariances]
+    common = np.linalg.inv(np.sum(plane_information, axis=0)) if n > 1 else np.zeros((2, 2))
+    joint = np.zeros((n, PLANAR, n, PLANAR))
+    joint[:, :2, :, :2] = common[None, :, None, :]
+    for i, own in enumerate(covariances):
+        joint[i, :, i] = own
+    return joint.reshape(n * PLANAR, n * PLANAR)
 
 
-def _nuisance(clocks_s: Sequence[float]) -> Floats:
-    """Return the inverse variances of the constants of the faces, and of the clocks."""
+def _nuisance_information(clocks_s: Sequence[float]) -> Floats:
+    """Return the inverse variances of the face constants and of the clocks."""
     faces = [HALF_LENGTH_SIGMA_M, HALF_WIDTH_SIGMA_M, SIDE_SIGMA]
     return np.array([*faces, *clocks_s]) ** -2.0
 
 
-def _index(edge: Edge, n: int) -> list[int]:
-    """Return the indices of the eleven unknowns of a pair of sensors."""
+def _unknowns_of(edge: Edge, n: int) -> list[int]:
+    """Return the indices of the 11 unknowns of a pair among those of all sensors."""
     one, other = (list(range(PLANAR * i, PLANAR * i + PLANAR)) for i in edge)
     after = PLANAR * n + FACES
     return [*one, *other, *range(PLANAR * n, after), after + edge[0], after + edge[1]]
 
 
 def _weights(matched: Correspondences, step: Floats) -> Floats:
-    """Return the weight of each pair by its misfit."""
+    """Return the Student's t weight of each pair by its chi-square."""
     return np.asarray((FREEDOM_T + 2.0) / (FREEDOM_T + matched.chi2(step)))
 
 
-def _misfit(
+def _contradiction(
     matched: Correspondences,
     weight: Floats,
     away: Floats,
     covariances: Sequence[Floats],
     nuisance: Floats,
 ) -> float:
-    """Return the chi-square of the difference of correspondences and single answers of a pair."""
-    information, parts = matched.summed(weight, np.zeros(SHARED))
-    gradient = parts.sum(axis=0) - information[:, :OWN] @ away.ravel()
-    inner = np.linalg.inv(information[OWN:, OWN:] + np.diag(nuisance))
-    gain = information[:OWN, OWN:] @ inner
-    reduced = gradient[:OWN] - gain @ gradient[OWN:]
-    known = information[:OWN, :OWN] - gain @ information[OWN:, :OWN]
-    both = np.zeros((OWN, OWN))
-    both[:PLANAR, :PLANAR], both[PLANAR:, PLANAR:] = covariances
-    scatter = known + known @ both @ known
+    """Return the chi-square of the poses of a pair by correspondences less by localization."""
+    information, gradients = matched.normal_equations(weight, np.zeros(UNKNOWNS))
+    gradient = gradients.sum(axis=0) - information[:, :POSES] @ away.ravel()
+    inner = np.linalg.inv(information[POSES:, POSES:] + np.diag(nuisance))
+    gain = information[:POSES, POSES:] @ inner
+    reduced_gradient = gradient[:POSES] - gain @ gradient[POSES:]
+    known = information[:POSES, :POSES] - gain @ information[POSES:, :POSES]
+    covariance = np.zeros((POSES, POSES))
+    covariance[:PLANAR, :PLANAR], covariance[PLANAR:, PLANAR:] = covariances
+    scatter = known + known @ covariance @ known
     scale = np.sqrt(np.maximum(np.diag(scatter), 1e-12))
     unit = np.linalg.pinv(scatter / np.outer(scale, scale), rcond=1e-6, hermitian=True)
-    return float((reduced / scale) @ unit @ (reduced / scale))
+    return float((reduced_gradient / scale) @ unit @ (reduced_gradient / scale))
 
 
 def planar_covariance(pose: Pose) -> Floats:
@@ -305,12 +306,12 @@ def stated_covariance(pose: Pose) -> Floats:
 
 
 def moved(pose: Pose, step: Floats) -> Pose:
-    """Move a pose by easting, northing (m), yaw (rad); the rest follows by its covariance."""
+    """Move a pose by easting, northing (m), yaw (rad), the other components by its covariance."""
     covariance = stated_covariance(pose)
-    known = covariance[np.ix_(PLANE, PLANE)]
-    whole = covariance[:, PLANE] @ np.linalg.solve(known, step)
-    whole[PLANE] = step
-    east, north, up, roll, pitch, yaw = (float(v) for v in whole)
+    plane_covariance = covariance[np.ix_(PLANE, PLANE)]
+    full_step = covariance[:, PLANE] @ np.linalg.solve(plane_covariance, step)
+    full_step[PLANE] = step
+    east, north, up, roll, pitch, yaw = (float(v) for v in full_step)
     turned = pose.yaw + math.degrees(yaw)
     return replace(
         pose,
@@ -324,11 +325,11 @@ def moved(pose: Pose, step: Floats) -> Pose:
 
 
 def with_gain(pose: Pose, plane: Floats, name: str, pairs: Mapping[Names, int]) -> Pose:
-    """Return a pose with a new covariance in the plane, and the evidence of what it gained."""
+    """Return a pose with a new covariance in the plane, and with sigma before and after."""
     before = stated_covariance(pose)
-    known = before[np.ix_(PLANE, PLANE)]
-    share = before[:, PLANE] @ np.linalg.inv(known)
-    after = before + share @ (plane - known) @ share.T
+    plane_before = before[np.ix_(PLANE, PLANE)]
+    regression = before[:, PLANE] @ np.linalg.inv(plane_before)
+    after = before + regression @ (plane - plane_before) @ regression.T
     after = (after + after.T) / 2.0
     old, new = (stated(each) for each in (before, after))
     others = sorted({each for pair in pairs for each in pair} - {name})

@@ -1,4 +1,4 @@
-"""Correspondences: vehicles that two radars see at the same time, which relate the poses."""
+"""Correspondences: vehicles that two radars see at the same time, which relate their poses."""
 
 from __future__ import annotations
 
@@ -18,59 +18,59 @@ from gis_radar.calibration.registration.state import State
 from gis_radar.calibration.registration.traces import NONE, Moving, Samples
 
 MOMENT_S = 0.2  # length of a moment: two or more frames of each radar; a vehicle moves 2 to 3 m
-LEAST_MOMENTS = 5  # two tracks with fewer common moments (a second) are no pair
-# Cosine between line of sight and lane below which the Doppler gives no speed (70 degrees).
+LEAST_MOMENTS = 5  # least number of common moments of a pair of tracks: one second
+# Least cosine between line of sight and lane at which the Doppler gives the speed (70 degrees).
 LEAST_COSINE = math.cos(math.radians(70.0))
-# Least length of the mean unit vector of travel of a moment; below it, its detections lie on
-# several lanes.
+# Least length of the mean unit vector of travel of a moment; shorter if detections are on several
+# lanes.
 LEAST_STRAIGHT = 0.95
-LONGEST_M = 7.0  # detections of a moment farther apart along the lane: several vehicles, or a lorry
-# Cosine between the directions of travel (30 degrees: a bend, and a guess's yaw).
-LEAST_ALIKE = math.cos(math.radians(30.0))
+LONGEST_M = 7.0  # largest extent of a moment along the lane: longer ones are several vehicles
+# Least cosine between the directions of travel of a pair (30 degrees: a bend, and a guess's yaw).
+LEAST_AGREEMENT = math.cos(math.radians(30.0))
 SPEED_MPS = 2.5  # largest difference of speeds: wheels, noise of the Doppler over the cosine
 LEVEL_M = 3.0  # largest difference of heights: bridges are higher
 # Least share of two tracks' common moments in which speed, direction and height agree.
-LEAST_ALIKE_SHARE = 0.7
+LEAST_AGREEING_SHARE = 0.7
 FARTHEST_M = 60.0  # tracks farther apart are not compared: no pose is that far off
 # Distance from the middle of a vehicle to the reflections at its ends, and 1 sigma among vehicles:
 # half of 4.5 m, less 0.1 to 0.35 m, as wheels and the underbody reflect from behind a face (1.9 and
 # 2.0 m at the true poses of two simulators).
 HALF_LENGTH_M = 2.05
 HALF_LENGTH_SPREAD_M = 0.6
-# 1 sigma, along and across, of a vehicle's offset between two radars that lasts for all of its way:
-# mirrors, wheels, rounded corners, hidden ends.
+# 1 sigma, along and across, of a vehicle's constant offset between two radars, which see different
+# parts of it: mirrors, wheels, rounded corners.
 SPOT_M = (0.7, 0.35)
 STRETCH_M = 30.0  # length of a stretch of a lane, on which all vehicles share an offset
-# 1 sigma of one moment beside its faces: error of range, and of the time within the moment.
+# 1 sigma of one moment without its faces: error of range, and of the time within the moment.
 MOMENT_SIGMA_M = 0.3
-# Moments closer than this share their error: places that reflect change as aspects do.
-MEMORY_S = 1.0
-SHARE = min(MOMENT_S / MEMORY_S, 1.0)  # weight of a moment among those that share their error
+MEMORY_S = 1.0  # time within which the errors of moments are correlated, as reflecting parts change
+SHARE = min(MOMENT_S / MEMORY_S, 1.0)  # weight of a moment by that correlation
 LEAST_PAIRS = 4  # fewer pairs neither place a sensor nor contradict a pose
 
 PLANAR = 3  # number of unknowns of a pose in the plane: easting, northing, yaw
 Names = tuple[str, str]  # of two sensors
-FLAT, FACES = slice(0, 2), 3  # plane; constants: half length, half width, log of the side strength
+FLAT = slice(0, 2)  # easting and northing
+FACES = 3  # number of face constants: half length, half width, logarithm of the side strength
 
 
 @dataclass(frozen=True, kw_only=True)
 class Moments:
-    """Vehicles on their lanes as one sensor sees them, moment by moment.
+    """Vehicles on lanes as one sensor sees them: a row for each track and moment.
 
     Parameters
     ----------
     track : (m,) array
-        Number of the moving object.
+        Number of the track.
     moment : (m,) array
-        Number of the moment, the same for all sensors.
+        Number of the moment, UNIX time over `MOMENT_S`, the same for all sensors.
     arm : (m, 3) array
-        From the sensor to the vehicle's visible point, in the map's axes, metres.
+        Vector from the sensor to the mean detection, in the map's axes, metres.
     place : (3,) array
-        The sensor's place, local coordinates.
+        The sensor's position, local coordinates, metres.
     along : (m, 2) array
-        Unit vectors of travel.
+        Unit vectors in the direction of travel.
     speed : (m,) array
-        Speed along them, m/s.
+        Speed in that direction, m/s.
     count : (m,) array
         Number of detections in the moment.
     """
@@ -88,16 +88,16 @@ class Moments:
 
     @property
     def points(self) -> Floats:
-        """The visible points of the vehicles, (m, 3), local coordinates."""
+        """Mean detections, (m, 3), local coordinates, metres."""
         return np.asarray(self.arm + self.place)
 
-    def later(self, moments: int) -> Moments:
-        """Return the moments as if they had been seen `moments` later."""
+    def delayed(self, moments: int) -> Moments:
+        """Return the same rows with `moments` added to the number of the moment."""
         return replace(self, moment=self.moment + moments)
 
 
 def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -> Moments:
-    """Put the vehicles of a recording on the map, moment by moment.
+    """Place the tracks of a recording on lanes of the map, and average them by moments.
 
     Parameters
     ----------
@@ -106,13 +106,13 @@ def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -
     tracks : (n,) array
         As from :func:`gis_radar.calibration.registration.traces.link_tracks`.
     state : State
-        Where the sensor is thought to be, in the lanes' local coordinates.
+        Assumed state of the sensor, in the lanes' local coordinates.
     lanes : Lanes
-        The map, from which directions of travel are taken.
+        The map; it gives the directions of travel.
     """
-    on = tracks != NONE
+    linked = tracks != NONE
     samples = Samples(
-        points=moving.points[on], range_rate=moving.range_rate[on], track=tracks[on],
+        points=moving.points[linked], range_rate=moving.range_rate[linked], track=tracks[linked],
         tracks=int(tracks.max(initial=NONE)) + 1, elevation=np.pi / 2,
     )  # fmt: skip
     placed = place(samples, state)
@@ -121,75 +121,76 @@ def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -
     cosine = np.sum(along * placed.sight, axis=1)
     clear = np.abs(cosine) > LEAST_COSINE
     speed = np.divide(samples.range_rate, cosine, out=np.full(len(samples), np.nan), where=clear)
-    moment = np.floor(moving.time[on] / MOMENT_S).astype(np.int64)
+    moment = np.floor(moving.time[linked] / MOMENT_S).astype(np.int64)
     columns = {
         "track": samples.track, "moment": moment, "speed": speed,
-        "late": moving.time[on] - (moment + 0.5) * MOMENT_S,
+        "late": moving.time[linked] - (moment + 0.5) * MOMENT_S,
         **dict(zip("xyz", placed.arms.T, strict=True)), "e": along[:, 0], "n": along[:, 1],
         "s": np.sum(along * placed.arms[:, FLAT], axis=1),
     }  # fmt: skip
     table = pd.DataFrame(columns)[matches.found]
     typical = table.groupby("track")["speed"].median()
     groups = table.groupby(["track", "moment"], sort=True)
-    found, count = groups.mean(), groups.size().to_numpy()
+    means, count = groups.mean(), groups.size().to_numpy()
     extent = (groups["s"].max() - groups["s"].min()).to_numpy()
-    number = found.index.get_level_values("track").to_numpy()
+    number = means.index.get_level_values("track").to_numpy()
     pace = groups["speed"].median().to_numpy()
     pace = np.where(np.isnan(pace), typical.reindex(number).to_numpy(), pace)
-    way = found[["e", "n"]].to_numpy()
-    straight = np.hypot(*way.T)
-    # a queue linked to one track, or crossing lanes, would give a place of no vehicle
+    direction = means[["e", "n"]].to_numpy()
+    straight = np.hypot(*direction.T)
+    # leave out means over several vehicles: a queue linked to one track, or crossing lanes
     good = (extent < LONGEST_M) & np.isfinite(pace) & (straight > LEAST_STRAIGHT)
-    way = way / np.maximum(straight, LEAST_STRAIGHT)[:, None]
-    arm = found[list("xyz")].to_numpy(copy=True)
-    arm[:, FLAT] -= way * (pace * found["late"].to_numpy())[:, None]
+    direction = direction / np.maximum(straight, LEAST_STRAIGHT)[:, None]
+    arm = means[list("xyz")].to_numpy(copy=True)
+    arm[:, FLAT] -= direction * (pace * means["late"].to_numpy())[:, None]
     return Moments(
-        track=number[good], moment=found.index.get_level_values("moment").to_numpy()[good],
-        arm=arm[good], place=state.position, along=way[good], speed=pace[good], count=count[good],
+        track=number[good], moment=means.index.get_level_values("moment").to_numpy()[good],
+        arm=arm[good], place=state.position, along=direction[good], speed=pace[good],
+        count=count[good],
     )  # fmt: skip
 
 
-def faces(seen: Moments) -> tuple[Floats, Floats, Floats]:
-    """Return which faces of vehicles a sensor sees, and how strongly.
+def faces(moments: Moments) -> tuple[Floats, Floats, Floats]:
+    """Return which faces of vehicles a sensor sees, and the share of the side.
 
     Returns
     -------
     (m,), (m,) array
-        Sign of the direction of sight along and across the lane.
+        Sign of the line of sight along the lane (1: the rear is seen) and to its left.
     (m,) array
-        Share of the side in the reflections, 0 to 1; the rest is of front or rear.
+        Share of detections on the side, 0 to 1; the others are on front or rear.
     """
-    sight = seen.arm[:, FLAT] / np.maximum(np.hypot(*seen.arm[:, FLAT].T), 1e-9)[:, None]
-    cosine = np.sum(sight * seen.along, axis=1)
-    sine = sight[:, 1] * seen.along[:, 0] - sight[:, 0] * seen.along[:, 1]
-    strong = MODEL.side_strength * np.abs(sine)
-    return np.sign(cosine), np.sign(sine), strong / (strong + np.abs(cosine))
+    sight = moments.arm[:, FLAT] / np.maximum(np.hypot(*moments.arm[:, FLAT].T), 1e-9)[:, None]
+    cosine = np.sum(sight * moments.along, axis=1)
+    sine = sight[:, 1] * moments.along[:, 0] - sight[:, 0] * moments.along[:, 1]
+    side_weight = MODEL.side_strength * np.abs(sine)
+    return np.sign(cosine), np.sign(sine), side_weight / (side_weight + np.abs(cosine))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rows:
-    """Gaps between two sensors' estimates of the middle of a vehicle, along and across its lane.
+    """Gaps between two sensors' positions of a vehicle's middle, along and across its lane.
 
     Parameters
     ----------
     pair : (r,) array
         Number of the pair of tracks, ascending.
     tracks : (pairs, 2) array
-        Which tracks of the one and of the other sensor.
+        Numbers of the tracks, of the first and of the second sensor.
     gap : (r, 2) array
-        Middle by the first sensor less that by the other, metres.
+        Position by the first sensor less that by the second, metres.
     poses : (r, 2, 6) array
-        Derivative of the gap by easting, northing, yaw of the first and of the other sensor.
+        Derivative of the gap by easting, northing, yaw of the first and of the second sensor.
     constants : (r, 2, 3) array
         Derivative by the half length, half width, and the logarithm of the side strength.
     clocks : (r, 2, 2) array
-        Derivative by how far the clocks of the first and the other are ahead, m/s.
+        Derivative by the clock offset of the first and of the second, m/s.
     bearings : (r, 2, 2) array
-        Derivative by an error of bearing of the first and of the other, m/rad.
+        Derivative by an error of azimuth of the first and of the second, m/rad.
     variance : (r, 2) array
         Variance of the gap that is independent in each moment, m^2.
     place : (r, 2) array
-        Where the vehicle is, local coordinates.
+        Position of the vehicle, local coordinates, metres.
     """
 
     pair: Integers
@@ -208,13 +209,13 @@ class Rows:
         return np.flatnonzero(np.diff(self.pair, prepend=-1))
 
     def means(self, values: Floats) -> Floats:
-        """Return the mean of values over the rows of each pair."""
+        """Return the mean over the rows of each pair."""
         number = np.diff(np.append(self.first, len(self.pair)))
         total = np.add.reduceat(values, self.first, axis=0) if len(values) else values
         return np.asarray(total / number.reshape(-1, *[1] * (values.ndim - 1)))
 
     def only(self, pairs: Booleans) -> Rows:
-        """Return the rows of some pairs."""
+        """Return the rows of the pairs for which `pairs` is true, numbered anew."""
         keep = pairs[self.pair]
         cut = {
             name: getattr(self, name)[keep]
@@ -225,7 +226,9 @@ class Rows:
 
 
 def compare_moments(one: Moments, other: Moments) -> Rows:
-    """Compare all vehicles that two sensors see at the same moments, in the same direction.
+    """Return the gaps of all pairs of tracks of two sensors that may be of one vehicle.
+
+    These have common moments in which direction, speed and height agree.
 
     Parameters
     ----------
@@ -234,28 +237,30 @@ def compare_moments(one: Moments, other: Moments) -> Rows:
     """
     a, b = np.empty((2, 0), np.int64)
     if _in_reach(one, other):  # sensors of a large site may never meet
-        a, b = _same_moment(one.moment, other.moment)
+        a, b = _pairs_of_moments(one.moment, other.moment)
     table = pd.DataFrame({"one": one.track[a], "other": other.track[b]})
-    way = np.sum(one.along[a] * other.along[b], axis=1)
-    over = np.abs(one.points[a, 2] - other.points[b, 2])
-    alike = (
-        (way > LEAST_ALIKE) & (np.abs(one.speed[a] - other.speed[b]) < SPEED_MPS) & (over < LEVEL_M)
+    cosine = np.sum(one.along[a] * other.along[b], axis=1)
+    rise = np.abs(one.points[a, 2] - other.points[b, 2])
+    agree = (
+        (cosine > LEAST_AGREEMENT)
+        & (np.abs(one.speed[a] - other.speed[b]) < SPEED_MPS)
+        & (rise < LEVEL_M)
     )
     near = np.hypot(*(one.points[a] - other.points[b])[:, FLAT].T) < FARTHEST_M
-    both = table.groupby(["one", "other"], sort=True)
-    number = both.ngroup().to_numpy()
-    share = np.bincount(number, weights=alike) / np.maximum(np.bincount(number), 1)
-    keep = alike & near & (share[number] > LEAST_ALIKE_SHARE)
+    pairs = table.groupby(["one", "other"], sort=True)
+    number = pairs.ngroup().to_numpy()
+    share = np.bincount(number, weights=agree) / np.maximum(np.bincount(number), 1)
+    keep = agree & near & (share[number] > LEAST_AGREEING_SHARE)
     enough = np.bincount(number[keep], minlength=len(share)) >= LEAST_MOMENTS
     keep &= enough[number]
     order = np.flatnonzero(keep)[np.argsort(number[keep], kind="stable")]
     _, pair = np.unique(number[order], return_inverse=True)
     tracks = table.iloc[order].groupby(pair).first().to_numpy().reshape(-1, 2)
-    return _rows(one, other, a[order], b[order], pair, tracks)
+    return _gap_rows(one, other, a[order], b[order], pair, tracks)
 
 
 def _in_reach(one: Moments, other: Moments) -> bool:
-    """Return whether the extents of two sensors' vehicles come within `FARTHEST_M`."""
+    """Return whether the bounding boxes of two sensors' vehicles come within `FARTHEST_M`."""
     if not len(one) or not len(other):
         return False
     a, b = one.points[:, FLAT], other.points[:, FLAT]
@@ -263,18 +268,18 @@ def _in_reach(one: Moments, other: Moments) -> bool:
     return bool((apart_m < FARTHEST_M).all())
 
 
-def _same_moment(one: Integers, other: Integers) -> tuple[Integers, Integers]:
-    """Return all pairs of indices at which two lists have the same number."""
+def _pairs_of_moments(one: Integers, other: Integers) -> tuple[Integers, Integers]:
+    """Return the indices of all pairs of equal moments."""
     left = pd.DataFrame({"at": one, "a": np.arange(len(one))})
     right = pd.DataFrame({"at": other, "b": np.arange(len(other))})
     joined = left.merge(right, on="at")
     return joined["a"].to_numpy(np.int64), joined["b"].to_numpy(np.int64)
 
 
-def _rows(
+def _gap_rows(
     one: Moments, other: Moments, a: Integers, b: Integers, pair: Integers, tracks: Integers
 ) -> Rows:
-    """Return gaps and derivatives of moments `a` of one sensor against `b` of the other."""
+    """Return gaps and derivatives of rows `a` of one sensor less rows `b` of the other."""
     along = one.along[a]
     axes = np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
     half = np.array([HALF_LENGTH_M, MODEL.half_width])
@@ -282,11 +287,11 @@ def _rows(
     poses, constants = np.zeros((len(a), 2, 2 * PLANAR)), np.zeros((len(a), 2, FACES))
     clocks, bearings = np.zeros((len(a), 2, 2)), np.zeros((len(a), 2, 2))
     variance = np.full((len(a), 2), MOMENT_SIGMA_M**2)
-    for k, (seen, at, sign) in enumerate(((one, a, 1.0), (other, b, -1.0))):
-        ahead, left, side = (each[at] for each in faces(seen))
-        arm, ends, sides = seen.arm[at, :2], (1.0 - side) * ahead, side * left
-        both, mixed = np.column_stack([ends, sides]), side * (1.0 - side)
-        gap += sign * both * half
+    for k, (moments, rows, sign) in enumerate(((one, a, 1.0), (other, b, -1.0))):
+        ahead, left, side = (each[rows] for each in faces(moments))
+        arm, ends, sides = moments.arm[rows, :2], (1.0 - side) * ahead, side * left
+        reflecting, mixed = np.column_stack([ends, sides]), side * (1.0 - side)
+        gap += sign * reflecting * half
         turn = np.einsum("rij,rj->ri", axes, np.column_stack([-arm[:, 1], arm[:, 0]]))
         poses[:, :, PLANAR * k : PLANAR * k + 2] = sign * axes
         poses[:, :, PLANAR * k + 2] = sign * turn
@@ -295,10 +300,10 @@ def _rows(
         constants[:, 1, 1] += sign * sides
         constants[:, 0, 2] -= sign * mixed * ahead * half[0]
         constants[:, 1, 2] += sign * mixed * left * half[1]
-        clocks[:, 0, k] = sign * seen.speed[at]
-        # reflections spread evenly along a side, and evenly across an end
+        clocks[:, 0, k] = sign * moments.speed[rows]
+        # variance of detections that are uniform along a side, and across an end
         share = np.column_stack([side, 1.0 - side])
-        variance += half**2 * (share / 3.0 + mixed[:, None]) / seen.count[at][:, None]
+        variance += half**2 * (share / 3.0 + mixed[:, None]) / moments.count[rows][:, None]
     return Rows(
         pair=pair, tracks=tracks, gap=gap, poses=poses, constants=constants, clocks=clocks,
         bearings=bearings, variance=variance, place=one.points[a][:, FLAT],
@@ -306,7 +311,7 @@ def _rows(
 
 
 def stretches(rows: Rows) -> Integers:
-    """Return for each pair the number of its stretch of road in its direction of travel."""
+    """Return for each pair the number of its stretch of road and direction of travel."""
     place = np.floor(rows.means(rows.place) / STRETCH_M)
     along = rows.means(rows.poses[:, 0, FLAT])
     quarter = np.round(np.arctan2(along[:, 1], along[:, 0]) / (np.pi / 2.0)) % 4
@@ -317,7 +322,7 @@ def stretches(rows: Rows) -> Integers:
 def effects(rows: Rows) -> tuple[Floats, Floats]:
     """Return the random effects of a pair: (r, 2, 5) derivatives and (5,) variances.
 
-    The effects are the offset between both radars along and across, the length, both bearings.
+    The effects are a constant offset along and across, the half length, both errors of azimuth.
     """
     spots = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
     derivatives = np.concatenate([spots, rows.constants[:, :, :1], rows.bearings], axis=2)
@@ -333,31 +338,31 @@ def mean_gaps(rows: Rows, covariance: Floats) -> tuple[Floats, Floats]:
     rows : Rows
         From :func:`compare_moments`.
     covariance : (6, 6) array
-        Of both sensors' easting, northing, yaw.
+        Covariance of both sensors' easting, northing, yaw.
     """
     derivatives, variances = effects(rows)
     by_effect, by_pose = rows.means(derivatives), rows.means(rows.poses)
     number = np.diff(np.append(rows.first, len(rows.pair)))
-    each = rows.means(rows.variance) / np.maximum(number * SHARE, 1.0)[:, None]
-    known = (
+    own = rows.means(rows.variance) / np.maximum(number * SHARE, 1.0)[:, None]
+    covariances = (
         np.einsum("pik,k,pjk->pij", by_effect, variances, by_effect)
         + np.einsum("pik,kl,pjl->pij", by_pose, covariance, by_pose)
-        + each[:, :, None] * np.eye(2)
+        + own[:, :, None] * np.eye(2)
     )
-    return rows.means(rows.gap), known
+    return rows.means(rows.gap), covariances
 
 
 def assign(chi2: Floats, tracks: Integers, most: float) -> Integers:
-    """Choose pairs, each track at most once, of the least total misfit, none above `most`.
+    """Return the indices of the pairs of least total chi-square, each track in at most one.
 
     Parameters
     ----------
     chi2 : (pairs,) array
-        Mean misfit of each pair.
+        Chi-square of each pair.
     tracks : (pairs, 2) array
         The tracks of each pair.
     most : float
-        Misfit from which on a track is left without a pair.
+        Chi-square from which on a track is left without a pair.
     """
     near = np.flatnonzero(chi2 < most)
     if not len(near):

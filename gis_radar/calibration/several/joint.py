@@ -1,4 +1,4 @@
-"""Joint calibration of a site's sensors: vehicles that two of them see relate their poses."""
+"""Joint calibration of a site's sensors by correspondences: vehicles that two of them see."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ from gis_radar.calibration.single.localization import (
     read_ground,
     refuse_both,
     start_in_map,
-    warn_of_open,
+    warn_unobservable,
 )
 from gis_radar.calibration.single.moving import (
-    RIGHT,
+    NO_OFFSET,
     Span,
     best_end,
     common_time,
@@ -53,7 +53,7 @@ from gis_radar.calibration.timing.clocks import SensorClock
 from gis_radar.hdmap import LaneletMap
 from gis_radar.poses import Pose
 
-# Length of the time, in which most sensors recorded, that is used of long recordings: 2000 frames.
+# Length of the part of long recordings that is used, seconds: 2000 frames.
 COMMON_S = 100.0
 
 STAGE = "finding the poses together"
@@ -63,13 +63,13 @@ AWAY = "it did not record while the others did"
 
 @dataclass(frozen=True, kw_only=True)
 class JointCalibration:
-    """The poses of several sensors of a site.
+    """Result of a joint calibration.
 
     Parameters
     ----------
     found : dict of str to Localization
-        By sensor. Where vehicles relate a sensor to others, `together` in its pose's evidence
-        states these, the number of pairs of tracks, and sigma before and after (m, degrees).
+        By sensor. With correspondences, `together` in its pose's evidence names the other sensors,
+        the number of pairs of tracks, and sigma before and after (m, degrees).
     refused : dict of str to str
         By sensor without a trustworthy pose: the reason.
     pairs : dict of (str, str) to int
@@ -85,26 +85,26 @@ class JointCalibration:
         """Error that names all refused sensors in one line; None where every sensor has a pose."""
         if not self.refused:
             return None
-        whys = {
-            why if name in why.partition(":")[0].split() else f"{name}: {why}": None
-            for name, why in self.refused.items()
+        reasons = {
+            reason if name in reason.partition(":")[0].split() else f"{name}: {reason}": None
+            for name, reason in self.refused.items()
         }
-        return NoAnswerError(Text("; ").join(whys), hint="the other sensors have their poses")
+        return NoAnswerError(Text("; ").join(reasons), hint="the other sensors have their poses")
 
     def figures(self) -> dict[str, str]:
         """Return one line of text for each sensor."""
-        lines = {name: _line(found.pose) for name, found in self.found.items()}
+        lines = {name: _result_line(found.pose) for name, found in self.found.items()}
         return lines | {name: Text("no answer: {}", why) for name, why in self.refused.items()}
 
     def write(self, folder: str | Path) -> list[Path]:
         """Write a pose file for each sensor into a folder, all or none, and return them."""
         folder = Path(folder)
-        made = [folder / f"{name}.json" for name in self.found]
-        with folder_to_fill(folder), atomic_writes(made[0]) as (private, places):
-            for found, path in zip(self.found.values(), made, strict=True):
+        paths = [folder / f"{name}.json" for name in self.found]
+        with folder_to_fill(folder), atomic_writes(paths[0]) as (private, places):
+            for found, path in zip(self.found.values(), paths, strict=True):
                 found.pose.write(private / path.name)
                 places[private / path.name] = path
-        return made
+        return paths
 
     def _repr_html_(self) -> str:
         return card("Sensors together", self.figures())
@@ -131,11 +131,10 @@ def localize_together(
 ) -> JointCalibration:
     """Find the poses of several sensors that recorded at the same time.
 
-    Each is localized by itself, by the method `lane`. Then the vehicles that two of them see at
-    the same time relate their poses, which are adjusted together. A sensor with several
-    poses that fit alike, or whose place along a straight road is not fixed, is placed by its
-    neighbours.
-    Where there are scans, each adjusted pose is checked against them.
+    Each is localized by itself, by the method `lane`. Then the poses are adjusted together by
+    vehicles that two sensors see at the same time. A sensor with several poses that fit alike, or
+    whose place along a straight road is not fixed, is placed by its neighbours. With scans, each
+    adjusted pose is checked against them.
 
     Parameters
     ----------
@@ -148,9 +147,10 @@ def localize_together(
     guess_crs : CRS, str or int, optional
         The guesses' coordinate system, where it is not the map's.
     headings : sequence of float, optional
-        As many yaws in degrees, counter-clockwise from grid east, within 25 degrees of the truth.
+        Yaw of each sensor, degrees counter-clockwise from grid east, within 25 degrees of the
+        truth.
     compasses : sequence of float, optional
-        The same as bearings: degrees clockwise from true north.
+        The same as compass bearings: degrees clockwise from true north.
     scans, scan_crs
         As for :func:`gis_radar.localize`: where the traffic in front of a sensor fits several
         poses, the scan check decides first.
@@ -208,87 +208,94 @@ def locate_all(
         As for :func:`gis_radar.localize`.
     """
     end = common_time(recordings)
-    look_at = partial(_look, scans=scans, scan_crs=scan_crs, reporter=reporter) if scans else None
-    sure = [None] * len(guesses) if headings is None else headings
-    asks = [
+    check = None
+    if scans:
+        check = partial(_check_named, scans=scans, scan_crs=scan_crs, reporter=reporter)
+    yaws = [None] * len(guesses) if headings is None else headings
+    localizers = [
         partial(
             localize_one, roads=roads, road_points=road_points, guess=guess, heading=heading,
             reporter=reporter,
         )
-        for guess, heading in zip(guesses, sure, strict=True)
+        for guess, heading in zip(guesses, yaws, strict=True)
     ]  # fmt: skip
-    if look_at is not None:
-        compare = partial(look_at, reporter=SILENT)
-        asks = [
-            partial(localize_with_scan, localize=ask, look_at=compare, reporter=reporter)
-            for ask in asks
+    if check is not None:
+        compare = partial(check, reporter=SILENT)
+        localizers = [
+            partial(localize_with_scan, localize=localizer, check_pose=compare, reporter=reporter)
+            for localizer in localizers
         ]
-    answers, refused = _alone(recordings, asks, reporter)
+    answers, refused = _localize_each(recordings, localizers, reporter)
     used = {path.stem: path for path in recordings if path.stem in answers}
     solved = adjust_poses(
         used, {name: tuple(each.pose for each in found) for name, found in answers.items()},
         roads, road_points, end=end, reporter=reporter,
     )  # fmt: skip
     reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
-    kept: dict[str, Localization] = {}
-    if look_at is not None:
-        kept = _confirmed({name: answers[name] for name in solved.refused}, used, compare)
-    for name in kept:
+    confirmed: dict[str, Localization] = {}
+    if check is not None:
+        contradicted = {name: answers[name] for name in solved.refused}
+        confirmed = _confirmed_by_scan(contradicted, used, compare)
+    for name in confirmed:
         reporter.warn("{}; what stands in the scan confirms that of {}", solved.refused[name], name)
-    if not solved.poses and not kept:
-        raise NoAnswerError(
-            Text("; ").join(dict.fromkeys(solved.refused.values())), hint=CLASH_HINT
-        )
-    for name, reason in solved.unmatched.items():
-        if name in solved.poses and len(used) > 1:
-            reporter.warn("{}: {}", name, reason)
+    if not solved.poses and not confirmed:
+        reasons = Text("; ").join(dict.fromkeys(solved.refused.values()))
+        raise NoAnswerError(reasons, hint=CLASH_HINT)
+    if len(used) > 1:
+        _warn_unmatched(solved, reporter)
     placed = {
         name: _with_pose(answers[name][solved.chosen[name]], solved.poses[name])
         for name in used if name in solved.poses
     }  # fmt: skip
-    if look_at is not None:
-        placed = {
-            name: found.with_scan_check(look_at(used[name], found.pose))
-            for name, found in placed.items()
-        }
-    found = {name: (placed | kept)[name] for name in used if name in placed or name in kept}
-    warn_of_open(found.values(), scanned=look_at is not None, reporter=reporter)
-    why = {name: error.message for name, error in refused.items()} | solved.refused
-    left = {name: text for name, text in why.items() if name not in found}
-    return JointCalibration(found=found, refused=left, pairs=solved.pairs)
+    if check is not None:
+        placed = {n: each.with_scan_check(check(used[n], each.pose)) for n, each in placed.items()}
+    found = {name: (placed | confirmed)[name] for name in used if name in placed | confirmed}
+    warn_unobservable(found.values(), scanned=check is not None, reporter=reporter)
+    texts = {name: error.message for name, error in refused.items()} | solved.refused
+    unanswered = {name: text for name, text in texts.items() if name not in found}
+    return JointCalibration(found=found, refused=unanswered, pairs=solved.pairs)
 
 
-def _confirmed(
+def _warn_unmatched(solved: Solved, reporter: Reporter) -> None:
+    """Warn of sensors with a pose but without correspondences."""
+    for name, reason in solved.unmatched.items():
+        if name in solved.poses:
+            reporter.warn("{}: {}", name, reason)
+
+
+def _confirmed_by_scan(
     refused: Mapping[str, tuple[Localization, ...]],
     recordings: Mapping[str, Path],
-    look_at: Callable[[Path, Pose], ScanCheck],
+    check_pose: Callable[[Path, Pose], ScanCheck],
 ) -> dict[str, Localization]:
-    """Return the answers that the scan check confirms, of refused sensors with one answer each."""
-    alone = {name: several[0] for name, several in refused.items() if len(several) == 1}
-    looks = {name: look_at(recordings[name], found.pose) for name, found in alone.items()}
+    """Return the unambiguous localizations of refused sensors that the scan check confirms."""
+    unambiguous = {name: answers[0] for name, answers in refused.items() if len(answers) == 1}
+    checks = {name: check_pose(recordings[name], found.pose) for name, found in unambiguous.items()}
     return {
-        name: alone[name].with_scan_check(look)
-        for name, look in looks.items()
-        if look.verdict == CONFIRMS
+        name: unambiguous[name].with_scan_check(check)
+        for name, check in checks.items()
+        if check.verdict == CONFIRMS
     }
 
 
-def _alone(
-    recordings: Sequence[Path], asks: Sequence[Callable[[Path], Localization]], reporter: Reporter
+def _localize_each(
+    recordings: Sequence[Path],
+    localizers: Sequence[Callable[[Path], Localization]],
+    reporter: Reporter,
 ) -> tuple[dict[str, tuple[Localization, ...]], dict[str, NoAnswerError]]:
-    """Localize each sensor by itself; return its answers (several if ambiguous), and refusals.
+    """Localize each sensor by itself; return localizations (several if ambiguous), and refusals.
 
     Raises
     ------
     NoAnswerError
-        If none of them has one answer.
+        If no sensor has an unambiguous localization.
     """
     answers: dict[str, tuple[Localization, ...]] = {}
     refused: dict[str, NoAnswerError] = {}
-    for done, (recording, ask) in enumerate(zip(recordings, asks, strict=True)):
+    for done, (recording, localize_sensor) in enumerate(zip(recordings, localizers, strict=True)):
         reporter.progress(STAGE, done, len(recordings) + 1)
         try:
-            answers[recording.stem] = (ask(recording),)
+            answers[recording.stem] = (localize_sensor(recording),)
         except AmbiguousError as error:
             answers[recording.stem] = error.answers
             refused[recording.stem] = error
@@ -303,7 +310,7 @@ def _alone(
 
 @dataclass(frozen=True)
 class _Named(Reporter):
-    """Reporter that passes on progress, and remarks with the sensor's name before them."""
+    """Reporter that forwards progress, and messages with the sensor's name prefixed."""
 
     name: str
     reporter: Reporter
@@ -315,10 +322,10 @@ class _Named(Reporter):
         self.reporter.log(Text("{}: {}", self.name, message), level)
 
 
-def _look(
+def _check_named(
     recording: Path, pose: Pose, *, scans: Sequence[str | Path], scan_crs: Any, reporter: Reporter
 ) -> ScanCheck:
-    """Check a sensor's pose against the scan; remarks name the sensor."""
+    """Check a sensor's pose against the scan; messages name the sensor."""
     named = _Named(pose.sensor, reporter)
     return check_against_scan(recording, pose, scans, scan_crs=scan_crs, reporter=named)
 
@@ -340,42 +347,42 @@ def adjust_poses(
     recordings : mapping of str to Path or sequence of Path
         By sensor.
     poses : mapping of str to tuple of Pose
-        By sensor: its own answer with covariance, or several that fit alike.
+        By sensor: its pose by single localization with covariance, or several that fit alike.
     roads, road_points
         As for :func:`gis_radar.localize`.
     end : float, optional
-        UNIX seconds: the end of the 100 s of the recordings that are used; by default of the first
-        100 s in which most sensors recorded.
+        End of the 100 s of the recordings that are used, UNIX seconds; by default the first 100 s
+        in which most sensors recorded.
     clocks : mapping of str to SensorClock, optional
-        Measured clocks, by which the times of their sensors are corrected.
+        Measured clocks, to correct the times of their sensors.
     reporter : Reporter
         Receives progress and remarks.
 
     Returns
     -------
     Solved
-        Without a pose for any sensor where all contradict each other. Sensors with recordings that
-        cannot be read have no correspondences.
+        No sensor has a pose where all contradict each other. Sensors whose recordings cannot be
+        read have no correspondences.
     """
-    right = {name: (clocks or {}).get(name, RIGHT) for name in recordings}
+    corrections = {name: (clocks or {}).get(name, NO_OFFSET) for name in recordings}
     paths = {name: [each] if isinstance(each, Path) else each for name, each in recordings.items()}
-    why: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     spans: dict[str, list[Span]] = {name: [] for name in paths}
-    for name, several in paths.items():
-        for path in several:
-            with _noted(why, name):
-                spans[name].append(read_span(path, right[name]))
+    for name, sensor_paths in paths.items():
+        for path in sensor_paths:
+            with _note_error(reasons, name):
+                spans[name].append(read_span(path, corrections[name]))
     until = best_end(spans, COMMON_S) if end is None else end
     stations = []
-    for done, (name, known) in enumerate(spans.items()):
+    for done, (name, sensor_spans) in enumerate(spans.items()):
         reporter.progress(READING, done, len(spans))
-        there = [each for each in known if each.shared_s(until - COMMON_S, until)]
+        overlapping = [each for each in sensor_spans if each.shared_s(until - COMMON_S, until)]
         moving = read_until([], until)
-        with _noted(why, name):
-            moving = read_until(there, until, right[name])
+        with _note_error(reasons, name):
+            moving = read_until(overlapping, until, corrections[name])
         if not moving.frames:
-            why.setdefault(name, AWAY)
-        clock_s = _sigma_s(right[name])
+            reasons.setdefault(name, AWAY)
+        clock_s = _known_sigma_s(corrections[name])
         stations.append(Station(name=name, moving=moving, poses=poses[name], clock_s=clock_s))
     reporter.progress(READING, len(spans), len(spans))
     places = np.array([pose.position[:2] for each in stations for pose in each.poses])
@@ -383,7 +390,7 @@ def adjust_poses(
     solved = solve_network(stations, lanes)
     for remark in solved.remarks:
         reporter.warn(remark)
-    unmatched = {name: why.get(name, text) for name, text in solved.unmatched.items()}
+    unmatched = {name: reasons.get(name, text) for name, text in solved.unmatched.items()}
     return replace(solved, unmatched=unmatched)
 
 
@@ -393,7 +400,7 @@ def _lanes_of_all(
     roads: LaneletMap,
     road_points: Floats,
 ) -> Lanes:
-    """Return the lanes that any of several sensors sees.
+    """Return the lanes within reach of any of several sensors.
 
     Parameters
     ----------
@@ -405,8 +412,8 @@ def _lanes_of_all(
         As for :func:`gis_radar.localize`.
     """
     middle = places.mean(axis=0)
-    flat = [np.hypot(*each.points[:, :2].T) for each in moving if len(each)]
-    seen_m = max((float(np.percentile(each, 99.5)) for each in flat), default=0.0)
+    ranges_m = [np.hypot(*each.points[:, :2].T) for each in moving if len(each)]
+    seen_m = max((float(np.percentile(each, 99.5)) for each in ranges_m), default=0.0)
     spread_m = float(np.hypot(*(places - middle).T).max())
     return sample_lanes(
         roads.lanelets, road_points,
@@ -414,19 +421,19 @@ def _lanes_of_all(
     )  # fmt: skip
 
 
-def _sigma_s(clock: SensorClock) -> float | None:
+def _known_sigma_s(clock: SensorClock) -> float | None:
     """Return the standard deviation of a measured clock, seconds; None where it is not known."""
-    known = clock is not RIGHT and math.isfinite(clock.sigma_s)
-    return clock.sigma_s if known else None
+    is_known = clock is not NO_OFFSET and math.isfinite(clock.sigma_s)
+    return clock.sigma_s if is_known else None
 
 
 @contextmanager
-def _noted(why: dict[str, str], name: str) -> Iterator[None]:
-    """Record an error of one sensor's data in `why` instead of raising it."""
+def _note_error(reasons: dict[str, str], name: str) -> Iterator[None]:
+    """Record an InputError of one sensor in `reasons` instead of raising it."""
     try:
         yield
     except InputError as error:
-        why[name] = error.message
+        reasons[name] = error.message
 
 
 def _check_counts(
@@ -461,27 +468,27 @@ def _with_pose(found: Localization, pose: Pose) -> Localization:
     return replace(found, pose=pose, observable=observable)
 
 
-def _line(pose: Pose) -> str:
-    look, scale = pose.evidence.get("scan_check"), pose.evidence.get("range_scale")
+def _result_line(pose: Pose) -> str:
+    check, scale = pose.evidence.get("scan_check"), pose.evidence.get("range_scale")
     parts = [gain_line(pose)]
     if isinstance(scale, Mapping):
         parts.append(Text("scale of range {:.3f} ± {:.3f}", scale["factor"], scale["sigma"]))
-    if look:
-        parts.append(f"scan check: {look['verdict']}")
+    if check:
+        parts.append(f"scan check: {check['verdict']}")
     return Text("; ").join(parts)
 
 
 def gain_line(pose: Pose) -> str:
-    """Describe a pose's certainty and correspondences in a line, by its evidence."""
+    """Return a line with a pose's sigma, alone and together, and its number of correspondences."""
     sigma, together = pose.parsed_evidence().sigma, pose.evidence.get("together")
-    after = Text("position ± {:.2f} m", np.hypot(sigma["easting"], sigma["northing"]))
+    position = Text("position ± {:.2f} m", np.hypot(sigma["easting"], sigma["northing"]))
     turn = Text("yaw ± {:.2f} deg", sigma["yaw"])
     if together is None:
-        return Text("{}, {}; alone", after, turn)
+        return Text("{}, {}; alone", position, turn)
     before = {name: value["before"] for name, value in together["gained"].items()}
     return Text(
         "{} (alone {:.2f}), {} (alone {:.2f}); {} vehicles shared with {}",
-        after,
+        position,
         np.hypot(before["easting"], before["northing"]),
         turn,
         before["yaw"],

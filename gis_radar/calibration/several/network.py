@@ -1,4 +1,4 @@
-"""Network of sensors, whose poses correspondences confirm, contradict or choose, and adjust."""
+"""Network of sensors: correspondences choose, confirm or contradict poses, and adjust them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from gis_radar.calibration.several.placing import (
     CONTRADICTION_CHI2,
     GATE_CHI2,
     GRID_YAW,
-    LAG_CLEAR,
+    OFFSET_Z,
     REACH_S,
     STEP_M,
     Choice,
@@ -52,39 +52,38 @@ from gis_radar.calibration.several.placing import (
     find_place,
     preference,
 )
-from gis_radar.calibration.single.moving import RIGHT
-from gis_radar.calibration.timing.clock_offsets import measured_offset
-from gis_radar.calibration.timing.clocks import SensorClock, adjust_network, reached
+from gis_radar.calibration.single.moving import NO_OFFSET
+from gis_radar.calibration.timing.clock_offsets import ODD_DRIFT, measured_offset
+from gis_radar.calibration.timing.clocks import SensorClock, adjust_network, sum_offsets
 from gis_radar.calibration.timing.lane_detections import lane_detections
 from gis_radar.poses import Pose
 
-# Largest and least clock offset that is looked for: with larger ones, radars have no common time;
-# smaller ones are left to the adjustment of the poses.
-MOST_LAG_S = 10.0
-LEAST_LAG_S = 0.25
-CLOCK_SIGMAS = 4.0  # standard deviations beyond which a clock's offset is remarked upon
-# Fewer pairs do not move a pose that is certain by itself: a cluster-robust covariance needs 20 to
+# Largest and least clock offset that is searched: with larger ones radars have no common time,
+# smaller ones are estimated in the adjustment of the poses.
+MOST_OFFSET_S = 10.0
+LEAST_OFFSET_S = 0.25
+CLOCK_SIGMAS = 4.0  # least offset of a clock that is reported, in standard deviations
+# Least number of pairs that moves a pose certain by itself: a cluster-robust covariance needs 20 to
 # 50 clusters (Cameron, Miller 2015), and few vehicles may all be on one lane.
 FIRM_PAIRS = 20
-FIXED_M = 1.0  # where 1 sigma along its weakest direction is larger, a pose is searched along it
-PAIRING_ROUNDS = 6  # rounds of pairing and fitting; two or three are enough
-
-AT_REST = 1e-4  # a smaller step ends the adjustment, metres and radians
+FIXED_M = 1.0  # largest 1 sigma, in any direction, of a pose that counts as fixed
+PAIRING_ROUNDS = 6  # rounds of pairing and adjustment; two or three are enough
+CONVERGED = 1e-4  # a smaller step ends the adjustment, metres and radians
 CLASH_HINT = Text("check both guesses, and the clocks of both sensors: gis-radar clocks")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solved:
-    """Result of a joint calibration.
+    """Poses of a network of sensors, adjusted by correspondences.
 
     Parameters
     ----------
     poses : dict of str to Pose
-        By sensor; sensors without correspondences keep their own poses.
+        By sensor; sensors without correspondences keep the pose of single localization.
     chosen : dict of str to int
-        By sensor: index of the chosen pose in those of its own localization.
+        By sensor: index of the chosen pose among those of single localization.
     refused : dict of str to str
-        By sensor without a trustworthy pose: the reason, where it is the network's.
+        By sensor refused because of contradictions: the reason.
     pairs : dict
         By two sensors' names: number of vehicles that both see.
     unmatched : dict of str to str
@@ -107,7 +106,7 @@ def solve_network(stations: Sequence[Station], lanes: Lanes) -> Solved:
     Parameters
     ----------
     stations : sequence of Station
-        The sensors; those with one pose fix those with several.
+        The sensors; at least one with a single pose.
     lanes : Lanes
         The map around all of them.
     """
@@ -115,36 +114,43 @@ def solve_network(stations: Sequence[Station], lanes: Lanes) -> Solved:
     network.place_all()
     while True:
         network.refuse_clashes()
-        adjusted, matched = network.adjusted()
+        adjusted, matched = network.adjust()
         if network.free_clock(matched):
             continue
-        found = network.misfits(adjusted, matched)
-        if not found:
+        contradictions = network.contradictions(adjusted, matched)
+        if not contradictions:
             break
-        network.clashes |= found
-    return network.solved(adjusted, matched)
+        network.clashes |= contradictions
+    return network.result(adjusted, matched)
 
 
 @dataclass
 class _Member:
-    """A sensor on its way to a pose."""
+    """A sensor of the network with its assumed pose and clock."""
 
     station: Station
     tracks: Integers
     choice: int = 0
-    start: Floats = field(default_factory=lambda: np.zeros(PLANAR))  # step from its own answer
-    away: Floats = field(default_factory=lambda: np.zeros(PLANAR))
-    loose: bool = False  # its own answer did not fix the place: correspondences chose the start
-    clock: SensorClock = RIGHT  # its assumed clock
-    free: bool = False  # its clock, off or not measured, is estimated with the poses
+    start: Floats = field(default_factory=lambda: np.zeros(PLANAR))  # step of the grid search
+    away: Floats = field(default_factory=lambda: np.zeros(PLANAR))  # current step
+    loose: bool = False  # single localization did not fix the pose: the grid search did
+    clock: SensorClock = NO_OFFSET  # its assumed clock
+    free: bool = False  # whether its clock, off or not measured, is estimated with the poses
 
     @property
     def pose(self) -> Pose:
+        """The chosen pose of single localization."""
         return self.station.poses[self.choice]
+
+    @property
+    def fixed(self) -> bool:
+        """Whether single localization fixes the pose."""
+        poses = self.station.poses
+        return len(poses) == 1 and longest_m(planar_covariance(poses[0])) < FIXED_M
 
 
 class _Network:
-    """Sensors with their places, and the pairs of them that agree or contradict each other."""
+    """Sensors with their assumed poses, and the pairs that agree or contradict each other."""
 
     def __init__(self, stations: Sequence[Station], lanes: Lanes) -> None:
         self.lanes = lanes
@@ -153,16 +159,16 @@ class _Network:
         self.clashes: dict[Names, str] = {}
         self.agreeing: set[Names] = set()
         self.refused: dict[str, str] = {}
-        self.unclear: dict[str, str] = {}  # sensors whose vehicles fit at several places, and why
+        self.unclear: dict[str, str] = {}  # ambiguous sensors, with the reason
 
     def seen(self, member: _Member, choice: int, away: Floats) -> Moments:
-        """Return a sensor's vehicles, placed by a step from one of its own poses."""
+        """Return a sensor's vehicles, placed by a step `away` from one of its poses."""
         state, moving = self._state(member, choice, away), member.station.moving
         moving = replace(moving, time=member.clock.corrected(moving.time))
         return read_moments(moving, member.tracks, state, self.lanes)
 
     def _state(self, member: _Member, choice: int, away: Floats) -> State:
-        """Return the state at a step from one of a sensor's own poses, in local coordinates."""
+        """Return the state at a step `away` from one of a sensor's poses, local coordinates."""
         pose = moved(member.station.poses[choice], away)
         return State(
             position=pose.position - [*self.lanes.origin, 0.0],
@@ -171,7 +177,7 @@ class _Network:
         )
 
     def choice(self, member: _Member, number: int, away: Floats, covariance: Floats) -> Choice:
-        """Return a step from one of a sensor's own poses as a choice, with its covariance."""
+        """Return the choice at a step `away` from one of a sensor's poses."""
         state, on = self._state(member, number, away), member.tracks != NONE
         moving = member.station.moving
         driven = lane_detections(
@@ -184,14 +190,14 @@ class _Network:
         )  # fmt: skip
 
     def choices(self, member: _Member) -> list[Choice]:
-        """Return all poses that a sensor may have by itself."""
+        """Return the poses of a sensor's single localization as choices."""
         return [
             self.choice(member, i, np.zeros(PLANAR), planar_covariance(pose))
             for i, pose in enumerate(member.station.poses)
         ]
 
     def place_all(self) -> None:
-        """Fix the sensors with a certain pose, compare these, and place the others by them."""
+        """Place the sensors with a fixed pose, compare these, and place the others by them."""
         longest = {
             name: longest_m(planar_covariance(member.pose))
             for name, member in self.all.items()
@@ -200,235 +206,232 @@ class _Network:
         firm = sorted(longest, key=lambda name: longest[name])
         fixed = [name for name in firm if longest[name] < FIXED_M] or firm[:1]
         for name in fixed:
-            (choice,), _ = self._located(self.all[name])
+            (choice,), _ = self._locate(self.all[name])
             for other, at in self.placed.items():
                 self._compare_certain(name, choice, other, at)
             self.placed[name] = choice
         waiting = [name for name in dict.fromkeys((*firm, *self.all)) if name not in self.placed]
         while any(self._place(name) for name in waiting if name not in self.placed):
-            pass  # a sensor that has just been placed may place another
+            pass  # each new one may place others
 
-    def _located(self, member: _Member) -> tuple[list[Choice], Placing]:
-        """Place a sensor relative to those that are placed.
+    def _locate(self, member: _Member) -> tuple[list[Choice], Placing]:
+        """Return a sensor's choices and its placing by the placed sensors, after its clock is set.
 
-        Where its vehicles clearly agree better at another time, its clock is off by that time.
+        The clock gets an offset where the vehicles then agree better, with a z score of `OFFSET_Z`.
         """
-        member.clock, member.free = RIGHT, False
-        choices, found = self._among_placed(member)
-        clock = next(filter(None, map(self._clock_of, choices)), None)
+        member.clock, member.free = NO_OFFSET, False
+        choices, placing = self._compare_with_placed(member)
+        clock = next(filter(None, map(self._measured_clock, choices)), None)
         if clock is not None:
             member.clock = clock
-            then, there = self._among_placed(member)
-            if there.inside is None or preference(there.inside.scores, found.in_time) < LAG_CLEAR:
-                member.clock = RIGHT
+            shifted_choices, shifted = self._compare_with_placed(member)
+            # a fixed pose explains no wrong rate, which shows little in a short recording
+            is_rate = abs(clock.drift_ppm) > 1e6 * ODD_DRIFT and member.fixed
+            least, now = -np.inf if is_rate else OFFSET_Z, placing.scores_in_time
+            if shifted.inside is not None and preference(shifted.inside.scores, now) >= least:
+                member.free, choices, placing = True, shifted_choices, shifted
             else:
-                member.free, choices, found = True, then, there
-        if found.inside is not None and found.inside.ahead:
-            ahead_s = member.clock.offset_s + found.inside.ahead * MOMENT_S
+                member.clock = NO_OFFSET
+        if placing.inside is not None and placing.inside.ahead:
+            ahead_s = member.clock.offset_s + placing.inside.ahead * MOMENT_S
             member.free, member.clock = True, replace(member.clock, offset_s=ahead_s)
-            choices, found = self._among_placed(member)
-            if found.inside is not None and found.inside.ahead:  # now another clock fits better
-                found = replace(found, clock_z=0.0)
-        return choices, found
+            choices, placing = self._compare_with_placed(member)
+            if placing.inside is not None and placing.inside.ahead:  # now another clock fits better
+                placing = replace(placing, clock_z=0.0)
+        return choices, placing
 
-    def _among_placed(self, member: _Member) -> tuple[list[Choice], Placing]:
-        """Return all poses that a sensor may have, and how they agree with the placed sensors.
+    def _compare_with_placed(self, member: _Member) -> tuple[list[Choice], Placing]:
+        """Return a sensor's choices and its placing by the placed sensors.
 
-        Where its place is open and its clock was not measured, places are compared at all offsets
-        of the clock.
+        All clock offsets are tried where its pose is not fixed and its clock was not measured.
         """
         choices = self.choices(member)
-        reach_s = REACH_S if self._open(member) and member.station.clock_s is None else 0.0
+        reach_s = 0.0 if member.fixed or member.station.clock_s is not None else REACH_S
         return choices, find_place(choices, self.placed, reach_s=reach_s)
 
-    def _open(self, member: _Member) -> bool:
-        """Return whether a sensor's own answer leaves its place open."""
-        poses = member.station.poses
-        return len(poses) > 1 or longest_m(planar_covariance(poses[0])) >= FIXED_M
-
-    def _clock_of(self, choice: Choice) -> SensorClock | None:
-        """Return a sensor's clock where it clearly differs from those of the placed sensors."""
+    def _measured_clock(self, choice: Choice) -> SensorClock | None:
+        """Return a sensor's clock measured against a placed one; None where it does not differ."""
         for name, other in self.placed.items():
             try:
-                offset = measured_offset(other.driven, choice.driven, max_offset_s=MOST_LAG_S)
+                offset = measured_offset(other.driven, choice.driven, max_offset_s=MOST_OFFSET_S)
             except NoAnswerError:
                 continue
             clock = adjust_network({(name, ""): offset}, name)[0][""]
-            return clock if abs(clock.offset_s) > LEAST_LAG_S or clock.drift_ppm else None
+            return clock if abs(clock.offset_s) > LEAST_OFFSET_S or clock.drift_ppm else None
         return None
 
     def _compare_certain(self, name: str, choice: Choice, other: str, at: Choice) -> None:
-        """Record whether two sensors with certain poses agree or contradict each other."""
-        found = find_place([choice], {other: at})
-        if found.beyond is not None:
+        """Record whether two sensors with fixed poses agree or contradict each other."""
+        placing = find_place([choice], {other: at})
+        if placing.beyond is not None:
             pair = self._pair(other, name)
-            self.clashes[pair] = clash_text(pair, found.beyond)
-        elif found.inside is not None:
+            self.clashes[pair] = clash_text(pair, placing.beyond)
+        elif placing.inside is not None:
             self.agreeing.add(self._pair(other, name))
 
     def _pair(self, *names: str) -> Names:
-        """Return two sensors in the order in which they were given."""
+        """Return two sensors in the order of the stations."""
         one, other = (name for name in self.all if name in names)
         return one, other
 
     def _place(self, name: str) -> bool:
-        """Place a sensor by those that have a place; return whether it could be."""
+        """Place a sensor by the placed ones; return whether this succeeded."""
         member = self.all[name]
-        choices, found = self._located(member)
-        if found.beyond is not None:
-            most = max(found.beyond.pairs.items(), key=lambda pair: pair[1])[0]
-            self.clashes[self._pair(most, name)] = clash_text(self._pair(most, name), found.beyond)
+        choices, placing = self._locate(member)
+        if placing.beyond is not None:
+            contradicted = max(placing.beyond.pairs.items(), key=lambda pair: pair[1])[0]
+            pair = self._pair(contradicted, name)
+            self.clashes[pair] = clash_text(pair, placing.beyond)
             return False
-        if found.inside is None or found.doubt is not None:
-            self.unclear |= {} if found.doubt is None else {name: found.doubt}
+        if placing.inside is None or placing.doubt is not None:
+            self.unclear |= {} if placing.doubt is None else {name: placing.doubt}
             return False
-        member.free |= member.station.clock_s is None  # its place rests on its clock
-        member.choice, member.start, member.loose = found.inside.choice, found.inside.step, True
-        covariance = choices[member.choice].covariance
-        loose = self._loose(covariance)
-        self.placed[name] = self.choice(member, member.choice, member.start, loose)
-        self.agreeing |= {self._pair(other, name) for other, n in found.inside.pairs.items() if n}
+        member.free |= member.station.clock_s is None  # its place depends on its clock
+        member.choice, member.start, member.loose = placing.inside.choice, placing.inside.step, True
+        covariance = self._grid_covariance(choices[member.choice].covariance)
+        self.placed[name] = self.choice(member, member.choice, member.start, covariance)
+        self.agreeing |= {self._pair(other, name) for other, n in placing.inside.pairs.items() if n}
         return True
 
-    def _loose(self, covariance: Floats) -> Floats:
-        """Return the covariance of a sensor that the grid search has placed."""
+    def _grid_covariance(self, covariance: Floats) -> Floats:
+        """Return the covariance of a sensor after the grid search."""
         grid = np.array([STEP_M, STEP_M, GRID_YAW]) ** -2.0
         return np.asarray(np.linalg.inv(np.linalg.inv(covariance) + np.diag(grid)))
 
     def refuse_clashes(self) -> None:
-        """Refuse, of two sensors that contradict each other, the one that fewer others confirm."""
+        """Refuse of two contradicting sensors the one with fewer agreeing sensors, or both."""
         for (one, other), why in self.clashes.items():
             if self.refused.keys() & {one, other}:
                 continue
-            mine, theirs = len(self._confirming(one)), len(self._confirming(other))
-            if mine <= theirs:
+            of_one, of_other = len(self._confirmed_group(one)), len(self._confirmed_group(other))
+            if of_one <= of_other:
                 self.refused[one] = why
-            if theirs <= mine:
+            if of_other <= of_one:
                 self.refused[other] = why
-        left = self.placed.keys() - self.refused.keys()
-        self.placed = {name: self.placed[name] for name in self.all if name in left}
+        remaining = self.placed.keys() - self.refused.keys()
+        self.placed = {name: self.placed[name] for name in self.all if name in remaining}
 
-    def _confirming(self, name: str) -> set[str]:
-        """Return all sensors linked with one by pairs that agree, itself included."""
-        good = self.agreeing - self.clashes.keys()
-        return set(reached(dict.fromkeys(good, 0.0), name))
+    def _confirmed_group(self, name: str) -> set[str]:
+        """Return the sensors linked with one by agreeing pairs, itself included."""
+        agreeing = self.agreeing - self.clashes.keys()
+        return set(sum_offsets(dict.fromkeys(agreeing, 0.0), name))
 
-    def adjusted(self) -> tuple[Adjusted, dict[Names, Correspondences]]:
-        """Pair and adjust alternately until neither changes."""
+    def adjust(self) -> tuple[Adjusted, dict[Names, Correspondences]]:
+        """Pair tracks and adjust poses in turn until they converge; set `away` of all sensors."""
         names = list(self.placed)
         for name in names:
             self.all[name].away = self.all[name].start
         covariances = [planar_covariance(self.all[name].pose) for name in names]
-        gates = [self._loose(c) if self.all[n].loose else c
+        gates = [self._grid_covariance(c) if self.all[n].loose else c
                  for n, c in zip(names, covariances, strict=True)]  # fmt: skip
-        within = shared_covariance(gates)
+        gate = shared_covariance(gates)
         result = adjust({}, np.zeros((len(names), PLANAR)), covariances)
         correspondences: dict[Names, Correspondences] = {}
         for _ in range(PAIRING_ROUNDS):
-            at = {n: self.seen(self.all[n], self.all[n].choice, self.all[n].away) for n in names}
-            correspondences = self._correspondences(names, at, within)
+            seen = {n: self.seen(self.all[n], self.all[n].choice, self.all[n].away) for n in names}
+            correspondences = self._correspondences(names, seen, gate)
             if not correspondences:
                 break
             index = {
                 (names.index(a), names.index(b)): matched
                 for (a, b), matched in correspondences.items()
             }
-            held = {(names.index(a), names.index(b)) for a, b in self._held(correspondences)}
+            compared = self._comparison_only(correspondences)
+            held = {(names.index(a), names.index(b)) for a, b in compared}
             away = np.array([self.all[name].away for name in names])
-            clocks = [self._clock_s(self.all[name]) for name in names]
+            clocks = [self._clock_sigma_s(self.all[name]) for name in names]
             result = adjust(index, away, covariances, clocks_s=clocks, held=held)
             for name, step in zip(names, result.step, strict=True):
                 self.all[name].away = self.all[name].away + step
-            within = result.covariance
-            if np.abs(result.step).max() < AT_REST:
+            gate = result.covariance
+            if np.abs(result.step).max() < CONVERGED:
                 break
         return result, correspondences
 
     def _correspondences(
-        self, names: Sequence[str], at: Mapping[str, Moments], covariance: Floats
+        self, names: Sequence[str], moments: Mapping[str, Moments], covariance: Floats
     ) -> dict[Names, Correspondences]:
-        """Pair the tracks of all sensors, each with at most one of another sensor."""
+        """Return the correspondences of all agreeing pairs of sensors."""
         correspondences = {}
         for j, other in enumerate(names):
             for i, one in enumerate(names[:j]):
                 if (one, other) not in self.agreeing:
                     continue
-                rows = compare_moments(at[one], at[other])
+                rows = compare_moments(moments[one], moments[other])
                 if len(rows.tracks) < LEAST_PAIRS:
                     continue
-                own = [PLANAR * k + m for k in (i, j) for m in range(PLANAR)]
-                rows = self._paired(rows, covariance[np.ix_(own, own)])
+                unknowns = [PLANAR * k + m for k in (i, j) for m in range(PLANAR)]
+                rows = self._keep_assigned(rows, covariance[np.ix_(unknowns, unknowns)])
                 if len(rows.tracks) >= LEAST_PAIRS:
                     correspondences[one, other] = sum_correspondences(rows)
         return correspondences
 
-    def _held(self, correspondences: Mapping[Names, Correspondences]) -> set[Names]:
-        """Return the pairs of sensors with too few vehicles to move poses certain by themselves."""
+    def _comparison_only(self, correspondences: Mapping[Names, Correspondences]) -> set[Names]:
+        """Return the pairs of sensors whose poses are fixed and whose vehicles are too few."""
         return {
             pair
             for pair, matched in correspondences.items()
             if len(matched.gap) < FIRM_PAIRS and not any(self.all[name].loose for name in pair)
         }
 
-    def _paired(self, rows: Rows, covariance: Floats) -> Rows:
-        gap, known = mean_gaps(rows, covariance)
-        chi2 = np.einsum("pi,pij,pj->p", gap, np.linalg.inv(known), gap)
-        keep = np.zeros(len(chi2), dtype=bool)
-        keep[assign(chi2, rows.tracks, GATE_CHI2)] = True
-        return rows.only(keep)
+    def _keep_assigned(self, rows: Rows, covariance: Floats) -> Rows:
+        """Return the rows of the optimal assignment of tracks."""
+        gap, covariances = mean_gaps(rows, covariance)
+        chi2 = np.einsum("pi,pij,pj->p", gap, np.linalg.inv(covariances), gap)
+        assigned = np.zeros(len(chi2), dtype=bool)
+        assigned[assign(chi2, rows.tracks, GATE_CHI2)] = True
+        return rows.only(assigned)
 
-    def misfits(
+    def contradictions(
         self, adjusted: Adjusted, correspondences: Mapping[Names, Correspondences]
     ) -> dict[Names, str]:
-        """Return the pairs of sensors whose own poses the correspondences contradict."""
-        names, found = list(self.placed), {}
+        """Return the pairs of sensors whose poses contradict their correspondences, with texts."""
+        names, texts = list(self.placed), {}
         for (i, j), chi2 in adjusted.misfit.items():
             if chi2 <= CONTRADICTION_CHI2:
                 continue
             pair = names[i], names[j]
-            own = np.array([self.all[name].away for name in pair])
+            steps = np.array([self.all[name].away for name in pair])
             matched = correspondences[pair]
-            gap = matched.gap - matched.slope[:, :, : 2 * PLANAR] @ own.ravel()
+            gap = matched.gap - matched.slope[:, :, : 2 * PLANAR] @ steps.ravel()
             apart_m = float(np.median(np.hypot(*gap.T)))
-            found[pair] = contradiction_text(pair, len(gap), apart_m)
-        return found
+            texts[pair] = contradiction_text(pair, len(gap), apart_m)
+        return texts
 
-    def _clock_s(self, member: _Member) -> float:
-        """Return the standard deviation of a sensor's clock, seconds."""
+    def _clock_sigma_s(self, member: _Member) -> float:
+        """Return the prior standard deviation of a sensor's clock, seconds."""
         if member.free:
             return FREE_CLOCK_S
-        known = member.station.clock_s
-        return CLOCK_S if known is None else max(known, CLOCK_S)
+        measured_s = member.station.clock_s
+        return CLOCK_S if measured_s is None else max(measured_s, CLOCK_S)
 
     def _clock_gap(self, pair: Names, matched: Correspondences) -> tuple[float, float]:
-        """Return how many seconds the second clock is ahead by free clocks, and 1 sigma."""
+        """Return the offset of the second clock less the first, and 1 sigma, seconds."""
         away = np.array([self.all[name].away for name in pair])
-        known = [planar_covariance(self.all[name].pose) for name in pair]
-        free = adjust({(0, 1): matched}, away, known, clocks_s=[FREE_CLOCK_S] * 2)
-        return free.clock_gap
+        covariances = [planar_covariance(self.all[name].pose) for name in pair]
+        adjusted = adjust({(0, 1): matched}, away, covariances, clocks_s=[FREE_CLOCK_S] * 2)
+        return adjusted.clock_gap
 
     def free_clock(self, correspondences: Mapping[Names, Correspondences]) -> bool:
-        """Free the clock that most correspondences show to be off; return whether there was one."""
-        off: dict[Names, float] = {}
+        """Free the clock that most pairs of sensors show to be off; return whether there is one."""
+        offsets: dict[Names, float] = {}
         for pair, matched in correspondences.items():
             ahead_s, sigma_s = self._clock_gap(pair, matched)
-            known_s = [self._clock_s(self.all[name]) for name in pair]
-            if abs(ahead_s) > CLOCK_SIGMAS * math.hypot(*known_s, sigma_s):
-                off[pair] = ahead_s
-        if not off:
-            return False
-        named = [name for pair in off for name in reversed(pair) if not self.all[name].free]
+            sigmas_s = [self._clock_sigma_s(self.all[name]) for name in pair]
+            if abs(ahead_s) > CLOCK_SIGMAS * math.hypot(*sigmas_s, sigma_s):
+                offsets[pair] = ahead_s
+        named = [name for pair in offsets for name in reversed(pair) if not self.all[name].free]
         if not named:
             return False
         name = max(named, key=named.count)
-        pair = next(pair for pair in off if name in pair)
+        pair = next(pair for pair in offsets if name in pair)
         member, sign = self.all[name], 1.0 if name == pair[1] else -1.0
-        ahead_s = member.clock.offset_s + sign * off[pair]
+        ahead_s = member.clock.offset_s + sign * offsets[pair]
         member.free, member.clock = True, replace(member.clock, offset_s=ahead_s)
         return True
 
     def clock_remarks(self, correspondences: Mapping[Names, Correspondences]) -> list[str]:
-        """Return remarks on clocks farther apart than the correspondences assume."""
+        """Return remarks on free clocks that are off by more than `CLOCK_SIGMAS`, or drift."""
         remarks: list[str] = []
         for pair, matched in correspondences.items():
             one, other = (self.all[name] for name in pair)
@@ -436,11 +439,11 @@ class _Network:
                 continue
             gap_s, sigma_s = self._clock_gap(pair, matched)
             ahead_s = other.clock.offset_s - one.clock.offset_s + gap_s
-            fast = (other.clock.drift_ppm - one.clock.drift_ppm) * 1e-6
-            if not fast and abs(ahead_s) < CLOCK_SIGMAS * math.hypot(CLOCK_S, CLOCK_S, sigma_s):
+            rate = (other.clock.drift_ppm - one.clock.drift_ppm) * 1e-6
+            if not rate and abs(ahead_s) < CLOCK_SIGMAS * math.hypot(CLOCK_S, CLOCK_S, sigma_s):
                 continue
-            how = Text("fast") if fast > 0.0 else Text("slow")
-            runs = Text(", and runs {:.1%} {}", abs(fast), how) if fast else ""
+            faster = Text("fast") if rate > 0.0 else Text("slow")
+            rate_text = Text(", and runs {:.1%} {}", abs(rate), faster) if rate else ""
             remarks.append(
                 Text(
                     "the clock of {} is {:.2f} s {} that of {}{}: the poses allow for it, "
@@ -449,43 +452,42 @@ class _Network:
                     abs(ahead_s),
                     Text("ahead of") if ahead_s > 0.0 else Text("behind"),
                     pair[0],
-                    runs,
+                    rate_text,
                 )
             )
         return remarks
 
     def unmatched(self, pairs: Mapping[Names, int], held: Mapping[Names, int]) -> dict[str, str]:
         """Return the sensors without correspondences, each with the reason."""
-        matched = {name for pair in pairs for name in pair}
-        left = [name for name in self.all if name not in matched and name not in self.refused]
-        return {name: self._why_unmatched(name, held) for name in left}
+        known = {name for pair in pairs for name in pair} | self.refused.keys()
+        return {name: self._why_unmatched(name, held) for name in self.all if name not in known}
 
     def _why_unmatched(self, name: str, held: Mapping[Names, int]) -> str:
-        mine = {pair: number for pair, number in held.items() if name in pair}
-        if mine:
-            pair = max(mine, key=lambda each: mine[each])
-            other, shared = pair[1] if name == pair[0] else pair[0], mine[pair]
+        compared = {pair: number for pair, number in held.items() if name in pair}
+        if compared:
+            pair = max(compared, key=lambda each: compared[each])
+            other, shared = pair[1] if name == pair[0] else pair[0], compared[pair]
             text = "{} vehicles shared with {} confirm its pose, too few to move it"
             return Text(text, shared, other)
         if name in self.unclear and name not in self.placed:
             return self.unclear[name]
         return Text("no other sensor sees enough of the same vehicles")
 
-    def solved(
+    def result(
         self, adjusted: Adjusted, correspondences: Mapping[Names, Correspondences]
     ) -> Solved:
-        """Return poses, pairs and refusals."""
+        """Return poses with their new covariance, pairs, refusals and remarks."""
         poses = {n: m.pose for n, m in self.all.items() if len(m.station.poses) == 1}
         shared = {pair: len(matched.gap) for pair, matched in correspondences.items()}
-        held = {pair: shared[pair] for pair in self._held(correspondences)}
+        held = {pair: shared[pair] for pair in self._comparison_only(correspondences)}
         pairs = {pair: number for pair, number in shared.items() if pair not in held}
         for number, name in enumerate(self.placed):
             own = slice(PLANAR * number, PLANAR * number + PLANAR)
-            mine = {pair: n for pair, n in pairs.items() if name in pair}
-            if mine:
+            of_sensor = {pair: n for pair, n in pairs.items() if name in pair}
+            if of_sensor:
                 member = self.all[name]
                 poses[name] = with_gain(
-                    moved(member.pose, member.away), adjusted.covariance[own, own], name, mine,
+                    moved(member.pose, member.away), adjusted.covariance[own, own], name, of_sensor,
                 )  # fmt: skip
         poses = {name: pose for name, pose in poses.items() if name not in self.refused}
         return Solved(

@@ -1,4 +1,4 @@
-"""The method `icp`: the paper's registration of motion traces to the scanned road."""
+"""Localize by the method `icp`: the paper's registration of traces to the scanned road."""
 
 from __future__ import annotations
 
@@ -17,53 +17,53 @@ from gis_radar.calibration.registration.state import LEVER_M, State
 from gis_radar.calibration.registration.traces import CROWD_M, Moving
 from gis_radar.calibration.single.result import STAGE, Localization, Problem, common
 
-# Step of the pose by which the information is measured: longer than the slack between traces and
-# kerb, in which the cost is flat.
+# Step of the pose in numerical derivatives of the cost: longer than the gap between traces and
+# kerb, within which the cost is constant.
 PROFILE_M = 2.0
-MAST_M = 5.0  # height of a usual mast, where the guess has none
+MAST_M = 5.0  # height of the sensor over the road where the guess has no height
 HEADINGS = 8  # number of start headings where none is given, evenly spaced
 VOXEL_M = 0.5  # edge of the voxels of traces and road (the paper)
-# DBSCAN of the traces' voxels: gaps between the lanes of a street stay closed.
+# Parameters of DBSCAN of the traces' voxels; the lanes of a street are one cluster.
 EPS_M, MIN_POINTS = 2.0, 10
-DISTANCES_M = (10.0, 1.0, 0.5)  # largest of correspondences: 10 m, two voxels, one (the paper)
-ITERATIONS = 60  # most iterations at each distance
-FARTHEST = 2.0  # an answer farther off than so many times GUESS_M is refused
+DISTANCES_M = (10.0, 1.0, 0.5)  # largest distance of correspondences, stage by stage (the paper)
+ITERATIONS = 60  # most iterations of each stage
+MOST_GUESSES_OFF = 2.0  # largest distance of an accepted pose from the guess, in units of GUESS_M
 
 
 def voxels(points: Floats, size_m: float) -> Floats:
-    """Return the centres of the cubes that hold a point, in a fixed order.
+    """Return the centres of the voxels that contain points, sorted.
 
     Parameters
     ----------
     points : (n, d) array
-        Metres.
+        Points, metres.
     size_m : float
-        Edge of a cube.
+        Edge of a voxel, metres.
     """
     cells: Integers = np.floor(np.asarray(points) / size_m).astype(np.int64)
     return np.asarray((np.unique(cells, axis=0) + 0.5) * size_m, dtype=np.float64)
 
 
 def source_voxels(moving: Moving) -> Floats:
-    """Return the traces as the paper makes them: the voxels of the largest cluster.
+    """Return the traces: the voxels of the largest cluster of moving detections.
 
-    The paper clusters the detections; clustering voxels bounds the memory of DBSCAN's neighbours.
+    The paper clusters the detections themselves; voxels bound the memory of DBSCAN's neighbours.
 
     Parameters
     ----------
     moving : Moving
-        Detections faster than 0.15 m/s of the last 2000 frames.
+        Moving detections of one window.
 
     Raises
     ------
     NoAnswerError
-        If nothing that moved is dense enough for a cluster.
+        If there is no cluster.
     InputError
         If Open3D is not installed.
     """
     o3d = _open3d()
     centres = voxels(moving.points, VOXEL_M)
-    labels = np.asarray(_cloud(o3d, centres).cluster_dbscan(EPS_M, MIN_POINTS))
+    labels = np.asarray(_point_cloud(o3d, centres).cluster_dbscan(EPS_M, MIN_POINTS))
     if (labels < 0).all():
         raise NoAnswerError("nothing moved on the same place often enough", hint="record longer")
     return np.asarray(centres[labels == np.argmax(np.bincount(labels[labels >= 0]))])
@@ -79,7 +79,7 @@ def register_icp(source: Floats, road: Floats, starts: list[State]) -> tuple[Sta
     road : (m, 3) array
         Cells of the road, local map coordinates, metres.
     starts : list of State
-        Starts; the best result counts.
+        Starts of the registration; the best result is returned.
 
     Returns
     -------
@@ -94,16 +94,16 @@ def register_icp(source: Floats, road: Floats, starts: list[State]) -> tuple[Sta
         If Open3D is not installed.
     """
     o3d = _open3d()
-    traces, target = _cloud(o3d, source), _cloud(o3d, road)
-    fits = [_register(o3d, traces, target, start) for start in starts]
+    traces, target = _point_cloud(o3d, source), _point_cloud(o3d, road)
+    fits = [_run_icp(o3d, traces, target, start) for start in starts]
     best = max(fits, key=lambda fit: (fit.fitness, -fit.inlier_rmse))
     T_map_sensor = np.array(best.transformation)  # noqa: N806 - frames name a transform
     state = State(position=T_map_sensor[:3, 3], R_map_sensor=T_map_sensor[:3, :3], reflection=0.0)
     return state, float(best.fitness)
 
 
-def compass_starts(place: Floats, yaw: float | None, count: int) -> list[State]:
-    """Return starts at a place (local, m): the given yaw (radians), or `count` evenly spaced."""
+def start_states(place: Floats, yaw: float | None, count: int) -> list[State]:
+    """Return start states at a place (local, m) with a yaw (radians), or with `count` yaws."""
     yaws = [yaw] if yaw is not None else (np.arange(count) * 2.0 * np.pi / count).tolist()
     return [
         State(
@@ -115,7 +115,8 @@ def compass_starts(place: Floats, yaw: float | None, count: int) -> list[State]:
     ]
 
 
-def _register(o3d: Any, source: Any, target: Any, start: State) -> Any:
+def _run_icp(o3d: Any, source: Any, target: Any, start: State) -> Any:
+    """Return Open3D's result of ICP from a start, in stages of `DISTANCES_M`."""
     T_map_sensor = np.eye(4)  # noqa: N806 - frames name a transform
     T_map_sensor[:3, :3], T_map_sensor[:3, 3] = start.R_map_sensor, start.position
     pipeline = o3d.pipelines.registration
@@ -135,10 +136,10 @@ def _register(o3d: Any, source: Any, target: Any, start: State) -> Any:
 def pose_information(source: Floats, road: Floats, state: State) -> Floats:
     """Return the (6, 6) information of a registration about its pose, in the order of a step.
 
-    Fixed point-to-point correspondences would hold a trace even along a road on which it slides.
-    The curvature of the cost is therefore measured over steps of `PROFILE_M` (or a voxel up and
-    down), with the nearest road point looked up anew at each; the cost is the squared distance from
-    the road, over a voxel squared. Traces within a cell of `CROWD_M` count as one.
+    It is the curvature of the cost by second differences over steps of `PROFILE_M` (a voxel in
+    height), with correspondences found anew at each step: fixed ones would fix a trace even along
+    the road. The cost is the squared distance from the road over that of a voxel; traces within a
+    cell of `CROWD_M` count as one.
 
     Parameters
     ----------
@@ -159,20 +160,19 @@ def pose_information(source: Floats, road: Floats, state: State) -> Floats:
         gap = tree.query(points, distance_upper_bound=PROFILE_M)[0]
         return float(weight @ np.minimum(gap, PROFILE_M) ** 2)
 
-    size = np.array([PROFILE_M, PROFILE_M] + [VOXEL_M] * 3 + [PROFILE_M])
-    size /= [1.0, 1.0, 1.0, *[LEVER_M] * 3]
-    steps = np.diag(size)
-    rise = np.diag([cost(step) + cost(-step) for step in steps]) - 2.0 * cost(np.zeros(6)) * np.eye(
-        6
-    )
+    sizes = np.array([PROFILE_M, PROFILE_M] + [VOXEL_M] * 3 + [PROFILE_M])
+    sizes /= [1.0, 1.0, 1.0, *[LEVER_M] * 3]
+    steps = np.diag(sizes)
+    bend = np.diag([cost(step) + cost(-step) for step in steps])
+    bend -= 2.0 * cost(np.zeros(6)) * np.eye(6)
     for i, j in combinations(range(6), 2):
         a, b = steps[i] / np.sqrt(2.0), steps[j] / np.sqrt(2.0)
-        rise[i, j] = rise[j, i] = 0.5 * (cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b))
-    curvature = rise / np.outer(size, size)
+        bend[i, j] = bend[j, i] = 0.5 * (cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b))
+    curvature = bend / np.outer(sizes, sizes)
     return at_least(curvature, FLOOR * np.eye(6))
 
 
-def _cloud(o3d: Any, points: Floats) -> Any:
+def _point_cloud(o3d: Any, points: Floats) -> Any:
     cloud = o3d.geometry.PointCloud()
     cloud.points = o3d.utility.Vector3dVector(points)
     return cloud
@@ -189,7 +189,7 @@ def _open3d() -> Any:
 
 
 def by_icp(problem: Problem, moving: Moving, reporter: Reporter) -> Localization:
-    """Register the traces to the road's surface, as the paper does."""
+    """Localize by registration of the traces to the road's surface, as in the paper."""
     reporter.progress(STAGE, 1, 3)
     source = source_voxels(moving)
     local = problem.road - [*problem.guess[:2], 0.0]
@@ -199,14 +199,14 @@ def by_icp(problem: Problem, moving: Moving, reporter: Reporter) -> Localization
         raise NoAnswerError("{}: no road within {:.0f} m of the guess", problem.name, reach_m)
     reporter.progress(STAGE, 2, 3)
     height = problem.guess[2] if len(problem.guess) == 3 else _mast_top(local, MAST_M)
-    starts = compass_starts(np.array([0.0, 0.0, height]), problem.heading, HEADINGS)
+    starts = start_states(np.array([0.0, 0.0, height]), problem.heading, HEADINGS)
     state, fitness = register_icp(source, voxels(local, VOXEL_M), starts)
-    away = float(np.hypot(*state.position[:2]))
-    if away > FARTHEST * GUESS_M:
+    away_m = float(np.hypot(*state.position[:2]))
+    if away_m > MOST_GUESSES_OFF * GUESS_M:
         raise NoAnswerError(
             "{}: the registration went {:.0f} m from the guess",
             problem.name,
-            away,
+            away_m,
             hint="guess closer",
         )
     reporter.progress(STAGE, 3, 3)
@@ -225,6 +225,6 @@ def by_icp(problem: Problem, moving: Moving, reporter: Reporter) -> Localization
 
 
 def _mast_top(local: Floats, mast_m: float) -> float:
-    """Return the height of a usual mast at the local (0, 0)."""
+    """Return the height (m) of a mast's top at the local (0, 0): `mast_m` over the road there."""
     nearest = np.argsort(np.hypot(local[:, 0], local[:, 1]))[:100]
     return float(np.median(local[nearest, 2])) + mast_m

@@ -1,4 +1,4 @@
-"""The method `lane`: register tracks to lanes that their Doppler allows, and the scanned road."""
+"""Localize by the method `lane`: registration of tracks to lanes and to the scanned road."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ from gis_radar.calibration.registration.state import POSE, from_arc
 from gis_radar.calibration.registration.traces import Moving, Samples, link_tracks, thin
 from gis_radar.calibration.single.result import STAGE, AmbiguousError, Localization, Problem, common
 
-LEAST_TRACKS = 5  # vehicles; fewer leave the seven components of the state unfixed
-# Least share of samples on lanes: 0.8 to 0.99 at right answers, 0.6 to 0.8 a lane off.
+LEAST_TRACKS = 5  # fewer vehicles do not fix the seven components of the state
+# Least share of samples on lanes: right poses have 0.8 to 0.99, poses a lane off 0.6 to 0.8.
 LEAST_FITNESS = 0.6
-# Squared standard deviations within which two answers are one (99.9 %, 3 components).
+# Largest chi-square of the difference of equivalent poses (99.9 %, 3 components).
 SAME_CHI2 = 16.0
-# Optima as near to each other are one answer with a larger sigma: they are nearer than lanes are,
-# and drivers off the middle of their lanes split one optimum so far.
+# Optima nearer to each other are one answer with a larger sigma: lanes are farther apart, and
+# offsets of drivers from the middle of their lanes split an optimum by as much.
 ONE_ANSWER_M = 1.0
 ONE_ANSWER_RAD = math.radians(3.0)
-LEAST_SCANNED = 0.3  # share of lanes in reach that the scanned road must cover
-ANSWER_SLACK_M = 5.0  # an answer may be farther from the guess than GUESS_M by this
+LEAST_SCANNED = 0.3  # least share of lane samples in reach with a height of the scanned road
+ANSWER_SLACK_M = 5.0  # an accepted pose is within GUESS_M and this of the guess
 
 
 def by_lanes(problem: Problem, moving: Moving, reporter: Reporter) -> Localization:
-    """Register tracks of vehicles to lanes that their Doppler allows, and to the scanned road."""
+    """Localize by registration of tracks to lanes that agree with their Doppler."""
     samples = thin(moving, link_tracks(moving))
     if samples.tracks < LEAST_TRACKS:
         raise NoAnswerError(
@@ -59,27 +59,28 @@ def by_lanes(problem: Problem, moving: Moving, reporter: Reporter) -> Localizati
     reporter.progress(STAGE, 1, 5)
     scene = Scene(lanes=lanes_around(problem, samples, reporter), samples=samples)
     heading = None if problem.heading is None else (problem.heading, HEADING_TOLERANCE)
-    tried = find_hypotheses(scene, heading=heading)
+    hypotheses = find_hypotheses(scene, heading=heading)
     reporter.progress(STAGE, 3, 5)
-    _refuse_mirrored(scene, tried, heading)
+    _refuse_mirrored(scene, hypotheses, heading)
     reporter.progress(STAGE, 4, 5)
-    first, *others = refine(scene, tried)
-    # along a valley the fit may have gone beyond reach, and this brings it back
+    first, *others = refine(scene, hypotheses)
+    # a fit that slid beyond reach along an open direction is moved back by the profile
     first = widen_by_profile(scene, first)
     best, *others = _within_reach(problem, [first, *others], scene)
     best = best if best is first else widen_by_profile(scene, best)
     _refuse_unfit(problem, best)
-    beside = [h for h in others if _one_answer(best, h)]
-    z_score, rival = _z_score(best, [h for h in others if not any(h is b for b in beside)], scene)
+    twins = [h for h in others if _is_same_answer(best, h)]
+    rivals = [h for h in others if not any(h is twin for twin in twins)]
+    z_score, rival = _least_z_score(best, rivals, scene)
     reporter.progress(STAGE, 5, 5)
     if rival is not None and z_score < CLEAR:
-        open_ones = _apart([best, *_others(best, others, scene)])
-        each = [_answer(problem, moving, scene, h, tried, z_score) for h in open_ones]
-        raise _ambiguous(problem, best, rival, tuple(each))
-    beside_z_score, same = _z_score(best, beside, scene)
-    if same is not None and beside_z_score < CLEAR:
-        best = replace(best, rival=same.fit.state)
-    return _answer(problem, moving, scene, best, tried, z_score)
+        likely = _distinct([best, *_not_ruled_out(best, others, scene)])
+        answers = [_localization(problem, moving, scene, h, hypotheses, z_score) for h in likely]
+        raise _ambiguous_error(problem, best, rival, tuple(answers))
+    twin_z_score, twin = _least_z_score(best, twins, scene)
+    if twin is not None and twin_z_score < CLEAR:
+        best = replace(best, rival=twin.fit.state)
+    return _localization(problem, moving, scene, best, hypotheses, z_score)
 
 
 def lanes_around(
@@ -89,7 +90,7 @@ def lanes_around(
     *,
     grow: float = 1.0,
 ) -> Lanes:
-    """Return the lanes around the guess, as far as the samples reach.
+    """Return the lanes around the guess within the range of the samples.
 
     Parameters
     ----------
@@ -98,9 +99,9 @@ def lanes_around(
     samples : Samples
         Traces.
     reporter : Reporter
-        Receives a warning where the lanes have no direction.
+        Receives a warning where most lanes are two-way.
     grow : float
-        Factor on this reach.
+        Factor on the range of the samples.
 
     Raises
     ------
@@ -132,47 +133,46 @@ def _refuse_mirrored(
     scene: Scene, tried: list[Hypothesis], heading: tuple[float, float] | None
 ) -> None:
     """Refuse a recording that fits far better with left and right swapped."""
-    turned, best = scene.of(mirrored(scene.samples)), tried[0]
-    if search_score(turned, heading=heading) < max(h.score for h in tried):
+    mirrored_scene, best = scene.of(mirrored(scene.samples)), tried[0]
+    if search_score(mirrored_scene, heading=heading) < max(h.score for h in tried):
         return
-    other, part = find_hypotheses(turned, heading=heading)[0], rough(scene).samples
-    z_score = advantage(other.fit, best.fit, part)
-    if z_score > CLEAR and other.fit.fitness > LEAST_FITNESS:
+    mirrored_best = find_hypotheses(mirrored_scene, heading=heading)[0]
+    z_score = advantage(mirrored_best.fit, best.fit, rough(scene).samples)
+    if z_score > CLEAR and mirrored_best.fit.fitness > LEAST_FITNESS:
         raise NoAnswerError(
             "the recording fits the lanes only when mirrored ({:.0%} of the traces, "
             "{:.0%} as it is)",
-            other.fit.fitness,
+            mirrored_best.fit.fitness,
             best.fit.fitness,
             hint="the y axis of the sensor frame must point to the left; change the sign of y",
         )
 
 
-def _z_score(
+def _least_z_score(
     answer: Hypothesis, others: list[Hypothesis], scene: Scene
 ) -> tuple[float, Hypothesis | None]:
-    """Return the z score of the vehicles' preference for an answer, and its best rival."""
+    """Return the least z score of an answer over other hypotheses, and the hypothesis of it."""
     best, known = answer.fit, certainty(answer.fit)
-    z_score, closest = math.inf, None
+    z_score, rival = math.inf, None
     for other in others:
         away_m = float(np.hypot(*other.fit.state.position[:2]))
         if away_m > GUESS_M or other.fit.fitness < LEAST_FITNESS:
-            continue  # no rival: too far from the guess, or not acceptable as an answer itself
+            continue  # would not be accepted as an answer
         x, y, *_, turn = other.fit.state.difference(best.state)[POSE]
         gap = np.array([*from_arc(x, y, turn), turn])
-        # answers that differ only in a direction that the scene does not fix, as round a bend, are
-        # one
-        apart = gap @ np.linalg.solve(known.covariance[np.ix_(PLANE, PLANE)], gap)
-        ahead = advantage(best, other.fit, scene.samples)
-        if apart > SAME_CHI2 and ahead < z_score:
-            z_score, closest = ahead, other
-    return z_score, closest
+        # poses that differ along a direction of large sigma only, as in a bend, are equivalent
+        chi2 = gap @ np.linalg.solve(known.covariance[np.ix_(PLANE, PLANE)], gap)
+        z_score_over = advantage(best, other.fit, scene.samples)
+        if chi2 > SAME_CHI2 and z_score_over < z_score:
+            z_score, rival = z_score_over, other
+    return z_score, rival
 
 
 def _within_reach(problem: Problem, answers: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
-    """Return the answers near the guess; refuse where one farther off is clearly better."""
-    away = [float(np.hypot(*h.fit.state.position[:2])) for h in answers]
+    """Return the hypotheses near the guess; refuse where one farther off is clearly better."""
+    distances_m = [float(np.hypot(*h.fit.state.position[:2])) for h in answers]
     farthest_m = GUESS_M + ANSWER_SLACK_M
-    inside = [h for h, away_m in zip(answers, away, strict=True) if away_m < farthest_m]
+    inside = [h for h, away_m in zip(answers, distances_m, strict=True) if away_m < farthest_m]
     if not inside or (
         inside[0] is not answers[0]
         and advantage(answers[0].fit, inside[0].fit, scene.samples) > CLEAR
@@ -180,13 +180,14 @@ def _within_reach(problem: Problem, answers: list[Hypothesis], scene: Scene) -> 
         raise NoAnswerError(
             "{}: the fit went {:.0f} m from the guess, which is too far off",
             problem.name,
-            away[0],
+            distances_m[0],
             hint=Text("guess within {:.0f} m", GUESS_M),
         )
     return inside
 
 
 def _refuse_unfit(problem: Problem, answer: Hypothesis) -> None:
+    """Refuse a hypothesis with too few samples on lanes, or whose fit did not converge."""
     if answer.fit.fitness < LEAST_FITNESS:
         raise NoAnswerError(
             "{}: no pose within {:.0f} m of the guess puts the traffic on the lanes; the "
@@ -200,14 +201,14 @@ def _refuse_unfit(problem: Problem, answer: Hypothesis) -> None:
         raise NoAnswerError("{}: the fit did not come to rest", problem.name)
 
 
-def _one_answer(answer: Hypothesis, rival: Hypothesis) -> bool:
-    """Return whether two optima are so near that they are one answer with a larger sigma."""
+def _is_same_answer(answer: Hypothesis, rival: Hypothesis) -> bool:
+    """Return whether two optima are within `ONE_ANSWER_M` and `ONE_ANSWER_RAD`."""
     gap = rival.fit.state.difference(answer.fit.state)
     return bool(np.hypot(*gap[:2]) < ONE_ANSWER_M and abs(gap[5]) < ONE_ANSWER_RAD)
 
 
-def _others(answer: Hypothesis, others: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
-    """Return the other hypotheses that the vehicles do not clearly rule out, widened by profile."""
+def _not_ruled_out(answer: Hypothesis, others: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
+    """Return the other hypotheses over which the z score is below `CLEAR`, widened by profile."""
     return [
         widen_by_profile(scene, h)
         for h in others
@@ -215,18 +216,19 @@ def _others(answer: Hypothesis, others: list[Hypothesis], scene: Scene) -> list[
     ]
 
 
-def _apart(answers: list[Hypothesis]) -> list[Hypothesis]:
-    """Return each answer once, as widening may have moved two to one place of a valley."""
+def _distinct(answers: list[Hypothesis]) -> list[Hypothesis]:
+    """Return hypotheses without equal ones: widening may move two to one pose."""
     return [
         each
         for k, each in enumerate(answers)
-        if not any(_one_answer(other, each) for other in answers[:k])
+        if not any(_is_same_answer(other, each) for other in answers[:k])
     ]
 
 
-def _ambiguous(
+def _ambiguous_error(
     problem: Problem, answer: Hypothesis, rival: Hypothesis, answers: tuple[Localization, ...]
 ) -> AmbiguousError:
+    """Return the error that two poses fit, with both and the localizations of all that fit."""
     gap = rival.fit.state.difference(answer.fit.state)
     return AmbiguousError(
         "{}: ambiguous, two poses {:.1f} m and {:.1f} deg apart put {:.0%} and {:.0%} of "
@@ -243,14 +245,15 @@ def _ambiguous(
     )
 
 
-def _answer(
+def _localization(
     problem: Problem,
     moving: Moving,
     scene: Scene,
     best: Hypothesis,
-    tried: list[Hypothesis],
+    hypotheses: list[Hypothesis],
     z_score: float,
 ) -> Localization:
+    """Return the localization of an accepted hypothesis, with its evidence."""
     known = certainty(best.fit, rival=best.rival)
     samples = scene.samples
     evidence = {
@@ -272,7 +275,7 @@ def _answer(
                 float(np.degrees(h.fit.state.yaw_pitch_roll[0])),
                 h.loss,
             )
-            for h in tried
+            for h in hypotheses
         ),
         vehicles=samples.tracks,
         samples=len(samples),

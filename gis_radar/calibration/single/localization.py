@@ -22,13 +22,13 @@ from gis_radar.base import (
     UsageError,
     as_points,
     looks_like_degrees,
-    moved_position,
     paths_of,
+    reprojected_position,
     yaw_from_compass,
 )
 from gis_radar.calibration.range_scale import measure_range_scale
 from gis_radar.calibration.registration.traces import LEAST_FRAMES, Moving
-from gis_radar.calibration.scan.pose_update import closed_along, updated_by_scan
+from gis_radar.calibration.scan.pose_update import fix_open_direction, updated_by_scan
 from gis_radar.calibration.scan.scan_check import (
     CLEAR_SIGMAS,
     LEAST_COVERED,
@@ -47,8 +47,8 @@ from gis_radar.poses import Pose, View
 from gis_radar.recordings import open_recording
 from gis_radar.scans import Sight, SightScan, SightTiles, find_sight, read_road, road_crs
 
-FIGURE_TILE_M = 2.0  # length of the tiles in the figure of what a sensor sees
-MOST_TRIES = 5  # recordings tried for a pose, one after the other: enough for a quiet day or two
+FIGURE_TILE_M = 2.0  # length of the tiles in the figure of a sensor's sight
+MOST_RECORDINGS = 5  # most recordings that are tried for a pose: enough for a quiet day or two
 METHODS: dict[str, Callable[[Problem, Moving, Reporter], Localization]] = {
     "lane": by_lanes,
     "icp": by_icp,
@@ -65,7 +65,10 @@ def localize_one(
     method: str = "lane",
     reporter: Reporter = QUIET,
 ) -> Localization:
-    """Find the pose of a sensor from one recording, in the map's CRS; see :func:`localize`."""
+    """Localize a sensor by one recording, with guess and road in the map's CRS.
+
+    Parameters, errors and result are those of :func:`localize`.
+    """
     if method not in METHODS:
         raise UsageError("method is {}, expected one of {}", repr(method), ", ".join(METHODS))
     if len(guess) not in {2, 3}:
@@ -128,15 +131,15 @@ def localize(
 ) -> Localization:
     """Find the pose of a sensor from its recordings, the lanes, the scanned road and a rough guess.
 
-    Take guess and compass to the map's CRS, localize by the first recording that gives a pose,
-    update and check it by scans where there are some, and draw the figure.
+    Guess and compass are converted to the map's CRS; the first recording that gives a pose is used;
+    scans update the pose and check it; the figure is drawn.
 
     Parameters
     ----------
     recordings : path or sequence of paths
-        Recordings of one sensor at one place, of which the last 2000 frames count. The first that
-        gives a pose counts, so that adding recordings changes nothing. Five are tried at most: the
-        first four, and the last.
+        Recordings of one sensor at one place; of each the last 2000 frames are used. The first one
+        that gives a pose decides, so that adding recordings changes nothing. Five are tried at
+        most: the first four, and the last.
     roads : LaneletMap, str or Path
         The lanes, or a file of a Lanelet2 map.
     road : (n, 3) array, str or Path
@@ -150,7 +153,8 @@ def localize(
         Yaw in degrees, counter-clockwise from grid east, within 25 degrees of the truth; without
         it the heading is searched.
     compass : float or str, optional
-        The same as a bearing: degrees clockwise from true north, or a word such as `north-east`.
+        The same as a compass bearing: degrees clockwise from true north, or a word such as
+        `north-east`.
     crs : CRS, str or int, optional
         The map frame, where the map is a file; that of the road's file where it is not given.
     origin : (easting, northing), optional
@@ -158,15 +162,15 @@ def localize(
     method : str
         `lane`, traces against lanes; or `icp`, the paper's, traces against the road's surface.
     scans : path or sequence of paths
-        Airborne scans, whole: what stands in them measures the pose a second time and checks it
-        (:func:`gis_radar.check_against_scan`); with them the range that the recording reaches
-        (99.9th percentile) becomes the view's `max_range_m`, unless a view is given.
+        Airborne scans, not masked: their static structures update the pose and check it
+        (:func:`gis_radar.check_against_scan`). With scans the 99.9th percentile of the recording's
+        ranges becomes the view's `max_range_m`, unless a view is given.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files that do not state it.
     sensor : str, optional
         The sensor's name; by default the recording's file name.
     view : View, optional
-        The view of the sensor, which goes into the pose.
+        The view of the sensor, written into the pose.
     figure : str or Path, optional
         Draw the traces over lanes and scan into this PNG, as
         :meth:`gis_radar.calibration.Localization.draw` does.
@@ -182,8 +186,8 @@ def localize(
         If a file cannot be read, or scans, map and guess do not overlap.
     NoAnswerError
         If none of the recordings gives a trustworthy pose, with the reason of the first: no
-        traffic, too few frames, ranges that do not change as the range rates state, a guess too far
-        off, several answers, a mirrored recording.
+        traffic, too few frames, a scale of range that is not 1, a guess too far off, several poses
+        that fit alike, a mirrored recording.
     """
     refuse_both(heading, compass)
     roads, points = read_ground(roads, road, crs=crs, origin=origin, reporter=reporter)
@@ -191,31 +195,35 @@ def localize(
     scans = paths_of(scans)
     if scans:
         require_scans_near(scans, roads.crs, place, scan_crs=scan_crs)
-    ask = partial(
+    localizer = partial(
         localize_one, roads=roads, road_points=points,
         guess=place, heading=heading, method=method, reporter=reporter,
     )  # fmt: skip
-    look_at = None
+    check_pose = None
     if scans:
-        look_at = partial(check_against_scan, scans=scans, scan_crs=scan_crs, reporter=reporter)
-        compare = partial(look_at, reporter=SILENT)  # of several poses one is told, in the end
-        ask = partial(localize_with_scan, localize=ask, look_at=compare, reporter=reporter)
-    recording, found = _first_answer(_tried(recordings), ask, reporter)
-    pose = replace(found.pose, sensor=sensor or found.pose.sensor, view=view)
-    found = replace(found, pose=pose, recording=recording.name)
-    look = None if look_at is None else look_at(recording, pose)
-    if look is not None:
-        found = found.with_scan_check(look)
-    warn_of_open([found], scanned=look is not None, reporter=reporter)
+        check_pose = partial(check_against_scan, scans=scans, scan_crs=scan_crs, reporter=reporter)
+        compare = partial(check_pose, reporter=SILENT)  # the final check alone reports
+        localizer = partial(
+            localize_with_scan, localize=localizer, check_pose=compare, reporter=reporter
+        )
+    recording, answer = _first_localization(_recordings_to_try(recordings), localizer, reporter)
+    pose = replace(answer.pose, sensor=sensor or answer.pose.sensor, view=view)
+    answer = replace(answer, pose=pose, recording=recording.name)
+    check = None if check_pose is None else check_pose(recording, pose)
+    if check is not None:
+        answer = answer.with_scan_check(check)
+    warn_unobservable([answer], scanned=check is not None, reporter=reporter)
     if figure is not None:
-        seen = _sight(found.pose, roads, points, scans, scan_crs, reporter) if scans else None
-        found.draw(figure, roads, points, look=look, seen=seen)
-    return found
+        seen = _sight(answer.pose, roads, points, scans, scan_crs, reporter) if scans else None
+        answer.draw(figure, roads, points, look=check, seen=seen)
+    return answer
 
 
-def warn_of_open(found: Iterable[Localization], *, scanned: bool, reporter: Reporter) -> None:
-    """Warn of poses of which the traffic, and a scan if there is one, leave something open."""
-    for each in found:
+def warn_unobservable(
+    localizations: Iterable[Localization], *, scanned: bool, reporter: Reporter
+) -> None:
+    """Warn of poses with components that neither the traffic nor a scan fixes."""
+    for each in localizations:
         if line := each.left_open(scanned=scanned):
             reporter.warn(line)
 
@@ -234,7 +242,7 @@ def read_ground(
     origin: tuple[float, float] | None,
     reporter: Reporter,
 ) -> tuple[LaneletMap, Floats]:
-    """Read what is a file: a map, and the scanned road in its CRS; see :func:`localize`."""
+    """Return the map and the scanned road in its CRS, read where they are files."""
     if isinstance(roads, LaneletMap):
         if crs is not None or origin is not None:
             raise UsageError("crs and origin are for files of maps: the map has its own")
@@ -251,10 +259,10 @@ def start_in_map(
     heading: float | None,
     compass: float | str | None,
 ) -> tuple[tuple[float, ...], float | None]:
-    """Return guess (m) and heading (degrees, grid) in the coordinate system of a map."""
+    """Return guess (m) and heading (degrees from grid east) in the coordinate system of a map."""
     place = tuple(float(number) for number in guess)
     if guess_crs is not None:
-        place = moved_position(place, guess_crs, roads.crs)
+        place = reprojected_position(place, guess_crs, roads.crs)
     if compass is not None:
         heading = yaw_from_compass(compass, roads.crs, place[0], place[1])
     return place, heading
@@ -268,9 +276,9 @@ def _sight(
     scan_crs: Any,
     reporter: Reporter,
 ) -> tuple[Sight, SightTiles] | None:
-    """Return the sensor's sight of the lanes, for the figure; warn of a scan that does not fit."""
-    large = make_tiles(roads, length_m=FIGURE_TILE_M, road=points, reporter=SILENT)
-    tiles = SightTiles.of(large)
+    """Return the sensor's sight and its tiles, for the figure; warn where scans give none."""
+    tiles_2m = make_tiles(roads, length_m=FIGURE_TILE_M, road=points, reporter=SILENT)
+    tiles = SightTiles.of(tiles_2m)
     try:
         return find_sight(pose, tiles, SightScan(scans, tiles, scan_crs=scan_crs)), tiles
     except InputError as error:
@@ -278,14 +286,14 @@ def _sight(
         return None
 
 
-def _first_answer(
-    recordings: Sequence[Path], ask: Callable[[Path], Localization], reporter: Reporter
+def _first_localization(
+    recordings: Sequence[Path], localizer: Callable[[Path], Localization], reporter: Reporter
 ) -> tuple[Path, Localization]:
-    """Return the first recording that gives a pose, and the pose; refuse where none does."""
+    """Return the first recording that gives a pose, with its localization; refuse if none does."""
     refusals = []
     for recording in recordings:
         try:
-            return recording, ask(recording)
+            return recording, localizer(recording)
         except NoAnswerError as error:
             refusals.append(error)
             if len(recordings) > 1:
@@ -297,25 +305,23 @@ def localize_with_scan(
     recording: Path,
     *,
     localize: Callable[[Path], Localization],
-    look_at: Callable[[Path, Pose], ScanCheck],
+    check_pose: Callable[[Path, Pose], ScanCheck],
     reporter: Reporter,
 ) -> Localization:
-    """Localize by traffic and by what stands in a scan.
+    """Localize by traffic and by the static structures of a scan.
 
-    Where the traffic fits several poses, the scan check decides. The pose is then closed along a
-    direction that the traffic leaves open, and updated by where what stands fits the scan best: see
-    :mod:`gis_radar.calibration.scan.pose_update`.
-
-    The scan decides where it confirms exactly one pose, or where it does not doubt and prefers to
-    each of the others exactly one. Places that the traffic rules out are not compared then.
+    Where the traffic fits several poses, the scan check decides: for the only one that it confirms,
+    or for the only one that it does not doubt and prefers to each other one. The pose is then moved
+    along a direction that the traffic does not fix, and updated by the offset at which structures
+    fit best: see :mod:`gis_radar.calibration.scan.pose_update`.
 
     Parameters
     ----------
     recording : Path
         The sensor's recording.
     localize : callable
-        Finds a pose from a recording.
-    look_at : callable
+        Localizes by a recording.
+    check_pose : callable
         Checks a pose against the scan.
     reporter : Reporter
         Receives a warning where the scan decided.
@@ -323,64 +329,64 @@ def localize_with_scan(
     Raises
     ------
     NoAnswerError
-        As by `localize`; AmbiguousError where the scan decides for none of the poses.
+        As from `localize`; AmbiguousError where the scan decides for none of the poses.
     """
-    found = _decided(recording, localize, look_at, reporter)
-    if found.pose.evidence.get("method") != "lane":
-        return found  # the paper's method is kept as it is
-    look = look_at(recording, found.pose)
-    moved, closed = closed_along(found.pose, look)
-    if closed is not found.pose:
-        look = look_at(recording, closed)
-    pose = updated_by_scan(moved, look)  # by the same scan: it does not count twice
+    answer = _choose_by_scan(recording, localize, check_pose, reporter)
+    if answer.pose.evidence.get("method") != "lane":
+        return answer  # the paper's method has no update
+    check = check_pose(recording, answer.pose)
+    moved, closed = fix_open_direction(answer.pose, check)
+    if closed is not answer.pose:
+        check = check_pose(recording, closed)
+    pose = updated_by_scan(moved, check)  # not `closed`: the scan would count twice
     if pose is moved:
-        pose = closed if look.verdict != DOUBTS else None
-    pose = found.pose if pose is None else pose
-    moved_m = float(np.hypot(*(pose.position - found.pose.position)[:2]))
+        pose = closed if check.verdict != DOUBTS else None
+    pose = answer.pose if pose is None else pose
+    moved_m = float(np.hypot(*(pose.position - answer.pose.position)[:2]))
     pose = replace(pose, evidence={**pose.evidence, "moved_by_scan_m": round(moved_m, 3)})
-    return replace(found, pose=pose, observable=bool(pose.evidence["observable"]))
+    return replace(answer, pose=pose, observable=bool(pose.evidence["observable"]))
 
 
-def _decided(
+def _choose_by_scan(
     recording: Path,
     localize: Callable[[Path], Localization],
-    look_at: Callable[[Path, Pose], ScanCheck],
+    check_pose: Callable[[Path, Pose], ScanCheck],
     reporter: Reporter,
 ) -> Localization:
     """Localize; where several poses fit, choose the one that the scan confirms or prefers."""
     try:
         return localize(recording)
     except AmbiguousError as refusal:
-        looked = [(answer, look_at(recording, answer.pose)) for answer in refusal.answers]
-        looks = [look for _, look in looked]
-        found = [answer for answer, look in looked if look.verdict == CONFIRMS]
-        if len(found) == 1:
+        checked = [(answer, check_pose(recording, answer.pose)) for answer in refusal.answers]
+        checks = [check for _, check in checked]
+        chosen = [answer for answer, check in checked if check.verdict == CONFIRMS]
+        if len(chosen) == 1:
             reporter.warn("{}; what stands in the scan confirms one of them", refusal.message)
-            return found[0]
-        found = [answer for answer, look in looked if _preferred(look, looks)]
-        if len(found) != 1:
+            return chosen[0]
+        chosen = [answer for answer, check in checked if _is_preferred(check, checks)]
+        if len(chosen) != 1:
             refusal.hint = Text("record longer, or give a heading: the scan does not decide")
             raise
         reporter.warn("{}; what stands in the scan prefers one of them", refusal.message)
-        return found[0]
+        return chosen[0]
 
 
-def _preferred(look: ScanCheck, looks: Sequence[ScanCheck]) -> bool:
-    """Return whether the scan, where there is one, does not doubt a pose and prefers it to all."""
-    if look.verdict == DOUBTS or not look.covered >= LEAST_COVERED:
+def _is_preferred(check: ScanCheck, checks: Sequence[ScanCheck]) -> bool:
+    """Return whether a check covers its pose, does not doubt it, and prefers it to all others."""
+    if check.verdict == DOUBTS or not check.covered >= LEAST_COVERED:
         return False
-    alignment = align(look.standing, look.structure)
-    for other in looks:
-        ahead, left, _ = look.level.from_map(other.pose.position[None])[0].tolist()
-        there = alignment.offset((ahead, left, other.pose.yaw - look.pose.yaw))
-        if other is not look and alignment.z_score(alignment.here, there) < CLEAR_SIGMAS:
+    alignment = align(check.standing, check.structure)
+    for other in checks:
+        ahead, left, _ = check.level.from_map(other.pose.position[None])[0].tolist()
+        offset = alignment.offset((ahead, left, other.pose.yaw - check.pose.yaw))
+        if other is not check and alignment.z_score(alignment.here, offset) < CLEAR_SIGMAS:
             return False
     return True
 
 
-def _tried(recordings: str | Path | Sequence[str | Path]) -> list[Path]:
-    """Return the recordings to try for a pose, in order."""
+def _recordings_to_try(recordings: str | Path | Sequence[str | Path]) -> list[Path]:
+    """Return the recordings to try for a pose, in order: all, or the first four and the last."""
     paths = paths_of(recordings)
     if not paths:
         raise UsageError("no recording is given")
-    return paths if len(paths) <= MOST_TRIES else [*paths[: MOST_TRIES - 1], paths[-1]]
+    return paths if len(paths) <= MOST_RECORDINGS else [*paths[: MOST_RECORDINGS - 1], paths[-1]]

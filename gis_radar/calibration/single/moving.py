@@ -1,4 +1,4 @@
-"""Moving detections of a sensor, in the last frames of a recording or while several recorded."""
+"""Read a sensor's moving detections: of the last frames of a recording, or until a given time."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from gis_radar.calibration.timing.clocks import SensorClock
 from gis_radar.recordings import Recording, RollingWindow, open_recording
 
 STAGE = "reading traces"
-RIGHT = SensorClock(offset_s=0.0)  # a clock that is right
+NO_OFFSET = SensorClock(offset_s=0.0)  # the clock of a sensor without an offset
 
 
 class MovingWindow(RollingWindow):
-    """Window of the last frames of a stream of detections, which keeps the moving ones."""
+    """Rolling window over the last frames of a stream that stores the moving detections."""
 
     def __init__(self) -> None:
         super().__init__(frames=FRAMES, keep=lambda batch: np.abs(batch.range_rate) > MIN_SPEED_MPS)
 
     def moving(self) -> Moving:
         """Return the moving detections of the window."""
-        found = self.content()
+        content = self.content()
         return Moving(
-            time=found.time,
-            points=found.points,
-            range_rate=found.range_rate,
+            time=content.time,
+            points=content.points,
+            range_rate=content.range_rate,
             frames=len(self),
             begin=self.begin,
-            end=float(found.frame_times[-1]) if len(self) else float("nan"),
+            end=float(content.frame_times[-1]) if len(self) else float("nan"),
         )
 
 
@@ -62,7 +62,7 @@ def read_moving(path: str | Path, *, reporter: Reporter = QUIET) -> Moving:
 
 @dataclass(frozen=True, kw_only=True)
 class Span:
-    """Begin and end of a recording.
+    """Time span of a recording.
 
     Parameters
     ----------
@@ -77,12 +77,12 @@ class Span:
     end: float
 
     def shared_s(self, begin: float, end: float) -> float:
-        """Return how many seconds between two times it recorded."""
+        """Return the length of its overlap with another span, seconds."""
         return max(min(self.end, end) - max(self.begin, begin), 0.0)
 
 
-def read_span(path: Path, clock: SensorClock = RIGHT) -> Span:
-    """Read when a recording begins and ends.
+def read_span(path: Path, clock: SensorClock = NO_OFFSET) -> Span:
+    """Read the time span of a recording, corrected by the sensor's clock.
 
     Raises
     ------
@@ -94,20 +94,20 @@ def read_span(path: Path, clock: SensorClock = RIGHT) -> Span:
 
 
 def recorded_between(recording: Recording) -> tuple[float, float]:
-    """Return when a recording begins and ends, UNIX seconds of its own clock.
+    """Return the first and last time of a recording, UNIX seconds of its own clock.
 
     Raises
     ------
     InputError
         If it cannot be read.
     """
-    parts = None if recording.time_spans is None else recording.time_spans()
-    parts = parts or [(float(rows.time[0]), float(rows.time[-1])) for rows in recording.read()]
-    return parts[0][0], parts[-1][1]
+    spans = None if recording.time_spans is None else recording.time_spans()
+    spans = spans or [(float(rows.time[0]), float(rows.time[-1])) for rows in recording.read()]
+    return spans[0][0], spans[-1][1]
 
 
 def common_time(recordings: Sequence[Path]) -> float:
-    """Return the end of the time in which all recorded, UNIX seconds.
+    """Return the end of the time span common to all recordings, UNIX seconds.
 
     Raises
     ------
@@ -129,9 +129,7 @@ def common_time(recordings: Sequence[Path]) -> float:
 
 
 def best_end(spans: Mapping[str, Sequence[Span]], length_s: float) -> float:
-    """Return the end (UNIX seconds) of the first span of a length in which sensors recorded most.
-
-    Later recordings change it only where more sensors recorded then.
+    """Return the end (UNIX seconds) of the first span with the longest sum of recorded time.
 
     Parameters
     ----------
@@ -150,8 +148,17 @@ def best_end(spans: Mapping[str, Sequence[Span]], length_s: float) -> float:
     return max(ends, key=lambda end: round(recorded(end)), default=0.0)
 
 
-def read_until(spans: Sequence[Span], end: float, clock: SensorClock = RIGHT) -> Moving:
-    """Return a sensor's moving detections in the last frames until a time.
+def read_until(spans: Sequence[Span], end: float, clock: SensorClock = NO_OFFSET) -> Moving:
+    """Return a sensor's moving detections in the last frames until a time, over its recordings.
+
+    Parameters
+    ----------
+    spans : sequence of Span
+        Recordings of the sensor.
+    end : float
+        UNIX seconds, corrected by the clock.
+    clock : SensorClock
+        Clock of the sensor.
 
     Raises
     ------
@@ -162,11 +169,11 @@ def read_until(spans: Sequence[Span], end: float, clock: SensorClock = RIGHT) ->
     last = -np.inf
     for span in sorted(spans, key=lambda each: each.begin):
         for batch in open_recording(span.path).read():
-            right = replace(batch, time=clock.corrected(batch.time))
-            if right.time[0] > end:
+            corrected = replace(batch, time=clock.corrected(batch.time))
+            if corrected.time[0] > end:
                 break
-            kept = right.take((right.time <= end) & (right.time > last))
-            if len(kept):
-                window.push(kept)
+            new = corrected.take((corrected.time <= end) & (corrected.time > last))
+            if len(new):
+                window.push(new)
         last = max(last, span.end)
     return window.moving()

@@ -1,4 +1,4 @@
-"""Problem and result of a localization: the sensor to locate, and its pose with evidence."""
+"""Problem and result of a localization: sensor, map and guess; pose with evidence and picture."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ from gis_radar.scans import Sight, SightTiles
 
 STAGE = "finding the pose"
 
-DPI = 216
-SIZE_IN = (6.6, 6.6)
-WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.8), (7.8, 10.6)  # beside one or two panels: as wide as a page
+DPI = 216  # of the picture
+SIZE_IN = (6.6, 6.6)  # inches, of one panel
+WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.8), (7.8, 10.6)  # with one or two more panels: a page's width
 LETTERS_PT = 9.0
-LARGER = 1.3  # factor on the letters of a panel as wide as two
-LINE = 46  # letters in a line of a title, as wide as a panel
-MARGIN_M = 12.0
-ROAD_POINTS = 60_000
+LARGER = 1.3  # factor on the letters of a panel that is as wide as two
+LINE = 46  # most letters in a line of a title
+MARGIN_M = 12.0  # of the picture around the traces
+ROAD_POINTS = 60_000  # most points of the road that are drawn
 ARROW_EVERY_M = 12.0
-# Colours; AWAY and NEAR of the traces differ in grey, too.
+# Colours; AWAY and NEAR of the traces differ in lightness, too.
 ROAD, LANE, AWAY, NEAR, PLAIN = ("#c9c5bd", "#6f7780", "#e8850c", "#1e2f97", "#7c3aed")
 
 Extent = tuple[Floats, Floats]  # south-west and north-east, metres
@@ -54,15 +54,15 @@ Extent = tuple[Floats, Floats]  # south-west and north-east, metres
 
 @dataclass(frozen=True, kw_only=True)
 class Localization:
-    """A pose with its evidence.
+    """Result of a localization: a pose with its evidence.
 
     Parameters
     ----------
     pose : Pose
-        The answer; its evidence goes into the pose file.
+        The pose; its evidence is written into the pose file.
     fitness : float
-        Share of the traces that fit: on lanes of fitting direction (`lane`), or within a voxel of
-        the road (`icp`).
+        Share of the traces that fit: on lanes whose direction agrees with the Doppler (`lane`), or
+        within a voxel of the road (`icp`).
     observable : bool
         Whether the scene fixes all six components.
     recording : str
@@ -70,14 +70,13 @@ class Localization:
     eigenvalues : tuple of float
         Eigenvalues of the data's information about the pose, ascending, 1/m^2.
     hypotheses : tuple of (easting, northing, yaw_deg, loss)
-        The hypotheses, the best first.
+        The hypotheses of the search, the best first.
     vehicles, samples : int
-        Number of moving objects and of detections used.
+        Number of tracks and of detections used.
     z_score : float
-        By how many standard deviations the vehicles prefer the answer to the next hypothesis;
-        infinite where there is none.
+        Z score of the pose over the next hypothesis; infinite where there is none.
     traces : (n, 3) array
-        The detections used, sensor frame.
+        The detections used, sensor frame, metres.
     range_rate : (n,) array
         Range rates of the traces, m/s; NaN for `icp`.
     """
@@ -95,7 +94,7 @@ class Localization:
     range_rate: Floats = field(repr=False, default_factory=lambda: np.empty(0))
 
     def figures(self) -> Mapping[str, Any]:
-        """Return the main figures of the answer, by name."""
+        """Return the main figures of the localization, by name."""
         sigma = self.pose.evidence.get("sigma", {})
         look = self.pose.evidence.get("scan_check")
         return {
@@ -110,10 +109,9 @@ class Localization:
         }
 
     def with_scan_check(self, look: ScanCheck) -> Localization:
-        """Return the same answer with a scan check's verdict and the range that it measured.
+        """Return the localization with a scan check's figures in the evidence of its pose.
 
-        The verdict goes into the pose's evidence; the range (99.9th percentile) into its view,
-        unless it has one.
+        A pose without a view gets one with the range of the check (99.9th percentile).
         """
         evidence = {**self.pose.evidence, "scan_check": dict(look.figures())}
         pose = replace(self.pose, evidence=evidence)
@@ -122,7 +120,7 @@ class Localization:
         return replace(self, pose=pose)
 
     def left_open(self, *, scanned: bool) -> Text | None:
-        """Return a line on what of the pose is not fixed, with what would fix it, or None.
+        """Return a line on the components of the pose that are not fixed, with advice, or None.
 
         Parameters
         ----------
@@ -132,8 +130,8 @@ class Localization:
         covariance = self.pose.evidence.get("covariance")
         if self.observable or covariance is None:
             return None
-        known = np.asarray(covariance)
-        sigma, place_m = np.sqrt(np.diag(known)), longest_m(known)
+        matrix = np.asarray(covariance)
+        sigma, place_m = np.sqrt(np.diag(matrix)), longest_m(matrix)
         parts = []
         if place_m >= UNFIXED[0]:
             parts.append(Text("{:.1f} m of its place", place_m))
@@ -155,7 +153,7 @@ class Localization:
     def plot(
         self, roads: LaneletMap | None = None, road_points: Floats | None = None, ax: Any = None
     ) -> Any:
-        """Draw the traces at the found pose, the sensor, and the 95 % ellipse of its place.
+        """Draw the traces with the pose, the sensor, and the 95 % ellipse of its position.
 
         Parameters
         ----------
@@ -216,21 +214,20 @@ class Localization:
         look: ScanCheck | None = None,
         seen: tuple[Sight, SightTiles] | None = None,
     ) -> None:
-        """Draw the traces at the found pose over lanes and scanned road (PNG).
+        """Draw the traces with the pose over lanes and scanned road, as a PNG.
 
         Parameters
         ----------
         path : str or Path
             The picture; appears whole or not at all.
         roads : LaneletMap
-            The lanes, in the answer's CRS.
+            The lanes, in the pose's CRS.
         road_points : (n, 3) array
             The scanned road.
         look : ScanCheck, optional
-            A scan check, drawn beside it: what stands, over canopy, roofs and walls.
+            A scan check, drawn in a panel of its own.
         seen : (Sight, SightTiles), optional
-            The sensor's sight, drawn beside it: which tiles it sees from there, and which are
-            hidden.
+            The sensor's sight, drawn in a panel of its own: visible and hidden tiles.
         """
         # not at the top: matplotlib is slow to load, and only pictures need it
         from matplotlib.text import Text  # noqa: PLC0415
@@ -240,7 +237,7 @@ class Localization:
         beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]
         size_in = (SIZE_IN, WITH_ONE_IN, WITH_TWO_IN)[len(beside)]
         rows = [["traces", *beside]] if len(beside) < 2 else [["traces", "traces"], beside]
-        with picture_file(path, size_in, DPI, tight=True, letters_pt=LETTERS_PT) as figure:
+        with picture_file(path, size_in, DPI, tight=True, font_pt=LETTERS_PT) as figure:
             panels = figure.subplot_mosaic(rows)
             self.plot(roads, road_points, ax=panels["traces"]).set_anchor("N")
             if len(beside) == 2:  # shown as wide as the others on a phone, it needs larger letters
@@ -284,14 +281,14 @@ def range_scale_figures(pose: Pose) -> dict[str, Any]:
 
 
 class AmbiguousError(NoAnswerError):
-    """Error of a localization in which several poses fit, none clearly better than the others.
+    """Error of a localization in which several poses fit, none significantly better.
 
     Parameters
     ----------
     template, *values, hint
         As for every error.
     answers : tuple of Localization
-        The poses, each as if it were the answer; the best first.
+        A localization for each pose, the best first.
     """
 
     def __init__(  # callable with the message alone: that is how errors are unpickled
@@ -358,17 +355,17 @@ class Problem:
     Parameters
     ----------
     name : str
-        The sensor's name.
+        Name of the sensor.
     roads : LaneletMap
         The lanes.
     road : (n, 3) array
         Points of the road's surface in the map's CRS, metres.
     guess : (2,) or (3,) array
-        Easting, northing and perhaps height, metres.
+        Easting, northing and optionally height, metres.
     heading : float or None
-        Yaw, radians, where one is known.
+        Guess of the yaw, radians.
     evidence : dict
-        Evidence that is added to every answer's own.
+        Evidence that is added to that of every pose.
     """
 
     name: str
@@ -396,7 +393,7 @@ class Problem:
 
 
 def common(moving: Moving, method: str) -> dict[str, Any]:
-    """Return the evidence that all methods give."""
+    """Return the evidence that all methods have in common: time, method and frames."""
     return {
         "time": iso_from_step(int(step_of(np.array(moving.end)))),
         "method": method,

@@ -1,13 +1,12 @@
 """Estimate and validate the offset of two clocks by the traffic that both sensors see.
 
-Two sensors that see a vehicle at (nearly) one moment see it at (nearly) one place. If the clock of
-one is ahead by tau, it sees a vehicle of speed v displaced by -v tau. One may also see the front of
-a vehicle and the other its rear, a displacement that does not depend on the speed. So, over pairs
-of detections of one vehicle,
+If the clock of a sensor is ahead by tau, its detections of a vehicle of speed v are displaced by
+-v tau at one time stamp. That one sensor sees the front of a vehicle and the other its rear gives a
+displacement d that does not depend on the speed. Over pairs of detections of one vehicle,
 
     s_other - s_one - v (t_other - t_one)  =  d(place, sides)  -  v (tau + drift (t - t_mid))
 
-is solved by robust least squares, with a prior on d: a vehicle is some metres long.
+is solved by robust least squares, with a prior on d from the length of vehicles.
 """
 
 from __future__ import annotations
@@ -24,70 +23,71 @@ from gis_radar.calibration.timing.lane_detections import LaneDetections
 
 # Sensitivity, on the sample's two sensors (sigma 10 ms): half or twice any constant of the rough
 # search does not change the offset.
-# Largest offset looked for, beyond the difference of the recordings' begins: over an hour, the
-# usual mistake of a time zone.
+# Largest offset that is searched, beyond the difference of the recordings' begins: over an hour,
+# the usual mistake of a time zone.
 MAX_OFFSET_S = 4000.0
 BIN_S = 0.25  # width of the bins of time in which agreement is counted
-# Cells in which agreement is counted: in a bin a vehicle moves by about a cell.
+# Size of the cells of place and speed in which agreement is counted: a vehicle passes about one in
+# a bin.
 CELL_M = 4.0
 CELL_MPS = 3.0
-# Width of a peak (1.25 s, a vehicle's time in a cell), of its surroundings (40 s, within a cycle
-# of signals), and least distance of another peak (5 s).
+# Width of a peak (1.25 s, a vehicle's time in a cell), of its background (40 s, within a cycle of
+# signals), and least distance of another peak (5 s).
 PEAK_BINS = 5
 AROUND_BINS = 161
 APART_BINS = 20
-# Least height of the best lag in robust standard deviations above the agreement at the tens of
-# thousands of other lags; and least number of cells in which both saw a vehicle.
+# Least score of the best lag, in robust standard deviations of all lags, and least number of cells
+# with a vehicle of both sensors at it.
 ROUGH_SCORE, ROUGH_PAIRS = 8.0, 20
-ROUGH_RATIO = 1.25  # least height of the best lag over that of the next best
-# Largest differences of time and speed of a pair: the rough offset's error, and a turn.
+ROUGH_RATIO = 1.25  # least ratio of the best lag's score to that of the next peak
+# Largest differences of time and speed of a pair: error of the rough offset, and turning vehicles.
 PAIR_S = 0.35
 PAIR_MPS = 1.5
 # Fewer pairs or vehicles, or a larger sigma (five steps), are refused.
 LEAST_PAIRS, LEAST_VEHICLES, MAX_SIGMA_S = 50, 8, 0.25
-# Largest gap along the lane, metres, iteration by iteration; the last one stays. A car's length
-# and the error of both poses.
+# Largest gap along the lane in each iteration, the last one in all further ones: a car's length and
+# the error of both poses.
 PAIR_M: tuple[float, ...] = (12.0, 9.0, 7.0)
-VEHICLE_S = 4.0  # detections of one lanelet within it count as one vehicle: about the least headway
-# Detections of a pair of sensors in the fit and in the validation; time grows in proportion.
+VEHICLE_S = 4.0  # detections of a lanelet within this time count as one vehicle: a short headway
+# Most detections of a pair of sensors in the fit and in the validation; time grows in proportion.
 MOST_FITTED = 15_000
 MOST_CHECKED = 20_000
-# From a vehicle's middle to the reflections of its front or rear, and one sigma, metres.
+# Distance from a vehicle's middle to the reflections of its front or rear, and 1 sigma.
 FACE_M = 1.2
 FACE_SIGMA_M = 1.0
-# Sigma of the bias of a place, and least one of a vehicle, metres: poses within lanes, and the
-# spread of reflections.
+# 1 sigma of the bias of a place, by errors of poses, and least 1 sigma of a vehicle's gap, by the
+# scatter of reflections.
 PLACE_SIGMA_M = 0.7
 VEHICLE_SIGMA_M = 0.5
 DRIFT_SIGMA = 100e-6  # prior sigma of a drift: quartz clocks of radars keep within 100 ppm
-# A drift over ODD_DRIFT, and over ODD_DRIFT_SIGMAS of its sigmas under the wide prior
-# ODD_DRIFT_SIGMA, is not a quartz clock's and is fitted with that prior. An ARS430 was 0.8 % slow;
-# over MOST_DRIFT a unit is mistaken.
+# A drift above ODD_DRIFT and ODD_DRIFT_SIGMAS standard errors is not that of a quartz clock, and is
+# fitted with the wide prior ODD_DRIFT_SIGMA. One ARS430 was 0.8 % slow; above MOST_DRIFT the unit
+# of time is wrong.
 ODD_DRIFT = 1e-3
 ODD_DRIFT_SIGMAS = 5.0
 ODD_DRIFT_SIGMA = 0.01
 MOST_DRIFT = 0.012
-HUBER = 1.5  # residuals over so many standard deviations weigh less (Huber 1964)
+HUBER = 1.5  # residuals of more standard deviations have lower weight (Huber 1964)
 # Most rounds of pairing in the fit, and reweightings in each.
 PAIRING_ROUNDS = 12
 WEIGHT_ROUNDS = 8
-CONVERGED_S = 2e-4  # a smaller change of the offset ends the fit: far under any sigma
-MAX_CHANGE_S = 2.0  # a fit farther from the rough offset belongs to another lag
-# Two detections are of one vehicle where place, time and speed differ by less.
+CONVERGED_S = 2e-4  # a smaller change of the offset ends the fit
+MAX_CHANGE_S = 2.0  # a fit farther from the rough offset is of another lag
+# In the validation two detections are of one vehicle if place, time and speed differ by less.
 NEAR_M = 8.0
 NEAR_S = 0.2
 NEAR_MPS = 1.0
-# Lags off the answer at which far fewer vehicles must agree.
+# Differences from the offset at which far fewer detections must agree.
 DECOYS_S: tuple[float, ...] = (-3.0, -2.0, -1.5, 1.5, 2.0, 3.0)
-LEAST_SHARE = 0.45  # least share of vehicles that both saw at the answer
-LEAST_RATIO = 1.3  # least share seen by both at the answer over that at any decoy
-LEAST_CHECKED = 50  # least detections of a sensor where and while the other one recorded
+LEAST_SHARE = 0.45  # least share of detections that agree at the offset
+LEAST_RATIO = 1.3  # least ratio of that share to the one at any decoy
+LEAST_CHECKED = 50  # least detections of a sensor at places and times that the other one saw
 
 VALUES_AT_ONCE = 1 << 22  # float32 values of a block of cells: 16 MiB
 
 
 class NoCommonTrafficError(NoAnswerError):
-    """Error of two sensors that see no common traffic: nothing can be measured between them."""
+    """Error of two sensors that see no common traffic."""
 
 
 def measured_offset(
@@ -100,16 +100,16 @@ def measured_offset(
     one, other : LaneDetections
         Detections of two sensors.
     max_offset_s : float
-        Largest offset looked for, beyond the difference of the begins of both.
+        Largest offset that is searched, beyond the difference of the begins of both.
 
     Raises
     ------
     NoAnswerError
-        If there is no trustworthy one.
+        If there is no trustworthy offset.
     """
-    found = fine_offset(one, other, rough_offset(one, other, max_offset_s=max_offset_s))
-    validate_offset(one, other, found.offset_s)
-    return found
+    offset = fine_offset(one, other, rough_offset(one, other, max_offset_s=max_offset_s))
+    validate_offset(one, other, offset.offset_s)
+    return offset
 
 
 def rough_offset(
@@ -117,13 +117,13 @@ def rough_offset(
 ) -> float:
     """Estimate how many seconds the clock of `other` is ahead of that of `one`, to half a second.
 
-    Counts in which cells of the lanes both saw a vehicle of the same speed, lag by lag, and
-    compares the best lag with all others.
+    For each lag it counts the cells of place and speed in which both saw a vehicle, and compares
+    the best lag with all others.
 
     Parameters
     ----------
     one, other : LaneDetections
-        Of two sensors.
+        Detections of two sensors.
     max_offset_s : float
         As for :func:`measured_offset`.
 
@@ -132,91 +132,96 @@ def rough_offset(
     NoAnswerError
         If there is no trustworthy one.
     """
-    key_one, key_other = _cells(one), _cells(other)
-    common = np.intersect1d(key_one, key_other)
+    cells_one, cells_other = _cell_numbers(one), _cell_numbers(other)
+    common = np.intersect1d(cells_one, cells_other)
     if len(common) < ROUGH_PAIRS:
         raise NoCommonTrafficError("they see no common traffic")
-    apart_s = float(other.time[0] - one.time[0])
+    begins_apart_s = float(other.time[0] - one.time[0])
     bins_one, bins_other = (
         ((each.time - each.time[0]) / BIN_S).astype(np.int64) for each in (one, other)
     )
-    agreement = _agreement(key_one, bins_one, key_other, bins_other, common)
+    agreement = _agreement_by_lag(cells_one, bins_one, cells_other, bins_other, common)
     lag = np.arange(len(agreement)) - bins_one.max()
-    shift_s = lag * BIN_S + apart_s
-    allowed = np.abs(shift_s) <= abs(apart_s) + max_offset_s
+    shift_s = lag * BIN_S + begins_apart_s
+    allowed = np.abs(shift_s) <= abs(begins_apart_s) + max_offset_s
     return _best_lag(agreement, shift_s, allowed)
 
 
 def _best_lag(agreement: Floats, shift_s: Floats, allowed: Booleans) -> float:
-    width, apart = PEAK_BINS, APART_BINS
-    smooth = scipy.ndimage.uniform_filter1d(agreement, width, mode="constant") * width
-    around = scipy.ndimage.uniform_filter1d(smooth, AROUND_BINS, mode="constant")
-    score = (smooth - around) / np.sqrt(around + 1.0)
-    filled = allowed & (around > 0.0)
-    if smooth[allowed].max(initial=0.0) < ROUGH_PAIRS or filled.sum() < apart:
+    """Return the shift (s) of the highest peak; refuse one that does not exceed all others."""
+    width, least_apart = PEAK_BINS, APART_BINS
+    summed = scipy.ndimage.uniform_filter1d(agreement, width, mode="constant") * width
+    background = scipy.ndimage.uniform_filter1d(summed, AROUND_BINS, mode="constant")
+    score = (summed - background) / np.sqrt(background + 1.0)
+    filled = allowed & (background > 0.0)
+    if summed[allowed].max(initial=0.0) < ROUGH_PAIRS or filled.sum() < least_apart:
         raise NoAnswerError("they see too little common traffic")
-    spread = 1.4826 * np.median(np.abs(score[filled] - np.median(score[filled])))
-    score = np.where(allowed, score / max(spread, 0.5), -np.inf)
+    scale = 1.4826 * np.median(np.abs(score[filled] - np.median(score[filled])))
+    score = np.where(allowed, score / max(scale, 0.5), -np.inf)
     best = int(score.argmax())
-    elsewhere = np.abs(np.arange(len(score)) - best) > apart
+    elsewhere = np.abs(np.arange(len(score)) - best) > least_apart
     second = float(score[elsewhere & allowed].max(initial=0.0))
     if score[best] < max(ROUGH_SCORE, ROUGH_RATIO * second):
         raise NoAnswerError("no lag stands out in their common traffic")
-    near = slice(max(best - width // 2, 0), best + width // 2 + 1)
-    weight = np.maximum(agreement[near] - around[best] / width, 1e-9)
-    return float(np.average(shift_s[near], weights=weight))
+    peak = slice(max(best - width // 2, 0), best + width // 2 + 1)
+    weight = np.maximum(agreement[peak] - background[best] / width, 1e-9)
+    return float(np.average(shift_s[peak], weights=weight))
 
 
-def _cells(seen: LaneDetections) -> Integers:
-    """Return the cell of each detection: lanelet, place and speed."""
+def _cell_numbers(seen: LaneDetections) -> Integers:
+    """Return the number of each detection's cell of lanelet, place and speed."""
     place = (seen.s_m / CELL_M).astype(np.int64)
     speed = (seen.speed / CELL_MPS).astype(np.int64)
     return (seen.lanelet * 100_000 + place) * 100 + speed
 
 
-def _agreement(
+def _agreement_by_lag(
     key_one: Integers, bins_one: Integers, key_other: Integers, bins_other: Integers,
     common: Integers,
 ) -> Floats:  # fmt: skip
-    """Count the cells in which both had a detection, by lag; lag 0 is at `bins_one.max()`."""
-    room = int(bins_one.max() + bins_other.max() + 1)
-    length = scipy.fft.next_fast_len(room, real=True)
+    """Return for each lag the number of cells with detections of both, by cross-correlation.
+
+    Lag 0 is at index `bins_one.max()`.
+    """
+    lags = int(bins_one.max() + bins_other.max() + 1)
+    length = scipy.fft.next_fast_len(lags, real=True)
     total = np.zeros(length // 2 + 1, np.complex128)
-    at_once = max(VALUES_AT_ONCE // length, 1)
-    for begin in range(0, len(common), at_once):
-        cells = common[begin : begin + at_once]
+    block = max(VALUES_AT_ONCE // length, 1)
+    for begin in range(0, len(common), block):
+        cells = common[begin : begin + block]
         spectra = [
-            scipy.fft.rfft(_filled(key, bins, cells, length), axis=1)
+            scipy.fft.rfft(_presence(key, bins, cells, length), axis=1)
             for key, bins in ((key_one, bins_one), (key_other, bins_other))
         ]
         total += np.einsum("ij,ij->j", np.conj(spectra[0]), spectra[1])
     circular = scipy.fft.irfft(total, length)
-    return np.maximum(np.roll(circular, int(bins_one.max()))[:room], 0.0)
+    return np.maximum(np.roll(circular, int(bins_one.max()))[:lags], 0.0)
 
 
-def _filled(key: Integers, bins: Integers, cells: Integers, length: int) -> NDArray[np.float32]:
+def _presence(key: Integers, bins: Integers, cells: Integers, length: int) -> NDArray[np.float32]:
+    """Return for each cell (rows) and bin of time 1 where there is a detection, else 0."""
     row = np.searchsorted(cells, key)
     row[row == len(cells)] = 0
-    mine = cells[row] == key
+    common = cells[row] == key
     table = np.zeros((len(cells), length), np.float32)
-    table[row[mine], bins[mine]] = 1.0
+    table[row[common], bins[common]] = 1.0
     return table
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClockOffset:
-    """How far one clock is ahead of another.
+    """Offset and drift of one clock against another; positive when it is ahead.
 
     Parameters
     ----------
     offset_s, sigma_s : float
-        Offset at the time `at`, with one standard deviation.
+        Offset at the time `at`, and one standard deviation.
     drift, drift_sigma : float
-        Drift with one standard deviation, seconds a second.
+        Drift and one standard deviation, seconds a second.
     at : float
         UNIX seconds of the other clock.
     vehicles : int
-        Number of vehicles that it rests on.
+        Number of vehicles from which it is measured.
     """
 
     offset_s: float
@@ -228,23 +233,23 @@ class ClockOffset:
 
 
 def fine_offset(one: LaneDetections, other: LaneDetections, rough_s: float) -> ClockOffset:
-    """Refine the offset of two clocks.
+    """Fit offset and drift of two clocks, given a rough offset.
 
     Parameters
     ----------
     one, other : LaneDetections
-        Of two sensors.
+        Detections of two sensors.
     rough_s : float
-        By how much the clock of `other` is ahead, within a second.
+        Offset of the clock of `other`, within a second.
 
     Raises
     ------
     NoAnswerError
-        If there is no trustworthy one.
+        If there is no trustworthy offset.
     """
-    one, at = _common(one, other, rough_s, MOST_FITTED)
+    one, at = _overlapping(one, other, rough_s, MOST_FITTED)
     values, sigma, pairs = _fit(one, other, np.array([rough_s, 0.0]), at, DRIFT_SIGMA)
-    # A clock that runs slow by a percent is far outside the prior of quartz clocks.
+    # one step with a wide prior shows clocks that run slow by up to a percent
     change, wide_sigma = _solve(pairs, values[1], ODD_DRIFT_SIGMA)
     drift = abs(values[1] + change[1])
     if drift > max(ODD_DRIFT, ODD_DRIFT_SIGMAS * wide_sigma[1]):
@@ -266,10 +271,10 @@ def fine_offset(one: LaneDetections, other: LaneDetections, rough_s: float) -> C
 def _fit(
     one: LaneDetections, other: LaneDetections, values: Floats, at: float, drift_sigma: float
 ) -> tuple[Floats, Floats, _Pairs]:
-    """Pair and solve alternately; return offset and drift, their sigmas, and the last pairs."""
+    """Pair detections and solve in turn; return offset and drift, their sigmas, the last pairs."""
     gaps_m = PAIR_M
     for turn in range(PAIRING_ROUNDS):
-        pairs = _pairs(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)])
+        pairs = _pair_detections(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)])
         if len(pairs.gap_m) < LEAST_PAIRS or pairs.vehicles < LEAST_VEHICLES:
             raise NoAnswerError("only {} vehicles are seen by both", pairs.vehicles)
         change, sigma = _solve(pairs, values[1], drift_sigma)
@@ -279,10 +284,10 @@ def _fit(
     return values, sigma, pairs
 
 
-def _common(
+def _overlapping(
     one: LaneDetections, other: LaneDetections, rough_s: float, most: int
 ) -> tuple[LaneDetections, float]:
-    """Return up to `most` detections of `one` from while `other` recorded, and a median time."""
+    """Return up to `most` detections of `one` while `other` recorded, and their median time."""
     time = one.time + rough_s
     keep = np.flatnonzero((time >= other.time[0] - 1.0) & (time <= other.time[-1] + 1.0))
     if len(keep) > most:
@@ -303,35 +308,36 @@ class _Pairs:
 
     @property
     def vehicles(self) -> int:
+        """Number of vehicles."""
         return int(self.vehicle.max(initial=-1)) + 1
 
 
-def _pairs(
+def _pair_detections(
     one: LaneDetections, other: LaneDetections, values: Floats, at: float, apart_m: float
 ) -> _Pairs:
-    """Pair detections that are of one vehicle if the clocks differ by `values`."""
+    """Pair detections that may be of one vehicle, given offset and drift in `values`."""
     time = other.time - values[0] - values[1] * (other.time - at)
     begin = min(one.time.min(initial=np.inf), time.min(initial=np.inf))
-    near = {
+    scales = {
         "near_m": apart_m + PAIR_S * UNLIMITED_MPS,
         "near_s": PAIR_S,
         "near_mps": PAIR_MPS,
     }
-    tree = scipy.spatial.cKDTree(other.scaled(time - begin, **near))
-    found = tree.query_ball_point(
-        one.scaled(one.time - begin, **near), 1.0, p=np.inf, return_sorted=False
+    tree = scipy.spatial.cKDTree(other.scaled(time - begin, **scales))
+    neighbours = tree.query_ball_point(
+        one.scaled(one.time - begin, **scales), 1.0, p=np.inf, return_sorted=False
     )
-    count = np.array([len(each) for each in np.asarray(found, object)], np.int64)
+    count = np.array([len(each) for each in np.asarray(neighbours, object)], np.int64)
     first = np.repeat(np.arange(len(one)), count)
-    second = np.concatenate([*found, []]).astype(np.int64)
+    second = np.concatenate([*neighbours, []]).astype(np.int64)
     speed = (one.speed[first] + other.speed[second]) / 2
-    gap = other.s_m[second] - one.s_m[first] - speed * (time[second] - one.time[first])
-    fits = np.abs(gap) <= apart_m
-    first, second = first[fits], second[fits]
+    gap_m = other.s_m[second] - one.s_m[first] - speed * (time[second] - one.time[first])
+    close = np.abs(gap_m) <= apart_m
+    first, second = first[close], second[close]
     block = (one.time[first] // VEHICLE_S).astype(np.int64)
     return _Pairs(
-        gap_m=gap[fits],
-        speed=speed[fits],
+        gap_m=gap_m[close],
+        speed=speed[close],
         late_s=other.time[second] - at,
         sides=(one.side[first] - other.side[second]) / 2,
         place=np.unique(one.places[first], return_inverse=True)[1],
@@ -342,89 +348,89 @@ def _pairs(
 def _solve(pairs: _Pairs, drift: float, drift_sigma: float) -> tuple[Floats, Floats]:
     """Return the changes of offset and drift, and their standard deviations.
 
-    The unknowns are the offset, the drift, the distance of front and rear reflections, and a bias a
-    place; each vehicle has the same weight.
+    The unknowns are the offset, the drift, the distance between front and rear reflections, and a
+    bias of each place; vehicles have equal weights.
     """
     places = int(pairs.place.max()) + 1
-    share = 1.0 / np.bincount(pairs.vehicle)[pairs.vehicle]
+    vehicle_weight = 1.0 / np.bincount(pairs.vehicle)[pairs.vehicle]
     size = 3 + places
     prior = np.full(size, PLACE_SIGMA_M**-2)
     prior[:3] = 0.0, drift_sigma**-2, FACE_SIGMA_M**-2
     mean = np.zeros(size)
-    mean[1:3] = -drift, 2 * FACE_M  # the drift itself is small, not its change
+    mean[1:3] = -drift, 2 * FACE_M  # the prior is on the drift, not on its change
     columns = np.column_stack([-pairs.speed, -pairs.speed * pairs.late_s, pairs.sides])
-    spread_m, robust = 2.0, np.ones(len(share))
+    scale_m, robust = 2.0, np.ones(len(vehicle_weight))
     for _ in range(WEIGHT_ROUNDS):
-        weight = robust * share / spread_m**2
-        matrix, right = _normal(columns, pairs.place, pairs.gap_m, weight, size)
+        weight = robust * vehicle_weight / scale_m**2
+        matrix, right_side = _normal_equations(columns, pairs.place, pairs.gap_m, weight, size)
         matrix[np.diag_indices(size)] += prior
-        solution = np.linalg.solve(matrix, right + prior * mean)
-        rest = pairs.gap_m - columns @ solution[:3] - solution[3 + pairs.place]
-        by_vehicle = np.bincount(pairs.vehicle, share * rest)
-        spread_m = max(1.4826 * float(np.median(np.abs(by_vehicle))), VEHICLE_SIGMA_M)
-        robust = 1.0 / np.maximum(np.abs(rest) / (HUBER * spread_m), 1.0)
+        solution = np.linalg.solve(matrix, right_side + prior * mean)
+        residual = pairs.gap_m - columns @ solution[:3] - solution[3 + pairs.place]
+        by_vehicle = np.bincount(pairs.vehicle, vehicle_weight * residual)
+        scale_m = max(1.4826 * float(np.median(np.abs(by_vehicle))), VEHICLE_SIGMA_M)
+        robust = 1.0 / np.maximum(np.abs(residual) / (HUBER * scale_m), 1.0)
     sigma = np.sqrt(np.diag(np.linalg.inv(matrix))[:2])
     return np.asarray(solution[:2]), np.asarray(sigma)
 
 
-def _normal(
+def _normal_equations(
     columns: Floats, place: Integers, gap_m: Floats, weight: Floats, size: int
 ) -> tuple[Floats, Floats]:
     """Return the normal equations of the columns and of a bias for each place."""
-    matrix, right = np.zeros((size, size)), np.zeros(size)
+    matrix, right_side = np.zeros((size, size)), np.zeros(size)
     matrix[:3, :3] = columns.T @ (columns * weight[:, None])
-    right[:3] = columns.T @ (gap_m * weight)
+    right_side[:3] = columns.T @ (gap_m * weight)
     places = size - 3
     for i in range(3):
         matrix[i, 3:] = np.bincount(place, columns[:, i] * weight, places)
     matrix[3:, :3] = matrix[:3, 3:].T
     matrix[3 + np.arange(places), 3 + np.arange(places)] = np.bincount(place, weight, places)
-    right[3:] = np.bincount(place, gap_m * weight, places)
-    return matrix, right
+    right_side[3:] = np.bincount(place, gap_m * weight, places)
+    return matrix, right_side
 
 
 def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float) -> None:
-    """Refuse an offset that is not trustworthy.
+    """Refuse an offset at which too few detections agree, or as many as at other offsets.
 
-    On a road that both see, each sees most of the vehicles that the other sees at the same time,
-    and far fewer of those a moment before or after. Traffic that follows a signal is alike from
-    cycle to cycle, but not vehicle by vehicle.
+    On a road that both see, most detections of one agree with those of the other at the right
+    offset, and far fewer a second or more beside it. Traffic at signals repeats from cycle to
+    cycle, but not its single vehicles.
 
     Parameters
     ----------
     one, other : LaneDetections
-        Of two sensors.
+        Detections of two sensors.
     offset_s : float
-        By how much the clock of `other` is ahead.
+        Offset of the clock of `other`.
 
     Raises
     ------
     NoAnswerError
-        If too small a share is seen by both, or as much at other lags.
+        If the share that agrees is below `LEAST_SHARE`, or `LEAST_RATIO` of that at a decoy.
     """
     lags_s = offset_s + np.array([0.0, *DECOYS_S])
-    there, back = (
-        np.array([_share_seen(*pair, sign * lag_s) for lag_s in lags_s])
+    one_by_other, other_by_one = (
+        np.array([_share_seen_by_both(*pair, sign * lag_s) for lag_s in lags_s])
         for pair, sign in (((one, other), 1.0), ((other, one), -1.0))
     )
-    share, *decoys = (there + back) / 2
+    share, *decoys = (one_by_other + other_by_one) / 2
     if not share >= LEAST_SHARE:
         raise NoAnswerError("at no lag do they see the same vehicles")
     if not share >= LEAST_RATIO * np.nanmax([0.0, *decoys]):
         raise NoAnswerError("their common traffic looks alike at other lags too")
 
 
-def _share_seen(one: LaneDetections, other: LaneDetections, offset_s: float) -> float:
-    """Return the share of detections of `one`, where and while `other` sees, that both see."""
+def _share_seen_by_both(one: LaneDetections, other: LaneDetections, offset_s: float) -> float:
+    """Return the share of detections of `one`, at places and times of `other`, that both see."""
     time = other.time - offset_s
     within = (one.time > time[0] + NEAR_S) & (one.time < time[-1] - NEAR_S)
     common = np.isin(one.places, other.places)
-    mine = one.take(np.flatnonzero(within & common))
-    if len(mine) < LEAST_CHECKED:
+    checked = one.take(np.flatnonzero(within & common))
+    if len(checked) < LEAST_CHECKED:
         return np.nan
-    mine = mine.take(np.arange(0, len(mine), -(-len(mine) // MOST_CHECKED)))
-    near = {"near_m": NEAR_M, "near_s": NEAR_S, "near_mps": NEAR_MPS}
-    tree = scipy.spatial.cKDTree(other.scaled(time - mine.time[0], **near))
-    points = mine.scaled(mine.time - mine.time[0], **near)
-    apart, _ = tree.query(points, p=np.inf, distance_upper_bound=1.0)
-    return float(np.isfinite(apart).mean())
+    checked = checked.take(np.arange(0, len(checked), -(-len(checked) // MOST_CHECKED)))
+    scales = {"near_m": NEAR_M, "near_s": NEAR_S, "near_mps": NEAR_MPS}
+    tree = scipy.spatial.cKDTree(other.scaled(time - checked.time[0], **scales))
+    points = checked.scaled(checked.time - checked.time[0], **scales)
+    distance, _ = tree.query(points, p=np.inf, distance_upper_bound=1.0)
+    return float(np.isfinite(distance).mean())

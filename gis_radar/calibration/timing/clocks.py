@@ -1,4 +1,4 @@
-"""Measure how far the clocks of sensors are ahead, from the traffic that they see in common."""
+"""Measure the clock offsets of sensors from the traffic that they see in common."""
 
 from __future__ import annotations
 
@@ -43,24 +43,24 @@ from gis_radar.calibration.timing.lane_detections import (
 from gis_radar.poses import Pose, PoseTrack, as_track
 from gis_radar.recordings import Recording, as_recording
 
-CONTRADICTION_SIGMAS = 4.0  # a warning names a larger contradiction between pairs of sensors
-# A drift below so many of its sigmas counts as none: over hours it would only carry noise.
+CONTRADICTION_SIGMAS = 4.0  # larger residuals of a pair of sensors give a warning
+# A drift of fewer standard errors is set to 0: over hours it would only add noise.
 DRIFT_SIGMAS = 3.0
 
-MOST_DRIFT_PPM = 12_000.0  # a hundred times that of a bad quartz: a unit is mistaken
+MOST_DRIFT_PPM = 12_000.0  # larger drifts are mistakes of units: a bad quartz has 100
 NUMBERS = ("offset_s", "sigma_s", "drift_ppm", "drift_sigma_ppm")  # of a clock in a file of clocks
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorClock:
-    """How far the clock of a sensor is ahead of the reference.
+    """Offset and drift of a sensor's clock against the reference.
 
     Parameters
     ----------
     offset_s : float
-        Seconds by which it is ahead at the time `at`; its time stamps are later by that much.
+        Seconds by which it is ahead of the reference at the time `at`.
     drift_ppm : float
-        By how much it runs fast, microseconds a second.
+        Rate by which it gains on the reference, microseconds a second.
     at : float
         UNIX seconds on its own clock at which the offset holds.
     sigma_s, drift_sigma_ppm : float
@@ -82,12 +82,12 @@ class SensorClock:
             )
 
     def corrected(self, time: Floats) -> Floats:
-        """Return times (UNIX seconds) of this clock as the reference would have stamped them."""
+        """Convert times (UNIX seconds) of this clock to those of the reference."""
         ahead = self.offset_s + self.drift_ppm * 1e-6 * (np.asarray(time) - self.at)
         return np.asarray(time - ahead, dtype=np.float64)
 
     def shown(self, time: Floats) -> Floats:
-        """Return times (UNIX seconds) of the reference as this clock would have stamped them."""
+        """Convert times (UNIX seconds) of the reference to those of this clock."""
         drift = self.drift_ppm * 1e-6
         return np.asarray((time + self.offset_s - drift * self.at) / (1.0 - drift), np.float64)
 
@@ -99,22 +99,22 @@ class SensorClock:
         return known | {"at": moment.replace("+00:00", "Z")}
 
 
-Edges = dict[tuple[str, str], ClockOffset]  # by (one, other): how far the other one is ahead
-Reasons = dict[tuple[str, str], NoAnswerError]  # of the pairs that have no offset
+Edges = dict[tuple[str, str], ClockOffset]  # by (one, other): offset of `other` against `one`
+Reasons = dict[tuple[str, str], NoAnswerError]  # by pair without an offset: the reason
 
 
 @dataclass(frozen=True, kw_only=True)
 class Clocks:
-    """How far each clock is ahead of the reference.
+    """Clock offsets of a site's sensors against a reference.
 
     Parameters
     ----------
     reference : str
-        The sensor whose clock counts as right.
+        The sensor whose clock has no offset.
     clocks : dict
-        By sensor, the reference too; sensors without an answer are left out.
+        By sensor, also the reference; only sensors with a measured offset.
     refused : dict
-        By sensor without an answer: the reason.
+        By sensor without a measured offset: the reason.
     pairs : dict
         By pair of sensors: the offset measured between them.
     """
@@ -144,7 +144,7 @@ class Clocks:
         return lines | {sensor: Text("no answer: {}", why) for sensor, why in self.refused.items()}
 
     def write(self, path: str | Path) -> Path:
-        """Write a file of clocks (JSON), by which `measure` corrects times."""
+        """Write a file of clocks (JSON), with which `measure` corrects times."""
         pairs = [
             {"one": one, "other": other, "offset_s": offset.offset_s, "sigma_s": offset.sigma_s,
              "vehicles": offset.vehicles}
@@ -190,10 +190,12 @@ def read_clocks(path: str | Path) -> dict[str, SensorClock]:
         clocks = dict(record["clocks"])
     except (ValueError, KeyError, TypeError) as error:
         raise InputError("{}: not a file of clocks", path, hint=hint) from error
-    return {str(sensor): _clock_of(entry, f"{path}: {sensor}") for sensor, entry in clocks.items()}
+    return {
+        str(sensor): _parse_clock(entry, f"{path}: {sensor}") for sensor, entry in clocks.items()
+    }
 
 
-def _clock_of(entry: Any, what: str) -> SensorClock:
+def _parse_clock(entry: Any, what: str) -> SensorClock:
     if not isinstance(entry, dict) or "offset_s" not in entry:
         raise InputError("{}: lacks offset_s", what)
     numbers = {name: entry[name] for name in NUMBERS if name in entry}
@@ -218,26 +220,26 @@ def measure_clocks(
     reference: str | None = None,
     reporter: Reporter = QUIET,
 ) -> Clocks:
-    """Find how far the clocks of sensors are ahead of one of them, and how fast they drift.
+    """Measure offset and drift of sensors' clocks against one of them.
 
-    Moving detections are matched to the lanes, with the speed that their Doppler implies there. The
-    lag at which two sensors agree best gives the offset to half a second, the places of the
-    vehicles in both at that lag to milliseconds; the pairs are adjusted by least squares. An offset
-    that fails validation is refused. (The paper, "Global Occupancy Heat Map", mentions the offsets
-    that remain between synchronised sensors.)
+    Moving detections are matched to lanes, with the speed along the lane by their Doppler. The lag
+    at which two sensors agree best gives the offset to half a second, the positions of vehicles in
+    both to milliseconds. The offsets of all pairs are adjusted by least squares; an offset that
+    fails validation is refused. (The paper, "Global Occupancy Heat Map", mentions the offsets that
+    remain between synchronised sensors.)
 
     Parameters
     ----------
     recordings : sequence
-        Files, or what :func:`gis_radar.open_recording` returns; of long recordings about an hour
-        is used in which all recorded.
+        Files, or recordings from :func:`gis_radar.open_recording`; of long ones about an hour is
+        used, common to all.
     poses : sequence of Pose, PoseTrack or their files
         As many as recordings, in order.
     tiles : GeoDataFrame
         As from :func:`gis_radar.hdmap.tiles.read_tiles`.
     reference : str, optional
-        The sensor whose clock counts as right; by default the first by name of those that can be
-        compared with the most others.
+        The sensor whose clock has no offset; by default the first by name of those linked with the
+        most others.
     reporter : Reporter
         Receives progress and warnings.
 
@@ -259,17 +261,17 @@ def measure_clocks(
     tracks = [as_track(pose) for pose in poses]
     sensors = sorted({track.sensor for track in tracks})  # in whatever order they were given
     if len(sensors) < 2 or (reference or sensors[0]) not in sensors:
-        why = Text("clocks need two sensors")
+        reason = Text("clocks need two sensors")
         if len(sensors) > 1:
-            why = Text("there is no {}", reference)
-        raise UsageError("the poses are of {}: {}", ", ".join(sensors), why)
+            reason = Text("there is no {}", reference)
+        raise UsageError("the poses are of {}: {}", ", ".join(sensors), reason)
     crs = metric_crs(tiles.crs, what="tiles")
     for track in tracks:
         what = Text("the pose of {}", track.sensor)
         require_same(track.poses[0].crs, crs, what=what, other_what="the tiles")
     opened = [as_recording(recording) for recording in recordings]
-    seen = _read_all(opened, tracks, lanelets_of(tiles), reporter)
-    edges, reasons = _compare(seen, reporter)
+    detections = _read_all(opened, tracks, lanelets_of(tiles), reporter)
+    edges, reasons = _compare_all(detections, reporter)
     reference = reference or best_linked(edges, sensors)
     clocks, misfit = adjust_network(edges, reference)
     refused = {
@@ -277,11 +279,11 @@ def measure_clocks(
     }
     if len(clocks) < 2:
         pairs = reasons.items()
-        why = Text("; ").join((Text("{} and {}: {}", a, b, e.message) for (a, b), e in pairs))
+        reason = Text("; ").join((Text("{} and {}: {}", a, b, e.message) for (a, b), e in pairs))
         raise NoAnswerError(
             "no clock can be compared with that of {}: {}",
             reference,
-            why,
+            reason,
             hint="sensors must see the same moving traffic; longer recordings help",
         )
     if misfit > CONTRADICTION_SIGMAS:
@@ -299,22 +301,22 @@ def _read_all(
     lanelets: gpd.GeoDataFrame,
     reporter: Reporter,
 ) -> dict[str, LaneDetections]:
-    """Read each sensor's detections on lanes around the begin of the last recording."""
+    """Return each sensor's detections on lanes, around the begin of the last recording."""
     begins = [float(next(recording.read()).time[0]) for recording in recordings]
     parts: dict[str, list[LaneDetections]] = {}
     order = sorted(range(len(begins)), key=lambda i: (begins[i], str(recordings[i].path)))
     for i in order:
-        mine = parts.setdefault(tracks[i].sensor, [])
+        of_sensor = parts.setdefault(tracks[i].sensor, [])
         with suppress(NoAnswerError):  # no lane in reach: nothing in common with others
-            mine.append(
+            of_sensor.append(
                 read_lane_detections(recordings[i], tracks[i], lanelets, max(begins), reporter)
             )
     sensors = sorted({track.sensor for track in tracks})
     return {sensor: LaneDetections.joined(parts[sensor]) for sensor in sensors}
 
 
-def _compare(seen: dict[str, LaneDetections], reporter: Reporter) -> tuple[Edges, Reasons]:
-    """Compare all pairs of sensors; return the offsets, and the reasons where there is none."""
+def _compare_all(seen: dict[str, LaneDetections], reporter: Reporter) -> tuple[Edges, Reasons]:
+    """Measure all pairs of sensors; return the offsets, and the reasons of pairs without one."""
     edges: Edges = {}
     reasons: Reasons = {}
     pairs = list(combinations(seen, 2))
@@ -329,24 +331,24 @@ def _compare(seen: dict[str, LaneDetections], reporter: Reporter) -> tuple[Edges
 
 
 def why_not_compared(sensor: str, reasons: Reasons) -> str:
-    """Return why a sensor could not be compared with the sensor that shares most with it.
+    """Return the reason why a sensor has no offset: that of one of its pairs.
 
     Parameters
     ----------
     sensor : str
-        Its name.
+        Name of the sensor.
     reasons : Reasons
-        By pair of sensors why they could not be compared; at least one pair has the sensor.
+        Reasons of pairs of sensors, at least one of them with the sensor.
 
     Returns
     -------
     str
-        The reason of a pair with common traffic where there is one, as it is more specific.
+        The reason of a pair with common traffic, if there is one, as it is more specific.
     """
-    mine = {pair: why for pair, why in reasons.items() if sensor in pair}
-    pair = max(mine, key=lambda each: not isinstance(mine[each], NoCommonTrafficError))
+    of_sensor = {pair: why for pair, why in reasons.items() if sensor in pair}
+    pair = max(of_sensor, key=lambda each: not isinstance(of_sensor[each], NoCommonTrafficError))
     other = pair[1] if pair[0] == sensor else pair[0]
-    return Text("with {}: {}", other, mine[pair].message)
+    return Text("with {}: {}", other, of_sensor[pair].message)
 
 
 def adjust_network(edges: Edges, reference: str) -> tuple[dict[str, SensorClock], float]:
@@ -355,34 +357,34 @@ def adjust_network(edges: Edges, reference: str) -> tuple[dict[str, SensorClock]
     Parameters
     ----------
     edges : dict
-        By (one, other): how far the clock of `other` is ahead of that of `one`.
+        By (one, other): offset of the clock of `other` against that of `one`.
     reference : str
-        The sensor whose clock counts as right.
+        The sensor whose clock has no offset.
 
     Returns
     -------
     clocks : dict
         The clock of each sensor linked with the reference; the reference's offset is 0.
     misfit : float
-        The largest misfit of a pair, in its standard deviations; 0 without loops.
+        Largest absolute residual of a pair, in its standard deviations; 0 without loops.
     """
-    rough = _linked(edges, reference)
+    rough = _offsets_from(edges, reference)
     names = [name for name in rough if name != reference]
     used = {pair: offset for pair, offset in edges.items() if pair[0] in rough}
     if not used:
         return {reference: SensorClock(offset_s=0.0)}, 0.0
     design = np.array([[(n == b) - (n == a) for n in names] for a, b in used], np.float64)
-    found = list(used.values())
-    # When each pair was compared, by the reference's clock.
+    offsets = list(used.values())
+    # time of each offset by the reference's clock
     at = np.array([offset.at - rough[b] for (_, b), offset in used.items()])
     middle = float(np.median(at))
     drift, drift_sigma, _ = _least_squares(
-        design, np.array([f.drift for f in found]), np.array([f.drift_sigma for f in found])
+        design, np.array([f.drift for f in offsets]), np.array([f.drift_sigma for f in offsets])
     )
     drift = np.where(np.abs(drift) > DRIFT_SIGMAS * drift_sigma, drift, 0.0)
-    offset = np.array([f.offset_s for f in found]) - design @ drift * (at - middle)
+    offset = np.array([f.offset_s for f in offsets]) - design @ drift * (at - middle)
     offset, offset_sigma, misfit = _least_squares(
-        design, offset, np.array([f.sigma_s for f in found])
+        design, offset, np.array([f.sigma_s for f in offsets])
     )
     clocks = {
         name: SensorClock(
@@ -399,38 +401,38 @@ def adjust_network(edges: Edges, reference: str) -> tuple[dict[str, SensorClock]
 
 
 def best_linked(edges: Edges, sensors: list[str]) -> str:
-    """Return the sensor that pairs link with the most others; of equals the first."""
-    return max(sensors, key=lambda sensor: len(_linked(edges, sensor)))
+    """Return the sensor that is linked with the most others; of equal ones the first."""
+    return max(sensors, key=lambda sensor: len(_offsets_from(edges, sensor)))
 
 
-def reached(pairs: Mapping[tuple[str, str], float], reference: str) -> dict[str, float]:
-    """Return how many seconds each sensor that pairs link with the reference is ahead of it.
+def sum_offsets(pairs: Mapping[tuple[str, str], float], reference: str) -> dict[str, float]:
+    """Return the offset of each sensor linked with the reference, summed along a chain of pairs.
 
     Parameters
     ----------
     pairs : mapping
-        By (one, other): seconds by which the clock of `other` is ahead of that of `one`.
+        By (one, other): offset of the clock of `other` against that of `one`, seconds.
     reference : str
-        The sensor with 0.
+        The sensor whose offset is 0.
     """
     ahead = {reference: 0.0}
-    waiting = [reference]
-    while waiting:
-        here = waiting.pop(0)
+    queue = [reference]
+    while queue:
+        here = queue.pop(0)
         for (one, other), gap in pairs.items():
-            for near, far, away in ((one, other, gap), (other, one, -gap)):
+            for near, far, step in ((one, other, gap), (other, one, -gap)):
                 if near == here and far not in ahead:
-                    ahead[far] = ahead[here] + away
-                    waiting.append(far)
+                    ahead[far] = ahead[here] + step
+                    queue.append(far)
     return ahead
 
 
-def _linked(edges: Edges, reference: str) -> dict[str, float]:
-    return reached({pair: offset.offset_s for pair, offset in edges.items()}, reference)
+def _offsets_from(edges: Edges, reference: str) -> dict[str, float]:
+    return sum_offsets({pair: offset.offset_s for pair, offset in edges.items()}, reference)
 
 
 def _least_squares(design: Floats, values: Floats, sigma: Floats) -> tuple[Floats, Floats, float]:
-    """Return the solution, its standard deviations, and the largest misfit over its sigma."""
+    """Return the solution, its standard deviations, and the largest residual over its sigma."""
     scaled = design / sigma[:, None]
     covariance = np.linalg.inv(scaled.T @ scaled)
     solution = covariance @ scaled.T @ (values / sigma)

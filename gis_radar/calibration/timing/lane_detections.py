@@ -1,4 +1,4 @@
-"""Match moving detections to lanes, with the speed along the lane that their Doppler implies."""
+"""Match moving detections to lanes, with the speed along the lane by their Doppler."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from gis_radar.recordings import Detections, Recording
 
 STAGE = "reading traffic"
 LEAST_MPS = 1.5  # least speed along a lane: above walkers and leaves
-# Least cosine between lane and line of sight (60 deg): nearly across it the range rate implies no
+# Least cosine between lane and line of sight (60 deg): across the sight the range rate gives no
 # speed. Twice the value leaves no traffic.
 LEAST_COSINE = 0.5
-# Begin and end of what is read, seconds from the begin of the last recording: an hour of traffic,
-# and to either side an hour by which a clock may be off.
+# Begin and end of the time that is read, seconds from the begin of the last recording: an hour of
+# traffic, and an hour to either side for clock offsets.
 WINDOW_S = (-4000.0, 7600.0)
-PLACE_M = 10.0  # length of lane that shares a bias of a pose
+PLACE_M = 10.0  # length of a place, within which the error of a pose is constant
 REACH_M = 300.0  # reach of the lanes around a sensor: the longest range of the sensors
 
 
@@ -38,7 +38,7 @@ class LaneDetections:
     lanelet : (n,) int64 array
         Number of the lanelet, the same for all sensors.
     s_m : (n,) array
-        Place along the lanelet, metres.
+        Distance along the lanelet, metres.
     speed : (n,) array
         Speed along the lanelet, m/s.
     side : (n,) array
@@ -56,7 +56,7 @@ class LaneDetections:
 
     @property
     def places(self) -> Integers:
-        """Number of each detection's place: its lanelet, and the `PLACE_M` piece of it."""
+        """Number of each detection's place: a section of `PLACE_M` of its lanelet."""
         return self.lanelet * 100_000 + (self.s_m // PLACE_M).astype(np.int64)
 
     def take(self, keep: Booleans | Integers) -> LaneDetections:
@@ -64,14 +64,14 @@ class LaneDetections:
         return LaneDetections(**{name: values[keep] for name, values in vars(self).items()})
 
     def scaled(self, time: Floats, *, near_m: float, near_s: float, near_mps: float) -> Floats:
-        """Return points that differ by at most 1 in each coordinate where detections are near.
+        """Return coordinates of detections in units in which near ones differ by 1 at most.
 
         Parameters
         ----------
         time : (n,) array
             Times of the detections, seconds from any origin.
         near_m, near_s, near_mps : float
-            The scales of place, time and speed.
+            Units of distance along the lanelet, time and speed.
 
         Returns
         -------
@@ -83,7 +83,7 @@ class LaneDetections:
 
     @classmethod
     def joined(cls, parts: list[LaneDetections]) -> LaneDetections:
-        """Concatenate parts."""
+        """Concatenate detections; none give an empty result."""
         none = {name: np.empty(0) for name in cls.__dataclass_fields__}
         none["lanelet"] = np.empty(0, np.int64)
         return cls(
@@ -93,9 +93,9 @@ class LaneDetections:
 
 
 def lane_detections(
-    lanes: Lanes, time: Floats, points: Floats, rate: Floats, eye: Floats
+    lanes: Lanes, time: Floats, points: Floats, rate: Floats, sensor: Floats
 ) -> LaneDetections:
-    """Match detections to lanes, and return those that move along one.
+    """Match detections to lanes; return those on a lane with a speed of at least `LEAST_MPS`.
 
     Parameters
     ----------
@@ -104,34 +104,34 @@ def lane_detections(
     time : (n,) array
         UNIX seconds.
     points : (n, 3) array
-        Local map coordinates; NaN for a height that the sensor does not measure.
+        Local map coordinates, metres; the height is NaN without elevation.
     rate : (n,) array
         Range rates, m/s.
-    eye : (3,) array
-        Place of the sensor, local map coordinates.
+    sensor : (3,) array
+        Position of the sensor, local map coordinates, metres.
     """
-    arm = np.nan_to_num(points - eye)
-    reach = np.linalg.norm(arm, axis=1)
-    way = arm[:, :2] / np.maximum(reach, 1.0)[:, None]
-    matches = match_along(lanes, points, way, rate, reach, least_cosine=LEAST_COSINE)
+    offset = np.nan_to_num(points - sensor)
+    reach = np.linalg.norm(offset, axis=1)
+    sight = offset[:, :2] / np.maximum(reach, 1.0)[:, None]
+    matches = match_along(lanes, points, sight, rate, reach, least_cosine=LEAST_COSINE)
     rows = np.flatnonzero(matches.found)
     sample = matches.lane[rows]
     ahead_m, left_m, _ = lanes.beside(sample, points[rows])
-    cosine = np.sum(lanes.along[sample] * way[rows], axis=1)
+    cosine = np.sum(lanes.along[sample] * sight[rows], axis=1)
     speed = rate[rows] / cosine
-    on = (np.abs(left_m) <= lanes.width_m[sample] / 2.0) & (np.abs(ahead_m) <= LANE_STEP_M)
-    on &= speed >= LEAST_MPS
+    along_lane = (np.abs(left_m) <= lanes.width_m[sample] / 2.0) & (np.abs(ahead_m) <= LANE_STEP_M)
+    along_lane &= speed >= LEAST_MPS
     return LaneDetections(
-        time=time[rows[on]],
-        lanelet=lanes.lane[sample[on]],
-        s_m=(lanes.s_m[sample] + ahead_m)[on],
-        speed=speed[on],
-        side=np.sign(cosine[on]),
+        time=time[rows[along_lane]],
+        lanelet=lanes.lane[sample[along_lane]],
+        s_m=(lanes.s_m[sample] + ahead_m)[along_lane],
+        speed=speed[along_lane],
+        side=np.sign(cosine[along_lane]),
     )
 
 
 def lanelets_of(tiles: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    """Return the lanelets that tiles were cut from, as :func:`sample_lanes` takes them.
+    """Return the lanelets of tiles, with the columns that :func:`sample_lanes` needs.
 
     Parameters
     ----------
@@ -142,13 +142,13 @@ def lanelets_of(tiles: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     ends = [(corners[:, i] + corners[:, j]) / 2.0 for i, j in ((0, 3), (1, 2))]
     height = tiles["height_m"].to_numpy(np.float64)
     ids, number = np.unique(tiles["lanelet_id"].to_numpy(), return_inverse=True)
-    both = np.vstack([np.column_stack([end, height]) for end in ends])
+    points = np.vstack([np.column_stack([end, height]) for end in ends])
     numbers, place = np.tile(number, 2), np.repeat([0.0, 0.5], len(tiles))
     place += np.tile(tiles["index"].to_numpy(), 2)
-    last = np.bincount(number)[number] == tiles["index"].to_numpy() + 1
-    kept = np.flatnonzero(np.append(np.ones(len(tiles), dtype=bool), last))
-    kept = kept[np.lexsort((place[kept], numbers[kept]))]
-    centre = shapely.linestrings(both[kept], indices=numbers[kept])
+    is_last = np.bincount(number)[number] == tiles["index"].to_numpy() + 1
+    order = np.flatnonzero(np.append(np.ones(len(tiles), dtype=bool), is_last))
+    order = order[np.lexsort((place[order], numbers[order]))]
+    centre = shapely.linestrings(points[order], indices=numbers[order])
     width = np.bincount(number, tiles["width_m"].to_numpy()) / np.bincount(number)
     return gpd.GeoDataFrame(
         {
@@ -169,22 +169,22 @@ def read_lane_detections(
     latest_s: float,
     reporter: Reporter,
 ) -> LaneDetections:
-    """Read the detections that move along lanes in a few hours, by the sensor's own clock.
+    """Read a recording's detections that move along lanes, within `WINDOW_S` of a time.
 
     Parameters
     ----------
     recording, track : Recording, PoseTrack
-        The recording, and where its sensor stood.
+        The recording, and the pose track of its sensor.
     lanelets : GeoDataFrame
         As from :func:`lanelets_of`.
     latest_s : float
-        UNIX seconds at which the last of all recordings begins: the hours around it are read, so
-        that long recordings overlap; of a recording that ends before, its own first hours.
+        UNIX seconds at which the last of all recordings begins. Of a recording without detections
+        in the window around it, its first hours are read.
     reporter : Reporter
         Receives the progress.
     """
-    middle, none = track.poses[0].position[:2], np.empty((0, 3))
-    lanes = sample_lanes(lanelets, none, place=middle, reach_m=REACH_M)
+    middle, no_road = track.poses[0].position[:2], np.empty((0, 3))
+    lanes = sample_lanes(lanelets, no_road, place=middle, reach_m=REACH_M)
     parts: list[LaneDetections] = []
     around: list[LaneDetections] = []
     before_s, after_s = WINDOW_S
@@ -197,29 +197,35 @@ def read_lane_detections(
             break
         keep = np.abs(batch.time - latest_s - (before_s + after_s) / 2) <= (after_s - before_s) / 2
         if keep.any():
-            around += _matched(batch.take(keep), track, lanes)
+            around += _along_lanes(batch.take(keep), track, lanes)
         elif not around and batch.time[0] <= begin_s + after_s - before_s:
-            parts += _matched(batch, track, lanes)
+            parts += _along_lanes(batch, track, lanes)
     return LaneDetections.joined(around or parts)
 
 
-def _matched(rows: Detections, track: PoseTrack, lanes: Lanes) -> list[LaneDetections]:
-    """Return the detections that move along a lane, pose by pose."""
+def _along_lanes(rows: Detections, track: PoseTrack, lanes: Lanes) -> list[LaneDetections]:
+    """Return the detections that move along a lane, for each pose of the track."""
     rows = rows.take(rows.present & (np.abs(rows.range_rate) >= LEAST_MPS * LEAST_COSINE))
-    held = track.at(rows.time)
-    found = []
-    for index in np.unique(held).tolist():
-        pose, now = track.poses[index], held == index
-        found.append(
-            placed_on_lanes(lanes, rows.time[now], rows.points[now], rows.range_rate[now], pose)
+    pose_index = track.at(rows.time)
+    by_pose = []
+    for index in np.unique(pose_index).tolist():
+        pose, rows_of_pose = track.poses[index], pose_index == index
+        by_pose.append(
+            placed_on_lanes(
+                lanes,
+                rows.time[rows_of_pose],
+                rows.points[rows_of_pose],
+                rows.range_rate[rows_of_pose],
+                pose,
+            )
         )
-    return found
+    return by_pose
 
 
 def placed_on_lanes(
     lanes: Lanes, time: Floats, points: Floats, range_rate: Floats, pose: Pose
 ) -> LaneDetections:
-    """Return the detections of a sensor, in its own frame, that move along a lane from a pose."""
+    """Place detections of the sensor frame by a pose; return those that move along a lane."""
     origin = np.array([*lanes.origin, 0.0])
     placed = pose.to_map(points) - origin
     placed[np.isnan(points[:, 2]), 2] = np.nan

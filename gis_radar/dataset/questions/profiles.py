@@ -8,7 +8,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError, current_language, speaking
+from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError, current_language, in_language
 from gis_radar.dataset.days.asked_time import AskedTime, Holidays, day_numbers, month_edges
 from gis_radar.dataset.days.rollups import RollUps, with_month
 from gis_radar.dataset.files.parts import hour_of_step
@@ -119,7 +119,7 @@ def _street_lanes(
     key = ("street", street, language or current_language())
     if key not in dataset.cache:
         layers = dataset.layer(LANES_LAYER), dataset.layer(TILES_LAYER)
-        with speaking(language):
+        with in_language(language):
             dataset.cache[key] = StreetLanes.of(*layers, rolled.traffic.network, street)
     lanes: StreetLanes = dataset.cache[key]
     return lanes

@@ -18,9 +18,9 @@ from gis_radar.base import (
     InputError,
     Text,
     csv_rows,
+    in_language,
     interval_steps,
     listed,
-    speaking,
     stated_moment,
     step_at,
     text_in,
@@ -130,7 +130,7 @@ def signal_cycles(
     """
     require_vehicles(dataset)
     network, hours = _exact_hours(dataset, dataset.span(begin, end))
-    with speaking(language):
+    with in_language(language):
         names = np.array(lane_names(dataset.layer(LANES_LAYER), network), object)
     place_of = {
         str(each): k for name in (names, network.lane) for k, each in enumerate(name.tolist())
@@ -141,7 +141,7 @@ def signal_cycles(
             "{}: lane {} has no stop line", signals, int(network.lane[without_line[0]])
         )
     rows = [each for hour in hours for each in cycles(network, *hour, known=known)]
-    with speaking(language):
+    with in_language(language):
         reason = [tr(each.reason) if each.reason else "" for each in rows]
     table = pd.DataFrame(rows, columns=list(Cycle._fields))
     place, zone = table["lane"].to_numpy(np.int64), zone_of(dataset.timezone)

@@ -23,8 +23,8 @@ from gis_radar.base import (
     InputError,
     Integers,
     UsageError,
+    in_language,
     interval_steps,
-    speaking,
     zone_of,
 )
 from gis_radar.dataset.days.lane_measures import LaneTraffic
@@ -87,7 +87,7 @@ class TrafficReader:
             table[f"{name}_se"] = np.sqrt(table[f"{name}_se"] ** 2 + left_open)
         layer = self.dataset.layer(LANES_LAYER)
         table["delay_s"] = delays(table, layer, network)
-        with speaking(self.language):
+        with in_language(self.language):
             names = lane_names(layer, network)
         place = np.searchsorted(network.lane, table["lane"].to_numpy(np.int64))
         lines = layer.set_index("lane").geometry.loc[network.lane.tolist()].array[place]
@@ -114,7 +114,7 @@ class TrafficReader:
         if lanes is not None and not table.empty:
             table = _scaled_to_approaches(table, lanes)
         ways, layer = network.turns(), self.dataset.layer(LANES_LAYER)
-        with speaking(self.language):
+        with in_language(self.language):
             names = np.array(lane_names(layer, network), object)
         words, lines = turn_lines(layer, network, ways)
         pairs = {

@@ -17,10 +17,10 @@ import shapely.ops
 from gis_radar.base import (
     Floats,
     InputError,
+    in_language,
     metric_crs,
     one_line,
     read_vector,
-    speaking,
 )
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.files.source import Moment, Source, require_vehicles
@@ -103,7 +103,7 @@ def count_sections(
             dataset=dataset, interval=interval, span=dataset.span(begin, end), language=language,
             line_m=along,
         ).lanes()  # fmt: skip
-        with speaking(language):
+        with in_language(language):
             by_section |= {
                 name: _by_direction(rows, lines[name], crossed[name]) for name in counted
             }

@@ -23,8 +23,8 @@ from gis_radar.base import (
     Reporter,
     UsageError,
     atomic_write,
-    dress_layers,
-    keep_styles,
+    copy_saved_styles,
+    style_layers,
     write_stream,
 )
 from gis_radar.dataset.files.source import Source, require_vehicles
@@ -93,8 +93,8 @@ def write_footprints(dataset: Source, path: str | Path, *, reporter: Reporter = 
             geometry_type="Polygon", crs=dataset.crs,
         )  # fmt: skip
         styles = {FOOTPRINTS: footprint_style()}
-        dress_layers(part, styles, name="vehicles", about="vehicles, moved by the time")
-        keep_styles(part, earlier=path)
+        style_layers(part, styles, name="vehicles", about="vehicles, moved by the time")
+        copy_saved_styles(part, earlier=path)
     return rows.count
 
 

@@ -35,9 +35,9 @@ from gis_radar.dataset import (
     require_same_settings,
 )
 from gis_radar.hdmap import read_tiles
-from gis_radar.live.hours.quarters import KEPT, Lately, read_quarters
+from gis_radar.live.hours.quarters import QUARTERS_KEPT, QuarterMeasures, read_quarters
 from gis_radar.live.hours.recordings import (
-    CUT_US,
+    HOUR_OFFSET_US,
     HOUR_US,
     PARTS,
     RECORDINGS,
@@ -62,7 +62,7 @@ from gis_radar.tracking import map_of_tiles
 
 DATASET, PROVISIONAL, SIGHT = "dataset", "provisional", "sight"
 QUARTER_US = HOUR_US // 4
-AFTER_US = 60_000_000  # time after a provisional quarter whose frames are used for its vehicles
+LOOKAHEAD_US = 60_000_000  # frames after a provisional quarter that its vehicles are found by
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,16 +132,16 @@ class MeasuredSite:
 
 
 @dataclass(kw_only=True)
-class Done(Reporter):
-    """Result of a job, with its warnings.
+class JobResult(Reporter):
+    """Result of a job; a reporter of its work, which keeps warnings and drops other remarks.
 
     Parameters
     ----------
-    said : list of str
+    warnings : list of str
         Warnings.
     not_measured : dict
         By hour, the reason why it could not be measured.
-    quarters : list of Lately
+    quarters : list of QuarterMeasures
         The measured quarters.
     hours : list of int
         Hours that have to be made (again).
@@ -151,9 +151,9 @@ class Done(Reporter):
         By sensor, the hour in which there was too little traffic for a verdict.
     """
 
-    said: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     not_measured: dict[int, str] = field(default_factory=dict)
-    quarters: list[Lately] = field(default_factory=list)
+    quarters: list[QuarterMeasures] = field(default_factory=list)
     hours: list[int] = field(default_factory=list)
     doubts: dict[str, str | None] = field(default_factory=dict)
     unchecked: dict[str, int] = field(default_factory=dict)
@@ -161,11 +161,11 @@ class Done(Reporter):
     def log(self, message: str, level: str = "info") -> None:
         """Store a warning."""
         if level == "warning":
-            self.said.append(message)
+            self.warnings.append(message)
 
 
-def take_up(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
-    """Find the hours that an earlier run left to be made, and the quarters of the last day."""
+def resume_hours(site: MeasuredSite, spooled: Sequence[Path]) -> JobResult:
+    """Return the hours that an earlier run left to be made, and the quarters of the last day."""
     done = make_recordings(site, spooled)
     clear_unfinished(site.folder / PARTS)
     done.hours = sorted(waiting_hours(site.folder))
@@ -177,7 +177,7 @@ def take_up(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
         if Manifest.is_there(path / DATASET):
             quarter = time_of_name(path.name) // QUARTER_US
             done.quarters += _quarters_in(site, path / DATASET, [quarter])
-    _read_day(site, done)
+    _read_last_day(site, done)
     return done
 
 
@@ -187,9 +187,9 @@ def _is_newer(path: Path, dataset: Path, hour: int) -> bool:
     return not record.exists() or record.stat().st_mtime < path.stat().st_mtime
 
 
-def make_recordings(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
+def make_recordings(site: MeasuredSite, spooled: Sequence[Path]) -> JobResult:
     """Make parts of recordings from files of the spool."""
-    done = Done()
+    done = JobResult()
     for path in spooled:
         make_parts(site.folder, path, done)
     return done
@@ -198,7 +198,7 @@ def make_recordings(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
 def make_hours(
     site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int], *,
     check: Callable[..., Sequence[Any]] = check_plausibility,
-) -> Done:  # fmt: skip
+) -> JobResult:  # fmt: skip
     """Make the recordings of hours that are over, and measure them.
 
     Parameters
@@ -217,9 +217,9 @@ def make_hours(
     _measure_hours(site, hours, before_hour, done)
     if hours:
         _check_poses(site, max(hours), check, done)
-    _read_day(site, done)
+    _read_last_day(site, done)
     _remove_provisional(site, before_hour)
-    measured = _measured(site)
+    measured = _measured_paths(site)
     remove_old(
         site.folder, keep_s=site.keep_s, most_bytes=site.most_bytes, reporter=done,
         is_needed=lambda path: path.resolve().as_posix() not in measured,
@@ -232,20 +232,22 @@ def _remove_provisional(site: MeasuredSite, before_hour: int) -> None:
     made = read_hours(site.dataset)
     for path in (site.folder / PROVISIONAL).glob("2*"):
         hour = time_of_name(path.name) // HOUR_US
-        if hour in made or hour < before_hour - KEPT // 4:
+        if hour in made or hour < before_hour - QUARTERS_KEPT // 4:
             shutil.rmtree(path, ignore_errors=True)
 
 
-def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, done: Done) -> None:
+def _measure_hours(
+    site: MeasuredSite, hours: Sequence[int], before_hour: int, done: JobResult
+) -> None:
     """Measure hours in parallel; record the reason for each that cannot be measured."""
-    found: dict[int, list[tuple[Path, PoseTrack]]] = {}
+    by_hour: dict[int, list[tuple[Path, PoseTrack]]] = {}
     for hour in hours:
         paths = (_recording_of(site, sensor, hour, done) for sensor in _sensors_of(site, hour))
         try:
-            found[hour] = [(path, track_beside(path)) for path in paths if path is not None]
+            by_hour[hour] = [(path, track_beside(path)) for path in paths if path is not None]
         except InputError as error:
             done.not_measured[hour] = error.message
-    groups = [each for each in found.items() if each[1]]
+    groups = [each for each in by_hour.items() if each[1]]
     if len(groups) > 1 and site.workers > 1:
         every = [each for _, recordings in groups for each in recordings]
         with suppress(InputError):  # if one hour is bad, each is measured alone to find it
@@ -259,7 +261,7 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
 
 
 def _check_poses(
-    site: MeasuredSite, hour: int, check: Callable[..., Sequence[Any]], done: Done
+    site: MeasuredSite, hour: int, check: Callable[..., Sequence[Any]], done: JobResult
 ) -> None:
     """Check whether poses, recordings and map fit each other in the last measured hour.
 
@@ -290,7 +292,7 @@ def _check_poses(
 
 
 def _sensors_of(site: MeasuredSite, hour: int) -> list[str]:
-    """Return the site's sensors, and former ones of which frames of the hour still wait."""
+    """Return the site's sensors, and former ones with frames of the hour that are not measured."""
     made = (site.folder / RECORDINGS).glob(f"*/{name_of_hour(hour)}.parquet")
     waiting = [
         *(site.folder / PARTS).glob(f"*/{name_of_hour(hour)}.*.parquet"),
@@ -299,16 +301,16 @@ def _sensors_of(site: MeasuredSite, hour: int) -> list[str]:
     return sorted({*site.sensors, *(path.parent.name for path in waiting)})
 
 
-def _measured(site: MeasuredSite) -> set[str]:
+def _measured_paths(site: MeasuredSite) -> set[str]:
     """Return the paths of the recordings that are in the dataset."""
-    there = Manifest.is_there(site.dataset)
-    return set(open_dataset(site.dataset).recordings()["path"]) if there else set()
+    is_there = Manifest.is_there(site.dataset)
+    return set(open_dataset(site.dataset).recordings()["path"]) if is_there else set()
 
 
-def _recording_of(site: MeasuredSite, sensor: str, hour: int, done: Done) -> Path | None:
+def _recording_of(site: MeasuredSite, sensor: str, hour: int, done: JobResult) -> Path | None:
     """Make the recording of an hour from all its frames, and return it; None without frames."""
     path = recording_path(site.folder, sensor, hour)
-    if not path.exists() and path.resolve().as_posix() in _measured(site):
+    if not path.exists() and path.resolve().as_posix() in _measured_paths(site):
         parts = parts_of_hour(site.folder, sensor, hour)
         if parts:
             done.warn(
@@ -322,7 +324,7 @@ def _recording_of(site: MeasuredSite, sensor: str, hour: int, done: Done) -> Pat
     return join_parts(site.folder, sensor, hour, done)
 
 
-def make_quarter(site: MeasuredSite, spooled: Sequence[Path], quarter: int) -> Done:
+def make_quarter(site: MeasuredSite, spooled: Sequence[Path], quarter: int) -> JobResult:
     """Measure a provisional quarter from the frames received so far; its hour replaces it later.
 
     Parameters and result are as of :func:`make_hours`.
@@ -330,38 +332,40 @@ def make_quarter(site: MeasuredSite, spooled: Sequence[Path], quarter: int) -> D
     done = make_recordings(site, spooled)
     begin_us = quarter * QUARTER_US
     path = site.folder / PROVISIONAL / name_of_time(begin_us)
-    span = (begin_us - CUT_US, begin_us + QUARTER_US + AFTER_US)
+    span = (begin_us - HOUR_OFFSET_US, begin_us + QUARTER_US + LOOKAHEAD_US)
     with output_errors(path):
         shutil.rmtree(path, ignore_errors=True)
         path.mkdir(parents=True)
-    found = []
+    recordings = []
     for sensor in site.sensors:
         sources = []
         for hour in range(hour_of_time(span[0]), hour_of_time(span[1]) + 1):
-            there = recording_path(site.folder, sensor, hour)
-            sources += [there] if there.exists() else []
+            recording = recording_path(site.folder, sensor, hour)
+            sources += [recording] if recording.exists() else []
             sources += parts_of_hour(site.folder, sensor, hour)
         rows = JoinedRows(sources, *span) if sources else None
         if rows is not None and len(rows.table):
             place = path / RECORDINGS / sensor / f"{path.name}.parquet"
-            found.append((place, rows.write(place)))
-    if not found:
+            recordings.append((place, rows.write(place)))
+    if not recordings:
         shutil.rmtree(path, ignore_errors=True)
     else:
-        made = path / DATASET
-        site.measure(found, made, before_hour=1 << 40, reporter=done)
-        done.quarters = _quarters_in(site, made, [quarter])
+        dataset = path / DATASET
+        site.measure(recordings, dataset, before_hour=1 << 40, reporter=done)
+        done.quarters = _quarters_in(site, dataset, [quarter])
     return done
 
 
-def _read_day(site: MeasuredSite, done: Done) -> None:
+def _read_last_day(site: MeasuredSite, done: JobResult) -> None:
     """Read the quarters of the last day from the dataset."""
     if Manifest.is_there(site.dataset):
         last = int(time.time() * 1e6) // QUARTER_US
-        done.quarters += _quarters_in(site, site.dataset, range(last - KEPT, last + 1))
+        done.quarters += _quarters_in(site, site.dataset, range(last - QUARTERS_KEPT, last + 1))
 
 
-def _quarters_in(site: MeasuredSite, folder: Path, quarters: Sequence[int]) -> list[Lately]:
+def _quarters_in(
+    site: MeasuredSite, folder: Path, quarters: Sequence[int]
+) -> list[QuarterMeasures]:
     return read_quarters(open_dataset(folder), read_tiles(site.tiles), quarters)
 
 
@@ -377,13 +381,13 @@ def refuse_other_settings(
     """
     if not Manifest.is_there(site.dataset):
         return
-    found = Manifest.read(site.dataset)
+    stored = Manifest.read(site.dataset)
     settings = MeasureSettings(filters=site.filters)
-    if not site.vehicles or not found.settings.get("vehicles"):
+    if not site.vehicles or not stored.settings.get("vehicles"):
         settings = replace(settings, vehicles=False)
     _, described = map_of_tiles(site.map, tiles)
-    mine = manifest_of(tiles, described["digest"], scan, settings, site.timezone)
-    require_same_settings(site.dataset, found, mine)
+    of_site = manifest_of(tiles, described["digest"], scan, settings, site.timezone)
+    require_same_settings(site.dataset, stored, of_site)
     valid_s = validity_of(site.cycles, site.sensors)
     known = open_dataset(site.dataset).recordings()
     for sensor, before_s in zip(known["sensor"], known["validity_s"], strict=True):

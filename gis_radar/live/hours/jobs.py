@@ -30,27 +30,27 @@ from gis_radar.base import (
 )
 from gis_radar.dataset import hour_text
 from gis_radar.live.hours.hour_work import (
-    AFTER_US,
+    LOOKAHEAD_US,
     QUARTER_US,
-    Done,
+    JobResult,
     MeasuredSite,
     make_hours,
     make_quarter,
     make_recordings,
-    take_up,
+    resume_hours,
 )
 from gis_radar.live.hours.quarters import Quarters
 from gis_radar.live.hours.recordings import end_of_hour_s
 
 SETTLE_S = 30.0  # longest wait for frames of all sensors, and the time after a late frame
-AGAIN_S = 60.0  # time after which a job that failed is tried again
+RETRY_S = 60.0  # time after which a job that failed is tried again
 NICE = 15  # niceness of the worker: the map has priority
-BEHIND_S = 900.0  # backlog of hours from which on it is logged, and at each doubling
-LOOK_S = 0.1
+BACKLOG_S = 900.0  # backlog of hours from which on it is logged, and at each doubling
+POLL_S = 0.1  # between two looks whether the last job has ended
 DOUBTS = "doubts.json"
-MOST_SAID = 1_000  # most warnings remembered, which are not logged again
+MOST_LOGGED = 1_000  # most warnings remembered, which are not logged again
 
-Work = Callable[[MeasuredSite, Sequence[Path]], Done]
+Work = Callable[[MeasuredSite, Sequence[Path]], JobResult]
 
 
 def _process() -> ProcessPoolExecutor:
@@ -69,13 +69,13 @@ class _Unmeasured:
     ----------
     why : str
         The reason.
-    tried, waits : int
-        The quarter in which it was tried, and the number of quarters until the next try.
+    tried_in, quarters_to_wait : int
+        Quarter since 1970 in which it was tried, and number of quarters until the next try.
     """
 
     why: str
-    tried: int
-    waits: int
+    tried_in: int
+    quarters_to_wait: int
 
 
 class HourJobs:
@@ -95,8 +95,8 @@ class HourJobs:
     Attributes
     ----------
     touched : dict
-        Hours whose recordings have to be made, each with the arrival of its last frame (monotonic
-        seconds).
+        Hours with new frames, whose recordings have to be made, each with the arrival of its last
+        frame (monotonic seconds).
     doubts : dict
         By sensor, the check's doubt of its pose and recording; None once they were found to fit.
     wanted : bool
@@ -108,26 +108,26 @@ class HourJobs:
         process: Callable[[], ProcessPoolExecutor] = _process, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.touched: dict[int, float] = {}
-        self.doubts, self._unchecked = _kept_doubts(site.folder / DOUBTS, reporter)
+        self.doubts, self._unchecked = _read_doubts(site.folder / DOUBTS, reporter)
         self.behind_s = self.quarters_left_out = 0.0
         self._site, self._quarters = site, quarters
         self._reporter = reporter
         self._pool: ProcessPoolExecutor | None = None
         self._process = process
-        self._running: Future[Done] | None = None
+        self._running: Future[JobResult] | None = None
         self._next: Work | None = None
         self._hours: dict[int, float | None] = {}  # hours being made, as in `touched` at the start
         self._unmeasured: dict[int, _Unmeasured] = {}
-        self._is_taken_up = True  # what an earlier run left
-        self._now = 0  # the quarter that runs
-        self._quarter = 0  # that was measured last
-        self._said: set[str] = set()
-        self._again_at, self._warned_s = 0.0, BEHIND_S
+        self._is_resumed = True  # whether the hours that an earlier run left are known
+        self._running_quarter = 0  # quarter since 1970 at the last call of `poll`
+        self._measured_quarter = 0  # the last measured one
+        self._logged: set[str] = set()
+        self._retry_at, self._warned_s = 0.0, BACKLOG_S
 
-    def take_up(self, spooled: Sequence[Path]) -> None:
-        """Start with the hours that an earlier run left."""
-        self._is_taken_up = False
-        self._submit(take_up, spooled)
+    def resume(self, spooled: Sequence[Path]) -> None:
+        """Start with the hours that an earlier run left to be made."""
+        self._is_resumed = False
+        self._submit(resume_hours, spooled)
 
     @property
     def wanted(self) -> bool:
@@ -146,24 +146,27 @@ class HourJobs:
         full : bool
             Whether the open file of the spool is long.
         """
-        self._take()
-        if self._running is None and self._next is None and time.monotonic() >= self._again_at:
+        self._take_result()
+        if self._running is None and self._next is None and time.monotonic() >= self._retry_at:
             self._choose(now_s, newest, full=full)
 
     def _choose(self, now_s: float, newest: Mapping[str, float], *, full: bool) -> None:
-        if not self._is_taken_up:  # it failed
-            self._next = take_up
+        """Choose the next job: first a quarter that is due, then hours, then recordings alone."""
+        if not self._is_resumed:  # the first job failed
+            self._next = resume_hours
             return
         due = sorted(hour for hour in self.touched if self._is_due(hour, now_s, newest))
-        self._look_behind(now_s, due)
+        self._log_backlog(now_s, due)
         quarter = self._due_quarter(now_s, newest)
-        self._now = int(now_s * 1e6) // QUARTER_US
-        again = (h for h, each in self._unmeasured.items() if self._now >= each.tried + each.waits)
-        hours = sorted({*due, *again})
-        if quarter is not None and self.behind_s < BEHIND_S:  # first, as the page shows it
-            left = quarter - self._quarter - 1 if self._quarter else 0
-            self.quarters_left_out += max(left, 0)
-            self._quarter = quarter
+        self._running_quarter = int(now_s * 1e6) // QUARTER_US
+        now = self._running_quarter
+        failed = self._unmeasured.items()
+        to_retry = (h for h, each in failed if now >= each.tried_in + each.quarters_to_wait)
+        hours = sorted({*due, *to_retry})
+        if quarter is not None and self.behind_s < BACKLOG_S:  # first, as the page shows it
+            left_out = quarter - self._measured_quarter - 1 if self._measured_quarter else 0
+            self.quarters_left_out += max(left_out, 0)
+            self._measured_quarter = quarter
             self._next = partial(make_quarter, quarter=quarter)
         elif hours:
             self._hours = {hour: self.touched.get(hour) for hour in hours}
@@ -177,21 +180,21 @@ class HourJobs:
         if now_s < end_s:
             return False
         settled = time.monotonic() - self.touched[hour] >= SETTLE_S
-        all_there = all(each >= end_s for each in newest.values())
-        return all_there or (settled and now_s >= end_s + SETTLE_S)
+        is_complete = all(each >= end_s for each in newest.values())
+        return is_complete or (settled and now_s >= end_s + SETTLE_S)
 
     def _due_quarter(self, now_s: float, newest: Mapping[str, float]) -> int | None:
         """Return the newest quarter that is over, if it has frames and was not measured yet."""
-        after_s = AFTER_US / 1e6
+        after_s = LOOKAHEAD_US / 1e6
         quarter = int((now_s - after_s) * 1e6) // QUARTER_US - 1
         end_s = (quarter + 1) * QUARTER_US / 1e6 + after_s
-        there = all(each >= end_s for each in newest.values())
-        if quarter <= self._quarter or not (there or now_s >= end_s + SETTLE_S):
+        is_complete = all(each >= end_s for each in newest.values())
+        if quarter <= self._measured_quarter or not (is_complete or now_s >= end_s + SETTLE_S):
             return None
         begin_s = quarter * QUARTER_US / 1e6
         return quarter if any(each >= begin_s for each in newest.values()) else None
 
-    def _look_behind(self, now_s: float, due: Sequence[int]) -> None:
+    def _log_backlog(self, now_s: float, due: Sequence[int]) -> None:
         """Log the backlog of hours at each doubling, and its end."""
         self.behind_s = now_s - end_of_hour_s(due[0]) if due else 0.0
         if self.behind_s >= self._warned_s:
@@ -203,7 +206,7 @@ class HourJobs:
                 self.behind_s / 60,
             )
         elif not due:
-            self._warned_s = BEHIND_S
+            self._warned_s = BACKLOG_S
 
     def begin(self, spooled: Sequence[Path]) -> None:
         """Start the waiting job, now that the spool is closed up to here."""
@@ -221,7 +224,7 @@ class HourJobs:
             self._pool = self._process()
             self._running = self._pool.submit(work, self._site, list(spooled))
 
-    def _take(self) -> None:
+    def _take_result(self) -> None:
         """Process the result of the job; hours that failed are tried again later."""
         if self._running is None or not self._running.done():
             return
@@ -230,14 +233,14 @@ class HourJobs:
         try:
             done = work.result()
         except Exception as error:  # noqa: BLE001 - whatever it is, fusion goes on
-            self._again_at = time.monotonic() + AGAIN_S
+            self._retry_at = time.monotonic() + RETRY_S
             reason = error.message if isinstance(error, GisRadarError) else (
                 f"{type(error).__name__}: {error}"
             )  # fmt: skip
-            self._say([f"measuring failed and is tried again: {reason}"])
+            self._log_new([f"measuring failed and is tried again: {reason}"])
             self.stop()
             return
-        self._is_taken_up = True  # it is always the first
+        self._is_resumed = True  # as that job is always the first
         for hour, touched in hours.items():
             if self.touched.get(hour) == touched:  # else frames came meanwhile: make it again
                 self.touched.pop(hour, None)
@@ -245,12 +248,12 @@ class HourJobs:
                 self._unmeasured.pop(hour, None)
         self.touch(done.hours)
         self._quarters.add(done.quarters)
-        self._doubt(done)
-        self._say(done.said)
+        self._record_doubts(done)
+        self._log_new(done.warnings)
         for hour, why in done.not_measured.items():
-            self._wait(hour, why)
+            self._plan_retry(hour, why)
 
-    def _doubt(self, done: Done) -> None:
+    def _record_doubts(self, done: JobResult) -> None:
         """Record the findings of the check, and store them for a restart of fusion.
 
         Too little traffic for a verdict ends no doubt; the first such hour is added to its text.
@@ -271,25 +274,30 @@ class HourJobs:
             with atomic_write(path) as part:
                 part.write_text(json_text(document, indent=1) + "\n", encoding="utf-8")
         except GisRadarError as error:  # the alarms stay even if they cannot be stored
-            self._say([error.message])
+            self._log_new([error.message])
 
-    def _wait(self, hour: int, why: str) -> None:
+    def _plan_retry(self, hour: int, why: str) -> None:
         """Log an hour that failed; try it again after one quarter, then two, four, ..."""
         known = self._unmeasured.get(hour)
         if known is None or known.why != why:
             self._reporter.warn("{} is not measured: {}", hour_text(hour), why)
-        waits = 1 if known is None else 2 * known.waits
-        self._unmeasured[hour] = _Unmeasured(why=why, tried=self._now, waits=waits)
+        quarters_to_wait = 1 if known is None else 2 * known.quarters_to_wait
+        self._unmeasured[hour] = _Unmeasured(
+            why=why, tried_in=self._running_quarter, quarters_to_wait=quarters_to_wait
+        )
 
     def touch(self, hours: Iterable[int]) -> None:
-        """Record hours of which frames came."""
+        """Add hours with new frames to those to be made."""
         self.touched |= dict.fromkeys(hours, time.monotonic())
 
-    def _say(self, lines: Iterable[str]) -> None:
-        for line in lines:  # each line once, whatever its hour
+    def _log_new(self, lines: Iterable[str]) -> None:
+        """Log warnings that were not logged before."""
+        for line in lines:  # numbers and times do not make a warning a new one
             words = " ".join(word for word in line.split() if not word[0].isdigit())
-            if words not in self._said:
-                self._said = {words} if len(self._said) >= MOST_SAID else self._said | {words}
+            if words not in self._logged:
+                self._logged = (
+                    {words} if len(self._logged) >= MOST_LOGGED else self._logged | {words}
+                )
                 self._reporter.warn(line)
 
     def finish(self, spooled: Sequence[Path]) -> None:
@@ -298,8 +306,8 @@ class HourJobs:
         self._hours, self._next = {}, partial(_make_all, touched=list(self.touched))
         self.begin(spooled)
         while self._running is not None:
-            time.sleep(LOOK_S)
-            self._take()
+            time.sleep(POLL_S)
+            self._take_result()
         self.stop()
 
     def stop(self) -> None:
@@ -318,7 +326,7 @@ class HourJobs:
         }
 
 
-def _kept_doubts(path: Path, reporter: Reporter) -> tuple[dict[str, str | None], set[str]]:
+def _read_doubts(path: Path, reporter: Reporter) -> tuple[dict[str, str | None], set[str]]:
     """Return the doubts of an earlier run of fusion; a file that cannot be read is logged."""
     if not path.exists():
         return {}, set()
@@ -333,13 +341,13 @@ def _kept_doubts(path: Path, reporter: Reporter) -> tuple[dict[str, str | None],
     return doubts, unchecked
 
 
-def _make_all(site: MeasuredSite, spooled: Sequence[Path], touched: Sequence[int]) -> Done:
+def _make_all(site: MeasuredSite, spooled: Sequence[Path], touched: Sequence[int]) -> JobResult:
     """Make recordings from all frames received, and measure the hours that are over."""
-    done = take_up(site, spooled)
+    done = resume_hours(site, spooled)
     hours = sorted({*touched, *done.hours})  # touched hours may be partly made
     over = [hour for hour in hours if end_of_hour_s(hour) <= time.time()]
     if not over:
         return done
     made = make_hours(site, [], over)
-    made.said = [*done.said, *made.said]
+    made.warnings = [*done.warnings, *made.warnings]
     return made

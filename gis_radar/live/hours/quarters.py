@@ -18,7 +18,7 @@ from gis_radar.base import STEP_S, Floats, Integers, step_begin
 from gis_radar.dataset import STEPS_PER_QUARTER, TILE_COUNTS, Dataset
 from gis_radar.products import lane_totals, lanes_with_tiles
 
-KEPT = 96  # quarters: a day
+QUARTERS_KEPT = 96  # a day
 TRAFFIC = (
     "visible_share", "counted", "volume", "volume_se", "speed_kmh", "occupancy", "queue_max_m",
 )  # fmt: skip
@@ -26,15 +26,15 @@ TRAFFIC = (
 
 
 def share_of(part: NDArray[Any], whole: NDArray[Any]) -> Floats:
-    """Divide parts by wholes; NaN where the whole is 0."""
+    """Return the share that each part is of its whole, NaN where the whole is 0."""
     share = np.full(len(whole), np.nan)
     np.divide(part, whole, out=share, where=whole > 0)
     return share
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lately:
-    """Measures of a quarter of an hour.
+class QuarterMeasures:
+    """Measures of tiles and lanes in one quarter of an hour.
 
     Parameters
     ----------
@@ -60,16 +60,16 @@ class Quarters:
     """The quarters of the last day; safe to read from another thread."""
 
     def __init__(self) -> None:
-        self._known: dict[int, Lately] = {}
-        self.followed: list[Lately] = []  # those with vehicles, in order
+        self._known: dict[int, QuarterMeasures] = {}
+        self.followed: list[QuarterMeasures] = []  # those with vehicles, in order
 
-    def add(self, found: Iterable[Lately]) -> None:
+    def add(self, found: Iterable[QuarterMeasures]) -> None:
         """Add quarters; they replace earlier measures of the same ones."""
         known = self._known | {each.until_step: each for each in found}
-        self._known = {step: known[step] for step in sorted(known)[-KEPT:]}
+        self._known = {step: known[step] for step in sorted(known)[-QUARTERS_KEPT:]}
         self.followed = [each for each in self._known.values() if "volume" in each.lanes]
 
-    def lately(self) -> Lately | None:
+    def newest(self) -> QuarterMeasures | None:
         """Return the newest quarter with vehicles; None where there is none."""
         followed = self.followed
         return followed[-1] if followed else None
@@ -87,8 +87,8 @@ class Quarters:
 
 def read_quarters(
     dataset: Dataset, tiles: gpd.GeoDataFrame, quarters: Sequence[int]
-) -> list[Lately]:
-    """Read those of some quarters that a dataset has.
+) -> list[QuarterMeasures]:
+    """Read the measures of quarters, of those that the dataset has.
 
     Parameters
     ----------
@@ -109,19 +109,22 @@ def read_quarters(
     traffic = None
     if dataset.has_vehicles:
         traffic = dataset.traffic("15min", begin=span[0], end=span[1] + 1)
-    found = []
+    measures = []
     for quarter in quarters:
         begin = quarter * STEPS_PER_QUARTER
-        mine = counts[counts["first_step"] == begin]
-        if len(mine):
-            its = None if traffic is None else traffic[traffic["begin"] == step_begin(begin)]
-            found.append(_quarter(begin, mine, its, tiles))
-    return found
+        of_quarter = counts[counts["first_step"] == begin]
+        if len(of_quarter):
+            traffic_of_quarter = (
+                None if traffic is None else traffic[traffic["begin"] == step_begin(begin)]
+            )
+            measures.append(_quarter_measures(begin, of_quarter, traffic_of_quarter, tiles))
+    return measures
 
 
-def _quarter(
+def _quarter_measures(
     begin: int, counts: pd.DataFrame, traffic: pd.DataFrame | None, tiles: gpd.GeoDataFrame
-) -> Lately:
+) -> QuarterMeasures:
+    """Return the measures of a quarter from its counts by tile and its traffic by lane."""
     ids = tiles["tile_id"].to_numpy(np.int64)
     place = np.searchsorted(ids, counts["tile_id"].to_numpy(np.int64))
     lanes, lane_of_tile = lanes_with_tiles(tiles)
@@ -136,7 +139,7 @@ def _quarter(
         table[f"{name}_s"] = total / number_of_tiles * STEP_S
     if traffic is not None:
         table = table.join(traffic.set_index("lane")[[*TRAFFIC]].astype(float), on="lane")
-    return Lately(
+    return QuarterMeasures(
         until_step=begin + STEPS_PER_QUARTER - 1, visible=steps["visible"],
         occupied=steps["occupied"], lanes=table,
     )  # fmt: skip

@@ -12,7 +12,7 @@ from gis_radar.base import Booleans, Integers
 MINUTE = 1_200  # steps
 MINUTES = 15  # length of a moving sum
 QUARTER, QUARTERS = 15 * MINUTE, 5  # quarters kept until the dataset has them: an hour and more
-Ended: TypeAlias = tuple[int, Integers]
+EndedInterval: TypeAlias = tuple[int, Integers]
 """Number of an interval, and (2, n) steps in which tiles were hit and observed in it."""
 
 
@@ -23,7 +23,7 @@ class _Intervals:
         self.steps, self.number = steps, -1
         self.rows = np.zeros((kept, 2, tiles), np.int32)
 
-    def take(self, step: int, hit: Booleans, observed: Booleans) -> Ended | None:
+    def take(self, step: int, hit: Booleans, observed: Booleans) -> EndedInterval | None:
         """Count a step; return the interval that ended before it, if one did."""
         number, before, kept = step // self.steps, self.number, len(self.rows)
         ended = None
@@ -59,7 +59,7 @@ class RecentCounts:
         self.step = -1
         self._lock = Lock()
 
-    def take(self, step: int, hit: Booleans, observed: Booleans) -> Ended | None:
+    def take(self, step: int, hit: Booleans, observed: Booleans) -> EndedInterval | None:
         """Count a step; return the interval of the push that it ends, if it does.
 
         Parameters
@@ -89,7 +89,7 @@ class RecentCounts:
             hit, observed = self._kinds[kind].rows.sum(axis=0, dtype=np.int64)
         return hit, observed
 
-    def quarters(self) -> list[Ended]:
+    def quarters(self) -> list[EndedInterval]:
         """Return the last quarters of an hour of which a tile was observed, in order."""
         found = self._kinds["quarters"]
         with self._lock:

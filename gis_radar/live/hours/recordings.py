@@ -38,9 +38,9 @@ from gis_radar.poses import PoseTrack, pose_from_dict, read_track
 from gis_radar.recordings import open_recording
 
 HOUR_US = 3_600_000_000
-CUT_US = MARGIN_STEPS * STEP_US  # begin and end of a recording, after the full hour
+HOUR_OFFSET_US = MARGIN_STEPS * STEP_US  # from a full hour to begin and end of recordings
 RECORDINGS, PARTS = "recordings", "parts"
-AT_ONCE = 20_000  # most frames of a sensor in memory: a quarter of an hour
+FRAMES_AT_ONCE = 20_000  # most frames of a sensor in memory: a quarter of an hour
 ROWS_OF_GROUP = 131_072
 REPEATED = ["time", "z", "range_rate", "rcs", "pose"]  # columns with few values, as sent
 _POSES = b"gis_radar.poses"  # key of the file's metadata
@@ -52,12 +52,12 @@ _SCHEMA = pa.schema(
 
 def hour_of_time(time_us: int) -> int:
     """Return the hour since 1970 whose recording holds a time."""
-    return (time_us - CUT_US) // HOUR_US
+    return (time_us - HOUR_OFFSET_US) // HOUR_US
 
 
 def end_of_hour_s(hour: int) -> float:
     """Return the end of the recording of an hour, UNIX seconds."""
-    return ((hour + 1) * HOUR_US + CUT_US) / 1e6
+    return ((hour + 1) * HOUR_US + HOUR_OFFSET_US) / 1e6
 
 
 def name_of_time(time_us: int) -> str:
@@ -73,7 +73,7 @@ def time_of_name(name: str) -> int:
 
 def name_of_hour(hour: int) -> str:
     """Return the name of the recordings of an hour: the time of their begin."""
-    return name_of_time(hour * HOUR_US + CUT_US)
+    return name_of_time(hour * HOUR_US + HOUR_OFFSET_US)
 
 
 def recording_path(folder: Path, sensor: str, hour: int) -> Path:
@@ -112,18 +112,18 @@ def make_parts(folder: Path, spooled: Path, reporter: Reporter = QUIET) -> None:
         for rows in _frames(file, begins, poses):
             hours = np.array([hour_of_time(each.time_us) for each, _ in rows])
             for hour in np.unique(hours).tolist():
-                mine = [row for row, of in zip(rows, hours.tolist(), strict=True) if of == hour]
+                of_hour = [row for row, of in zip(rows, hours.tolist(), strict=True) if of == hour]
                 numbers[hour] = numbers.get(hour, -1) + 1
                 name = f"{name_of_hour(hour)}.{spooled.stem}-{numbers[hour]:04d}.parquet"
                 path = folder / PARTS / sensor / name
-                table, differing = _table(mine)
+                table, differing = _table(of_hour)
                 _write(path, table, poses)
                 _warn_of_differing(sensor, differing, path, reporter)
     with output_errors(spooled):
         if file.damaged:
-            aside = spooled.replace(spooled.with_suffix(".damaged"))
+            renamed = spooled.replace(spooled.with_suffix(".damaged"))
             reporter.warn(
-                "{}: damaged records are left out; the file is kept as {}", spooled, aside
+                "{}: damaged records are left out; the file is kept as {}", spooled, renamed
             )
         else:
             spooled.unlink()
@@ -147,7 +147,7 @@ def _frames(
                 rows += [(each, pose.hex()) for each in frames]
             else:  # the record of its pose is damaged
                 file.damaged = True
-        if len(rows) >= AT_ONCE:
+        if len(rows) >= FRAMES_AT_ONCE:
             yield rows
             rows = []
     if rows:
@@ -155,6 +155,7 @@ def _frames(
 
 
 def _warn_of_differing(sensor: str, count: int, path: Path, reporter: Reporter) -> None:
+    """Warn of frames that were left out for another of the same time."""
     if count:
         reporter.warn(
             "{}: {:,} frames differ from others of the same time and are left out of {}: "
@@ -229,7 +230,7 @@ class JoinedRows:
                 table = file.read()
                 self.poses |= json.loads(file.schema_arrow.metadata[_POSES])
             frames = FrameIndex.of(table["time"].to_numpy())
-            sums = _checks(table, frames)
+            sums = _frame_sums(table, frames)
             times = frames.time_us.tolist()
             keep = np.array([t not in known and begin_us <= t < end_us for t in times])
             pairs = zip(times, sums.tolist(), strict=True)
@@ -244,13 +245,13 @@ class JoinedRows:
         """Write the rows as a recording, and the sensor's poses beside it; return the poses."""
         _write(path, self.table, self.poses)
         track = self._track(path.parent.name)
-        alone = len(track.poses) == 1
-        named = path.with_suffix(".json" if alone else ".csv")
-        if alone:
+        is_single = len(track.poses) == 1
+        named = path.with_suffix(".json" if is_single else ".csv")
+        if is_single:
             track.poses[0].write(named)
         else:
             track.write(named)
-        path.with_suffix(".csv" if alone else ".json").unlink(missing_ok=True)
+        path.with_suffix(".csv" if is_single else ".json").unlink(missing_ok=True)
         return read_track(named)
 
     def _track(self, sensor: str) -> PoseTrack:
@@ -267,8 +268,8 @@ class JoinedRows:
         return PoseTrack(poses=tuple(poses), since=times)
 
 
-def _checks(table: pa.Table, frames: FrameIndex) -> Integers:
-    """Return a sum of each frame's positions, which distinguishes two frames of one time."""
+def _frame_sums(table: pa.Table, frames: FrameIndex) -> Integers:
+    """Return a check sum of each frame's positions, by which two frames of one time differ."""
     x, y = (table[name].to_numpy().view(np.uint32).astype(np.int64) for name in ("x", "y"))
     return np.asarray(np.add.reduceat(x + 31 * y, frames.begins))
 
@@ -282,10 +283,10 @@ def join_parts(folder: Path, sensor: str, hour: int, reporter: Reporter) -> Path
         If it cannot be written; the parts then stay.
     """
     path, parts = recording_path(folder, sensor, hour), parts_of_hour(folder, sensor, hour)
-    there = [path] if path.exists() else []
+    existing = [path] if path.exists() else []
     if not parts:
-        return path if there else None
-    rows = JoinedRows([*there, *parts])
+        return path if existing else None
+    rows = JoinedRows([*existing, *parts])
     _warn_of_differing(sensor, rows.differing, path, reporter)
     rows.write(path)
     for each in parts:
@@ -295,17 +296,17 @@ def join_parts(folder: Path, sensor: str, hour: int, reporter: Reporter) -> Path
         for _ in open_recording(path).read():
             pass
     except InputError as error:
-        aside = path.with_suffix(".refused")
-        reporter.warn("{}: put aside as {}", error.message, aside.name)
-        path.replace(aside)
+        renamed = path.with_suffix(".refused")
+        reporter.warn("{}: put aside as {}", error.message, renamed.name)
+        path.replace(renamed)
         return None
     return path
 
 
 def track_beside(path: Path) -> PoseTrack:
     """Read the pose track beside a recording."""
-    alone = path.with_suffix(".json")
-    return read_track(alone if alone.exists() else path.with_suffix(".csv"))
+    single = path.with_suffix(".json")
+    return read_track(single if single.exists() else path.with_suffix(".csv"))
 
 
 def remove_old(
@@ -317,7 +318,7 @@ def remove_old(
     sizes = {each: each.stat().st_size for each in paths}
     before = name_of_time(int((time.time() - keep_s) * 1e6))
     newest = {each.name for each in paths[-1:]}
-    total, crowded = sum(sizes.values()), 0
+    total, removed_early = sum(sizes.values()), 0
     for path in paths:
         full = total > most_bytes and path.name not in newest
         if path.name >= before and not full:
@@ -325,15 +326,15 @@ def remove_old(
         needed = is_needed(path)
         if needed and not full:
             continue
-        crowded += needed or path.name >= before
+        removed_early += needed or path.name >= before
         total -= sizes[path]
         for each in (path, path.with_suffix(".json"), path.with_suffix(".csv")):
             with output_errors(each):
                 each.unlink(missing_ok=True)
-    if crowded:
+    if removed_early:
         reporter.warn(
             "{}: {} recordings are removed before their time, as they take over {:g} GB",
             folder / RECORDINGS,
-            crowded,
+            removed_early,
             most_bytes / 1000000000.0,
         )

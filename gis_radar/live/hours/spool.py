@@ -21,7 +21,7 @@ from gis_radar.base import output_errors
 from gis_radar.dataset import sync_folder
 from gis_radar.live.wire.payload import check_of, stream_of, unpack_message
 
-HEAD, POSE, FRAMES, PASSED = range(4)  # kinds of records; PASSED: a message that was skipped
+HEAD, POSE, FRAMES, SKIPPED = range(4)  # kinds of records; PASSED: a message that was skipped
 ENDING = ".spool"
 _BEGIN = struct.Struct(">II")  # begin of a record: its length, and the CRC-32 of its content
 _MOST_RECORD = 1 << 24  # most bytes of a record: the marks of thousands of sensors
@@ -50,7 +50,7 @@ class Record(NamedTuple):
     Parameters
     ----------
     kind : int
-        `HEAD`, `POSE`, `FRAMES` or `PASSED`.
+        `HEAD`, `POSE`, `FRAMES` or `SKIPPED`.
     sensor : str
         Name of the sensor; empty for the head.
     payload : bytes
@@ -143,7 +143,7 @@ class Spool:
             if each.pose and named not in written:
                 written.add(named)
                 parts.append(_packed(Record(POSE, each.sensor, each.pose)))
-            kind = FRAMES if each.pose else PASSED
+            kind = FRAMES if each.pose else SKIPPED
             parts.append(_packed(Record(kind, each.sensor, each.payload)))
         self._append(b"".join(parts))
         self.mark([(each.sensor, each.payload) for each in self._batch])
@@ -168,6 +168,7 @@ class Spool:
         return self.marks.get(sensor, {}).get(stream, Mark(0, 0))
 
     def _append(self, data: bytes) -> None:
+        """Append bytes to the open file and sync it; on failure cut it back to its old end."""
         try:
             with output_errors(self._path):
                 rest = memoryview(data)

@@ -11,12 +11,12 @@ import numpy as np
 from gis_radar.base import STEP_US, Booleans, Integers, iso_from_step
 from gis_radar.measures import valid_steps
 
-MOST_STEPS = 1_200  # most steps closed at once: after a longer pause the map begins anew
-BACK_STEPS = 40  # the map begins anew if a clock is set back by more: 2 s
+MOST_STEPS = 1_200  # most steps closed at once: after a longer pause the map starts from zero
+BACK_STEPS = 40  # clocks set back by more, 2 s, make the map start from zero
 
 
-class Seen(NamedTuple):
-    """Report of a sensor about a step.
+class SensorReport(NamedTuple):
+    """Tiles that a sensor hits and has in sight in a step.
 
     Parameters
     ----------
@@ -44,20 +44,20 @@ class Windows:
 
     def __init__(self, lateness_s: float) -> None:
         self._lateness_us = round(lateness_s * 1e6)
-        self._open: dict[int, dict[str, Seen]] = {}
+        self._open: dict[int, dict[str, SensorReport]] = {}
         self._closed: int | None = None  # the last closed step
 
-    def add(self, sensor: str, step: int, seen: Seen) -> bool:
+    def add(self, sensor: str, step: int, seen: SensorReport) -> bool:
         """Add a frame; return whether its step was still open."""
         if self._closed is not None and step <= self._closed:
             return False
         sensors = self._open.setdefault(step, {})
         if (other := sensors.get(sensor)) is not None:
-            seen = Seen(np.union1d(other.tiles, seen.tiles), seen.in_sight)
+            seen = SensorReport(np.union1d(other.tiles, seen.tiles), seen.in_sight)
         sensors[sensor] = seen
         return True
 
-    def close(self, now_us: int) -> Iterator[tuple[int, dict[str, Seen]]]:
+    def close(self, now_us: int) -> Iterator[tuple[int, dict[str, SensorReport]]]:
         """Close the steps that are over, in order; yield each with the reports by sensor.
 
         Parameters
@@ -109,16 +109,21 @@ class MapOfNow:
     ----------
     tiles : int
         Number of tiles.
+
+    Attributes
+    ----------
+    validity_s : dict
+        How long a frame is valid, seconds, by sensor; 0 for sensors that it does not name.
     """
 
     def __init__(self, tiles: int) -> None:
-        self.holds_s: dict[str, float] = {}
+        self.validity_s: dict[str, float] = {}
         self._tiles = tiles
-        self._latest: dict[str, tuple[int, Seen]] = {}
+        self._latest: dict[str, tuple[int, SensorReport]] = {}
         nowhere = np.zeros(tiles, np.bool_)
         self._state = MapState(step=0, hit=nowhere, observed=nowhere)
 
-    def take(self, step: int, frames: Mapping[str, Seen]) -> MapState:
+    def take(self, step: int, frames: Mapping[str, SensorReport]) -> MapState:
         """Process a closed step, and return the map of it.
 
         Parameters
@@ -134,7 +139,7 @@ class MapOfNow:
         for sensor, seen in frames.items():
             self._latest[sensor] = (step, seen)
         for sensor, (since, seen) in self._latest.items():
-            if step - since <= valid_steps(self.holds_s.get(sensor, 0.0)):
+            if step - since <= valid_steps(self.validity_s.get(sensor, 0.0)):
                 hit[seen.tiles] = True
                 observed[seen.in_sight] = True
         hit &= observed  # as in a heat map, a hit outside every sight does not count

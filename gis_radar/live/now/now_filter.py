@@ -1,7 +1,7 @@
-"""Vehicles of now, followed detection by detection: no later data correct what is shown.
+"""Follow the vehicles of now as detections come; no later data correct what was shown.
 
-The tracker's filter follows moving vehicles. A vehicle that stands longer than the filter remembers
-is still shown at its place, until a vehicle drives there, or for three minutes.
+The tracker's forward filter follows moving vehicles. A vehicle that stands for so long that the
+filter loses it is still shown at its place, until a vehicle drives there, at most three minutes.
 """
 
 from __future__ import annotations
@@ -27,10 +27,13 @@ HEAVY_M = 7.0  # longer vehicles count as heavy (contract)
 LENGTHS_M, HEAVY_WIDTH_M, WIDTH_M = (4.6, 18.75), 2.5, 1.85
 SURE_HITS = 6  # least detections of a shown vehicle
 FOLLOWED_S = 60.0  # longest time after its last detection that a vehicle is shown as followed
-HELD_S = 180.0  # time that a vehicle which stood when the filter lost it is still shown
-GONE_MPS = 0.7  # a vehicle that was faster when it was lost has left
-SAME_M = 2.5  # a vehicle nearer than this to the place of a standing one is the same
-RCS_KEPT, JUDGED = 40, 400  # cross sections kept of a vehicle; vehicles that tell walkers apart
+STANDING_S = 180.0  # time that a vehicle which stood when the filter lost it is still shown
+LEAVING_MPS = 0.7  # a vehicle that was faster when it was lost has left
+SAME_M = 2.5  # a vehicle found nearer than this to the place of a standing one is the same
+RCS_KEPT, VEHICLES_KEPT = (
+    40,
+    400,
+)  # cross sections kept of a vehicle; vehicles that tell walkers apart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,11 +85,11 @@ class VehiclesNow:
 
 
 @dataclass(kw_only=True)
-class _Known:
+class _Learned:
     """Cross sections and speeds learned of a vehicle that the filter follows."""
 
     rcs: deque[float]
-    fast: float = 0.0
+    max_speed: float = 0.0
 
 
 @dataclass(kw_only=True)
@@ -107,12 +110,14 @@ class NowFilter:
     graph: LaneGraph
     late: int = 0
     _waiting: list[MapDetections] = field(default_factory=list)
-    _known: dict[int, _Known] = field(default_factory=dict)
-    _stood: dict[int, Floats] = field(default_factory=dict)  # by number, the row and its time
+    _known: dict[int, _Learned] = field(default_factory=dict)
+    # Vehicles that the filter lost while they stood, by number: row of `_shown`, and time.
+    _standing: dict[int, Floats] = field(default_factory=dict)
+    # Vehicles of the filter by number: easting, northing, heading, speed, length.
     _shown: dict[int, Floats] = field(default_factory=dict)
-    _same: dict[int, int] = field(default_factory=dict)
+    _shown_as: dict[int, int] = field(default_factory=dict)
     _reached: float = -np.inf
-    _still: float = np.nan
+    _still_rcs: float = np.nan
 
     def __post_init__(self) -> None:
         self._filter = ForwardFilter(self.graph)
@@ -123,13 +128,13 @@ class NowFilter:
         self.late += len(fresh) < len(detections)
         self._waiting.append(fresh)
 
-    def go_on(self, until: float) -> None:
+    def advance(self, until: float) -> None:
         """Filter the detections up to a time (UNIX seconds)."""
         waiting = MapDetections.join(self._waiting)
         ready = waiting.time <= until
         self._waiting = [waiting.take(~ready)]
         if until > self._reached + STAND_S:  # no detections for long
-            self._stood, self._shown = {}, {}
+            self._standing, self._shown = {}, {}
         self._reached = max(self._reached, until)
         detections = waiting.take(ready)
         if len(detections):
@@ -138,27 +143,28 @@ class NowFilter:
         self._show()
 
     def _learn(self, detections: MapDetections, number: np.ndarray, states: Floats) -> None:
-        """Record cross sections and speeds, by which walkers are told from vehicles."""
+        """Record cross sections and speeds, by which persons are distinguished from vehicles."""
         still = np.abs(detections.range_rate) < MOVING_MPS
         known = usual_rcs(detections.rcs[still])
-        self._still = known if np.isnan(self._still) else self._still
+        self._still_rcs = known if np.isnan(self._still_rcs) else self._still_rcs
         if not np.isnan(known):
-            self._still += 0.05 * (known - self._still)
+            self._still_rcs += 0.05 * (known - self._still_rcs)
         for each in np.unique(number[number >= 0]).tolist():
             rows = number == each
-            found = self._known.pop(each, None) or _Known(rcs=deque(maxlen=RCS_KEPT))
+            found = self._known.pop(each, None) or _Learned(rcs=deque(maxlen=RCS_KEPT))
             found.rcs.extend(detections.rcs[rows].tolist())
-            found.fast = max(found.fast, float(states[rows, columns.SPEED].max()))
+            found.max_speed = max(found.max_speed, float(states[rows, columns.SPEED].max()))
             self._known[each] = found  # the latest is last
-        while len(self._known) > JUDGED:
+        while len(self._known) > VEHICLES_KEPT:
             del self._known[next(iter(self._known))]
 
     def _persons(self) -> set[int]:
+        """Return the numbers of bodies that are persons, by cross sections and greatest speeds."""
         numbers = [*self._known]
         rcs = np.array([usual_rcs(np.array(each.rcs)) for each in self._known.values()])
-        fast = np.array([each.fast for each in self._known.values()])
+        max_speed = np.array([each.max_speed for each in self._known.values()])
         person = are_persons(
-            rcs, fast, np.full(len(rcs), np.nan), np.ones(len(rcs), np.bool_), self._still,
+            rcs, max_speed, np.full(len(rcs), np.nan), np.ones(len(rcs), np.bool_), self._still_rcs,
         )  # fmt: skip
         return {numbers[k] for k in np.flatnonzero(person).tolist()}
 
@@ -172,35 +178,37 @@ class NowFilter:
         for body in bodies[sure]:
             if (number := int(body[columns.NUMBER])) not in persons:
                 front, rear, heading = body[[columns.FRONT, columns.REAR, columns.HEADING]]
-                way = np.array([np.cos(heading), np.sin(heading)])
-                centre = body[[columns.X, columns.Y]] + 0.5 * (front - rear) * way
+                direction = np.array([np.cos(heading), np.sin(heading)])
+                centre = body[[columns.X, columns.Y]] + 0.5 * (front - rear) * direction
                 alive[number] = np.array([*centre, heading, body[columns.SPEED], front + rear])
         places = np.array([each[:2] for each in alive.values()]).reshape(-1, 2)
         for number, row in self._shown.items():
-            if number not in alive and row[3] < GONE_MPS:
-                self._stood[number] = np.array([*row, self._reached])
-        for number in [*self._stood]:
-            near = self._near(self._stood[number][:2], places)
+            if number not in alive and row[3] < LEAVING_MPS:
+                self._standing[number] = np.array([*row, self._reached])
+        for number in [*self._standing]:
+            near = self._near(self._standing[number][:2], places)
             if near is not None:  # the vehicle drives on, or another one is at its place
                 new = [*alive][near]
-                self._same.setdefault(new, self._same.get(number, number))
-            late = self._reached - self._stood[number][5] > HELD_S
-            if near is not None or late:
-                del self._stood[number]
-        self._same = {k: v for k, v in self._same.items() if k in alive or k in self._stood}
+                self._shown_as.setdefault(new, self._shown_as.get(number, number))
+            is_over = self._reached - self._standing[number][5] > STANDING_S
+            if near is not None or is_over:
+                del self._standing[number]
+        self._shown_as = {
+            k: v for k, v in self._shown_as.items() if k in alive or k in self._standing
+        }
         self._shown = alive
 
     def _near(self, place: Floats, places: Floats) -> int | None:
-        apart = np.hypot(*(places - place).T) if len(places) else np.zeros(0)
-        nearest = int(apart.argmin()) if len(apart) else -1
-        return nearest if len(apart) and apart[nearest] < SAME_M else None
+        distance_m = np.hypot(*(places - place).T) if len(places) else np.zeros(0)
+        nearest = int(distance_m.argmin()) if len(distance_m) else -1
+        return nearest if len(distance_m) and distance_m[nearest] < SAME_M else None
 
     def now(self) -> VehiclesNow:
         """Return the vehicles of the last moment."""
-        both = {**{k: row[:5] for k, row in self._stood.items()}, **self._shown}
-        rows, used = [], {*both}
-        for number, row in both.items():
-            earlier = self._same.get(number, number)
+        rows_by_number = {**{k: row[:5] for k, row in self._standing.items()}, **self._shown}
+        rows, used = [], {*rows_by_number}
+        for number, row in rows_by_number.items():
+            earlier = self._shown_as.get(number, number)
             shown = number if earlier in used else earlier
             used.add(shown)
             rows.append((shown, *row))

@@ -32,9 +32,9 @@ from gis_radar.scans import SightTiles
 from gis_radar.tracking import map_detections
 
 NOW_S, REORDER_S = 0.5, 0.3  # period of the results; how long frames wait for other sensors
-OLD_S = 5.0  # older results are not shown
+LONGEST_SHOWN_S = 5.0  # older results are not shown
 MOST_WAITING = 20_000  # most messages that wait for the process: 10 s of a hundred sensors
-AGAIN_S = 30.0  # time until a process that ended is started again
+RESTART_S = 30.0  # time until a process that ended is started again
 SAMPLE_FRAMES = 100  # frames of the sample that are followed: in 5 s vehicles are found
 
 
@@ -98,7 +98,7 @@ class VehicleFollower:
         self._filter = NowFilter(graph=graph)
         self._graph, self._newest = graph, -np.inf
 
-    def go_on(self, messages: Sequence[PlacedMessage]) -> VehiclesAnswer:
+    def advance(self, messages: Sequence[PlacedMessage]) -> VehiclesAnswer:
         """Process messages, in order of time; return the vehicles `REORDER_S` before the newest."""
         for sensor, pose, road_m, content in messages:
             for frame in unpack_detections(content)[1]:
@@ -106,7 +106,7 @@ class VehicleFollower:
                 self._newest = max(self._newest, frame.time_us / 1e6)
                 present = rows_of(rows, rows.present)
                 self._filter.take(map_detections(present, pose, sensor, self._graph, road_m=road_m))
-        self._filter.go_on(min(self._newest, time.time()) - REORDER_S)
+        self._filter.advance(min(self._newest, time.time()) - REORDER_S)
         found = VehiclesAnswer(self._filter.now(), self._filter.late)
         self._filter.late = 0
         return found
@@ -116,18 +116,18 @@ _following: VehicleFollower | None = None  # the follower of this process
 
 
 def _start(graph: LaneGraph) -> None:
-    global _following  # noqa: PLW0603 - what all calls have in common
+    global _following  # noqa: PLW0603 - an initializer has no other way
     watch_parent()
     _following = VehicleFollower(graph)
 
 
-def _go_on(messages: Sequence[PlacedMessage]) -> VehiclesAnswer:
+def _advance(messages: Sequence[PlacedMessage]) -> VehiclesAnswer:
     assert _following is not None  # noqa: S101 - set when the process starts
-    return _following.go_on(messages)
+    return _following.advance(messages)
 
 
 def run_vehicles_once() -> None:
-    """Follow a few seconds of the sample, so that all loops are compiled."""
+    """Follow a few seconds of the sample, so that numba compiles before frames come."""
     sample = sample_folder()
     roads, pose = read_map(sample / "junction.osm"), read_pose(sample / "R1.json")
     selector = DetectionSelector(SightTiles.of(make_tiles(roads)))
@@ -135,7 +135,7 @@ def run_vehicles_once() -> None:
     for frame in islice(frames_of_recording(sample / "R1.parquet"), SAMPLE_FRAMES):
         found = selector.find(frame, pose, road_m=np.nan)
         content = pack_detections([found], pose=bytes(POSE_BYTES))
-        following.go_on([PlacedMessage(0, pose, np.nan, content)])
+        following.advance([PlacedMessage(0, pose, np.nan, content)])
 
 
 class LiveVehicles:
@@ -161,7 +161,7 @@ class LiveVehicles:
     """
 
     def __init__(
-        self, graph: LaneGraph, sensors: Sequence[str], *, again_s: float = AGAIN_S,
+        self, graph: LaneGraph, sensors: Sequence[str], *, again_s: float = RESTART_S,
         reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.dropped = self.late = self.restarts = 0
@@ -171,7 +171,7 @@ class LiveVehicles:
         self._waiting: list[PlacedMessage] = []
         self._pool: ProcessPoolExecutor | None = None
         self._work: Future[VehiclesAnswer] | None = None
-        self._handed = 0  # number of messages that the process has now
+        self._submitted = 0  # number of messages that the process has now
         self._now, self._answered_s, self._start_at = VehiclesNow.none(), 0.0, 0.0
 
     def make_ready(self) -> Future[None]:
@@ -199,24 +199,24 @@ class LiveVehicles:
             try:
                 self._now, late = work.result()
                 self.late += late
-                self._answered_s, self._handed = now, 0
+                self._answered_s, self._submitted = now, 0
             except Exception as error:  # noqa: BLE001 - whatever it is, a new process begins anew
-                self._lose(error)
+                self._restart_later(error)
         if self._pool is None and now >= self._start_at and self._start_at > 0.0:
             self.make_ready()
         if self._pool is not None and self._waiting and now - self._answered_s >= NOW_S:
             messages, self._waiting = self._waiting, []
-            self._handed = len(messages)
+            self._submitted = len(messages)
             try:
-                self._work = self._pool.submit(_go_on, messages)
+                self._work = self._pool.submit(_advance, messages)
             except Exception as error:  # noqa: BLE001 - as above
-                self._lose(error)
+                self._restart_later(error)
 
-    def _lose(self, error: Exception) -> None:
-        """Continue without the process for a while."""
+    def _restart_later(self, error: Exception) -> None:
+        """Stop the process after an error, and plan to start another one."""
         self.restarts += 1
-        self.dropped += self._handed + len(self._waiting)
-        self._handed = 0
+        self.dropped += self._submitted + len(self._waiting)
+        self._submitted = 0
         reason = error.message if isinstance(error, GisRadarError) else type(error).__name__
         self._reporter.warn(
             "the process that follows the vehicles of now has ended ({}); a new one begins anew",
@@ -233,8 +233,9 @@ class LiveVehicles:
         self._now = VehiclesNow.none()
 
     def now(self) -> VehiclesNow:
-        """Return the vehicles of now; none where the last answer is older than `OLD_S`."""
-        return self._now if time.monotonic() - self._answered_s < OLD_S else VehiclesNow.none()
+        """Return the vehicles of now; none once the last answer is older than `LONGEST_SHOWN_S`."""
+        is_recent = time.monotonic() - self._answered_s < LONGEST_SHOWN_S
+        return self._now if is_recent else VehiclesNow.none()
 
     def figures(self) -> dict[str, float]:
         """Return counts, by name, for Prometheus."""

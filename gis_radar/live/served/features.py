@@ -73,7 +73,7 @@ def refusal(
 
 
 class _Service:
-    """Responses by address of the service."""
+    """Responses of the service's addresses."""
 
     def __init__(self, live: ShownMap) -> None:
         self._title, self._layers = live.place.title, _Layers(live)
@@ -121,8 +121,8 @@ class _Service:
 
     def items(self, request: Request) -> Response:
         layer = _filtered(self._layer(request), request.query_params)
-        limit = min(_whole(request.query_params, "limit", LIMIT, least=1), MOST)
-        offset = _whole(request.query_params, "offset", 0, least=0)
+        limit = min(_whole_number(request.query_params, "limit", LIMIT, least=1), MOST)
+        offset = _whole_number(request.query_params, "offset", 0, least=0)
         shown = layer.iloc[offset : offset + limit]
         links = [_link(str(request.url), "self", GEOJSON, "these features")]
         if offset + limit < len(layer):
@@ -187,9 +187,9 @@ class _Layers:
         now = self._live.snapshot()
         known = pd.Series(now.by_lane(self._place), index=self._place.lane_numbers)
         table = self._lanes.assign(hits_15min=known.reindex(self._lanes["lane"]).to_numpy())
-        if now.lately is None:
+        if now.quarter is None:
             return table
-        found = now.lately.lanes.set_index("lane").reindex(table["lane"])
+        found = now.quarter.lanes.set_index("lane").reindex(table["lane"])
         return table.assign(**{f"{name}_15min": found[name].to_numpy() for name in TRAFFIC})
 
     def vehicles(self) -> gpd.GeoDataFrame:
@@ -230,27 +230,28 @@ def _measures(now: Snapshot) -> dict[str, Any]:
         "hit_share_15min": now.hit_share(),
         "observed_15min_s": now.observed * STEP_S,
     }
-    if now.lately is not None:
-        measures["occupancy_15min"] = now.lately.occupancy()
-        measures["visible_15min_s"] = now.lately.visible * STEP_S
+    if now.quarter is not None:
+        measures["occupancy_15min"] = now.quarter.occupancy()
+        measures["visible_15min_s"] = now.quarter.visible * STEP_S
     return measures | {"time": iso_from_step(now.step)}
 
 
-def _filtered(layer: gpd.GeoDataFrame, asked: Mapping[str, str]) -> gpd.GeoDataFrame:
+def _filtered(layer: gpd.GeoDataFrame, query: Mapping[str, str]) -> gpd.GeoDataFrame:
     """Return the features that match a request's properties, box and time."""
     columns = layer.columns.drop(layer.geometry.name)
-    for key in sorted(asked.keys() - {"bbox", "limit", "offset", "datetime", "f", "token"}):
+    for key in sorted(query.keys() - {"bbox", "limit", "offset", "datetime", "f", "token"}):
         if key not in columns:
             raise HTTPException(400, f"{key[:40]} is no parameter of this layer")
-        layer = layer[layer[key].map(_text) == asked[key]]
-    if "bbox" in asked:
-        layer = layer[layer.intersects(_box(asked["bbox"]))]
-    if "datetime" in asked and "begin" in columns:
-        layer = layer[_within(layer, asked["datetime"])]
+        layer = layer[layer[key].map(_text) == query[key]]
+    if "bbox" in query:
+        layer = layer[layer.intersects(_box(query["bbox"]))]
+    if "datetime" in query and "begin" in columns:
+        layer = layer[_overlaps_time(layer, query["datetime"])]
     return layer
 
 
 def _box(text: str) -> shapely.Polygon:
+    """Return the polygon of `west,south,east,north`, or of six numbers with heights."""
     try:
         parts = [float(part) for part in text.split(",")]
     except ValueError:
@@ -263,14 +264,14 @@ def _box(text: str) -> shapely.Polygon:
     return shapely.box(west, south, east, north)
 
 
-def _whole(asked: Mapping[str, str], name: str, usual: int, *, least: int) -> int:
-    text = asked.get(name, str(usual))
+def _whole_number(query: Mapping[str, str], name: str, default: int, *, least: int) -> int:
+    text = query.get(name, str(default))
     if not (text.isascii() and text.isdigit() and least <= int(text[:9])):
         raise HTTPException(400, f"{name}: expected a whole number from {least}")
     return int(text[:9])
 
 
-def _within(layer: gpd.GeoDataFrame, text: str) -> pd.Series:
+def _overlaps_time(layer: gpd.GeoDataFrame, text: str) -> pd.Series:
     """Return which features overlap a time, or a span `begin/end` whose ends may be `..`."""
     begin, _, end = text.partition("/")
     end = end if "/" in text else begin
@@ -339,7 +340,7 @@ def _openapi(at: str, title: str) -> dict[str, Any]:
     named = path | {"name": "name", "schema": {"type": "string"}}
     numbered = path | {"name": "number", "schema": {"type": "integer"}}
     box = {"type": "array", "items": {"type": "number"}, "minItems": 4, "maxItems": 6}
-    asked = [
+    query = [
         parameter("limit", "integer", minimum=1, maximum=MOST, default=LIMIT),
         parameter("offset", "integer", minimum=0),
         parameter("datetime", "string"),
@@ -347,7 +348,7 @@ def _openapi(at: str, title: str) -> dict[str, Any]:
     ]
     paths = {
         "/": [], "/conformance": [], "/collections": [], "/collections/{name}": [named],
-        "/collections/{name}/items": [named, *asked],
+        "/collections/{name}/items": [named, *query],
         "/collections/{name}/items/{number}": [named, numbered],
     }  # fmt: skip
     answers = {"200": {"description": "the answer"}, "400": {"description": "not understood"},

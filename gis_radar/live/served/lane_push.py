@@ -24,7 +24,7 @@ from gis_radar.base import (
 )
 from gis_radar.dataset import STEPS_PER_QUARTER
 from gis_radar.live.background import in_background
-from gis_radar.live.hours.quarters import KEPT, Lately, share_of
+from gis_radar.live.hours.quarters import QUARTERS_KEPT, QuarterMeasures, share_of
 from gis_radar.live.served.sensorthings import HITS, MEASURES, LaneMeasure, LaneServer, Service
 from gis_radar.live.served.snapshot import Place
 from gis_radar.site import SensorThingsTable
@@ -66,13 +66,13 @@ class LanePush:
         self._place, self._steps = place, interval_steps(table.interval)
         self._path, self._reporter = path, reporter
         lanes = {*place.lane_numbers}  # another map may have others: no server takes those
-        waiting, self._taken = _read(path, reporter)  # last steps of quarters that were taken
+        waiting, self._taken = _read(path, reporter)  # quarters that were taken, by last step
         self._waiting = [each for each in waiting if each.lane in lanes]
         self._sending: list[LaneMeasure] = []
         self._work: Future[int] | None = None
-        self._again = True  # what a new start counts again may have arrived before
-        self._newest = -1  # begin of an interval of hits
-        self._try_at, self._patience_s, self._said = 0.0, retry_s, ""
+        self._compare_first = True  # measures that this run counts again may have arrived before
+        self._newest = -1  # begin of the newest interval of hits, step
+        self._try_at, self._retry_wait_s, self._logged = 0.0, retry_s, ""
         self._retry_s = retry_s
 
     @property
@@ -92,16 +92,16 @@ class LanePush:
         """
         done = self._measures(number, counts)
         if done and done[0].begin <= self._newest:  # the clock was set back
-            self._again = True
+            self._compare_first = True
         if added := self._add(done):
             self._newest = max(self._newest, added[0].begin)
 
-    def take_traffic(self, quarters: Sequence[Lately]) -> None:
+    def take_traffic(self, quarters: Sequence[QuarterMeasures]) -> None:
         """Add the traffic of quarters of an hour that were not taken yet.
 
         Parameters
         ----------
-        quarters : sequence of Lately
+        quarters : sequence of QuarterMeasures
             Those with vehicles of the last day; each is taken as it was measured first, so that
             what its hour changes later is not sent.
         """
@@ -109,20 +109,21 @@ class LanePush:
         if not new:
             return
         # the file that says which were taken may be lost, or from before others were measured
-        self._again |= not self._taken or new[0].until_step < max(self._taken)
-        self._taken = set(sorted(self._taken | {each.until_step for each in new})[-KEPT:])
+        self._compare_first |= not self._taken or new[0].until_step < max(self._taken)
+        self._taken = set(sorted(self._taken | {each.until_step for each in new})[-QUARTERS_KEPT:])
         if not self._add([row for each in new for row in _traffic(each)]):
-            self._keep()
+            self._store()
 
     def _add(self, done: Sequence[LaneMeasure]) -> list[LaneMeasure]:
         """Add measures to those that wait, and return which are new."""
         known = {each[:3] for each in self._waiting} if done else set()
         if added := [each for each in done if each[:3] not in known]:
             self._waiting = [*self._waiting, *added][-MOST_WAITING:]
-            self._keep()
+            self._store()
         return added
 
     def _measures(self, number: int, counts: Integers) -> list[LaneMeasure]:
+        """Return the hit share of each observed lane in an interval."""
         place, begin = self._place, number * self._steps
         percent = 100.0 * share_of(*(place.totals_by_lane(each) for each in counts))
         observed_s = STEP_S * place.means_by_lane(counts[1])
@@ -136,14 +137,14 @@ class LanePush:
             if s > 0.0
         ]
 
-    def regular(self) -> None:
+    def poll(self) -> None:
         """Do what is due: process what was sent, and send waiting measures."""
         if self._work is not None and self._work.done():
             work, self._work = self._work, None
             self._take_sent(work)
         if self._waiting and self._work is None and time.monotonic() >= self._try_at:
-            self._sending, again = sorted(self._waiting), self._again
-            self._again = False  # unless it fails, or the clock is set back meanwhile
+            self._sending, again = sorted(self._waiting), self._compare_first
+            self._compare_first = False  # unless it fails, or the clock is set back meanwhile
             push = partial(self._server.push, self._sending, again=again)
             try:
                 self._work = in_background("sensorthings", push)
@@ -151,6 +152,7 @@ class LanePush:
                 self._failed(error)
 
     def _take_sent(self, work: Future[int]) -> None:
+        """Drop the measures that the server has taken, or plan a retry."""
         try:
             refused = work.result()
         except Exception as error:  # noqa: BLE001 - whatever it is, fusion goes on
@@ -158,26 +160,27 @@ class LanePush:
             return
         sent = {*self._sending}
         self._waiting = [each for each in self._waiting if each not in sent]
-        self._keep()
+        self._store()
         if refused:
             self._reporter.warn("the server of lane measures refuses {} of them", refused)
-        if self._said:
+        if self._logged:
             self._reporter.log("the server of lane measures takes them again")
-        self._patience_s, self._said = self._retry_s, ""
+        self._retry_wait_s, self._logged = self._retry_s, ""
 
     def _failed(self, error: Exception) -> None:
         """Plan a retry; log each new reason once."""
-        self._again, self._try_at = True, time.monotonic() + self._patience_s
-        self._patience_s = min(2.0 * self._patience_s, SLOWEST_RETRY_S)
+        self._compare_first, self._try_at = True, time.monotonic() + self._retry_wait_s
+        self._retry_wait_s = min(2.0 * self._retry_wait_s, SLOWEST_RETRY_S)
         if isinstance(error, GisRadarError):
             message = error.message
         else:
             message = Text("lane measures cannot be pushed: {}: {}", type(error).__name__, error)
-        if message != self._said:
-            self._said = message
+        if message != self._logged:
+            self._logged = message
             self._reporter.warn("{}; trying on", message)
 
-    def _keep(self) -> None:
+    def _store(self) -> None:
+        """Write the waiting measures, and which quarters were taken, to the disk."""
         try:
             with atomic_write(self._path) as part:
                 kept = {"quarters": sorted(self._taken), "waiting": self._waiting}
@@ -186,7 +189,7 @@ class LanePush:
             self._reporter.warn(error.message)
 
 
-def _traffic(quarter: Lately) -> Iterator[LaneMeasure]:
+def _traffic(quarter: QuarterMeasures) -> Iterator[LaneMeasure]:
     """Yield the measures of traffic of a quarter that are known."""
     end = quarter.until_step + 1
     for name, measure in MEASURES.items():
@@ -201,22 +204,22 @@ def _traffic(quarter: Lately) -> Iterator[LaneMeasure]:
 
 
 def _row(lane: Any, measure: Any, begin: Any, end: Any, result: Any, parameter: Any) -> LaneMeasure:
-    """Return a measure as it was kept."""
+    """Return the measure of a row of the file; refuse one of an unknown kind."""
     if measure not in MEASURES:
         raise ValueError(measure)
     return LaneMeasure(int(lane), measure, int(begin), int(end), float(result), float(parameter))
 
 
 def _read(path: Path, reporter: Reporter) -> tuple[list[LaneMeasure], set[int]]:
-    """Return what waited, and which quarters were taken; rename and log a damaged file."""
+    """Return the waiting measures, and which quarters were taken; rename and log a damaged file."""
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
         return [_row(*row) for row in kept["waiting"]], {int(each) for each in kept["quarters"]}
     except FileNotFoundError:
         return [], set()
     except (OSError, ValueError, TypeError, KeyError, ArithmeticError, RecursionError):
-        aside = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
+        renamed = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
         with suppress(OSError):  # if it cannot be renamed, the next waiting measures replace it
-            path.rename(aside)
-        reporter.warn("{}: it is damaged, and put aside as {}", path, aside.name)
+            path.rename(renamed)
+        reporter.warn("{}: it is damaged, and put aside as {}", path, renamed.name)
         return [], set()

@@ -38,7 +38,7 @@ from gis_radar.base import (
     LANGUAGES,
     InputError,
     class_label,
-    speaking,
+    in_language,
     step_begin,
     tr,
 )
@@ -61,19 +61,20 @@ from gis_radar.site import PageTable
 
 _LOGGER = logging.getLogger(__name__)
 EVENTS_PER_S = 3.0  # as a person can follow; a step is 50 ms
-WAITING = 8  # most events that a slow reader may lag behind; then the whole map is sent again
+MOST_QUEUED = 8  # most events that a slow reader may lag behind; then the whole map is sent again
 MOST_READERS = 200  # p99 of 50 readers at 4 Hz is 10 ms; a city's page needs a proxy
 COOKIE = "gis_radar"
 WEB = Path(__file__).parents[1] / "web"
 _TEMPLATE = Environment(
     autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 ).from_string((WEB / "page.html").read_text(encoding="utf-8"))
-# Long words may break before these on a phone, whose browser need not know where German words do.
-SEAMS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|fahrten|stau|zyklen)")
+# Parts of German words before which a phone may break them: browsers do not know all syllables.
+SYLLABLE_BREAKS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|fahrten|stau|zyklen)")
 # Colour of a tile that is hit now: no colour of the ramp is blue, nor one as light as this for the
 # red-green blind, to whom the ramp's purple is a deep blue.
-HIT = "#0090e0"
-VEHICLE = "#12805c"  # nor is green in the ramp; vehicles have a white rim, heavy ones are longer
+HIT_COLOUR = "#0090e0"
+# Nor is green in the ramp; vehicles have a white rim, heavy ones are longer.
+VEHICLE_COLOUR = "#12805c"
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: "
     "blob:; connect-src 'self'; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; "
@@ -98,7 +99,7 @@ def make_app(live: ShownMap, token: str = "") -> Starlette:
         Token that readers must show; empty for none.
     """
     changes = Changes(live)
-    answers = _Answers(live)
+    answers = _Responses(live)
 
     @asynccontextmanager
     async def running(_: Starlette) -> AsyncIterator[None]:
@@ -136,8 +137,8 @@ def _refused(request: Request, error: Exception) -> Response:
     return refusal(request, error.status_code, error.detail, error.headers)
 
 
-class _Answers:
-    """Responses by address of the page."""
+class _Responses:
+    """Responses of the page's addresses."""
 
     def __init__(self, live: ShownMap) -> None:
         self._live = live
@@ -220,7 +221,7 @@ class Changes:
             return
         if not self._readers:
             self._shown = whole_event(self._live.place, self._live.snapshot())
-        queue: asyncio.Queue[str | None] = asyncio.Queue(WAITING)
+        queue: asyncio.Queue[str | None] = asyncio.Queue(MOST_QUEUED)
         queue.put_nowait("retry: 2000\n\n" + _event("map", self._shown))
         self._readers.add(queue)
         try:
@@ -304,9 +305,9 @@ def _vehicles(place: Place, snapshot: Snapshot) -> list[list[float]] | None:
 
 def _traffic(snapshot: Snapshot) -> dict[int, list[float | None]]:
     """Return occupancy in permille, volume, vehicles counted, km/h and queue in m of each lane."""
-    if snapshot.lately is None:
+    if snapshot.quarter is None:
         return {}
-    table = snapshot.lately.lanes
+    table = snapshot.quarter.lanes
     whole = table[["volume", "counted", "speed_kmh", "queue_max_m"]].round().to_numpy(float)
     return {
         i: [_permille(share), *(None if np.isnan(each) else int(each) for each in row)]
@@ -320,6 +321,7 @@ def _permille(share: float) -> int | None:
 
 
 def _sensor(place: Place, state: ShownSensor) -> dict[str, Any]:
+    """Return the state of a sensor as the page shows it."""
     where, view = None, None
     if state.pose is not None:
         where = [round(each, DEGREES) for each in place.degrees_of(state.pose)]
@@ -338,7 +340,7 @@ def in_each_language(text: str) -> dict[str, str]:
     """Return the details of an alarm by language, as one stream serves all readers."""
     texts = {}
     for language in LANGUAGES:
-        with speaking(language):
+        with in_language(language):
             texts[language] = tr(text)
     return texts
 
@@ -354,7 +356,8 @@ def _language(request: Request) -> str:
 
 
 def _page(place: Place, language: str, *, followed: bool) -> str:
-    with speaking(language):
+    """Return the page as HTML in a language."""
+    with in_language(language):
         words = {"online": tr("online"), "offline": tr("offline"), "late": tr("no connection"),
                  "hit": tr("{n} tiles are hit now"),
                  "vehicles": tr("{n} vehicles now, {heavy} of them heavy"), "no_map": tr(
@@ -365,12 +368,12 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
                  "alarms": {kind: tr(text) for kind, text in ALARMS.items()}}  # fmt: skip
         colours = {"classes": [each.colour for each in colour_classes()],
                    "unobserved": NOT_OBSERVED, "free": NEVER_HIT,
-                   "hit": HIT, "vehicle": VEHICLE,
+                   "hit": HIT_COLOUR, "vehicle": VEHICLE_COLOUR,
                    "breaks": [round(1000 * each) for each in BREAKS[:-1]]}  # fmt: skip
         return _TEMPLATE.render(
             place=place, followed=followed, legends=_legends(language, followed=followed),
             language=language, tr=tr, words=words, colours=colours, languages=LANGUAGES,
-            seamed=lambda text: SEAMS.sub("\u00ad", text),
+            seamed=lambda text: SYLLABLE_BREAKS.sub("\u00ad", text),
         )  # fmt: skip
 
 
@@ -386,7 +389,7 @@ def _legends(language: str, *, followed: bool) -> dict[str, dict[str, Any]]:
         "now": {
             "title": tr("Now"),
             "note": tr("which tiles are hit; zoomed out: lanes, last 15 minutes"),
-            "classes": [(HIT, tr("hit now")), (NEVER_HIT, tr("not hit now")), hits[-1]],
+            "classes": [(HIT_COLOUR, tr("hit now")), (NEVER_HIT, tr("not hit now")), hits[-1]],
         },
         "occupancy": {
             "title": tr("Occupancy"),
@@ -411,7 +414,7 @@ def _site_json(place: Place, language: str) -> bytes:
     lanes = place.lanes.set_index("lane").reindex(place.lane_numbers)
     tiles = place.in_degrees(place.tiles).geometry
     west, south, east, north = tiles.total_bounds.round(DEGREES).tolist()
-    with speaking(language):
+    with in_language(language):
         named = [  # ids reach 9e18, exact numbers of a browser only 9e15
             {"number": str(number), "name": name}
             for number, name in zip(place.lane_numbers, place.lane_names(), strict=True)

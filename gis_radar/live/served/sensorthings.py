@@ -27,8 +27,8 @@ from gis_radar.live.wire.settings import read_secret
 from gis_radar.site import SensorThingsTable
 
 TIMEOUT_S = 30.0
-AT_ONCE = 500  # observations in a request
-ASKED_BACK = 100  # intervals of a lane that are requested from a server: one page of FROST
+OBSERVATIONS_AT_ONCE = 500  # observations in a request
+COMPARED_INTERVALS = 100  # intervals of a lane that are requested from a server: one page of FROST
 MEASUREMENT = "http://www.opengis.net/def/observationType/OGC-OM/2.0/OM_Measurement"
 QUDT = "https://qudt.org/vocab/unit"
 
@@ -85,7 +85,7 @@ MEASURES = {
 }  # fmt: skip
 """By the last word of the Datastream's name; those of traffic are columns of it."""
 COMPONENTS = ["phenomenonTime", "resultTime", "result", "parameters"]
-_UNWRITTEN = "error"  # entry in place of the link of an observation that was not stored
+_NOT_STORED = "error"  # entry in place of the link of an observation that was not stored
 
 
 class LaneMeasure(NamedTuple):
@@ -168,6 +168,7 @@ class Service:
         return self._ask(path, json.dumps(record).encode())
 
     def _ask(self, path: str, body: bytes | None) -> Any:
+        """Return the JSON of a response: to a POST with a body, else to a GET."""
         request = urllib.request.Request(  # noqa: S310 - http and https alone, checked
             f"{self.root}/{path}", data=body, headers=dict(self.headers)
         )
@@ -197,7 +198,7 @@ class Service:
         place = urljoin(f"{self.root}/{path}", location).partition("?")[0].removesuffix(f"/{path}")
         return ServerError("{}: has moved; the address to use is {}", self.root, place)
 
-    def odd(self, path: str) -> ServerError:
+    def unexpected(self, path: str) -> ServerError:
         """Return the error of a response that is against the standard."""
         return ServerError(
             "{}: its answer to {} is none of SensorThings", self.root, path.partition("?")[0]
@@ -208,7 +209,7 @@ class Service:
         found = self.get(path)
         rows = found.get("value") if isinstance(found, dict) else None
         if not isinstance(rows, list) or not all(isinstance(each, dict) for each in rows):
-            raise self.odd(path)
+            raise self.unexpected(path)
         return rows, "@iot.nextLink" in found
 
     def find(self, entities: str, name: str) -> Any:
@@ -218,7 +219,8 @@ class Service:
         if not rows:
             return None
         if not isinstance(found := rows[0].get("@iot.id"), int | str):
-            raise self.odd(entities)  # taken as missing, the entity would be made at each push
+            # taken as missing, the entity would be made at each push
+            raise self.unexpected(entities)
         return found
 
 
@@ -261,28 +263,29 @@ class LaneServer:
             If the server cannot be reached or refuses; none or some of them arrived.
         """
         refused = 0
-        rows = self._new(measures) if again else iter(measures)
-        while part := list(islice(rows, AT_ONCE)):
+        rows = self._not_stored(measures) if again else iter(measures)
+        while part := list(islice(rows, OBSERVATIONS_AT_ONCE)):
             refused += self._create(part)
         return refused
 
-    def _new(self, measures: Sequence[LaneMeasure]) -> Iterator[LaneMeasure]:
+    def _not_stored(self, measures: Sequence[LaneMeasure]) -> Iterator[LaneMeasure]:
         """Yield the measures whose interval the server does not have in their Datastream."""
         for stream, group in groupby(measures, lambda each: each.stream):
-            there, since = self._there(*stream)
-            yield from (each for each in group if each.begin >= since and each.begin not in there)
+            begins, since = self._stored_begins(*stream)
+            yield from (each for each in group if each.begin >= since and each.begin not in begins)
 
-    def _there(self, lane: int, measure: str) -> tuple[set[int], float]:
+    def _stored_begins(self, lane: int, measure: str) -> tuple[set[int], float]:
         """Return begins (steps) of the intervals on the server, and since when all count."""
         path = f"Datastreams({_key(self._stream(lane, measure))})/Observations"
-        asked = f"$orderby=phenomenonTime%20desc&$top={ASKED_BACK}&$select=phenomenonTime"
+        asked = f"$orderby=phenomenonTime%20desc&$top={COMPARED_INTERVALS}&$select=phenomenonTime"
         rows, more = self._service.rows(f"{path}?{asked}")
         texts = (str(each.get("phenomenonTime", "")).partition("/")[0] for each in rows)
-        there = {step for text in texts if (step := _step_of(text)) is not None}
-        whole = not there or not (more or len(rows) >= ASKED_BACK)
-        return there, -math.inf if whole else min(there)
+        begins = {step for text in texts if (step := _step_of(text)) is not None}
+        is_complete = not begins or not (more or len(rows) >= COMPARED_INTERVALS)
+        return begins, -math.inf if is_complete else min(begins)
 
     def _create(self, measures: Sequence[LaneMeasure]) -> int:
+        """Post measures in one request; return how many the server did not store."""
         arrays = []
         for stream, group in groupby(measures, lambda each: each.stream):
             values = [_values(each) for each in group]
@@ -292,8 +295,8 @@ class LaneServer:
             })  # fmt: skip
         links = self._service.post("CreateObservations", arrays)
         if not isinstance(links, list | None):
-            raise self._service.odd("CreateObservations")
-        return sum(str(link).startswith(_UNWRITTEN) for link in links or [])
+            raise self._service.unexpected("CreateObservations")
+        return sum(str(link).startswith(_NOT_STORED) for link in links or [])
 
     def _stream(self, lane: int, measure: str) -> Any:
         """Return the id of a lane's Datastream."""
@@ -307,6 +310,7 @@ class LaneServer:
         return f"{self._site}/lane/{lane}"
 
     def _datastream(self, lane: int, measure: str, name: str) -> dict[str, Any]:
+        """Return the Datastream of a lane's measure, with the ids of the entities that it names."""
         about = MEASURES[measure]
         unit, symbol, word = about.unit
         observed = {  # a city's server may have a "speed" of its own
@@ -332,6 +336,7 @@ class LaneServer:
         }  # fmt: skip
 
     def _thing(self, lane: int) -> dict[str, Any]:
+        """Return the Thing of a lane, with its line as Location."""
         about, name = f"{self._names[lane]}, {self._place.title}", self._thing_name(lane)
         location = {"name": name, "description": about, "encodingType": "application/geo+json",
                     "location": self._shapes[lane]}  # fmt: skip

@@ -30,7 +30,7 @@ from gis_radar.base import (
 )
 from gis_radar.dataset import stated_lanes
 from gis_radar.hdmap import fingerprint, read_map
-from gis_radar.live.hours.quarters import Lately, Quarters, share_of
+from gis_radar.live.hours.quarters import QuarterMeasures, Quarters, share_of
 from gis_radar.live.hours.recent import QUARTER, RecentCounts
 from gis_radar.live.intake import SensorState
 from gis_radar.live.now.map_of_now import MapState
@@ -56,7 +56,7 @@ def geometries(shapes: Any) -> list[dict[str, Any] | None]:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Constant part of a live map.
+    """Constant part of a live map: tiles, lanes, title and time zone of the site.
 
     Parameters
     ----------
@@ -128,8 +128,8 @@ class Place:
 
     def ends_in_degrees(self, now: VehiclesNow) -> Floats:
         """Return (n, 4) longitude and latitude of the rear and of the front of vehicles."""
-        way = np.radians(now.heading)
-        half = 0.5 * now.length_m[:, None] * np.column_stack([np.cos(way), np.sin(way)])
+        yaw = np.radians(now.heading)
+        half = 0.5 * now.length_m[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
         ends = [
             self._to_degrees.transform(*each.T) for each in (now.place - half, now.place + half)
         ]
@@ -194,7 +194,7 @@ class Snapshot:
         All sensors of the site file.
     vehicles : VehiclesNow, optional
         Vehicles of this moment, where they are followed.
-    lately : Lately, optional
+    quarter : QuarterMeasures, optional
         The newest measured quarter of an hour with vehicles, once there is one.
     """
 
@@ -205,7 +205,7 @@ class Snapshot:
     observed: Integers
     sensors: Sequence[ShownSensor] = field(default=())
     vehicles: VehiclesNow | None = None
-    lately: Lately | None = None
+    quarter: QuarterMeasures | None = None
 
     def hit_share(self) -> Floats:
         """Return the hit share of each tile over the last 15 minutes, NaN where not observed."""
@@ -216,10 +216,10 @@ class Snapshot:
         return classes_of(self.hit_share())
 
     def occupancy_classes(self) -> Integers:
-        """Return each tile's class of occupancy, alike; -1 where it was not visible."""
-        if self.lately is None:
+        """Return each tile's class of occupancy, as `classes` does; -1 where it was not visible."""
+        if self.quarter is None:
             return np.full(len(self.observed), NOT_OBSERVED)
-        return classes_of(self.lately.occupancy())
+        return classes_of(self.quarter.occupancy())
 
     def by_lane(self, place: Place) -> Floats:
         """Return the hit share of each lane over the last 15 minutes, NaN where not observed."""
@@ -280,7 +280,7 @@ class ShownMap:
                 for name, each in list(self._fusion.sensors.items())
             ],
             vehicles=None if followed is None else followed.now(),
-            lately=self._fusion.quarters.lately(),
+            quarter=self._fusion.quarters.newest(),
         )
 
     def lane_intervals(self) -> pd.DataFrame:
@@ -314,6 +314,7 @@ class ShownMap:
         return {name: (count - before.get(name, 0)) / passed_s for name, count in counts.items()}
 
     def _shown(self, name: str, sensor: SensorState, rate: float) -> ShownSensor:
+        """Return the state of a sensor as it is shown."""
         health = sensor.health
         alarms = dict(health.alarms)
         return ShownSensor(

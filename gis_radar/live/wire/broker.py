@@ -30,9 +30,10 @@ KEEP_ALIVE_S = 10  # a cut link is noticed after 1.5 times this
 SLOWEST_RETRY_S = 30
 IN_FLIGHT = 100  # messages sent before the broker has confirmed the first
 _TAKEN_OVER, _REFUSED = 142, range(128, 256)  # reason codes of MQTT 5
-TWINS, TWINS_WITHIN_S = 3, 120.0  # number of short links in a time that no restart explains
-LOOK_S = 0.005  # between two looks at an empty queue
-SHORT_S = 10.0  # a shorter link is short
+# Short links in this time that no restart explains: another program has the same name.
+SHORT_LINKS, SHORT_LINKS_WITHIN_S = 3, 120.0
+POLL_S = 0.005  # between two looks at an empty queue
+SHORT_LINK_S = 10.0  # duration below which a link is short
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,13 +148,14 @@ class Link:
     ) -> None:  # fmt: skip
         self.connections = 0
         self._address, self._name, self._topics = address, name, topics
-        self._reporter, self._said = reporter, ""
+        self._reporter, self._logged = reporter, ""
         self._received: SimpleQueue[Received] = SimpleQueue()
-        self._taken: deque[float] = deque(maxlen=TWINS)
+        self._taken: deque[float] = deque(maxlen=SHORT_LINKS)
         self._connected, self._refusing, self._since = False, False, 0.0
-        self._client = self._made(will)
+        self._client = self._new_client(will)
 
-    def _made(self, will: tuple[str, bytes] | None) -> Client:
+    def _new_client(self, will: tuple[str, bytes] | None) -> Client:
+        """Return paho's client with log-in, TLS, will and callbacks; refuse a missing paho."""
         try:
             from paho.mqtt import client as mqtt  # noqa: PLC0415 - an extra
             from paho.mqtt.enums import CallbackAPIVersion  # noqa: PLC0415
@@ -220,11 +222,11 @@ class Link:
                 left = until - time.monotonic()
                 if left <= 0.0:
                     return None
-                time.sleep(min(left, LOOK_S))
+                time.sleep(min(left, POLL_S))
 
-    def _say(self, text: str) -> None:
-        if text != self._said:  # log a failure once, however often it is retried
-            self._said = text
+    def _log_once(self, text: str) -> None:
+        if text != self._logged:  # log a failure once, however often it is retried
+            self._logged = text
             self._reporter.log(
                 Text("{}: {}", self._name, text), "info" if self._connected else "warning"
             )
@@ -232,9 +234,10 @@ class Link:
     # Callbacks, which paho calls in its thread.
 
     def _on_connect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
+        """Subscribe once the broker accepts the link."""
         self._refusing = bool(reason.is_failure)
         if self._refusing:
-            self._say(
+            self._log_once(
                 Text("the broker at {} refuses the link: {}; trying on", self._address, reason)
             )
             return
@@ -242,16 +245,17 @@ class Link:
             self._client.subscribe([(topic, 1) for topic in self._topics])
         self._connected, self._since = True, time.monotonic()
         self.connections += 1
-        self._say(Text("linked to the broker at {}", self._address))
+        self._log_once(Text("linked to the broker at {}", self._address))
 
     def _on_connect_fail(self, _c: Any, _u: Any) -> None:
         # paho calls this while it handles the exception, and passes no reason
-        self._say(Text("{}; trying on", _why_no_link(sys.exc_info()[1], self._address)))
+        self._log_once(Text("{}; trying on", _why_no_link(sys.exc_info()[1], self._address)))
 
     def _on_disconnect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
+        """Log why the link ended, and reconnect slowly where another program has the same name."""
         was, self._connected = self._connected, False
         if not was and _code(reason) and not self._refusing:
-            self._say(
+            self._log_once(
                 Text(
                     "the broker at {} ends the link at once: does it speak {}://? trying on",
                     self._address,
@@ -263,14 +267,14 @@ class Link:
             return
         now = time.monotonic()
         # Mosquitto 2.0 sends no reason code when another program takes the name over.
-        if _code(reason) == _TAKEN_OVER or now - self._since < SHORT_S:
+        if _code(reason) == _TAKEN_OVER or now - self._since < SHORT_LINK_S:
             self._taken.append(now)
-        if len(self._taken) == TWINS and now - self._taken[0] < TWINS_WITHIN_S:
+        if len(self._taken) == SHORT_LINKS and now - self._taken[0] < SHORT_LINKS_WITHIN_S:
             # reconnect slowly: the other program is served meanwhile, and both report it
             self._client.reconnect_delay_set(SLOWEST_RETRY_S // 2, SLOWEST_RETRY_S)
-            self._say("the broker ends each link soon: has another program the same name?")
+            self._log_once("the broker ends each link soon: has another program the same name?")
             return
-        self._say(Text("the link to the broker is lost: {}; trying on", reason))
+        self._log_once(Text("the link to the broker is lost: {}; trying on", reason))
 
     def _on_message(self, _c: Any, _u: Any, message: Any) -> None:
         self._received.put(
@@ -279,7 +283,7 @@ class Link:
 
     def _on_publish(self, _c: Any, _u: Any, _mid: int, reason: Any, _p: Any) -> None:
         if _code(reason) in _REFUSED:
-            self._say(Text("the broker does not take a message: {}", reason))
+            self._log_once(Text("the broker does not take a message: {}", reason))
 
 
 def _why_no_link(error: BaseException | None, address: BrokerAddress) -> str:
@@ -300,6 +304,7 @@ def _code(reason: Any) -> int:
 
 
 def _tls_context(authority: Path | None) -> ssl.SSLContext:
+    """Return a TLS context from version 1.2 on, by the system's authorities or by one's own."""
     try:
         context = ssl.create_default_context(cafile=authority)
     except (OSError, ssl.SSLError) as error:
@@ -310,7 +315,7 @@ def _tls_context(authority: Path | None) -> ssl.SSLContext:
 
 @dataclass(frozen=True)
 class SensorTopics:
-    """The topics of a sensor: `v1/SITE/SENSOR/hits`, and so on.
+    """The topics of a sensor: `v1/SITE/SENSOR/detections`, and so on.
 
     Parameters
     ----------
@@ -322,7 +327,7 @@ class SensorTopics:
     sensor: str
 
     def of(self, kind: str) -> str:
-        """Return the topic of `hits`, `detections`, `status`, `pose` or `ack`."""
+        """Return the topic of `detections`, `status`, `pose` or `ack`."""
         return f"{TOPICS}/{self.site}/{self.sensor}/{kind}"
 
 

@@ -18,7 +18,7 @@ from gis_radar.live.wire.payload import MOST_BYTES
 from gis_radar.live.wire.settings import LiveSite, read_live_site
 
 CONFIG, ACCESS, PASSWORDS = "mosquitto.conf", "access", "passwords"
-# What begins with `server.` is of TLS, from elsewhere, and stays.
+# Begins of names in the folder; files of TLS, `server.*`, come from elsewhere and stay.
 OWNED = (CONFIG, ACCESS, PASSWORDS, "gis-radar-", "password_of_", "server.")
 _ROUNDS, _SALT_BYTES = 101, 12  # as in Mosquitto's own mosquitto_passwd
 _HEADER_BYTES = 1024  # bytes of a message beside its content: topic and properties
@@ -153,9 +153,9 @@ NoNewPrivileges=true
 WantedBy=multi-user.target
 """
 # Folder of compiled code: homes are read only, and an account may have none.
-_KEPT = "CacheDirectory=gis_radar\nEnvironment=NUMBA_CACHE_DIR=%C/gis_radar\n"
+_CACHE = "CacheDirectory=gis_radar\nEnvironment=NUMBA_CACHE_DIR=%C/gis_radar\n"
 # Paths on a sensor's own computer, as in docs/live.md.
-_THERE, _PROGRAM = "/var/lib/gis_radar", "/usr/local/lib/gis_radar/bin/gis-radar"
+_SENSOR_FOLDER, _PROGRAM = "/var/lib/gis_radar", "/usr/local/lib/gis_radar/bin/gis-radar"
 _USER = "gis_radar"
 _STOP_S = 300  # time to stop: fusion follows the last minutes of vehicles and writes the hour
 
@@ -177,23 +177,23 @@ def units(site: LiveSite, file: Path, folder: Path) -> dict[str, str]:
         "user": _USER if user == "root" else user,
         "folder": str(file.parent).replace("%", "%%"),
     }
-    there = {"user": _USER, "folder": _THERE}
+    at_sensor = {"user": _USER, "folder": _SENSOR_FOLDER}
     name = site.live.site
-    rows = {
+    services = {
         "broker": (f"Broker of {name}", (broker, "-c", str(folder / CONFIG)), here),
         "live": (f"Live map of {name}", (program, "live", file.name), here),
         # The instance is the sensor: gis-radar-edge@R1 runs R1.toml.
-        "edge@": (f"Radar %i of {name}", (_PROGRAM, "edge", "%i.toml"), there),
+        "edge@": (f"Radar %i of {name}", (_PROGRAM, "edge", "%i.toml"), at_sensor),
     }
     return {
         f"gis-radar-{key}.service": _UNIT.format(
             about=about,
             words=_command(words, instance=key == "edge@"),
             stop_s=_STOP_S,
-            more="" if key == "broker" else _KEPT,
+            more="" if key == "broker" else _CACHE,
             **where,
         )
-        for key, (about, words, where) in rows.items()
+        for key, (about, words, where) in services.items()
     }
 
 

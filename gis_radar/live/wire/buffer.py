@@ -30,9 +30,9 @@ CREATE TABLE IF NOT EXISTS notes (name TEXT PRIMARY KEY, value BLOB NOT NULL) WI
 {_TABLE.format("messages", LAST_NUMBER, "content", "content")}
 {_TABLE.format("poses", LAST_NUMBER, "message", "message")}
 """
-_LOOKS = ("SELECT number, content FROM messages", "SELECT number, message FROM poses")
-# Error codes of SQLite that are no damage of the file: it is in use, or the disk is full or gone.
-_OF_THE_PLACE = ("BUSY", "LOCKED", "FULL", "IOERR", "READONLY", "CANTOPEN", "NOMEM", "PERM", "AUTH")
+_TABLE_CHECKS = ("SELECT number, content FROM messages", "SELECT number, message FROM poses")
+# Begins of SQLite's error names that mean no damage: the file is in use, or the disk full or gone.
+_NOT_DAMAGE = ("BUSY", "LOCKED", "FULL", "IOERR", "READONLY", "CANTOPEN", "NOMEM", "PERM", "AUTH")
 _HEADER = (b"SQLite format 3\0", slice(68, 72))  # begin of the file, and place of the mark in it
 OTHER_TILES, DAMAGED = "what waited speaks of other tiles", "it is damaged"
 
@@ -95,14 +95,14 @@ class DiskBuffer:
         self.path, self._most_bytes = path, most_bytes
         self.put_aside: Path | None = None
         self.why = ""
-        kept = f"{VERSION} {fingerprint}".encode()
+        mark = f"{VERSION} {fingerprint}".encode()
         with _errors(path):
             self._refuse_foreign()
-            if (of := self._open()) not in {kept, b""}:
-                self._put_aside(DAMAGED if of is None else OTHER_TILES)
+            if (found_mark := self._open()) not in {mark, b""}:
+                self._put_aside(DAMAGED if found_mark is None else OTHER_TILES)
                 self._open()
-            self._database.execute("INSERT OR REPLACE INTO notes VALUES ('of', ?)", (kept,))
-        first, last, pose = self._one(
+            self._database.execute("INSERT OR REPLACE INTO notes VALUES ('of', ?)", (mark,))
+        first, last, pose = self._row(
             "SELECT coalesce(min(number), 0), coalesce(max(number), 0), "
             "(SELECT coalesce(max(number), 1) FROM poses) FROM messages"
         )
@@ -115,7 +115,7 @@ class DiskBuffer:
         self.stream = secrets.token_bytes(STREAM_BYTES)
 
     def _refuse_foreign(self) -> None:
-        """Refuse a file that is no buffer, but not zeros, which a power loss may leave."""
+        """Refuse a file that is no buffer, unless it is all zeros, as a power loss may leave it."""
         if not self.path.exists():
             return
         with self.path.open("rb") as file:
@@ -136,17 +136,17 @@ class DiskBuffer:
                 number = int.from_bytes(_APPLICATION)
                 self._database.execute(f"PRAGMA application_id = {number}")
             self._database.executescript(_SCHEMA)
-            (found,) = self._database.execute("PRAGMA quick_check(1)").fetchone()
-            for query in _LOOKS:
+            (check,) = self._database.execute("PRAGMA quick_check(1)").fetchone()
+            for query in _TABLE_CHECKS:
                 self._database.execute(f"{query} LIMIT 0")
             query = "SELECT cast(value AS BLOB) FROM notes WHERE name = 'of'"
-            of = self._database.execute(query).fetchone() or (b"",)
+            mark = self._database.execute(query).fetchone() or (b"",)
         except sqlite3.Error as error:
             name = getattr(error, "sqlite_errorname", "SQLITE_ERROR").removeprefix("SQLITE_")
-            if name.startswith(_OF_THE_PLACE):
+            if name.startswith(_NOT_DAMAGE):
                 raise
             return None
-        return bytes(of[0]) if found == "ok" else None
+        return bytes(mark[0]) if check == "ok" else None
 
     def _put_aside(self, why: str) -> None:
         """Rename the file, with its log."""
@@ -171,9 +171,9 @@ class DiskBuffer:
     @property
     def bytes_used(self) -> int:
         """Bytes of the file that are in use."""
-        (pages,) = self._one("PRAGMA page_count")
-        (free,) = self._one("PRAGMA freelist_count")
-        (size,) = self._one("PRAGMA page_size")
+        (pages,) = self._row("PRAGMA page_count")
+        (free,) = self._row("PRAGMA freelist_count")
+        (size,) = self._row("PRAGMA page_size")
         return int((pages - free) * size)
 
     def append(self, content: bytes) -> int:
@@ -240,7 +240,7 @@ class DiskBuffer:
             )  # fmt: skip
         self.stored, self._appended = max(self.stored, number), 0
 
-    def _one(self, query: str) -> tuple[int, ...]:
+    def _row(self, query: str) -> tuple[int, ...]:
         with _errors(self.path):
             found = self._database.execute(query).fetchone()
         return tuple(found)

@@ -35,7 +35,7 @@ _COLUMNS = 5
 _MOST_LOW = 40  # most bits of a remainder
 _LAST_SHIFT = 56  # shift of the last byte of a varint under 2**63
 Bytes: TypeAlias = NDArray[np.uint8]
-_AGAIN_S = 1.0  # between two estimates of the noise, while it is learned
+_LEARN_EVERY_S = 1.0  # between two estimates of the noise, while it is learned
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,12 +76,12 @@ class FrameDetections:
         rates[self.rates == UNKNOWN_RATE] = np.nan
         time = np.full(len(points), self.time_us / 1e6)
         return Detections(
-            time=time, points=_stored(points), range_rate=_stored(rates), rcs=rcs,
+            time=time, points=_as_float32(points), range_rate=_as_float32(rates), rcs=rcs,
             further=NO_FURTHER,
         )  # fmt: skip
 
 
-def _stored(values: Floats) -> Floats:
+def _as_float32(values: Floats) -> Floats:
     """Round to float32 as a recording does, so that the map of now counts as a dataset does."""
     return values.astype(np.float32).astype(np.float64)
 
@@ -99,7 +99,7 @@ class DetectionSelector:
         self._height = road.height
         self._grid = TileGrid(_widened(road.quads, LANE_MARGIN_M))
         self._rates: list[Floats] = []
-        self._begun = self._learned = np.nan
+        self._begin_s = self._learned_s = np.nan
         self.still_mps = SLOW_MPS  # until it is learned; high, so that nothing stationary moves
 
     def find(self, frame: Detections, pose: Pose, *, road_m: float) -> FrameDetections:
@@ -118,32 +118,32 @@ class DetectionSelector:
         self._learn(frame, time)
         place = pose.to_map(frame.points, road_m=road_m)
         point, tile = self._grid.assign(place[:, 0], place[:, 1])
-        over = place[point, 2] - self._height[tile]
-        over[np.isnan(frame.points[point, 2])] = np.nan
-        more = HEIGHT_RAD * frame.range_m[point]
-        fits = (over >= LOW_M - more) & (over <= HIGH_M + more)
+        height_m = place[point, 2] - self._height[tile]
+        height_m[np.isnan(frame.points[point, 2])] = np.nan
+        margin_m = HEIGHT_RAD * frame.range_m[point]
+        fits = (height_m >= LOW_M - margin_m) & (height_m <= HIGH_M + margin_m)
         keep = np.zeros(len(frame), np.bool_)
-        keep[point[fits | np.isnan(over)]] = True
+        keep[point[fits | np.isnan(height_m)]] = True
         points, rate, rcs = frame.points[keep], frame.range_rate[keep], frame.rcs[keep]
         still = np.abs(rate) < self.still_mps
         return FrameDetections(
             time_us=int(np.rint(time * 1e6)),
-            points=_whole(UNITS * points, UNKNOWN_Z),
-            rates=_whole(np.where(still, 0.0, np.trunc(np.round(RATES * rate, 3))), UNKNOWN_RATE),
-            rcs_db=_whole(rcs, UNKNOWN_DB),
+            points=_rounded(UNITS * points, UNKNOWN_Z),
+            rates=_rounded(np.where(still, 0.0, np.trunc(np.round(RATES * rate, 3))), UNKNOWN_RATE),
+            rcs_db=_rounded(rcs, UNKNOWN_DB),
         )
 
     def _learn(self, frame: Detections, time: float) -> None:
         """Learn from the first seconds the largest range rate of stationary detections."""
-        if np.isnan(self._begun):
-            self._begun = self._learned = time
+        if np.isnan(self._begin_s):
+            self._begin_s = self._learned_s = time
         elif not self._rates:
             return
-        if time < self._begun + NOISE_S:
+        if time < self._begin_s + NOISE_S:
             self._rates.append(frame.range_rate[np.isfinite(frame.range_rate)])
-        done = time >= self._begun + NOISE_S
-        if done or time >= self._learned + _AGAIN_S:
-            self._learned = time
+        done = time >= self._begin_s + NOISE_S
+        if done or time >= self._learned_s + _LEARN_EVERY_S:
+            self._learned_s = time
             self.still_mps = still_rate(np.concatenate(self._rates))
         if done:
             self._rates = []
@@ -158,7 +158,7 @@ def _widened(quads: Floats, by_m: float) -> Floats:
     )
 
 
-def _whole(values: Floats, unknown: int) -> Integers:
+def _rounded(values: Floats, unknown: int) -> Integers:
     return np.where(np.isnan(values), unknown, np.rint(values)).astype(np.int64)
 
 
@@ -223,15 +223,15 @@ def _frame_of(time_us: int, columns: Integers) -> FrameDetections:
 def _pack_column(values: Integers) -> bytes:
     """Pack numbers to bytes: k, their median, then quotients and remainders as bits."""
     middle = int(np.sort(values)[len(values) // 2])
-    off = _folded(values - middle)
-    mean = int(off.mean())
+    deviation = _folded(values - middle)
+    mean = int(deviation.mean())
     most = range(max(mean.bit_length() - 2, 0), min(mean.bit_length() + 2, _MOST_LOW) + 1)
-    low = min(most, key=lambda k: k * len(off) + int((off >> k).sum()))
-    quotient = off >> low
+    low = min(most, key=lambda k: k * len(deviation) + int((deviation >> k).sum()))
+    quotient = deviation >> low
     ends = np.cumsum(quotient + 1) - 1
     ones = np.ones(int(ends[-1]) + 1, np.uint8)
     ones[ends] = 0
-    rest = (off[:, None] >> np.arange(low - 1, -1, -1)) & 1
+    rest = (deviation[:, None] >> np.arange(low - 1, -1, -1)) & 1
     bits = np.concatenate([ones, rest.ravel().astype(np.uint8)])
     return bytes([low]) + varint(int(_folded(np.array(middle)))) + np.packbits(bits).tobytes()
 

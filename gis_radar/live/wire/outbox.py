@@ -40,7 +40,7 @@ def status_message(state: str, **figures: object) -> bytes:
 
 
 class Outbox:
-    """Sender of messages in order, again where they got lost, until they are acknowledged.
+    """Sender of the buffer's messages in order; lost ones are sent again until acknowledged.
 
     Parameters
     ----------
@@ -74,8 +74,8 @@ class Outbox:
         self._sent, self._connections, self._pose_sent = self.stored, 0, b""
         self._session, self._resend, self._refused = "", 0, ""
         self._progress = self._reported = time.monotonic()
-        self._patience_s = RESEND_S
-        self._undropped = ""
+        self._resend_wait_s = RESEND_S
+        self._drop_error = ""
         self._full = self._too_long = False
 
     def put(self, content: bytes) -> bool:
@@ -86,16 +86,16 @@ class Outbox:
             self._too_long = True
             self.lost += 1
             return False
-        taken = self._kept(lambda: self._buffer.append(content))
+        taken = self._is_written(lambda: self._buffer.append(content))
         self.lost += not taken
         return taken
 
     def put_pose(self, message: bytes) -> bool:
         """Add the pose by which the next messages are selected; return whether it is stored."""
-        return self._kept(lambda: self._buffer.add_pose(message))
+        return self._is_written(lambda: self._buffer.add_pose(message))
 
-    def _kept(self, write: Callable[[], object]) -> bool:
-        """Write to the buffer; where it is full, report it once."""
+    def _is_written(self, write: Callable[[], object]) -> bool:
+        """Write to the buffer, and return whether that was possible; report a full one once."""
         try:
             write()
         except OutputError as error:
@@ -112,14 +112,14 @@ class Outbox:
         return self.stored >= self._buffer.last
 
     @property
-    def _on_way(self) -> int:
+    def _unacknowledged(self) -> int:
         """Number of messages that are sent and not acknowledged."""
         return self._sent - self.stored
 
     def pump(self) -> None:
         """Process acknowledgements of fusion, and send what is due."""
         while (message := self._link.take(0.0)) is not None:
-            self._heard(message.payload)
+            self._take_acknowledgement(message.payload)
         if not self._link.connected:
             return
         now = time.monotonic()
@@ -132,18 +132,19 @@ class Outbox:
             self._drop()
             status = status_message(ONLINE, stream=self._buffer.stream.hex(), **self._figures())
             self._link.publish(self._topics.of("status"), status, retain=True)
-        if self._on_way and now - self._progress > self._patience_s:
-            self._patience_s = min(2 * self._patience_s, SLOWEST_RESEND_S)
+        if self._unacknowledged and now - self._progress > self._resend_wait_s:
+            self._resend_wait_s = min(2 * self._resend_wait_s, SLOWEST_RESEND_S)
             self._rewind()
         self._send()
 
     def _send(self) -> None:
+        """Send waiting messages, as many ahead of the acknowledgement as allowed now."""
         ahead = min(self._ahead, UNACKNOWLEDGED)
-        while not self.empty and (room := ahead - self._on_way) > 0:
+        while not self.empty and (room := ahead - self._unacknowledged) > 0:
             waiting = list(self._buffer.read_after(self._sent, min(room, AT_ONCE)))
             if not waiting:
                 return
-            if not self._on_way:
+            if not self._unacknowledged:
                 self._progress = time.monotonic()
             for each in waiting:
                 self._send_pose(each)
@@ -165,7 +166,7 @@ class Outbox:
             self._pose_sent = key
 
     def _rewind(self) -> None:
-        """Send again all messages that fusion has not stored, slowly at first."""
+        """Start to send all messages that fusion has not stored again, slowly at first."""
         self._ahead = FIRST_AHEAD
         self._sent, self._progress, self._pose_sent = self.stored, time.monotonic(), b""
 
@@ -176,44 +177,47 @@ class Outbox:
         try:
             self._buffer.acknowledge(self.stored)
         except OutputError as error:
-            if error.message != self._undropped:
-                self._undropped = error.message
+            if error.message != self._drop_error:
+                self._drop_error = error.message
                 self._reporter.warn("{}; trying on", error.message)
             return
-        self._undropped = ""
+        self._drop_error = ""
 
-    def _heard(self, payload: bytes) -> None:
+    def _take_acknowledgement(self, payload: bytes) -> None:
+        """Take an acknowledgement: drop stored messages, or send missing ones again."""
         try:
-            found = Acknowledgement.unpack(payload)
+            acknowledgement = Acknowledgement.unpack(payload)
         except InputError as error:
             self._reporter.warn("fusion sends {}", error.message)
             return
-        if found.stream != self._buffer.stream.hex():
+        if acknowledgement.stream != self._buffer.stream.hex():
             return
-        if found.refused and found.refused != self._refused:
-            self._reporter.warn("fusion refuses what is sent: {}", found.refused)
-        self._refused = found.refused
-        if found.stored > self.stored:
-            if not self._is_ours(found):
-                self._begin_anew()
+        if acknowledgement.refused and acknowledgement.refused != self._refused:
+            self._reporter.warn("fusion refuses what is sent: {}", acknowledgement.refused)
+        self._refused = acknowledgement.refused
+        if acknowledgement.stored > self.stored:
+            if not self._matches_own(acknowledgement):
+                self._start_new_stream()
                 return
-            self._ahead = min(self._ahead + found.stored - self.stored, UNACKNOWLEDGED)
-            self.stored = found.stored
+            self._ahead = min(self._ahead + acknowledgement.stored - self.stored, UNACKNOWLEDGED)
+            self.stored = acknowledgement.stored
             self._drop()
-            self._progress, self._patience_s = time.monotonic(), RESEND_S
+            self._progress, self._resend_wait_s = time.monotonic(), RESEND_S
             self._sent = max(self._sent, self.stored)
-        if (found.session, found.resend) != (self._session, self._resend):
-            self._session, self._resend = found.session, found.resend
+        if (acknowledgement.session, acknowledgement.resend) != (self._session, self._resend):
+            self._session, self._resend = acknowledgement.session, acknowledgement.resend
             self._rewind()
 
-    def _is_ours(self, found: Acknowledgement) -> bool:
+    def _matches_own(self, acknowledgement: Acknowledgement) -> bool:
         """Return whether fusion's last stored message equals the one with its number here."""
-        here = list(self._buffer.read_after(found.stored - 1, 1))
+        here = list(self._buffer.read_after(acknowledgement.stored - 1, 1))
         return any(
-            each.number == found.stored and check_of(each.content) == found.check for each in here
+            each.number == acknowledgement.stored
+            and check_of(each.content) == acknowledgement.check
+            for each in here
         )
 
-    def _begin_anew(self) -> None:
+    def _start_new_stream(self) -> None:
         """Send all waiting messages as a new stream: another program or copy used this one."""
         self._reporter.warn(
             "fusion has stored other messages of this stream: all that waits is sent as a new one",

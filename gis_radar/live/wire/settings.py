@@ -106,7 +106,7 @@ class EdgeFile(TomlTable):
         return self._path.parent / (self.buffer.file or f"{self.sensor}.buffer")
 
     def address(self) -> BrokerAddress:
-        """Return where the broker is, and as whom to speak to it."""
+        """Return the address of the broker with this sensor's log-in."""
         return broker_address(self.broker, user=self.sensor)
 
 
@@ -117,12 +117,12 @@ class LiveSensor(Sensor):
     """What it recorded; not needed here."""
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
+    def _is_consistent(self) -> Self:
         return self
 
 
 class LiveSite(Site):
-    """What `gis-radar live` takes of a site's file; made by :func:`read_live_site`."""
+    """The tables of a site's file that `gis-radar live` uses; made by :func:`read_live_site`."""
 
     live: LiveTable
     """The live system."""
@@ -130,7 +130,7 @@ class LiveSite(Site):
     """The radars, a table each."""
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
+    def _is_consistent(self) -> Self:
         names = [each.name for each in self.sensor]
         for place, name in enumerate(names):
             at = ("sensor", place, "name")
@@ -148,7 +148,7 @@ class LiveSite(Site):
         return self._path.parent / self.live.folder
 
     def address(self) -> BrokerAddress:
-        """Return where the broker is, and as whom to speak to it."""
+        """Return the address of the broker with fusion's log-in."""
         return broker_address(self.live.broker, user=FUSION)
 
     def filters(self) -> Filters:
@@ -165,7 +165,7 @@ class LiveSite(Site):
 
 
 def broker_address(table: BrokerTable, *, user: str) -> BrokerAddress:
-    """Return where the broker is, and as whom to speak to it.
+    """Return the address of a broker with the log-in; `user` is the name where none is stated.
 
     Raises
     ------

@@ -60,20 +60,21 @@ class Replay:
             return
         length_us = round(self.loop_s * 1e6)
         first = next(frames_of_recording(self.path))
-        turn = int(time.time() * 1e6 - first.time[0] * 1e6) // length_us
+        loop_number = int(time.time() * 1e6 - first.time[0] * 1e6) // length_us
         while True:
             for frame in frames_of_recording(self.path):
                 time_us = int(np.rint(frame.time[0] * 1e6))
                 if time_us - first.time[0] * 1e6 >= length_us:
                     break
-                due_s = (time_us + turn * length_us) / 1e6
+                due_s = (time_us + loop_number * length_us) / 1e6
                 if due_s < time.time() - 1.0:
                     continue  # the replay began in the middle of a loop
                 yield from _until(due_s - time.time())
                 yield replace(frame, time=np.full(len(frame), due_s))
-            turn += 1
+            loop_number += 1
 
     def _once(self) -> Frames:
+        """Yield the recorded frames once, at the chosen speed."""
         start, first = time.monotonic(), None
         for frame in frames_of_recording(self.path):
             first = float(frame.time[0]) if first is None else first
@@ -93,10 +94,10 @@ def _until(wait_s: float) -> Frames:
 
 def frames_of_recording(path: Path) -> Iterator[Detections]:
     """Yield the frames of a recording one by one."""
-    for piece in whole_frames(open_recording(path).read()):
-        begins = FrameIndex.of(piece.time).begins
-        for begin, end in zip(begins, [*begins[1:], len(piece)], strict=True):
-            yield rows_of(piece, slice(int(begin), int(end)))
+    for batch in whole_frames(open_recording(path).read()):
+        begins = FrameIndex.of(batch.time).begins
+        for begin, end in zip(begins, [*begins[1:], len(batch)], strict=True):
+            yield rows_of(batch, slice(int(begin), int(end)))
 
 
 @dataclass(kw_only=True)
@@ -167,8 +168,8 @@ class Radar:
 
     def _detections(self, frame: Frame) -> Detections | None:
         """Return a frame as rows of a recording; None where it came out of order."""
-        sound = frame.sound(self.counts)
-        time_us = round(self._time(sound) * 1e6)
+        usable = frame.without_unusable(self.counts)
+        time_us = round(self._time(usable) * 1e6)
         back_s = (self._last_us - time_us) / 1e6
         if 0.0 <= back_s < SET_BACK_S:
             self.counts["frames_out_of_order"] += 1
@@ -177,34 +178,35 @@ class Radar:
             self.counts["clock_set_back"] += 1
             self.reporter.warn("{}: the clock was set back by {:.1f} s", self.source, back_s)
         self._last_us = time_us
-        points = sound.points.astype(np.float64)
+        points = usable.points.astype(np.float64)
         if len(points) == 0:
             points = np.full((1, 3), np.nan)
         rate, rcs = (
-            column.astype(np.float64) if len(sound) else np.full(1, np.nan)
-            for column in (sound.range_rate, sound.rcs)
+            column.astype(np.float64) if len(usable) else np.full(1, np.nan)
+            for column in (usable.range_rate, usable.rcs)
         )
         rows = np.full(len(points), time_us / 1e6)
         return Detections(time=rows, points=points, range_rate=rate, rcs=rcs, further=NO_FURTHER)
 
     def _time(self, frame: Frame) -> float:
-        """Return the sensor's time while it is right, else the arrival time, also later on."""
-        theirs, ours = frame.sensor_time, frame.recorder_time
-        if ours is None or (self._by_recorder is False and _is_right(frame)):
-            if theirs is None:
+        """Return the sensor's time, or from its first wrong one on the time of arrival."""
+        sensor_s, arrival_s = frame.sensor_time, frame.recorder_time
+        if arrival_s is None or (self._by_recorder is False and _is_right(frame)):
+            if sensor_s is None:
                 raise NoAnswerError("{}: frames without any time", self.source)
-            return theirs
+            return sensor_s
         if not self._by_recorder:
             self._by_recorder = True
             self.reporter.warn(
                 "{}: the sensor's clock is not set: times are those of arrival",
                 self.source,
             )
-        return ours
+        return arrival_s
 
 
 def _is_right(frame: Frame) -> bool:
-    theirs, ours = frame.sensor_time, frame.recorder_time
-    if theirs is None or ours is None or not frame.synchronised:
+    """Return whether the sensor's clock is synchronised and agrees with that of the arrival."""
+    sensor_s, arrival_s = frame.sensor_time, frame.recorder_time
+    if sensor_s is None or arrival_s is None or not frame.synchronised:
         return False
-    return abs(theirs - ours) <= AGREEING_S
+    return abs(sensor_s - arrival_s) <= AGREEING_S

@@ -23,7 +23,7 @@ from gis_radar.base import (
     NoAnswerError,
     Text,
     UsageError,
-    speaking,
+    in_language,
     tr,
 )
 from gis_radar.dataset import Dataset, LaneTraffic, day_numbers, open_dataset
@@ -82,7 +82,7 @@ def compare(
     sights = [
         lane_sights(source, table) for (source, _), table in zip(sources, tables, strict=True)
     ]
-    with speaking(language):
+    with in_language(language):
         name_of_all = tr("All stop lines together")
     return _compared(tables, sights, name_of_all, dataset.doubts, other.doubts)
 

@@ -23,13 +23,13 @@ from gis_radar.base import (
     Text,
     add_layer,
     current_language,
-    dress_layers,
     figure_text,
     iso_from_time,
+    long_span,
     percent,
     picture_file,
+    style_layers,
     tr,
-    whole_span,
     write_csv,
 )
 from gis_radar.measures import INTERVALS
@@ -175,7 +175,7 @@ def _write_layer(table: gpd.GeoDataFrame, path: Path) -> None:
     add_layer(wide_table(table), path, LAYER, geometry_type="LineString", layer_metadata=metadata)
     notes = LayerNotes(tr("Comparison"), tr("What changed by lane between two periods"), {})
     style = class_style(f"{measure}_change", change_classes())
-    dress_layers(
+    style_layers(
         path, {LAYER: style}, name="change", about="change of the volume", notes={LAYER: notes}
     )
 
@@ -203,7 +203,7 @@ def draw_changes(comparison: Comparison, path: Path) -> None:
 
     table = wide_table(comparison.table)
     measures = list(COMPARED)[:3]
-    with picture_file(path, (12.0, 5.2), 130, letters_pt=9.0) as figure:
+    with picture_file(path, (12.0, 5.2), 130, font_pt=9.0) as figure:
         for ax, measure in zip(figure.subplots(1, len(measures)), measures, strict=True):
             known = table[table[f"{measure}_before"].notna()]
             change = known[f"{measure}_change"].to_numpy(np.float64)
@@ -229,7 +229,7 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
     template = text_template(Path(__file__).parent / "page.html.jinja")
     rows = list(change_rows(comparison.table))
     before, after = (
-        whole_span(begin.to_pydatetime(), end.to_pydatetime(), begin.tzinfo)
+        long_span(begin.to_pydatetime(), end.to_pydatetime(), begin.tzinfo)
         for begin, end in (comparison.before, comparison.after)
     )
     lanes = comparison.table["lane"].nunique()

@@ -21,10 +21,10 @@ from gis_radar.base import (
     Reporter,
     axes_or_new,
     figure_text,
+    in_language,
     label_map,
     name_of,
     percent,
-    speaking,
     tr,
 )
 from gis_radar.hdmap import quads
@@ -116,7 +116,7 @@ def draw(
     ax = axes_or_new(ax, (8.5, 6.0))
     extent = _extent(tally, (0.0, np.inf))
     map_picture(quads(tally.tiles), extent, most_pixels).show(ax, share, vague)
-    with speaking(tally.labels.language):
+    with in_language(tally.labels.language):
         label_map(ax)
         ax.set_title(time_span(tally, chosen), fontsize="medium")
         if legend:
@@ -155,7 +155,7 @@ def _add_legend(ax: Axes, measure: str) -> None:
 def write_figure(tally: Tally, path: Path, reporter: Reporter) -> None:
     """Write the picture as PNG, 2000 pixels wide."""
     reporter.progress("drawing the picture", 0, 1)
-    with mpl.rc_context(FONTS), speaking(tally.labels.language):
+    with mpl.rc_context(FONTS), in_language(tally.labels.language):
         figure = heatmap_figure(tally)
         named = filter(None, (tally.labels.title, tr(TITLES[tally.measure])))
         about = {"Title": ", ".join(named), "Description": time_span(tally)}
@@ -266,7 +266,7 @@ def time_span(tally: Tally, interval: int | slice | None = None) -> str:
             "{day}, {time}, one step of 50 ms ({zone})",
             day=clock.date(begin), time=clock.time(begin), zone=clock.name,
         )  # fmt: skip
-    return clock.whole_in_zone(begin, end)
+    return clock.long_span_in_zone(begin, end)
 
 
 def _add_side(ax: Axes, tally: Tally) -> None:
@@ -305,11 +305,11 @@ def _facts(tally: Tally) -> list[tuple[str, str]]:
     if shares is not None:
         part, whole = figure_text(figures["tiles_visible"]), figure_text(len(tally.tiles))
         facts[1:] = [(tr("Tiles visible"), tr("{part} of {all}", part=part, all=whole))]
-        mean = percent(figures["mean_occupancy"], off=figures["mean_occupancy_se"])
+        mean = percent(figures["mean_occupancy"], error=figures["mean_occupancy_se"])
         facts.append((tr("Mean occupancy"), mean))
         if np.any(shares.occupancy > 0):
             top = surest(shares.occupancy, shares.occupancy_se)
-            best = percent(shares.occupancy[top], off=shares.occupancy_se[top])
+            best = percent(shares.occupancy[top], error=shares.occupancy_se[top])
             facts.append((tr("Highest tile"), best))
     return facts
 

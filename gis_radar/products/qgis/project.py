@@ -20,12 +20,12 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
+    in_language,
+    long_span,
     metric_crs,
     opened_package,
     read_only,
     seconds_from_iso,
-    speaking,
-    whole_span,
     zone_of,
 )
 from gis_radar.dataset import FOOTPRINTS, SHOWN_S, Dataset, footprint_style, open_dataset
@@ -133,7 +133,7 @@ def write_qgis_project(
         )
         time_range = time_range and time_range._replace(step_s=SHOWN_S)
     time_range = time_range and time_range._replace(timezone=timezone)
-    with speaking(language):
+    with in_language(language):
         time = _local_time(*_recorded_span(package, time_range), timezone) if time_range else ""
     content = ProjectContent(
         title=title or path.stem, time=time,
@@ -276,7 +276,7 @@ def _recorded_span(package: Path, played: TimeRange) -> tuple[str, str]:
 def _local_time(since: str, until: str, timezone: str) -> str:
     """Return a span of time by the site's clock, with its zone and offset."""
     begin, end = (datetime.fromisoformat(text) for text in (since, until))
-    return whole_span(begin, end, zone_of(timezone))
+    return long_span(begin, end, zone_of(timezone))
 
 
 def _layers_with_rows(

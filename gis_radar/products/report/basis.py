@@ -125,7 +125,7 @@ def facts_of(data: ReportData) -> list[Fact]:
     if "vehicles" in total:
         heavy = tr("{n} of them heavy; no count of vehicles", n=figure_text(total["heavy"]))
         facts.append(Fact(tr("Tracks of vehicles"), figure_text(total["vehicles"]), heavy))
-    mean = percent(total["mean_occupancy"], off=total["mean_occupancy_se"])
+    mean = percent(total["mean_occupancy"], error=total["mean_occupancy_se"])
     facts.append(Fact(tr("Mean occupancy"), mean, tr("of all road that was visible")))
     return [*facts, _highest(data)]
 
@@ -148,7 +148,7 @@ def _highest(data: ReportData) -> Fact:
         lanes=plural(ranked, "{n} ranked lane", "{n} ranked lanes"),
         share=percent(top["base_m"] / top["length_m"], 0),
     )
-    share = percent(top["share"], off=top["share_se"])
+    share = percent(top["share"], error=top["share_se"])
     return Fact(name, f"{int(top['lane'])}: {share}", rests)
 
 
@@ -432,7 +432,7 @@ def _trust_cells(name: str, finding: Finding | None, results: Results, clock: Cl
     if finding is None:
         reason = results.lost.get(name, "")
         return [name, tr(NOT_CHECKED), tr(reason) if reason else NO_FIGURE, NO_FIGURE]
-    verdict = tr(finding.verdict_told)
+    verdict = tr(finding.shown_verdict)
     if finding.refused:
         text = "{verdict}, left out" if name in results.lost else "{verdict}, accepted anyway"
         verdict = tr(text, verdict=verdict)

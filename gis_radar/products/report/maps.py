@@ -148,7 +148,7 @@ def _sentence(heat: HeatMap, group: slice | None) -> str:
     if known is None:
         return text
     mean, error = mean_occupancy(heat.tiles, known)
-    return f"{tr('Mean occupancy {share}.', share=percent(mean, off=error))} {text}"
+    return f"{tr('Mean occupancy {share}.', share=percent(mean, error=error))} {text}"
 
 
 def draw_sights(results: Results) -> list[Figure]:

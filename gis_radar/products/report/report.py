@@ -25,11 +25,11 @@ from gis_radar.base import (
     direction,
     figure_text,
     folder_to_fill,
+    in_language,
     known_language,
     listed,
     percent,
     plural,
-    speaking,
     street_label,
     tr,
     zone_of,
@@ -178,7 +178,7 @@ def write_report(
     results = read_results(folder, None if dataset is None else Path(dataset))
     heat = results.heat
     spoken = language or str(results.site.get("language") or heat.labels.language)
-    with csv_for(csv_locale), speaking(known_language(spoken)):
+    with csv_for(csv_locale), in_language(known_language(spoken)):
         data = _gather(results, title or _default_title(results, folder), timezone, reporter)
         content = _content(data, reporter, ways=ways)
         outputs = _write(folder if output is None else Path(output), data, content, reporter)
@@ -291,7 +291,7 @@ def _summary(data: ReportData, content: Content) -> dict[str, Any]:
 
 def _english_remarks(data: ReportData) -> list[Text]:
     """Return the report's remarks in English, as logs keep them; the console translates."""
-    with speaking("en"):
+    with in_language("en"):
         return own_remarks(data)
 
 
@@ -428,11 +428,11 @@ def lane_columns(clock: Clock, measure: str) -> list[Column]:
         if pd.isna(row["busiest_begin"]) or not apart > (row["busiest_share_se"] or 0.0):
             return NO_FIGURE
         span = clock.span(*(row[name].to_pydatetime() for name in ("busiest_begin", "busiest_end")))
-        return f"{span}: {percent(row['busiest_share'], 0, off=row['busiest_share_se'])}"
+        return f"{span}: {percent(row['busiest_share'], 0, error=row['busiest_share_se'])}"
 
     def spot(row: pd.Series) -> str:
         place = f"{figure_text(row['busiest_spot_m'])}{THIN_SPACE}m"
-        share = percent(row["busiest_spot"], 0, off=row["busiest_spot_se"])
+        share = percent(row["busiest_spot"], 0, error=row["busiest_spot_se"])
         text = tr("{share} at {place}", share=share, place=place)
         return text.replace(f" {place}", f"{THIN_SPACE}{place}")  # so that no line breaks before it
 
@@ -445,7 +445,7 @@ def lane_columns(clock: Clock, measure: str) -> list[Column]:
         Column(tr("Rank"), "", rank, False),
         Column(tr("Leads to"), "", leads_to, False),
         Column(tr(words.share), tr(words.base),
-               lambda row: percent(row["share"], off=row["share_se"])),
+               lambda row: percent(row["share"], error=row["share_se"])),
         Column(tr("Tracks"), "",
                lambda row: figure_text(row["tracks"]) if row["tracks"] >= 0 else NO_FIGURE),
         Column(tr("Length"), "m", lambda row: figure_text(row["length_m"])),

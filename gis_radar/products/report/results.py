@@ -23,7 +23,7 @@ from gis_radar.base import (
     plus_minus,
     read_json,
     restored,
-    same_plane,
+    same_coordinates,
     tr,
     warnings_once,
 )
@@ -192,13 +192,13 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
             name_of(heat.crs)[:24],
         )
         for pose in poses
-        if not same_plane(pose.crs, heat.crs)
+        if not same_coordinates(pose.crs, heat.crs)
     ]
     return Results(
         name=place.name,
         heat=heat,
         dataset=of_map,
-        poses=[pose for pose in poses if same_plane(pose.crs, heat.crs)],
+        poses=[pose for pose in poses if same_coordinates(pose.crs, heat.crs)],
         streets=_streets(folder),
         figures=any((folder / "sensors").glob("*/localization.png")),
         run=run,

@@ -24,11 +24,11 @@ from gis_radar.base import (
     Text,
     by_number,
     figure_text,
+    in_language,
     interval_steps,
     percent,
     plural,
     seconds_text,
-    speaking,
     tr,
     with_error,
 )
@@ -161,7 +161,7 @@ def write_turn_traffic(path: Path, traffic: ReportedTraffic) -> None:
 
 def _english_names(traffic: ReportedTraffic, lanes: pd.Series) -> pd.Series:
     """Return the names of lanes in English, as all tables are."""
-    with speaking("en"):
+    with in_language("en"):
         named = lane_names(traffic.dataset.layer(LANES_LAYER), traffic.network)
     return lanes.map(dict(zip(traffic.network.lane.tolist(), named, strict=True)))
 

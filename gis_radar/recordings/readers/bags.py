@@ -76,7 +76,7 @@ def typestore(connection: Any) -> Any:
     rosbags.typesys.store.Typestore
         Holds the topic's type and all types in it.
     """
-    from rosbags.interfaces import MessageDefinitionFormat as Described  # noqa: PLC0415
+    from rosbags.interfaces import MessageDefinitionFormat as DefinitionFormat  # noqa: PLC0415
     from rosbags.typesys import (  # noqa: PLC0415
         Stores,
         get_types_from_idl,
@@ -85,21 +85,25 @@ def typestore(connection: Any) -> Any:
     )
 
     definition = connection.msgdef
-    if definition.format == Described.NONE:
+    if definition.format == DefinitionFormat.NONE:
         store = get_typestore(Stores.ROS2_HUMBLE)
         for name, text in DEFINITIONS.items():
             store.register(get_types_from_msg(text, name))
         return store
     store = get_typestore(Stores.EMPTY)
-    if definition.format == Described.MSG:
+    if definition.format == DefinitionFormat.MSG:
         store.register(get_types_from_msg(definition.data, connection.msgtype))
     else:
         store.register(get_types_from_idl(definition.data))
     return store
 
 
-STORAGE = (".bag", ".db3", ".mcap")
-MENDED_BY = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 FILE .recover"}
+ENDINGS = (".bag", ".db3", ".mcap")
+REPAIR_COMMANDS = {
+    ".bag": "rosbag reindex",
+    ".mcap": "mcap recover",
+    ".db3": "sqlite3 FILE .recover",
+}
 MESSAGES_A_REPORT = 256  # between two reports of progress
 Decode = Callable[[bytes], Any]
 
@@ -108,7 +112,7 @@ def _accepts(source: str) -> bool:
     path = Path(source)
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
-    return path.is_file() and path.suffix.lower() in STORAGE
+    return path.is_file() and path.suffix.lower() in ENDINGS
 
 
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
@@ -188,12 +192,13 @@ def _messages(
 
 
 def _damaged(source: str, error: Exception) -> InputError:
-    mended = MENDED_BY.get(Path(source).suffix.lower(), "ros2 bag reindex")
+    """Return the error for a bag that cannot be read, with the command that may repair it."""
+    repair = REPAIR_COMMANDS.get(Path(source).suffix.lower(), "ros2 bag reindex")
     return InputError(
         "{}: cannot be read as a bag: {}",
         source,
         first_line(error),
-        hint=Text("a bag that was cut off: {}", mended),
+        hint=Text("a bag that was cut off: {}", repair),
     )
 
 
@@ -230,9 +235,10 @@ class _Topic:
             self._context.counts["damaged_frames"] += 1
 
     def _from_rows(self, rows: Any, message: Any, recorded: float) -> Iterator[Frame]:
+        """Yield the frame of a cloud or a list of detections; nothing of a lidar's."""
         layout = self._layout(rows.dtype)
         # A cloud without speeds is a lidar's, unless the user asks for it by name.
-        if not (layout.is_radar or (layout.placed and self._context.sensor)):
+        if not (layout.is_radar or (layout.has_positions and self._context.sensor)):
             return
         stamp = _seconds(message.header.stamp)
         frame = layout.frame(
@@ -241,12 +247,13 @@ class _Topic:
             sensor_time=stamp,
             recorder_time=recorded,
             stamp="header stamp",
-            # Empty clouds without a stamp are all equal, but not doubles.
+            # Empty clouds without a stamp are all equal, but no duplicates.
             identity=(stamp, hash(rows.tobytes())) if stamp else None,
         )
         yield _without_invalid(frame, rows)
 
     def _layout(self, kind: np.dtype[Any]) -> Layout:
+        """Return, and cache, which fields of a message are which columns."""
         names = kind.names or ()
         if names not in self._layouts:
             try:
@@ -254,7 +261,7 @@ class _Topic:
             except UsageError as error:
                 hint = Text("{}; {} takes one topic of several", error.hint, "--sensor")
                 raise UsageError("{}: {}", self._name, error.message, hint=hint) from error
-            if layout.placed and not layout.is_radar:
+            if layout.has_positions and not layout.is_radar:
                 fields = ", ".join(names)
                 self._context.reporter.log(
                     Text("{}: no speeds among the fields {}", self._name, fields)
@@ -264,6 +271,7 @@ class _Topic:
         return self._layouts[names]
 
     def _from_packets(self, message: Any, recorded: float) -> Iterator[Frame]:
+        """Yield a frame for each detection list among the datagrams of a message."""
         for packet in getattr(message, "packets", [message]):
             data = packet.payload if hasattr(packet, "payload") else packet.data
             payload = np.asarray(data, dtype=np.uint8).tobytes()
@@ -330,6 +338,6 @@ FORMAT = Format(
     takes=".bag (ROS 1), a folder with metadata.yaml, .db3 or .mcap (ROS 2)",
     accepts=_accepts,
     frames=_frames,
-    endings=STORAGE,
+    endings=ENDINGS,
     rank=1,
 )

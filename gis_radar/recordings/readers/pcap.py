@@ -25,7 +25,7 @@ from gis_radar.recordings.frames import (
     Frame,
     NothingHereError,
     ReaderContext,
-    counted,
+    counts_text,
 )
 from gis_radar.recordings.readers.udp import METHOD, OTHER_METHODS, method_of, read_detections
 from gis_radar.recordings.unpacking import ExplodingError, LimitedStream
@@ -72,7 +72,6 @@ class Packet(NamedTuple):
 
 class _Interface(NamedTuple):
     link: int
-    snap: int
     ticks: int
     offset_s: int
 
@@ -133,7 +132,8 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packet, int]]:
-    head = _exactly(stream, 20)
+    """Yield the packets of a pcap file from behind its magic number, with positions."""
+    head = _read_exactly(stream, 20)
     (link,) = struct.unpack_from(order + "I", head, 16)
     link &= 0xFFFF  # the upper half is about checksums at the end
     record = struct.Struct(order + "IIII")
@@ -146,22 +146,23 @@ def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packe
             raise DamagedError(Text("only zeros from byte {:,} on", position))
         if kept > LARGEST_BLOCK:
             raise DamagedError(Text("a packet of {:,} bytes at byte {:,}", kept, position))
-        data = _exactly(stream, kept)
+        data = _read_exactly(stream, kept)
         position += record.size + kept
         yield Packet(seconds + fraction / ticks, link, data, kept >= length), position
 
 
 def _read_pcapng(stream: BinaryIO) -> Iterator[tuple[Packet, int]]:
+    """Yield the packets of a pcapng file from behind its first four bytes, with positions."""
     order, kind, position = "<", _SECTION, 0
     interfaces: list[_Interface] = []
-    start = _exactly(stream, 4)
+    start = _read_exactly(stream, 4)
     while True:
         if kind == _SECTION:
             order, body, size = _begin_section(stream, start)
             interfaces = []
         else:
             size = struct.unpack(order + "I", start)[0]
-            body = _exactly(stream, _block_length(size, position) - 8)
+            body = _read_exactly(stream, _block_length(size, position) - 8)
         position += size
         if kind == _INTERFACE:
             interfaces.append(_interface(body, order))
@@ -177,12 +178,12 @@ def _read_pcapng(stream: BinaryIO) -> Iterator[tuple[Packet, int]]:
 
 def _begin_section(stream: BinaryIO, start: bytes) -> tuple[str, bytes, int]:
     """Return byte order, content and length of a section header whose length field is `start`."""
-    magic = _exactly(stream, 4)
+    magic = _read_exactly(stream, 4)
     orders = [order for order in "<>" if struct.unpack(order + "I", magic)[0] == _SECTION_MAGIC]
     if not orders:
         raise DamagedError(Text("a section without byte order"))
     size = _block_length(struct.unpack(orders[0] + "I", start)[0], 0)
-    return orders[0], _exactly(stream, size - _BLOCK_FRAME), size
+    return orders[0], _read_exactly(stream, size - _BLOCK_FRAME), size
 
 
 def _block_length(size: int, position: int) -> int:
@@ -192,7 +193,8 @@ def _block_length(size: int, position: int) -> int:
 
 
 def _interface(body: bytes, order: str) -> _Interface:
-    link, snap = struct.unpack_from(order + "HxxI", body)
+    """Return link type and clock of an interface description block."""
+    (link,) = struct.unpack_from(order + "Hxx4x", body)  # and the longest length, unused
     ticks, offset_s, at = 1_000_000, 0, 8
     while at + 4 <= len(body) - 4:
         code, length = struct.unpack_from(order + "HH", body, at)
@@ -204,10 +206,11 @@ def _interface(body: bytes, order: str) -> _Interface:
         elif code == _OFFSET and length == 8:
             (offset_s,) = struct.unpack(order + "q", value)
         at += 4 + length + -length % 4
-    return _Interface(link=link, snap=snap, ticks=ticks, offset_s=offset_s)
+    return _Interface(link=link, ticks=ticks, offset_s=offset_s)
 
 
 def _packet(kind: int, body: bytes, order: str, interfaces: list[_Interface]) -> Packet:
+    """Return the packet of a simple, an enhanced or an obsolete packet block."""
     if kind == _SIMPLE:
         number, high, low, start = 0, 0, 0, 4
         (length,) = struct.unpack_from(order + "I", body)
@@ -228,7 +231,7 @@ def _packet(kind: int, body: bytes, order: str, interfaces: list[_Interface]) ->
     return Packet(time, interface.link, data, kept >= length)
 
 
-def _exactly(stream: BinaryIO, size: int) -> bytes:
+def _read_exactly(stream: BinaryIO, size: int) -> bytes:
     data = stream.read(size)
     if len(data) < size:
         raise EOFError
@@ -236,17 +239,17 @@ def _exactly(stream: BinaryIO, size: int) -> bytes:
 
 
 # Link types: (where the EtherType stands, where the content begins).
-_TYPED = {1: (12, 14), 113: (14, 16), 276: (0, 20)}  # Ethernet, Linux cooked v1 and v2
-_BARE = {0: 4, 108: 4, 12: 0, 14: 0, 101: 0, 228: 0}  # BSD loopback, raw IP
+_ETHERTYPE_AT = {1: (12, 14), 113: (14, 16), 276: (0, 20)}  # Ethernet, Linux cooked v1 and v2
+_IP_AT = {0: 4, 108: 4, 12: 0, 14: 0, 101: 0, 228: 0}  # BSD loopback, raw IP
 _IPV4 = 0x0800
 _VLAN = (0x8100, 0x88A8, 0x9100)
 _UDP, _TCP = 17, 6
 _MORE, _FRAGMENT_OFFSET = 0x2000, 0x1FFF
 # Most incomplete datagrams that are held: senders have few under way, the oldest is given up.
-PENDING = 64
+MOST_PENDING = 64
 # Seconds a datagram may take to arrive (RFC 791); later its identification may be used again.
-PATIENCE_S = 15.0
-LONGEST = 65_535  # bytes of an IPv4 packet
+REASSEMBLY_S = 15.0
+LONGEST_PACKET = 65_535  # bytes of an IPv4 packet
 
 
 class Datagram(NamedTuple):
@@ -268,31 +271,31 @@ class Datagram(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Parts:
+class _Fragments:
     """Fragments of one datagram that have arrived so far."""
 
-    begun: float
+    first_time: float
     fragments: dict[int, bytes] = field(default_factory=dict)
-    held: int = 0
+    bytes_held: int = 0
     size: int = -1
 
     def add(self, at: int, fragment: bytes, *, last: bool) -> bytes | None:
         """Take a fragment at byte `at`; return the whole datagram once no fragment is missing."""
         if at not in self.fragments:
             self.fragments[at] = fragment
-            self.held += len(fragment)
+            self.bytes_held += len(fragment)
         if last:
             self.size = at + len(fragment)
-        if not 0 <= self.size <= self.held:
+        if not 0 <= self.size <= self.bytes_held:
             return None
-        whole = bytearray(self.size)
+        datagram = bytearray(self.size)
         reached = 0
         for start in sorted(self.fragments):
             if start > reached:
                 return None
-            whole[start : start + len(self.fragments[start])] = self.fragments[start]
+            datagram[start : start + len(self.fragments[start])] = self.fragments[start]
             reached = max(reached, start + len(self.fragments[start]))
-        return bytes(whole[: self.size])
+        return bytes(datagram[: self.size])
 
 
 class Datagrams:
@@ -310,7 +313,7 @@ class Datagrams:
         self.cut = 0
         self._ports: Counter[tuple[int, int]] = Counter()
         self._others: Counter[str] = Counter()
-        self._pending: dict[bytes, _Parts] = {}
+        self._pending: dict[bytes, _Fragments] = {}
         self._lost = 0
 
     @property
@@ -357,25 +360,26 @@ class Datagrams:
         return Datagram(source, port, content[8 : length or len(content)])
 
     def _reassemble(self, packet: Packet, start: int, flags: int, fragment: bytes) -> bytes | None:
+        """Add a fragment to its datagram; return the content once it is complete."""
         at = (flags & _FRAGMENT_OFFSET) * 8
-        if at + len(fragment) > LONGEST:
+        if at + len(fragment) > LONGEST_PACKET:
             return None
         # Addresses, protocol and identification.
         head = packet.data[start : start + 20]
         key = head[12:20] + head[9:10] + head[4:6]
         now = packet.time or 0.0
-        parts = self._pending.get(key)
-        if parts is None or abs(now - parts.begun) > PATIENCE_S:
-            self._forget(key)
-            parts = self._pending[key] = _Parts(now)
-        content = parts.add(at, fragment, last=not flags & _MORE)
+        fragments = self._pending.get(key)
+        if fragments is None or abs(now - fragments.first_time) > REASSEMBLY_S:
+            self._give_up(key)
+            fragments = self._pending[key] = _Fragments(now)
+        content = fragments.add(at, fragment, last=not flags & _MORE)
         if content is not None:
             del self._pending[key]
         return content
 
-    def _forget(self, key: bytes) -> None:
+    def _give_up(self, key: bytes) -> None:
         """Give up an earlier datagram of the same key, or the oldest where there are too many."""
-        if key not in self._pending and len(self._pending) < PENDING:
+        if key not in self._pending and len(self._pending) < MOST_PENDING:
             return
         del self._pending[key if key in self._pending else next(iter(self._pending))]
         self._lost += 1
@@ -384,11 +388,11 @@ class Datagrams:
 def _network_layer(packet: Packet) -> int | None:
     """Return the byte at which the IPv4 header begins, or None without one."""
     data, link = packet.data, packet.link
-    if link in _BARE:
-        return _BARE[link]
-    if link not in _TYPED:
+    if link in _IP_AT:
+        return _IP_AT[link]
+    if link not in _ETHERTYPE_AT:
         return None
-    at, start = _TYPED[link]
+    at, start = _ETHERTYPE_AT[link]
     kind = int.from_bytes(data[at : at + 2])
     while kind in _VLAN:
         kind = int.from_bytes(data[start + 2 : start + 4])
@@ -413,7 +417,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
         yield frame
     _warn(source, datagrams, context)
     if not any(context.wants(sensor) for sensor in sensors):
-        raise _nothing(source, datagrams, messages, sensors)
+        raise _no_detections_error(source, datagrams, messages, sensors)
 
 
 def _datagrams(
@@ -437,6 +441,7 @@ def _datagrams(
 
 
 def _warn(source: str, datagrams: Datagrams, context: ReaderContext) -> None:
+    """Count and warn of incomplete datagrams and of packets captured in part."""
     if datagrams.incomplete:
         context.counts["incomplete_datagrams"] += datagrams.incomplete
         context.reporter.warn(
@@ -451,15 +456,18 @@ def _warn(source: str, datagrams: Datagrams, context: ReaderContext) -> None:
         )
 
 
-def _nothing(
+def _no_detections_error(
     source: str, datagrams: Datagrams, messages: Counter[str], sensors: Counter[str]
 ) -> NothingHereError:
+    """Return the error for a capture without the frames asked for: what there is instead."""
     if sensors:
         return NothingHereError(
-            "{}: nothing from that sensor", source, hint=Text("sensors here: {}", counted(sensors))
+            "{}: nothing from that sensor",
+            source,
+            hint=Text("sensors here: {}", counts_text(sensors)),
         )
     del messages[""]
-    seen = counted(messages + datagrams.traffic) or Text("no packet at all")
+    seen = counts_text(messages + datagrams.traffic) or Text("no packet at all")
     return NothingHereError(
         "{}: no ARS548 detection list in it", source, hint=Text("it has {}", seen)
     )

@@ -30,7 +30,7 @@ from gis_radar.recordings.frames import (
 )
 
 # Digits of a time as one whole number: seconds, milli-, micro-, nanoseconds since 1970.
-WHOLE = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
+SECONDS_BY_DIGITS = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
 LONGEST_HEADER = 1 << 14  # bytes; usual are some hundred
 LONGEST_NUMBER = 32  # letters of a number in text and the gap after it
 MOST_COUNT = 65_536  # numbers of a field; descriptors of points have some hundred
@@ -79,7 +79,7 @@ def read_folder(place: Path, sensor: str, context: ReaderContext) -> Generator[F
             context.reporter.warn("{}: {}", path, error)
             continue
         layout = find_layout(rows.dtype.names or (), context.columns, kind=rows.dtype)
-        if not layout.placed:
+        if not layout.has_positions:
             raise InputError(
                 "{}: no positions among the fields {}",
                 path,
@@ -111,7 +111,7 @@ def time_in_name(path: Path) -> float:
         text = rest if stem[found.end(1)] == "." else rest.zfill(9)
         return float(f"{seconds}.{text}")
     if found := re.search(r"(?<!\d)(\d{10}|\d{13}|\d{16}|\d{19})(?!\d)", stem):
-        return int(found[1]) * WHOLE[len(found[1])]
+        return int(found[1]) * SECONDS_BY_DIGITS[len(found[1])]
     if found := _DATE.search(stem):
         *date, fraction = found.groups()
         try:
@@ -159,6 +159,7 @@ def read_pcd(path: Path) -> Column:
 
 
 def _header(file: Any) -> _Header:
+    """Read the header: types of the fields, number of points, form of the data."""
     words: dict[str, list[str]] = {}
     while "DATA" not in words:
         line = file.readline(LONGEST_HEADER)
@@ -184,8 +185,8 @@ def _header(file: Any) -> _Header:
         raise DamagedError(
             Text("the PCD header claims fields of {} numbers", ", ".join(counts)[:60])
         )
-    whole = points * dtype.itemsize
-    if not 0 <= points <= settings.MOST_ROWS_OF_FRAME or whole > settings.MOST_FRAME_BYTES:
+    size_bytes = points * dtype.itemsize
+    if not 0 <= points <= settings.MOST_ROWS_OF_FRAME or size_bytes > settings.MOST_FRAME_BYTES:
         raise DamagedError(
             Text("the PCD header claims {:,} points of {:,} bytes", points, dtype.itemsize)
         )
@@ -193,6 +194,7 @@ def _header(file: Any) -> _Header:
 
 
 def _from_text(body: bytes, header: _Header) -> Column:
+    """Return points of numbers in text, as a structured array."""
     width = sum(math.prod(header.dtype[name].shape) for name in header.dtype.names or ())
     values = body.split()
     if len(values) < header.points * width:

@@ -38,7 +38,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     names = _names(path, context.columns)
     layout = find_layout(names, context.columns)
     missing = [name for name in ("time", "x", "y") if name not in layout.sources]
-    if "time" in missing or not layout.placed:
+    if "time" in missing or not layout.has_positions:
         raise InputError(
             "{}: not known which columns are {}",
             path,
@@ -53,29 +53,29 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
         raise NothingHereError(
             "{}: a table has no sensors", path, hint=Text("leave {} away", "--sensor")
         )
-    held: Frame | None = None
-    for frame in _runs_of_one_time(path, layout, context):
-        # A frame may go on in the next batch of rows.
-        if held is not None and held.sensor_time == frame.sensor_time:
-            held = _joined(held, frame)
-            if len(held) > (most := settings.MOST_ROWS_OF_FRAME):
+    current: Frame | None = None
+    for frame in _partial_frames(path, layout, context):
+        if current is not None and current.sensor_time == frame.sensor_time:
+            current = _joined(current, frame)
+            if len(current) > (most := settings.MOST_ROWS_OF_FRAME):
                 raise InputError(
                     "{}: over {:,} rows of one time, {} s: no frame of a radar",
                     path,
                     most,
-                    held.sensor_time,
+                    current.sensor_time,
                     hint=Text("time is that of each frame: {} time=...", "--columns"),
                 )
             continue
-        if held is not None:
-            yield held
-        held = frame
-    if held is None:
+        if current is not None:
+            yield current
+        current = frame
+    if current is None:
         raise NothingHereError("{}: no rows", path, hint="it has a header only")
-    yield held
+    yield current
 
 
 def _names(path: Path, columns: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the columns of a table; refuse a name that is there twice."""
     expected = (*(name for known in NAMES.values() for name in known), *columns.values())
     try:
         if path.suffix.lower() == ".csv":
@@ -102,52 +102,57 @@ def _batches(path: Path, layout: Layout) -> Iterator[pa.RecordBatch]:
         yield from parquet_batches(path)
 
 
-def _runs_of_one_time(path: Path, layout: Layout, context: ReaderContext) -> Iterator[Frame]:
-    """Yield a frame for each run of rows of one time in a batch."""
+def _partial_frames(path: Path, layout: Layout, context: ReaderContext) -> Iterator[Frame]:
+    """Yield the frames of a table; one that goes on in the next batch comes in several parts."""
     done = 0
     try:
         for batch in _batches(path, layout):
             context.reporter.progress(Text("reading {}", path.name), done, None)
             done += len(batch)
             if len(batch):
-                yield from _runs(batch, layout, path, context)
+                yield from _frames_of_batch(batch, layout, path, context)
     except pa.ArrowException as error:
         raise InputError("{}: damaged after row {:,}: {}", path, done, error) from error
 
 
-def _runs(
+def _frames_of_batch(
     batch: pa.RecordBatch, layout: Layout, path: Path, context: ReaderContext
 ) -> Iterator[Frame]:
+    """Yield a frame for each run of rows of one time in a batch."""
     time = _seconds(batch.column(layout.sources["time"]), path, context.time_unit)
     columns = {name: _numpy(batch.column(name)) for name in batch.schema.names}
     for target, field in layout.sources.items():
         if target != "time" and columns[field.removeprefix("-")].dtype == object:
             raise InputError("{}: column {} is text, expected numbers for {}", path, field, target)
-    whole = layout.frame(columns.__getitem__, sensor=SENSOR, stamp="time column")
+    all_rows = layout.frame(columns.__getitem__, sensor=SENSOR, stamp="time column")
     starts = np.flatnonzero(np.diff(time, prepend=np.nan) != 0)
     for begin, end in zip(starts, [*starts[1:], len(time)], strict=True):
-        yield _part(whole, slice(begin, end), float(time[begin]))
+        yield _frame_of(all_rows, slice(begin, end), float(time[begin]))
 
 
-def _part(whole: Frame, rows: slice, time: float) -> Frame:
+def _frame_of(all_rows: Frame, rows: slice, time: float) -> Frame:
+    """Return some rows as a frame; a single row of NaN has no detections."""
     # A single row of NaN stands for a frame without detections.
-    blank = rows.stop - rows.start == 1 and np.isnan(whole.points[rows]).all()
-    if blank and np.isnan(whole.range_rate[rows]).all():
+    blank = rows.stop - rows.start == 1 and np.isnan(all_rows.points[rows]).all()
+    if blank and np.isnan(all_rows.range_rate[rows]).all():
         rows = slice(rows.start, rows.start)
-    identity = time, hash(whole.points[rows].tobytes())
-    return replace(whole.rows(rows), sensor_time=time, identity=identity)
+    identity = time, hash(all_rows.points[rows].tobytes())
+    return replace(all_rows.rows(rows), sensor_time=time, identity=identity)
 
 
-def _joined(one: Frame, other: Frame) -> Frame:
-    both = {name: np.concatenate([one.further[name], other.further[name]]) for name in one.further}
-    points = np.concatenate([one.points, other.points])
+def _joined(first: Frame, second: Frame) -> Frame:
+    """Return two parts of one frame as one."""
+    both = {
+        name: np.concatenate([first.further[name], second.further[name]]) for name in first.further
+    }
+    points = np.concatenate([first.points, second.points])
     return replace(
-        one,
+        first,
         points=points,
-        range_rate=np.concatenate([one.range_rate, other.range_rate]),
-        rcs=np.concatenate([one.rcs, other.rcs]),
+        range_rate=np.concatenate([first.range_rate, second.range_rate]),
+        rcs=np.concatenate([first.rcs, second.rcs]),
         further=both,
-        identity=(one.sensor_time, hash(points.tobytes())),
+        identity=(first.sensor_time, hash(points.tobytes())),
     )
 
 

@@ -27,7 +27,7 @@ from gis_radar.recordings.frames import (
     Frame,
     NothingHereError,
     ReaderContext,
-    counted,
+    counts_text,
 )
 
 PORT = 42102  # the sensor's default, like GROUP
@@ -65,7 +65,7 @@ DETECTION = np.dtype(
         ("sort_index", ">u2"),
     ]
 )
-KEPT = ("probability", "multi_target", "ambiguity", "classification", "object_id")
+FURTHER_FIELDS = ("probability", "multi_target", "ambiguity", "classification", "object_id")
 
 
 def method_of(payload: bytes) -> int | None:
@@ -116,7 +116,7 @@ def read_detections(payload: bytes, *, sensor: str, recorder_time: float | None)
         points=points,
         range_rate=rate,
         rcs=_native(rows, "rcs"),
-        further={name: _native(rows, name) for name in KEPT},
+        further={name: _native(rows, name) for name in FURTHER_FIELDS},
         sensor_time=seconds + nanoseconds * 1e-9,
         recorder_time=recorder_time,
         synchronised=status == _SYNCHRONISED,
@@ -131,7 +131,7 @@ def _native(rows: Column, name: str) -> Column:
 SCHEME = "udp://"
 # A second of frames, in case writing to disk blocks.
 RECEIVE_BUFFER_BYTES = 1 << 23
-LOOK_UP_S = 0.2  # between two checks of the clock and of Ctrl-C
+POLL_S = 0.2  # between two checks of the clock and of Ctrl-C
 
 
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
@@ -151,38 +151,36 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
             source,
             hint="is the sensor on, are address, port and interface right?",
         )
-    context.reporter.log(Text("heard {}", counted(seen)))
+    context.reporter.log(Text("heard {}", counts_text(seen)))
 
 
 def _received(source: str, context: ReaderContext) -> Iterator[tuple[bytes, str, float]]:
     """Yield payload, sender and time (UNIX s) of datagrams until time is up or Ctrl-C."""
     group, port, interface = _address(source)
-    waiting: Queue[tuple[bytes, str, float]] = Queue()
+    queue: Queue[tuple[bytes, str, float]] = Queue()
     end = time.monotonic() + (context.duration_s or float("inf"))
     with _listening(source, group, port, interface) as listener, stopped_by_signals() as stop:
         # In a thread of its own: the system would drop datagrams while writing to disk blocks.
-        receiver = Thread(target=_receive, args=(listener, waiting, stop), daemon=True)
+        receiver = Thread(target=_receive, args=(listener, queue, stop), daemon=True)
         receiver.start()
         context.reporter.log(Text("listening to {}, port {}; Ctrl-C ends it", group, port))
         try:
             while not stop.is_set() and time.monotonic() < end:
                 with suppress(Empty):
-                    yield waiting.get(timeout=LOOK_UP_S)
+                    yield queue.get(timeout=POLL_S)
         finally:
             stop.set()
             receiver.join()
-        while not waiting.empty():
-            yield waiting.get()
+        while not queue.empty():
+            yield queue.get()
 
 
-def _receive(
-    listener: socket.socket, waiting: Queue[tuple[bytes, str, float]], stop: Event
-) -> None:
-    listener.settimeout(LOOK_UP_S)
+def _receive(listener: socket.socket, queue: Queue[tuple[bytes, str, float]], stop: Event) -> None:
+    listener.settimeout(POLL_S)
     while not stop.is_set():
         with suppress(TimeoutError):
             payload, (sender, _) = listener.recvfrom(2 * SIZE)
-            waiting.put((payload, sender, time.time()))
+            queue.put((payload, sender, time.time()))
 
 
 def _address(source: str) -> tuple[str, int, str]:
@@ -205,6 +203,7 @@ _EXAMPLE = f"such as {SCHEME}{GROUP}:{PORT}?interface=10.13.1.1"
 
 @contextmanager
 def _listening(source: str, group: str, port: int, interface: str) -> Iterator[socket.socket]:
+    """Open a socket that receives the datagrams of a group, or of this machine's address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         try:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -24,11 +24,13 @@ from gis_radar.scans.sight.tiles import SightTiles
 PIECE_M = 5.0
 # A piece is empty below this share of the expected movement. It must be small: vehicles that queue
 # on one side and pass the piece freely are detected ten times less often on it.
-SHARE = 0.01
+EMPTY_SHARE = 0.01
 # Least sum over the stretch of expected frames with movement on a tile: some fifty vehicles on a
 # car's length.
 LEAST_FRAMES = 100.0
-SHARED = 0.05  # share of a tile under another lanelet's from which on its movement may be of either
+SHARED_AREA = (
+    0.05  # share of a tile under another lanelet's from which on its movement may be of either
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,14 +75,14 @@ def find_gaps(hits: Sequence[MovingHits], tiles: SightTiles) -> list[Gap]:
     place = np.flatnonzero(frames > 0)
     pieces, of_tile = _pieces(tiles, place, count, frames)
     moved = pieces["count"] > 0
-    empty = _empty(pieces, moved)
+    empty = _empty_pieces(pieces, moved)
     if not empty.any():
         return []
     # Without shared pieces less is expected, so only stretches with an empty piece need the check.
-    asked = moved & pieces["stretch"].isin(pieces["stretch"][empty])
-    shared = _shared(tiles, place[asked.to_numpy()[of_tile]])
-    moved &= ~pieces.index.isin(np.unique(of_tile[np.isin(place, shared)]))
-    empty = _empty(pieces, moved)
+    to_check = moved & pieces["stretch"].isin(pieces["stretch"][empty])
+    shared_tiles = _shared_tiles(tiles, place[to_check.to_numpy()[of_tile]])
+    moved &= ~pieces.index.isin(np.unique(of_tile[np.isin(place, shared_tiles)]))
+    empty = _empty_pieces(pieces, moved)
     run = (empty.ne(empty.shift()) | pieces["stretch"].diff().ne(0)).cumsum()
     pieces["expected"] = _expected(pieces, moved)
     found = pieces[empty].groupby(run[empty])
@@ -143,23 +145,25 @@ def _most_earlier(rate: pd.Series, stretch: pd.Series) -> pd.Series:
     return rate.groupby(stretch).cummax().groupby(stretch).shift(fill_value=0.0)
 
 
-def _empty(pieces: pd.DataFrame, moved: pd.Series) -> pd.Series:
+def _empty_pieces(pieces: pd.DataFrame, moved: pd.Series) -> pd.Series:
     expected = _expected(pieces, moved)
-    return (expected > 0) & (pieces["count"] <= SHARE * expected)
+    return (expected > 0) & (pieces["count"] <= EMPTY_SHARE * expected)
 
 
-def _shared(tiles: SightTiles, mine: Integers) -> Integers:
+def _shared_tiles(tiles: SightTiles, asked: Integers) -> Integers:
     """Return which tiles overlap one of another lanelet."""
     low, high = tiles.quads.min(axis=1), tiles.quads.max(axis=1)
-    near = (low <= high[mine].max(axis=0)).all(axis=1) & (high >= low[mine].min(axis=0)).all(axis=1)
+    near = (low <= high[asked].max(axis=0)).all(axis=1) & (high >= low[asked].min(axis=0)).all(
+        axis=1
+    )
     shapes = np.full(len(near), None)
     shapes[near] = shapely.polygons(tiles.quads[near])
-    one, other = shapely.STRtree(shapes).query(shapes[mine], predicate="intersects")
-    one = mine[one]
-    apart = tiles.lanelet_id[one] != tiles.lanelet_id[other]
-    one, other = one[apart], other[apart]
-    shared = shapely.area(shapely.intersection(shapes[one], shapes[other]))
-    return np.asarray(one[shared > SHARED * shapely.area(shapes[one])])
+    of_asked, overlapping = shapely.STRtree(shapes).query(shapes[asked], predicate="intersects")
+    of_asked = asked[of_asked]
+    apart = tiles.lanelet_id[of_asked] != tiles.lanelet_id[overlapping]
+    of_asked, overlapping = of_asked[apart], overlapping[apart]
+    shared = shapely.area(shapely.intersection(shapes[of_asked], shapes[overlapping]))
+    return np.asarray(of_asked[shared > SHARED_AREA * shapely.area(shapes[of_asked])])
 
 
 def gap_warning(gaps: Sequence[Gap]) -> str:

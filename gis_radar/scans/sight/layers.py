@@ -18,9 +18,9 @@ from gis_radar.base import (
     UsageError,
     add_layer,
     atomic_write,
-    dress_layers,
-    keep_styles,
+    copy_saved_styles,
     paths_of,
+    style_layers,
 )
 from gis_radar.hdmap import fingerprint
 from gis_radar.scans.sight.sight import (
@@ -64,7 +64,7 @@ def write_sights(
     path = Path(path)
     if path.suffix.lower() != ".gpkg":
         raise UsageError("{}: sight is written as GeoPackage", path, hint="end the name in .gpkg")
-    about = {
+    metadata = {
         "fingerprint": fingerprint(tiles),
         "poses": json.dumps([sight.pose.as_dict() for sight in sights]),
         "scans": json.dumps([sight.scan for sight in sights]),
@@ -75,14 +75,15 @@ def write_sights(
     layer = gpd.GeoDataFrame(table.drop(columns="place"), geometry=shapes, crs=tiles.crs)
     style = (files(__package__) / "sight.qml").read_text(encoding="utf-8")
     with atomic_write(path) as part:
-        add_layer(layer, part, SIGHT_LAYER, geometry_type="Polygon", layer_metadata=about)
-        dress_layers(
+        add_layer(layer, part, SIGHT_LAYER, geometry_type="Polygon", layer_metadata=metadata)
+        style_layers(
             part, {SIGHT_LAYER: style}, name="sight", about="what a sensor sees of the tiles"
         )
-        keep_styles(part, earlier=path)
+        copy_saved_styles(part, earlier=path)
 
 
 def _rows(number: int, sight: Sight) -> pd.DataFrame:
+    """Return the rows of a pose in the layer: its tiles in view, with state and obstacle."""
     place = np.flatnonzero(sight.state != OUT_OF_VIEW)
     return pd.DataFrame(
         {

@@ -115,8 +115,8 @@ def road_heights(quads: Floats, height: Floats, grid: Grid) -> RoadHeights:
         np.minimum.at(low, column * grid.rows + row, height)
         np.maximum.at(high, column * grid.rows + row, height)
     shape = (grid.columns, grid.rows)
-    there = np.isfinite(low)
-    lowest, highest = (np.where(there, side, np.nan).reshape(shape) for side in (low, high))
+    touched = np.isfinite(low)
+    lowest, highest = (np.where(touched, side, np.nan).reshape(shape) for side in (low, high))
     return RoadHeights(lowest=lowest, highest=highest)
 
 
@@ -137,35 +137,37 @@ def find_obstacles(columns: ScanColumns, roads: RoadHeights, *, classified: bool
     classified : bool
         Whether the scan's classes distinguish ground.
     """
-    away, index = nearest_known(np.isfinite(columns.low))
-    known = away * CELL_M <= GAP_M
+    distance, index = nearest_known(np.isfinite(columns.low))
+    known = distance * CELL_M <= GAP_M
     low, top = (
         np.where(known, side[index].astype(np.float64), np.nan)
         for side in (columns.low, columns.top)
     )
     surface = _opened(low, CROWN_M / CELL_M)
-    ask = partial(
+    terrain_under = partial(
         ground_under, cell_m=CELL_M, coarse_cells=GROUND_CELLS, widest_roof_m=WIDEST_ROOF_M
     )
-    wide = ask(columns.ground if classified else columns.low, classified=classified)
-    wide = np.fmin(wide, surface)
+    terrain = terrain_under(columns.ground if classified else columns.low, classified=classified)
+    terrain = np.fmin(terrain, surface)
     ground = _opened(low, GROUND_M / CELL_M)
-    stands = surface - wide > TALL_M
+    is_solid = surface - terrain > TALL_M
     by_class = np.isfinite(columns.deck)
     # Banks and the decks between them may have the class of ground. For decks the ground must lie
     # below them, so it is found without classes, too.
-    bare = np.fmin(wide, ask(columns.low, classified=False)) if classified else wide
-    level, deck, below = _decks(top, np.where(by_class, columns.deck, np.nan), roads, bare)
+    terrain_below = (
+        np.fmin(terrain, terrain_under(columns.low, classified=False)) if classified else terrain
+    )
+    level, deck, below = _decks(top, np.where(by_class, columns.deck, np.nan), roads, terrain_below)
     slab_low, slab_high = _slabs(level, deck, roads, surface)
     under = np.isfinite(slab_low)
-    stands &= ~under & ~roads.road
-    base = np.where(under, np.fmin(np.fmin(bare, below), roads.lowest), ground)
+    is_solid &= ~under & ~roads.road
+    base = np.where(under, np.fmin(np.fmin(terrain_below, below), roads.lowest), ground)
     base = np.where(roads.road & ~under, roads.lowest, base)
     floor = np.where(known, base - SUNK_M, -np.inf)
     return Obstacles(
         grid=columns.grid,
         floor=np.nan_to_num(floor, nan=-np.inf, neginf=-np.inf).astype(np.float32),
-        solid=np.where(stands, surface, -np.inf).astype(np.float32),
+        solid=np.where(is_solid, surface, -np.inf).astype(np.float32),
         slab_low=slab_low.astype(np.float32),
         slab_high=slab_high.astype(np.float32),
         known=known,
@@ -197,7 +199,7 @@ def _slabs(
 
 
 def _decks(
-    highest: Floats, by_class: Floats, roads: RoadHeights, wide: Floats
+    highest: Floats, by_class: Floats, roads: RoadHeights, terrain: Floats
 ) -> tuple[Floats, Booleans, Floats]:
     """Return the upper road's height (m), the cells of decks, and the height of the road below (m).
 
@@ -206,16 +208,16 @@ def _decks(
     """
     crossing = roads.highest - roads.lowest > LEVELS_APART_M
     known = np.isfinite(by_class)
-    upper = roads.highest - np.fmin(wide, roads.lowest) > TALL_M
+    upper = roads.highest - np.fmin(terrain, roads.lowest) > TALL_M
     top = np.where(upper, roads.highest, by_class)
-    away, index = nearest_known(np.isfinite(top))
-    level = np.where(away * CELL_M <= SHOULDER_M, top[index], np.nan)
+    distance, index = nearest_known(np.isfinite(top))
+    level = np.where(distance * CELL_M <= SHOULDER_M, top[index], np.nan)
     near = np.abs(highest - level) < TALL_M
-    deck = (near & (level - wide > TALL_M) & ~(roads.road & ~upper)) | crossing
+    deck = (near & (level - terrain > TALL_M) & ~(roads.road & ~upper)) | crossing
     cells = round(OPENING_M / CELL_M)
     opened = scipy.ndimage.binary_dilation(crossing, iterations=cells, mask=deck)
-    away, index = nearest_known(crossing)
-    below = np.where(away <= 2 * cells, roads.lowest[index], np.nan)
+    distance, index = nearest_known(crossing)
+    below = np.where(distance <= 2 * cells, roads.lowest[index], np.nan)
     return level, (opened | known) & deck, below
 
 

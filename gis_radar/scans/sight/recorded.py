@@ -104,16 +104,19 @@ def find_contradictions(hits: Sequence[MovingHits], tiles: SightTiles) -> list[C
     """
     _, lanelet = np.unique(tiles.lanelet_id, return_inverse=True)
     polar = [_Polar.of(each.sight, tiles) for each in hits]
-    kept = [each.sight.state == IN_SIGHT for each in hits]
-    found: list[Contradiction] = []
+    fitted = [each.sight.state == IN_SIGHT for each in hits]
+    contradictions: list[Contradiction] = []
     for _ in range(2):  # in the first round, tiles that are hidden in fact make the flow too low
-        expected = _expected(hits, polar, kept, lanelet)
-        found = [
+        expected = _expected(hits, polar, fitted, lanelet)
+        contradictions = [
             _compare(each, place, wanted)
             for each, place, wanted in zip(hits, polar, expected, strict=True)
         ]
-        kept = [now & ~each.no_movement for now, each in zip(kept, found, strict=True)]
-    return found
+        fitted = [
+            tiles_fitted & ~each.no_movement
+            for tiles_fitted, each in zip(fitted, contradictions, strict=True)
+        ]
+    return contradictions
 
 
 def report_contradictions(found: Iterable[Contradiction], reporter: Reporter) -> None:
@@ -140,13 +143,14 @@ def report_contradictions(found: Iterable[Contradiction], reporter: Reporter) ->
 
 @dataclass(frozen=True, kw_only=True)
 class _Polar:
-    """Cells of a polar table around a sensor: sector and ring of all tiles.
+    """Place of each tile in a polar table around a sensor, of sectors and rings.
 
-    `turn` is the sector, `away` the ring, `hidden` the ring in which the obstacle begins.
+    `ring` and `sector` are those of the tile, `hidden` is the ring in which its obstacle begins;
+    `shape` the numbers of sectors and of rings.
     """
 
-    away: Integers
-    turn: Integers
+    ring: Integers
+    sector: Integers
     hidden: Integers
     shape: tuple[int, int]
 
@@ -155,50 +159,54 @@ class _Polar:
         offset = tiles.centres[:, :2] - sight.pose.position[:2]
         range_m = np.hypot(*offset.T)
         turns = round(360.0 / SECTOR_DEG)
-        turn = np.floor(np.degrees(np.arctan2(*offset.T[::-1])) / SECTOR_DEG) % turns
+        sector = np.floor(np.degrees(np.arctan2(*offset.T[::-1])) / SECTOR_DEG) % turns
         seen = range_m[sight.state != OUT_OF_VIEW]
         most = math.ceil((float(seen.max()) if len(seen) else 0.0) / RING_M) + 1
         ring = np.minimum(range_m / RING_M, most - 1)
         hidden = np.minimum(np.nan_to_num(sight.hidden_at_m) / RING_M, most - 1)
         return cls(
-            away=ring.astype(np.int64),
-            turn=turn.astype(np.int64),
+            ring=ring.astype(np.int64),
+            sector=sector.astype(np.int64),
             hidden=hidden.astype(np.int64),
             shape=(turns, most),
         )
 
     def table(self, values: Integers | Floats, ring: Integers) -> Table:
         """Return the sums of values by sector and `ring`."""
-        key = self.turn * self.shape[1] + ring
+        key = self.sector * self.shape[1] + ring
         sums = np.bincount(key, values.astype(np.float64), minlength=math.prod(self.shape))
         return np.asarray(sums.reshape(self.shape), np.float64)
 
 
 def _expected(
-    hits: Sequence[MovingHits], polar: Sequence[_Polar], kept: Sequence[Booleans], lanelet: Integers
+    hits: Sequence[MovingHits],
+    polar: Sequence[_Polar],
+    fitted: Sequence[Booleans],
+    lanelet: Integers,
 ) -> list[Floats]:
     """Return, by sensor, the number of frames with movement to expect on each tile in view."""
     lanelets = int(lanelet.max(initial=-1)) + 1
     flow = np.ones(lanelets)
     profiles = [np.ones(place.shape[1]) for place in polar]
     for _ in range(ROUNDS):
-        got, wanted = np.zeros(lanelets), np.zeros(lanelets)
-        for k, (each, place, rows) in enumerate(zip(hits, polar, kept, strict=True)):
-            ring, lane, count = place.away[rows], lanelet[rows], each.count[rows]
+        counted, modelled = np.zeros(lanelets), np.zeros(lanelets)
+        for k, (each, place, rows) in enumerate(zip(hits, polar, fitted, strict=True)):
+            ring, lane, count = place.ring[rows], lanelet[rows], each.count[rows]
             rings = place.shape[1]
             seen = np.bincount(ring, count, minlength=rings)
-            profiles[k] = _share(seen, each.frames * np.bincount(ring, flow[lane], minlength=rings))
-            got += np.bincount(lane, count, minlength=lanelets)
+            profiles[k] = _ratio(seen, each.frames * np.bincount(ring, flow[lane], minlength=rings))
+            counted += np.bincount(lane, count, minlength=lanelets)
             rate = each.frames * profiles[k][ring]
-            wanted += np.bincount(lane, rate, minlength=lanelets)
-        flow = _share(got, wanted)
+            modelled += np.bincount(lane, rate, minlength=lanelets)
+        flow = _ratio(counted, modelled)
     return [
-        each.frames * profile[place.away] * flow[lanelet] * (each.sight.state != OUT_OF_VIEW)
+        each.frames * profile[place.ring] * flow[lanelet] * (each.sight.state != OUT_OF_VIEW)
         for each, place, profile in zip(hits, polar, profiles, strict=True)
     ]
 
 
-def _share(part: Any, whole: Any) -> Floats:
+def _ratio(part: Any, whole: Any) -> Floats:
+    """Return the ratio of two arrays, 0 where the divisor is not positive."""
     return np.asarray(np.divide(part, whole, out=np.zeros(len(part)), where=whole > 0))
 
 
@@ -206,17 +214,17 @@ def _compare(hits: MovingHits, polar: _Polar, expected: Floats) -> Contradiction
     """Return the tiles on which the movement counted by one sensor contradicts sight."""
     in_sight, hidden = hits.sight.state == IN_SIGHT, hits.sight.state == HIDDEN
     empty = _empty_beyond(
-        polar.table(hits.count * in_sight, polar.away),
-        polar.table(expected * in_sight, polar.away),
+        polar.table(hits.count * in_sight, polar.ring),
+        polar.table(expected * in_sight, polar.ring),
     )
     counted = polar.table(hits.count * hidden, polar.hidden)
     wanted = polar.table(expected * hidden, polar.hidden)
-    lively = (counted > 0) & (wanted > 0) & (counted >= MOVING_SHARE * wanted)
-    freed = _in_wide_runs(lively, np.where(lively, counted, 0.0))
+    moving = (counted > 0) & (wanted > 0) & (counted >= MOVING_SHARE * wanted)
+    visible = _in_wide_runs(moving, np.where(moving, counted, 0.0))
     return Contradiction(
         sight=hits.sight,
-        no_movement=in_sight & empty[polar.turn, polar.away],
-        movement=hidden & freed[polar.turn, polar.hidden],
+        no_movement=in_sight & empty[polar.sector, polar.ring],
+        movement=hidden & visible[polar.sector, polar.hidden],
     )
 
 
@@ -234,15 +242,15 @@ def _from_far(table: Table) -> Table:
 
 
 def _in_wide_runs(cells: Booleans, weight: Table) -> Booleans:
-    """Return the cells in runs of sectors of `SECTORS_IN_ROW` at least, and enough weight."""
-    some: Booleans = np.any(cells, axis=1)
-    turns = len(some)
-    first = int(np.argmin(some))  # begin outside a run, which may go on past the last sector
+    """Return the cells in runs of `SECTORS_IN_ROW` or more sectors and `LEAST_FRAMES` of weight."""
+    with_cells: Booleans = np.any(cells, axis=1)
+    turns = len(with_cells)
+    first = int(np.argmin(with_cells))  # begin outside a run, which may go on past the last sector
     order = (first + np.arange(turns)) % turns
-    number = np.cumsum(~some[order])
-    weighs = np.where(cells, weight, 0.0).sum(axis=1)[order]
-    width = np.bincount(number, some[order])
-    heavy = np.bincount(number, weighs * some[order]) >= LEAST_FRAMES
-    kept = np.zeros_like(some)
-    kept[order] = some[order] & (heavy & (width >= SECTORS_IN_ROW))[number]
+    run = np.cumsum(~with_cells[order])
+    weight_of_sector = np.where(cells, weight, 0.0).sum(axis=1)[order]
+    width = np.bincount(run, with_cells[order])
+    heavy = np.bincount(run, weight_of_sector * with_cells[order]) >= LEAST_FRAMES
+    kept = np.zeros_like(with_cells)
+    kept[order] = with_cells[order] & (heavy & (width >= SECTORS_IN_ROW))[run]
     return cells & kept[:, None]

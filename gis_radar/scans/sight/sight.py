@@ -171,7 +171,7 @@ class SightScan:
         self.tiles, self.cache = tiles, cache
         self.scans: list[Scan] = [open_scan(scan, crs=scan_crs) for scan in scans]
         self._reporter = reporter
-        self._kept: dict[Box, Obstacles] = {}
+        self._windows: dict[Box, Obstacles] = {}
 
     @cached_property
     def digest(self) -> str:
@@ -183,14 +183,17 @@ class SightScan:
         return hashlib.blake2b("".join(sorted(contents)).encode(), digest_size=16).hexdigest()
 
     def read(self, poses: Sequence[Pose]) -> None:
-        """Read the windows of poses whose sight is not kept in one pass; few windows stay."""
+        """Read, in one pass, the windows around poses whose sight is not in the cache.
+
+        At most `WINDOWS_KEPT` windows stay in memory.
+        """
         self._read_around(
-            [pose for pose in poses if self.cache is None or not self._kept_at(pose).exists()]
+            [pose for pose in poses if self.cache is None or not self._cache_file(pose).exists()]
         )
 
     def _read_around(self, poses: Sequence[Pose]) -> None:
         grids = {grid.bounds: grid for grid in map(self._window, poses)}
-        new = [grid for box, grid in grids.items() if box not in self._kept]
+        new = [grid for box, grid in grids.items() if box not in self._windows]
         for group in (new[k : k + WINDOWS_KEPT] for k in range(0, len(new), WINDOWS_KEPT)):
             self._read(group, poses)
 
@@ -203,9 +206,9 @@ class SightScan:
             If no scan has a point there, or its heights are of another vertical system.
         """
         box = self._window(pose).bounds
-        if box not in self._kept:
+        if box not in self._windows:
             self._read_around([pose])
-        return self._kept[box]
+        return self._windows[box]
 
     def find(self, pose: Pose) -> Sight:
         """Return what a sensor sees from a pose.
@@ -216,23 +219,23 @@ class SightScan:
             As of :meth:`around`.
         """
         if self.cache is None:
-            return _find(pose, self.tiles, self.around(pose), self.digest)
-        path, ids = self._kept_at(pose), self.tiles.tile_id
-        if (kept := _read_arrays(path, len(ids))) is not None:
-            return Sight(pose=pose, tile_id=ids, scan=self.digest, **kept)
-        sight = _find(pose, self.tiles, self.around(pose), self.digest)
+            return _sight_among(pose, self.tiles, self.around(pose), self.digest)
+        path, ids = self._cache_file(pose), self.tiles.tile_id
+        if (arrays := _read_arrays(path, len(ids))) is not None:
+            return Sight(pose=pose, tile_id=ids, scan=self.digest, **arrays)
+        sight = _sight_among(pose, self.tiles, self.around(pose), self.digest)
         _write_arrays(path, {name: getattr(sight, name) for name in _ARRAYS})
         return sight
 
-    def _kept_at(self, pose: Pose) -> Path:
+    def _cache_file(self, pose: Pose) -> Path:
         """Return the file of a pose: its name is a digest of all that sight depends on."""
         place = [pose.position.tolist(), pose.quaternion.tolist(), asdict(pose.view or View())]
-        digest = hashlib.blake2b(self._origin, digest_size=16)
+        digest = hashlib.blake2b(self._inputs_digest, digest_size=16)
         digest.update(json.dumps(place).encode())
         return (self.cache or Path()) / f"{digest.hexdigest()}.npz"
 
     @cached_property
-    def _origin(self) -> bytes:
+    def _inputs_digest(self) -> bytes:
         """Digest of scan, tiles and method."""
         found = hashlib.blake2b(f"{self.digest} {METHOD}".encode())
         found.update(self.tiles.fingerprint.encode() + self.tiles.height.tobytes())
@@ -257,6 +260,7 @@ class SightScan:
         return Grid(cell_m=CELL_M, west=west, south=south, columns=count, rows=count)
 
     def _read(self, grids: Sequence[Grid], poses: Sequence[Pose]) -> None:
+        """Read the scans into windows around poses, and keep the obstacles found in each."""
         windows = [ScanColumns(grid=grid) for grid in grids]
         boxes = np.array([grid.bounds for grid in grids])
         box = (*boxes[:, :2].min(axis=0).tolist(), *boxes[:, 2:].max(axis=0).tolist())
@@ -267,12 +271,13 @@ class SightScan:
         for window in windows:
             bounds = window.grid.bounds
             if window.points == 0:
-                raise self._elsewhere(next(p for p in poses if self._window(p).bounds == bounds))
+                pose = next(p for p in poses if self._window(p).bounds == bounds)
+                raise self._no_points_error(pose)
             roads = road_heights(self.tiles.quads, self.tiles.height, window.grid)
             self._refuse_other_heights(window, roads)
-            self._kept[bounds] = find_obstacles(window, roads, classified=ground >= LEAST_GROUND)
-            while len(self._kept) > max(WINDOWS_KEPT, len(windows)):
-                self._kept.pop(next(iter(self._kept)))
+            self._windows[bounds] = find_obstacles(window, roads, classified=ground >= LEAST_GROUND)
+            while len(self._windows) > max(WINDOWS_KEPT, len(windows)):
+                self._windows.pop(next(iter(self._windows)))
 
     def _refuse_other_heights(self, window: ScanColumns, roads: RoadHeights) -> None:
         """Refuse a scan whose heights of the road are not those of the tiles."""
@@ -280,8 +285,8 @@ class SightScan:
         if not both.any():
             return
         levels = np.stack([roads.lowest[both], roads.highest[both]])
-        apart = window.low[both] - levels
-        nearest = np.where(np.abs(apart[0]) < np.abs(apart[1]), apart[0], apart[1])
+        off_m = window.low[both] - levels
+        nearest = np.where(np.abs(off_m[0]) < np.abs(off_m[1]), off_m[0], off_m[1])
         offset_m = float(np.median(nearest))
         if abs(offset_m) > OFFSET_M:
             raise InputError(
@@ -295,7 +300,8 @@ class SightScan:
                 ),
             )
 
-    def _elsewhere(self, pose: Pose) -> InputError:
+    def _no_points_error(self, pose: Pose) -> InputError:
+        """Return the error for a pose without a scanned point in its window."""
         names = ", ".join(str(scan.path) for scan in self.scans[:3])
         more, reach_m = " ..." if len(self.scans) > 3 else "", (pose.view or View()).max_range_m
         return InputError(
@@ -382,10 +388,10 @@ def find_sight(
         source = SightScan(paths_of(source), road, scan_crs=scan_crs)
     elif scan_crs is not None:
         raise UsageError("scan_crs is for files of scans: an open scan has its own")
-    return _find(pose, road, None, VIEW_ONLY) if source is None else source.find(pose)
+    return _sight_among(pose, road, None, VIEW_ONLY) if source is None else source.find(pose)
 
 
-def _find(pose: Pose, tiles: SightTiles, obstacles: Obstacles | None, scan: str) -> Sight:
+def _sight_among(pose: Pose, tiles: SightTiles, obstacles: Obstacles | None, scan: str) -> Sight:
     """Return what a sensor sees among obstacles; without them, all tiles in the view."""
     place = tiles.centres.copy()
     unknown = np.isnan(place[:, 2])
@@ -408,7 +414,7 @@ def _find(pose: Pose, tiles: SightTiles, obstacles: Obstacles | None, scan: str)
         scan=scan,
     )
     if obstacles is not None:
-        _hide(sight, np.flatnonzero(in_view), place, obstacles)
+        _mark_hidden(sight, np.flatnonzero(in_view), place, obstacles)
     return sight
 
 
@@ -429,8 +435,8 @@ def report_uncovered(sights: Iterable[Sight], reporter: Reporter) -> None:
         )
 
 
-def _hide(sight: Sight, rows: Integers, place: Floats, obstacles: Obstacles) -> None:
-    """Change, in place, a new sight: set which of its `rows` an obstacle hides."""
+def _mark_hidden(sight: Sight, rows: Integers, place: Floats, obstacles: Obstacles) -> None:
+    """Set, in a new sight, which of the tiles `rows` an obstacle hides, and which one."""
     targets = np.where(np.isnan(place[rows]), sight.pose.height, place[rows])
     west, south = obstacles.grid.corner
     begin_m, hider, unknown_m = follow_rays(

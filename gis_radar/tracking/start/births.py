@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.base import Floats, Integers, compiled, turned
+from gis_radar.base import Floats, Integers, compiled, heading_difference
 from gis_radar.hdmap import FieldArrays, lanes_at
 from gis_radar.tracking.columns import (  # fmt: skip
     ALIVE,
@@ -113,7 +113,7 @@ def _agreeing(
     c, s = np.cos(heading), np.sin(heading)
     for j in range(count - 1, -1, -1):
         wait = waiting[j]
-        away = abs(turned(wait[WAIT_HEADING], heading)) > 0.5
+        away = abs(heading_difference(wait[WAIT_HEADING], heading)) > 0.5
         if away or abs(wait[WAIT_SPEED] - speed) > 1.0 + 0.08 * speed:
             continue
         dx, dy = detection[0] - wait[X], detection[1] - wait[Y]

@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gis_radar.base import Floats, Integers, compiled, turned
+from gis_radar.base import Floats, Integers, compiled, heading_difference
 from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
 from gis_radar.tracking.columns import (  # fmt: skip
     ALIVE,
@@ -240,7 +240,7 @@ def _fork(
             continue
         if (
             abs(lanes[j, LEFT]) > lanes[j, HALF]
-            or abs(turned(lanes[j, TOWARDS], body[HEADING])) > 0.5
+            or abs(heading_difference(lanes[j, TOWARDS], body[HEADING])) > 0.5
         ):
             continue
         new = counts[BRANCHES] - counts[BASE]
@@ -307,9 +307,9 @@ def _predict(
     if here >= 0.0 and abs(step) > 0.0:
         there, ahead, found = _lane_of(body[X], body[Y], way, here, lanes, field)
         if there >= 0.0:
-            body[HEADING] += turned(ahead, way)
+            body[HEADING] += heading_difference(ahead, way)
             # towards the lane's direction, within the way in which a driver straightens up
-            body[HEADING] += turned(ahead, body[HEADING]) * min(abs(step) / 15.0, 1.0)
+            body[HEADING] += heading_difference(ahead, body[HEADING]) * min(abs(step) / 15.0, 1.0)
         new = found if there >= 0.0 and there != body[FOLLOWED] else 0
         body[FOLLOWED] = there
     push = ACCEL_MPS2**2
@@ -329,7 +329,7 @@ def _lane_of(
     best, lane, towards = 1e9, -1.0, heading
     found = lanes_at(x, y, field, lanes)
     for k in range(found):
-        off = abs(turned(lanes[k, TOWARDS], heading))
+        off = abs(heading_difference(lanes[k, TOWARDS], heading))
         cost = off / 0.25 + abs(lanes[k, LEFT]) / 1.5
         if lanes[k, LANE] == before:
             cost -= 2.0
