@@ -313,13 +313,20 @@ def _weakest(fit: Fit) -> tuple[Floats, Floats]:
 def _profile(
     scene: Scene, fit: Fit, way: Floats, hold: Floats, prior: Prior, model: Model
 ) -> list[tuple[float, Rest]]:
-    """Return fits at some distances along a valley, metres, all else fitted anew."""
+    """Return fits at some distances along a valley, metres, all else fitted anew.
+
+    The last one is the first whose cost has risen by CLEAR_RISE from the nearest: what lies beyond
+    is no part of the valley. The rise is not taken from the fit itself, which is the lowest of many
+    local optima.
+    """
     found, state, at_m = list[tuple[float, Rest]](), fit.state, 0.0
     for step_m in VALLEY_STEPS_M:
         start = state.moved_along_arc((step_m - at_m) * state.to_heading(way, fit.state))
         here = settle(scene, start, prior, schedule=VALLEY, model=model, hold=hold)
         state, at_m = here.state, step_m
         found.append((step_m, here))
+        if here.cost - found[0][1].cost > CLEAR_RISE:
+            break
     return found
 
 

@@ -173,7 +173,7 @@ def _match_lanes(  # noqa: C901, PLR0912, PLR0917 - calls of compiled functions 
                         break
                     # the distance past the end of a lane counts, too; samples are a step apart
                     ahead = abs(x * along[q, 0] + y * along[q, 1]) - 1.5 * LANE_STEP_M
-                    gap = np.hypot(across, ahead) if ahead > 0.0 else abs(across)
+                    gap = np.sqrt(across**2 + ahead**2) if ahead > 0.0 else abs(across)
                     if gap < best or gap < NEXT_LANE_M:
                         best = _insert_by_gap(lane, i, q, gap, best)
                     elif side == 0:
