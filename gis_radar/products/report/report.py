@@ -305,7 +305,7 @@ def _content(data: ReportData, reporter: Reporter, *, ways: bool) -> Content:
     begin, end = results.heat.whole.span()
     return Content(
         title=data.title,
-        subtitle=clock.whole(begin, end),
+        subtitle=clock.long_span(begin, end),
         zone=clock.name,
         until=end,
         intro=tr(WORDS[results.heat.measure].intro),
