@@ -3,11 +3,13 @@ from .check.rivals import LaneMap
 from .findings import (
     FITS,
     HEADS,
+    SENSOR_STATES,
     UNKNOWN,
     WRONG,
     Finding,
     ImplausibleError,
     is_record,
+    is_told_of_clocks,
     refuse_implausible,
 )
 from .monitoring.kalman_filter import CYCLE_S, DRIFT
@@ -35,6 +37,7 @@ __all__ = [
     "LOST_S",
     "MIN_SPEED_MPS",
     "MOVED",
+    "SENSOR_STATES",
     "UNKNOWN",
     "WRONG",
     "AmbiguousError",
@@ -59,6 +62,7 @@ __all__ = [
     "check_recordings",
     "gain_line",
     "is_record",
+    "is_told_of_clocks",
     "lanelets_of",
     "localize",
     "localize_together",
