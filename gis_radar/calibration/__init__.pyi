@@ -3,10 +3,12 @@ from .check.rivals import LaneMap
 from .findings import (
     FITS,
     HEADS,
+    SENSOR_STATES,
     UNKNOWN,
     WRONG,
     Finding,
     ImplausibleError,
+    concerns_clocks,
     is_record,
     refuse_implausible,
 )
@@ -35,6 +37,7 @@ __all__ = [
     "LOST_S",
     "MIN_SPEED_MPS",
     "MOVED",
+    "SENSOR_STATES",
     "UNKNOWN",
     "WRONG",
     "AmbiguousError",
@@ -57,6 +60,7 @@ __all__ = [
     "check_against_scan",
     "check_plausibility",
     "check_recordings",
+    "concerns_clocks",
     "gain_line",
     "is_record",
     "lanelets_of",

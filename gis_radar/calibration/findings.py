@@ -13,6 +13,11 @@ FITS, FITS_BUT, WRONG = Text("fits"), Text("fits, but"), Text("does not fit")
 UNKNOWN = Text("too little traffic to tell")
 UNKNOWN_CAUSE = Text("cause unknown")
 RECORD_MORE = Text("record more traffic")
+SENSOR_STATES = (
+    Text("no data"), Text("silent"), Text("moved"), Text("pose doubtful"), Text("clock off"),
+    Text("gaps"), Text("pose not confirmed"), Text("works"),
+)  # fmt: skip
+"""States of a sensor, worst first: of a city's month, and of the live system's alerts."""
 ONE_PLACE = Text(
     "check that map, pose and recording are of one place, and find the pose with gis-radar localize"
 )
@@ -94,7 +99,7 @@ class Finding:
     @property
     def is_of_clocks(self) -> bool:
         """Whether the cause is a clock that contradicts another sensor's."""
-        return isinstance(self.cause, Text) and self.cause.template == CLOCKS_APART
+        return concerns_clocks(self.cause)
 
     @property
     def doubt(self) -> str:
@@ -130,6 +135,13 @@ class Finding:
     def line(self) -> Text:
         """The finding in a line."""
         return Text("{}: {}", self.sensor, self.text)
+
+
+def concerns_clocks(text: object) -> bool:
+    """Return whether words of a finding name a clock that contradicts another sensor's."""
+    return isinstance(text, Text) and (
+        text.template == CLOCKS_APART or any(map(concerns_clocks, text.values))
+    )
 
 
 def is_record(value: object) -> bool:

@@ -25,7 +25,7 @@ from gis_radar.base import (
     seconds_text,
     tr,
 )
-from gis_radar.calibration import FITS, WRONG
+from gis_radar.calibration import FITS, SENSOR_STATES, WRONG
 from gis_radar.city.city import RESULTS, City, open_city
 from gis_radar.city.month import CityMonth, month_of
 from gis_radar.dataset import POSES, RECORDINGS, TILE_COUNTS, Dataset
@@ -37,12 +37,7 @@ LEAST_SHARE_SEEN = 0.95  # least share of the month with data of a sensor that w
 CLOCK_S = 0.025  # half of a step: a clock that is off by more is wrong
 MOVED_M, MOVED_DEG = 0.5, 1.0  # a pose that changes by more is that of a sensor that was moved
 LEAST_STATED_M = 0.05  # a smaller move is left out of the text, which then states the turn alone
-STATES = (
-    Text("no data"), Text("silent"), Text("moved"), Text("pose doubtful"), Text("clock off"),
-    Text("gaps"), Text("pose not confirmed"), Text("works"),
-)  # fmt: skip
-"""States of a sensor, worst first."""
-NO_DATA, SILENT, MOVED, DOUBTFUL, CLOCK_OFF, GAPS, NOT_CONFIRMED, WORKS = STATES
+NO_DATA, SILENT, MOVED, DOUBTFUL, CLOCK_OFF, GAPS, NOT_CONFIRMED, WORKS = SENSOR_STATES
 COLUMNS = (
     "site", "sensor", "state", "since", "share", "gap_s", "gap_begin", "clock_offset_s", "reasons",
 )  # fmt: skip
@@ -98,7 +93,7 @@ def health_of(month: CityMonth, sites: Iterable[str]) -> pd.DataFrame:
 
 def worst_first(table: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of :func:`fleet_health` in its order."""
-    rank = table["state"].map({state: place for place, state in enumerate(STATES)})
+    rank = table["state"].map({state: place for place, state in enumerate(SENSOR_STATES)})
     order = table.assign(rank=rank).sort_values(["rank", "share", "site", "sensor"])
     return table.loc[order.index].reset_index(drop=True)
 
@@ -146,7 +141,7 @@ def _row(
     site: str, sensor: str, reasons: list[_Reason], *, share: float, gaps: Floats | None = None,
     recordings: pd.DataFrame | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    worst = min(reasons, key=lambda each: STATES.index(each.state), default=None)
+    worst = min(reasons, key=lambda each: SENSOR_STATES.index(each.state), default=None)
     longest = (np.nan, np.nan) if gaps is None or not len(gaps) else gaps[gaps[:, 1].argmax()]
     offset = np.nan if recordings is None else recordings["clock_offset"].iloc[-1]
     return {

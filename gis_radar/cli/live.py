@@ -35,13 +35,19 @@ def edge(*, sensor: Path, reporter: Reporter) -> Result:
     "--broker-files", type=FILE, metavar="DIR",
     help="Write files for Mosquitto and systemd units, and do no more.",
 )  # fmt: skip
-def live(*, site: Path, broker_files: Path | None, reporter: Reporter) -> Result:
+@click.option(
+    "--webhook", metavar="URL",
+    help="Post alerts of sensors there as JSON: https, or http on this machine.",
+)  # fmt: skip
+def live(
+    *, site: Path, broker_files: Path | None, webhook: str | None, reporter: Reporter
+) -> Result:
     """Run the live system's middle: the map of now, recordings, and a dataset by hours.
 
     It ends with Ctrl-C; hours that are over are then measured.
     """
     if broker_files is not None:
-        return Result(outputs=live_room.write_broker_files(site, broker_files))
+        return Result(outputs=live_room.write_broker_files(site, broker_files, webhook=webhook))
     with stopped_by_signals() as stop:
-        done = gr.run_fusion(site, stop=stop, reporter=reporter)
+        done = gr.run_fusion(site, webhook=webhook, stop=stop, reporter=reporter)
     return Result(outputs=done.outputs, summary=done.figures())

@@ -28,6 +28,7 @@ from gis_radar.base import (
     output_errors,
 )
 from gis_radar.hdmap import lane_graph, read_tiles
+from gis_radar.live.alerts import Alerts, Webhook
 from gis_radar.live.background import in_background
 from gis_radar.live.health import prometheus_text
 from gis_radar.live.hours.hour_work import MeasuredSite, refuse_other_settings
@@ -62,7 +63,7 @@ COMMIT_S = 1.0
 COMMIT_MESSAGES = 200  # messages of a sensor that are committed sooner: a fast replay does not wait
 SPOOL_BYTES = 1 << 28  # size from which the spool goes on in another file
 LOG_AGAIN_S = 600.0  # least time between two logs of one error: a disk stays full for hours
-SPOOL, NOW_FILE, PUSH_FILE = "spool", "now.gpkg", "sensorthings.json"
+SPOOL, NOW_FILE, PUSH_FILE, ALERTS = "spool", "now.gpkg", "sensorthings.json", "alerts.json"
 
 
 class Fusion:
@@ -72,6 +73,8 @@ class Fusion:
     ----------
     site : LiveSite
         The site's file.
+    webhook : Webhook, optional
+        Receives alerts, beside the broker.
     reporter : Reporter
         Receives the log.
 
@@ -83,8 +86,10 @@ class Fusion:
         If its folder cannot be written.
     """
 
-    def __init__(self, site: LiveSite, *, reporter: Reporter = QUIET) -> None:
-        self._site, self._reporter = site, reporter
+    def __init__(
+        self, site: LiveSite, *, webhook: Webhook | None = None, reporter: Reporter = QUIET
+    ) -> None:
+        self._site, self._reporter, self._webhook = site, reporter, webhook
         self._logged: dict[str, float] = {}  # errors, with the time at which each was logged
         self.tiles = read_tiles(site.live.tiles)
         road, filters = SightTiles.of(self.tiles), site.filters()
@@ -116,6 +121,11 @@ class Fusion:
             oldest_s=site.live.oldest, vehicles=self.vehicles, reporter=reporter,
         )  # fmt: skip
         self.sensors = self.intake.sensors
+        self._alerts = Alerts(
+            site.live.site, [each.health for each in self.sensors.values()],
+            path=folder / ALERTS, publish=self._publish_alert, webhook=webhook,
+            language=site.language, reporter=reporter,
+        )  # fmt: skip
         self._page, self._push = _page_server(self, site), _lane_push(site, self.tiles, reporter)
         self._exporting: Future[None] | None = None
         self._writing: Future[bool] | None = None
@@ -147,8 +157,8 @@ class Fusion:
             "broker_connections": float(self.link.connections) if self.link else 0.0,
             **self._jobs.figures(),
         }
-        if self.vehicles is not None:
-            figures |= self.vehicles.figures()
+        for each in (self.vehicles, self._webhook):
+            figures |= each.figures() if each is not None else {}
         return prometheus_text([each.health for each in self.sensors.values()], figures)
 
     link: Link | None = None
@@ -187,6 +197,7 @@ class Fusion:
                 if link.connections != connections and link.connected:
                     connections = link.connections
                     link.publish(own, status_message(ONLINE), retain=True)
+                    self._alerts.repeat()
                     for each in self.sensors.values():
                         each.due = bool(each.stream)
                 self.advance(int(time.time() * 1e6))
@@ -239,6 +250,7 @@ class Fusion:
             self._commit()
             for each in self.sensors.values():
                 each.health.check(time.time())
+            self._alerts.check(time.time(), now)
         self._measure()
         idle = self._exporting is None or self._exporting.done()
         if now - self._exported >= self._site.live.every and idle:
@@ -310,6 +322,11 @@ class Fusion:
         topic = SensorTopics(self._site.live.site, name).of("ack")
         self.link.publish(topic, found.pack(), retain=True)
         sensor.acknowledged = mark.number
+
+    def _publish_alert(self, sensor: str, alert: bytes) -> None:
+        if self.link is not None:
+            topic = SensorTopics(self._site.live.site, sensor).of("health")
+            self.link.publish(topic, alert, retain=True)
 
     def _finish(self) -> None:
         """Store what came, measure the hours that are over, and write the files a last time."""
@@ -420,14 +437,17 @@ def _lane_push(site: LiveSite, tiles: gpd.GeoDataFrame, reporter: Reporter) -> L
 
 
 def run_fusion(
-    path: str | Path, *, stop: Event | None = None, reporter: Reporter = QUIET
-) -> Fusion:
+    path: str | Path, *, webhook: str | None = None, stop: Event | None = None,
+    reporter: Reporter = QUIET,
+) -> Fusion:  # fmt: skip
     """Run the fusion of a live site.
 
     Parameters
     ----------
     path : str or Path
         A site's file with a table `[live]`, described in `docs/live.md`.
+    webhook : str, optional
+        Address to which alerts of sensors are posted as JSON.
     stop : Event, optional
         Event that stops it.
     reporter : Reporter
@@ -435,12 +455,15 @@ def run_fusion(
 
     Raises
     ------
+    UsageError
+        If the webhook is neither https nor http on this machine.
     InputError
         If the file, tiles or scans cannot be read.
     OutputError
         If its folder cannot be written, or another fusion runs in it.
     """
     site = read_live_site(path)
-    fusion = Fusion(site, reporter=reporter)
+    hook = Webhook(webhook, reporter=reporter) if webhook is not None else None
+    fusion = Fusion(site, webhook=hook, reporter=reporter)
     fusion.run(stop or Event())
     return fusion

@@ -120,7 +120,7 @@ class ServerError(GisRadarError):
     """Error of a server that cannot be reached, or refuses a request."""
 
 
-class _NoRedirect(urllib.request.HTTPRedirectHandler):
+class NoRedirect(urllib.request.HTTPRedirectHandler):
     """Refusal of redirects: the log-in would go to any host, and a POST would become a GET."""
 
     def redirect_request(self, *_: Any) -> None:
@@ -172,7 +172,7 @@ class Service:
         request = urllib.request.Request(  # noqa: S310 - http and https alone, checked
             f"{self.root}/{path}", data=body, headers=dict(self.headers)
         )
-        handlers: list[urllib.request.BaseHandler] = [_NoRedirect()]
+        handlers: list[urllib.request.BaseHandler] = [NoRedirect()]
         if self.root.startswith("https"):
             handlers.append(urllib.request.HTTPSHandler(context=ssl.create_default_context()))
         try:

@@ -327,7 +327,7 @@ class SensorTopics:
     sensor: str
 
     def of(self, kind: str) -> str:
-        """Return the topic of `detections`, `status`, `pose` or `ack`."""
+        """Return the topic of `detections`, `status`, `pose`, `ack` or `health`."""
         return f"{TOPICS}/{self.site}/{self.sensor}/{kind}"
 
 

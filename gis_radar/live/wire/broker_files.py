@@ -15,7 +15,7 @@ from gis_radar.base import atomic_folder
 from gis_radar.live.wire.broker import FUSION, IN_FLIGHT, TOPICS, BrokerAddress
 from gis_radar.live.wire.outbox import UNACKNOWLEDGED
 from gis_radar.live.wire.payload import MOST_BYTES
-from gis_radar.live.wire.settings import LiveSite, read_live_site
+from gis_radar.live.wire.settings import LiveSite, read_live_site, webhook_address
 
 CONFIG, ACCESS, PASSWORDS = "mosquitto.conf", "access", "passwords"
 # Begins of names in the folder; files of TLS, `server.*`, come from elsewhere and stay.
@@ -24,7 +24,9 @@ _ROUNDS, _SALT_BYTES = 101, 12  # as in Mosquitto's own mosquitto_passwd
 _HEADER_BYTES = 1024  # bytes of a message beside its content: topic and properties
 
 
-def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
+def write_broker_files(
+    path: str | Path, folder: str | Path, *, webhook: str | None = None
+) -> list[Path]:
     """Write the files of a live site's broker; passwords that are there stay.
 
     Parameters
@@ -33,15 +35,20 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
         The site's file, with a table `[live]`.
     folder : str or Path
         Folder of the files, which are written whole or not at all.
+    webhook : str, optional
+        Address to which the unit of fusion has it post alerts.
 
     Raises
     ------
+    UsageError
+        If the webhook is neither https nor http on this machine.
     InputError
         If the site's file does not fit.
     OutputError
         If they cannot be written.
     """
     site, place = read_live_site(path), Path(folder)
+    options = ("--webhook", webhook_address(webhook)) if webhook is not None else ()
     users = [FUSION, *(each.name for each in site.sensor)]
     known = {user: _password(place / f"password_of_{user}") for user in users}
     with atomic_folder(place, owned=OWNED) as part:
@@ -50,7 +57,7 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
             ACCESS: broker_access(site.live.site),
             PASSWORDS: password_lines(known),
             **{f"password_of_{user}": f"{password}\n" for user, password in known.items()},
-            **units(site, Path(path).resolve(), place.resolve()),
+            **units(site, Path(path).resolve(), place.resolve(), options),
         }
         for name, text in texts.items():
             file = part / name
@@ -110,7 +117,7 @@ def broker_access(site: str) -> str:
     root, kinds = f"{TOPICS}/{site}", ("detections", "status", "pose")
     lines = [
         f"user {FUSION}", *(f"topic read {root}/+/{kind}" for kind in kinds),
-        f"topic write {root}/+/ack", f"topic write {root}/{FUSION}/#", "",
+        *(f"topic write {root}/{each}" for each in ("+/ack", "+/health", f"{FUSION}/#")), "",
         *(f"pattern write {root}/%u/{kind}" for kind in kinds), f"pattern read {root}/%u/ack",
     ]  # fmt: skip
     return "\n".join(lines) + "\n"
@@ -160,7 +167,7 @@ _USER = "gis_radar"
 _STOP_S = 300  # time to stop: fusion follows the last minutes of vehicles and writes the hour
 
 
-def units(site: LiveSite, file: Path, folder: Path) -> dict[str, str]:
+def units(site: LiveSite, file: Path, folder: Path, options: Sequence[str] = ()) -> dict[str, str]:
     """Return systemd's units by name: broker and fusion on this machine, and a sensor's on its own.
 
     Parameters
@@ -169,6 +176,8 @@ def units(site: LiveSite, file: Path, folder: Path) -> dict[str, str]:
         Of the site's file.
     file, folder : Path
         The site's file, and where the files of the broker are.
+    options : sequence of str
+        Options of fusion.
     """
     broker = shutil.which("mosquitto") or "/usr/sbin/mosquitto"
     program = shutil.which("gis-radar", path=Path(sys.executable).parent) or _PROGRAM
@@ -181,7 +190,7 @@ def units(site: LiveSite, file: Path, folder: Path) -> dict[str, str]:
     name = site.live.site
     services = {
         "broker": (f"Broker of {name}", (broker, "-c", str(folder / CONFIG)), here),
-        "live": (f"Live map of {name}", (program, "live", file.name), here),
+        "live": (f"Live map of {name}", (program, "live", file.name, *options), here),
         # The instance is the sensor: gis-radar-edge@R1 runs R1.toml.
         "edge@": (f"Radar %i of {name}", (_PROGRAM, "edge", "%i.toml"), at_sensor),
     }

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated, Self
+from urllib.parse import urlsplit
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from gis_radar.base import InputError, Text
+from gis_radar.base import InputError, Text, UsageError
 from gis_radar.live.wire.broker import FUSION, BrokerAddress
 from gis_radar.measures import Filters
 from gis_radar.site import (
@@ -31,6 +32,8 @@ from gis_radar.site import (
     toml_template,
     within,
 )
+
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
 class SourceTable(TomlTable):
@@ -181,6 +184,28 @@ def broker_address(table: BrokerTable, *, user: str) -> BrokerAddress:
         )
     name = (table.user or user) if password else ""
     return BrokerAddress.of(table.address, user=name, password=password, authority=table.authority)
+
+
+def webhook_address(url: str) -> str:
+    """Return the address of a webhook.
+
+    Raises
+    ------
+    UsageError
+        If it is neither https nor http on this machine; its text may be a secret, and is not told.
+    """
+    try:
+        parts = urlsplit(url)
+        safe = parts.scheme == "https" or (parts.scheme == "http" and parts.hostname in LOOPBACK)
+        fits = bool(safe and parts.hostname and parts.port != 0 and "@" not in parts.netloc)
+    except ValueError:
+        fits = False
+    if not (fits and url.isascii() and url.isprintable() and " " not in url):
+        raise UsageError(
+            "the address of the webhook is none",
+            hint="such as https://alerts.example/hook, or http:// to this machine, without a user",
+        )
+    return url
 
 
 def read_secret(path: Path, *, hint: str = "") -> str:
