@@ -15,7 +15,7 @@ from gis_radar.tracking.start.bodies import is_person, without_faint_ends
 from gis_radar.tracking.start.detectability import Detectability, Occluders
 from gis_radar.tracking.start.passes import Passes
 from gis_radar.tracking.start.resting import rate_without
-from gis_radar.tracking.start.stationary import StationaryTarget, heard_parts
+from gis_radar.tracking.start.stationary import StationaryTarget, detected_parts
 from gis_radar.tracking.start.strips import Strips
 from gis_radar.tracking.start.track_management import split_at_drives
 
@@ -271,8 +271,8 @@ def test_where_no_rate_is_known_nothing_stands():
         strip=0, rear_m=0.0, front_m=4.0, begin=0.0, end=9.0, rows=np.arange(60)
     )
     detections = detections_at(np.arange(60.0) / 6.0, np.tile([30.0, 0.0], (60, 1)))
-    assert heard_parts(target, detections, 0.0) == []
-    assert len(heard_parts(target, detections, 900.0)) == 1
+    assert detected_parts(target, detections, 0.0) == []
+    assert len(detected_parts(target, detections, 900.0)) == 1
 
 
 def test_what_is_there_once_the_followers_have_gone_is_of_the_road():

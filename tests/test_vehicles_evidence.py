@@ -1,4 +1,4 @@
-"""What speaks for vehicles: detections that are due, heights, and the scatterers of a body."""
+"""Evidence of vehicles: expected detections, heights, and the scatterers of a body."""
 
 from dataclasses import replace
 
@@ -16,8 +16,8 @@ from gis_radar.tracking.start import stationary
 from gis_radar.tracking.start.detectability import Detectability, Occluders
 from gis_radar.tracking.start.links import Part, chains
 from gis_radar.tracking.start.passes import Passes
-from gis_radar.tracking.start.resting import rate_without, unbroken, with_rest
-from gis_radar.tracking.start.stationary import not_built
+from gis_radar.tracking.start.resting import rate_without, with_rest, without_gaps
+from gis_radar.tracking.start.stationary import without_fixed
 from gis_radar.tracking.start.strips import Strips
 from gis_radar.tracking.start.tall import one_tall_odds, tall_odds
 
@@ -76,37 +76,37 @@ def halves(begin, seconds):
     return int(2 * begin) + np.arange(int(2 * seconds))
 
 
-def test_a_vehicle_is_due_as_often_as_others_that_drove_there(learned):
+def test_a_vehicle_is_expected_to_be_detected_as_often_as_others_there(learned):
     places = np.tile([50.0, 30.0], (8, 1))
-    assert learned.due(places, halves(BEGIN, 4.0), (0, -1)) == pytest.approx(80.0, rel=0.2)
+    assert learned.expected(places, halves(BEGIN, 4.0), (0, -1)) == pytest.approx(80.0, rel=0.2)
 
 
-def test_nothing_is_due_where_nobody_drove(learned):
+def test_nothing_is_expected_where_nobody_drove(learned):
     places = np.tile([50.0, 90.0], (8, 1))
-    assert learned.due(places, halves(BEGIN, 4.0), (0, -1)) == 0.0
+    assert learned.expected(places, halves(BEGIN, 4.0), (0, -1)) == 0.0
 
 
-def test_nothing_is_due_while_the_sensor_is_off(learned):
+def test_nothing_is_expected_while_the_sensor_is_off(learned):
     places = np.tile([50.0, 30.0], (8, 1))
-    assert learned.due(places, halves(BEGIN + 30.0, 4.0), (-1, -1)) == 0.0
+    assert learned.expected(places, halves(BEGIN + 30.0, 4.0), (-1, -1)) == 0.0
 
 
-def test_nothing_is_due_behind_another_vehicle(learned):
+def test_nothing_is_expected_behind_another_vehicle(learned):
     in_the_way = Occluders.stationary(
         7, (BEGIN, BEGIN + 10.0), 25.0, 15.0, np.arctan2(30.0, 50.0), 4.5
     )
     hidden = Detectability(**{**vars(learned), "occluders": in_the_way})
     places = np.tile([50.0, 30.0], (8, 1))
-    assert hidden.due(places, halves(BEGIN, 4.0), (0, -1)) == 0.0
-    assert hidden.due(places, halves(BEGIN, 4.0), (7, -1)) > 40.0
+    assert hidden.expected(places, halves(BEGIN, 4.0), (0, -1)) == 0.0
+    assert hidden.expected(places, halves(BEGIN, 4.0), (7, -1)) > 40.0
     aside = np.tile([80.0, 30.0], (8, 1))
-    assert hidden.due(aside, halves(BEGIN, 4.0), (0, -1)) > 40.0
+    assert hidden.expected(aside, halves(BEGIN, 4.0), (0, -1)) > 40.0
 
 
 def test_too_short_a_silence_is_none(learned):
     places = np.array([[50.0, 30.0], [51.0, 30.0]])
-    assert learned.due_between(places, (BEGIN + 1.0, BEGIN + 1.4), (0, -1)) == 0.0
-    assert learned.due_between(places, (BEGIN + 1.0, BEGIN + 6.0), (0, -1)) > 40.0
+    assert learned.expected_between(places, (BEGIN + 1.0, BEGIN + 1.4), (0, -1)) == 0.0
+    assert learned.expected_between(places, (BEGIN + 1.0, BEGIN + 6.0), (0, -1)) > 40.0
 
 
 def ends_from(cos):
@@ -163,9 +163,9 @@ def test_heights_tell_lorries_from_cars_when_they_are_near():
 
 def test_who_stands_on_does_so_until_a_silence():
     time = np.array([0.0, 2.0, 40.0, 45.0, 50.0, 52.0, 58.0, 90.0])
-    kept = unbroken(time, (46.0, 51.0), 10.0)
+    kept = without_gaps(time, (46.0, 51.0), 10.0)
     assert time[kept].tolist() == [40.0, 45.0, 50.0, 52.0, 58.0]
-    assert time[unbroken(time, (100.0, 101.0), 5.0)].tolist() == []
+    assert time[without_gaps(time, (100.0, 101.0), 5.0)].tolist() == []
 
 
 def road_of(lanes):
@@ -372,7 +372,7 @@ def test_what_is_seen_while_others_drive_over_it_holds_no_vehicle(through):
     beside_m = 0.0 if through else 30.0
     drivers = [lasting(0.0, 20.0, len(time), begin, beside_m) for begin in (0, 20, 40)]
     passes = Passes.of(drivers, detections, Strips.of(graph))
-    left = not_built(detections, np.ones(len(time), bool), passes)
+    left = without_fixed(detections, np.ones(len(time), bool), passes)
     assert left.all() != through
     assert left.any() != through
 
@@ -388,7 +388,7 @@ def test_what_comes_more_often_than_the_road_returns_is_none_of_it():
     detections = detections_at(time[order], places[order])
     drivers = [lasting(0.0, 20.0, len(time), begin) for begin in begins]
     passes = Passes.of(drivers, detections, Strips.of(graph))
-    left = detections.time[not_built(detections, np.ones(len(time), bool), passes)]
+    left = detections.time[without_fixed(detections, np.ones(len(time), bool), passes)]
     inside = (left > 29.0) & (left < 56.0)
     assert inside.mean() > 0.97
     assert inside.sum() > 0.9 * len(still)
@@ -437,7 +437,7 @@ def test_a_fixed_thing_that_returns_seldom_is_built_too(rate, monkeypatch):
     time = np.sort(rng.uniform(0.0, 300.0, int(300.0 * rate)))
     detections = detections_at(time, np.tile([100.0, 0.0], (len(time), 1)))
     drivers = [lasting(0.0, 20.0, len(time), begin) for begin in range(0, 280, 20)]
-    monkeypatch.setattr(stationary, "BUILT_SHARE", 0.2)
+    monkeypatch.setattr(stationary, "FIXED_SHARE", 0.2)
     passes = Passes.of(drivers, detections, Strips.of(road_of(1)))
-    left = not_built(detections, np.ones(len(time), bool), passes)
+    left = without_fixed(detections, np.ones(len(time), bool), passes)
     assert left.mean() < 0.1

@@ -24,7 +24,7 @@ NO_FRAMES = pd.DataFrame({"sight": [], "first_step": [], "last_step": []})
 @pytest.fixture(scope="module", autouse=True)
 def _every_step_is_looked_at():
     with pytest.MonkeyPatch.context() as often:
-        often.setattr(visibility, "LOOK_STEPS", 1)
+        often.setattr(visibility, "CHECK_STEPS", 1)
         yield
 
 

@@ -18,7 +18,7 @@ from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import best_stretches
 from gis_radar.tracking.posterior.ends import with_undetected_ends
 from gis_radar.tracking.posterior.existence import with_existence
-from gis_radar.tracking.posterior.likelihood import gain_of, on_body, overlap
+from gis_radar.tracking.posterior.likelihood import body_coordinates, log_likelihood_ratio, overlap
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
 
 BEGIN, RATE = 1e9, 20
@@ -96,7 +96,7 @@ def test_a_right_track_stays_and_one_of_nothing_goes(graph):
     found = detected(returns(rng, 0, 12, 20.0, 10.0), clutter(rng, 20))
     right = track(found, 0, 12, 20.0, 10.0)
     wrong = track(found, 4, 16, 200.0, -10.0)
-    assert Posterior(found, [right]).total.min() > 0.0
+    assert Posterior(found, [right]).total_rate.min() > 0.0
     kept = improve([right, wrong], found, graph)
     assert len(kept) == 1
     assert span_s(kept[0]) == pytest.approx((0.0, 12.0), abs=1.0)
@@ -305,7 +305,7 @@ def test_places_on_a_bent_body_are_those_along_its_path(along, left, bend):
     at = int(np.searchsorted(s, along))
     place = line[at] + left * np.array([-np.sin(turn[at]), np.cos(turn[at])])
     shape = np.array([0.0, 0.0, 1.0, 0.0, 10.0, 18.0, 2.5, bend, bend])
-    found = on_body(shape, *place)
+    found = body_coordinates(shape, *place)
     assert found[:2] == pytest.approx((along, left), abs=0.13)  # less bent is straight
     assert found[2] == pytest.approx(bend * along, abs=0.1 * abs(bend) + 0.03)
 
@@ -376,12 +376,12 @@ def test_gains_are_those_of_the_sum_of_all_vehicles():
     rng = np.random.default_rng(8)
     found = detected(returns(rng, 0, 6, 20.0, 10.0), clutter(rng, 8))
     posterior = Posterior(found, [track(found, 0, 6, 20.0, 10.0)])
-    before = posterior.total.copy()
-    posterior.lift(0)
-    assert (posterior.total <= before + 1e-12).all()
-    assert posterior.total.sum() < before.sum()
-    posterior.lift(0, 1.0)
-    np.testing.assert_allclose(posterior.total, before, rtol=1e-9, atol=1e-15)
+    before = posterior.total_rate.copy()
+    posterior.exclude(0)
+    assert (posterior.total_rate <= before + 1e-12).all()
+    assert posterior.total_rate.sum() < before.sum()
+    posterior.include(0)
+    np.testing.assert_allclose(posterior.total_rate, before, rtol=1e-9, atol=1e-15)
 
 
 @given(
@@ -391,7 +391,7 @@ def test_gains_are_those_of_the_sum_of_all_vehicles():
 def test_brightness_is_integrated_out(count, due, alpha, rest):
     """Where the background is faint, the gain is that of a negative binomial distribution."""
     room = np.column_stack([np.full(max(count, 1), 50.0), np.full(max(count, 1), rest)])
-    gain, bright = gain_of(room, count, due, alpha)
+    gain, bright = log_likelihood_ratio(room, count, due, alpha)
     exact = (
         math.lgamma(alpha + count) - math.lgamma(alpha) + alpha * math.log(alpha)
         - (alpha + count) * math.log(alpha + due) + count * math.log(50.0 / rest)

@@ -11,7 +11,7 @@ import gis_radar as gr
 from gis_radar.hdmap import lane_graph
 from gis_radar.tracking import ForwardFilter, MapDetections
 from gis_radar.tracking.columns import NONE
-from gis_radar.tracking.motion import fit_motion, without_way_back
+from gis_radar.tracking.motion import fit_motion, non_decreasing
 from gis_radar.tracking.paths import Path, path_through
 from gis_radar.tracking.start.bodies import join_directions
 from gis_radar.tracking.start.stationary import CELL_M, pack
@@ -290,11 +290,11 @@ def test_who_is_followed_for_long_is_not_given_up_for_one_who_comes_behind():
 
 def test_places_never_go_back_and_stay_as_near_as_they_can():
     ahead = np.concatenate([np.arange(50.0), [80.0, 81.0], np.arange(50.0, 100.0)])
-    assert np.abs(without_way_back(ahead) - ahead).sum() < 100.0
-    assert (np.diff(without_way_back(ahead)) >= 0.0).all()
+    assert np.abs(non_decreasing(ahead) - ahead).sum() < 100.0
+    assert (np.diff(non_decreasing(ahead)) >= 0.0).all()
     late = np.concatenate([np.arange(50.0), [20.0, 21.0], np.arange(50.0, 100.0)])
-    assert np.abs(without_way_back(late) - late).sum() < 100.0
-    assert (np.diff(without_way_back(late)) >= 0.0).all()
+    assert np.abs(non_decreasing(late) - late).sum() < 100.0
+    assert (np.diff(non_decreasing(late)) >= 0.0).all()
 
 
 def test_numbers_of_both_directions_become_one():

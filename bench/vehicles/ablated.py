@@ -18,7 +18,7 @@ from gis_radar.tracking.posterior import estimate as estimate_module
 from gis_radar.tracking.posterior.background import Background
 from gis_radar.tracking.size import Size
 from gis_radar.tracking.start import bodies, passes, track_management
-from gis_radar.tracking.start import detectability as due
+from gis_radar.tracking.start.detectability import Detectability
 
 # what they import counts as theirs here
 moves: Any = posterior_module
@@ -37,7 +37,7 @@ def _same(posterior: Any, *_: Any) -> Any:
 
 
 def _placed(posterior: Any, motions: Any, _: Any) -> Any:
-    posterior.place(motions)
+    posterior.set_vehicles(motions)
     return list(motions)
 
 
@@ -46,9 +46,9 @@ def _once(motions: Any, detections: Any, graph: Any) -> Any:
         return []
     posterior = estimate.Posterior(detections, motions)
     posterior.learn(moves._sized_and_cut(posterior))  # noqa: SLF001
-    posterior.place(moves.lengthen(posterior, graph))
-    posterior.motions = moves.reassign(posterior)
-    posterior.place(moves.refit(posterior))
+    posterior.set_vehicles(moves.lengthen(posterior, graph))
+    posterior.motions = moves.reassociate(posterior)
+    posterior.set_vehicles(moves.refit(posterior))
     return moves.with_undetected_ends(posterior, moves._sized_and_cut(posterior), graph)  # noqa: SLF001
 
 
@@ -102,35 +102,37 @@ PARTS: dict[str, Part] = {
     "no-join-neighbours": _off((moves, "join_neighbours", _same)),
     "no-cut": _off((moves, "cut", _same)),
     "no-lengthen": _off((moves, "lengthen", _same)),
-    "no-reassign": _off((moves, "reassign", _same)),
+    "no-reassign": _off((moves, "reassociate", _same)),
     "no-refit": _off((moves, "refit", _same)),
     "no-undetected-ends": _off((moves, "with_undetected_ends", _placed)),
-    "no-stood-on": _off((ends, "_stood_on", lambda motion, _: motion)),
-    "no-driven-as-one": _off((neighbours, "_driven_as_one", lambda *_: -np.inf)),
-    "no-alone": _off((neighbours, "_alone", lambda *_: [])),
+    "no-stood-on": _off((ends, "_held_at_rest", lambda motion, _: motion)),
+    "no-driven-as-one": _off((neighbours, "_driven_as_one_odds", lambda *_: -np.inf)),
+    "no-alone": _off((neighbours, "_outside", lambda *_: [])),
     # terms
-    "no-hiding": _off((estimate, "hide", lambda *_: None)),
-    "poisson": _off((estimate, "ALPHAS", (50.0, 50.0))),
-    "no-cells": _off((estimate, "CELL_FEW", 1e12)),
-    "no-kinds": _off((estimate, "KIND_FEW", 1e12)),
-    "no-still": _off((Background, "watch", lambda *_: None)),
+    "no-hiding": _off((estimate, "fill_visible_share", lambda *_: None)),
+    "poisson": _off((estimate, "ALPHA_BOUNDS", (50.0, 50.0))),
+    "no-cells": _off((estimate, "CELL_PRIOR", 1e12)),
+    "no-kinds": _off((estimate, "CLASS_PRIOR", 1e12)),
+    "no-still": _off((Background, "learn_fixed", lambda *_: None)),
     "no-heights": _off((tracker, "improve", _without_heights)),
     "no-bends": _off((estimate, "motion_states", _straight)),
-    "no-exists": _off(*((each, "EXISTS", 0.0) for each in (cuts, neighbours))),
-    "no-end-cost": _off((cuts, "END_MOST", 0.0)),
-    "no-partly": _off((cuts, "PARTLY_COSTS", 0.0)),
-    "no-overlap": _off((cuts, "PARTLY_COSTS", 0.0), (cuts, "MOSTLY_COSTS", 0.0)),
+    "no-exists": _off(*((each, "VEHICLE_COST", 0.0) for each in (cuts, neighbours))),
+    "no-end-cost": _off((cuts, "MOST_END_COST", 0.0)),
+    "no-partly": _off((cuts, "PARTLY_COST", 0.0)),
+    "no-overlap": _off((cuts, "PARTLY_COST", 0.0), (cuts, "MOSTLY_COST", 0.0)),
     "one-sweep": _off((cuts, "SWEEPS", 1)),
-    "told-whole": _off((neighbours, "TOLD", 1.0)),
-    "no-gap-prior": _off((neighbours, "_gap_prior", lambda *_: 0.0)),
-    "no-length-prior": _off((sizes, "prior", lambda _: 0.0), (sizes, "_PRIORS", [0.0] * 11)),
+    "told-whole": _off((neighbours, "EVIDENCE_SHARE", 1.0)),
+    "no-gap-prior": _off((neighbours, "_log_gap_prior", lambda *_: 0.0)),
+    "no-length-prior": _off(
+        (sizes, "log_prior", lambda _: 0.0), (sizes, "_LOG_PRIORS", [0.0] * 11)
+    ),
     "all-windows": _off((sizes, "MOST_WINDOWS", 10**6)),
-    "middle-stays": _off((sizes, "STAYS", (0.0,))),
+    "middle-stays": _off((sizes, "FIXED_POINTS", (0.0,))),
     "coarse-join": _off((neighbours, "LENGTH_CHANGES_M", (2.0,))),
-    "one-way-on": _off((ends, "MOST_WAYS", 1)),
+    "one-way-on": _off((ends, "MOST_LINES", 1)),
     "no-persons-last": _persons(0),
     # before the posterior
-    "no-backwards": _off((tracker, "_followed", _forward_alone)),
+    "no-backwards": _off((tracker, "_tracks", _forward_alone)),
     "no-persons-first": _persons(1),
     "no-faint-ends": _off((tracker, "without_faint_ends", lambda _, m, *__: m)),
     "no-absorb": _off((bodies, "log_odds", lambda *_: -np.inf)),
@@ -140,11 +142,11 @@ PARTS: dict[str, Part] = {
     "no-split-at-drives": _off((track_management, "split_at_drives", lambda m, *_: [m])),
     "no-rest": _off((track_management, "with_rest", lambda _, m, *__: m)),
     "no-stationary": _off((track_management, "find_stationary", lambda *_: [])),
-    "no-not-built": _off((track_management, "not_built", lambda _, free, *__: free)),
+    "no-not-built": _off((track_management, "without_fixed", lambda _, free, *__: free)),
     "no-links": _off(
         (track_management, "chains", lambda parts, *_: [[k] for k in range(len(parts))])
     ),
-    "no-due": _off((due.Detectability, "due", lambda *_: 0.0)),
+    "no-due": _off((Detectability, "expected", lambda *_: 0.0)),
     "no-passes": _off((passes.Passes, "after", lambda *_: np.inf)),
     "no-drove": _off((track_management, "_drove", lambda *_: True)),
 }

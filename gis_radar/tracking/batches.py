@@ -18,14 +18,14 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.routes import route_of
 from gis_radar.tracking.tables import TRACKS, VEHICLES
 
-WAY_RAD = np.pi / 9.0  # width of a bin of directions, in which lanes show the same shift of a pose
+BIN_RAD = np.pi / 9.0  # width of a bin of directions: in one, lanes show the same shift of a pose
 BEND_M, BEND_RAD = 5.0, 0.1  # a lane that bends by so much within so far is left out
 LEAST_ROWS = 5  # least detections of a vehicle on a lane for the median of their distances from it
-SURE = 4.0  # sigmas of a shift that is reported: hardly one of hundreds of sensors by mistake
-DRAWN = 0.75  # a sensor off by a smaller share of the worst one's shift is not reported
+SURE_SIGMAS = 4.0  # least sigmas of a reported shift: hardly one of hundreds of sensors by chance
+LEAST_OF_WORST = 0.75  # least share of the largest shift of any sensor of a reported one
 SIDES = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 SEEN_S = 0.5  # a state is seen within so many seconds of a detection (the contract)
-THROUGH_MPS = 3.0  # slower vehicles may turn in, park or load beside the lanes
+DRIVING_MPS = 3.0  # slower vehicles may turn in, park or load beside the lanes
 LEAST_JUDGED = 8  # least vehicles by which a pose is judged
 MOST_OFF_LANE = 0.2  # share of a sensor's vehicles on no lanelet above which its pose is doubtful
 # Shift of all vehicles of a sensor from the centres of lanes, or from those of other sensors, above
@@ -74,18 +74,18 @@ class BatchMaker:
         self._graph = graph
         self._known: pd.DataFrame | None = None  # detections of vehicles at the edge: key, vehicle
         self._edge = -1
-        self._on_lanes: list[pd.DataFrame] = []
+        self._lane_offsets: list[pd.DataFrame] = []
         self.found = 0
         self.numbers: list[int] = []  # of the vehicles of the last block, in the order of motions
 
-    def forget_lanes(self) -> None:
-        """Drop the places of vehicles by sensor, which else accumulate."""
-        self._on_lanes = []
+    def clear_lane_offsets(self) -> None:
+        """Drop the distances of vehicles from their lanes so far."""
+        self._lane_offsets = []
 
     def batch(self, block: Block, motions: list[Motion]) -> VehicleBatch:
-        """Return the states of the vehicles in the span of a block.
+        """Make the batch of a block from the motions of its vehicles.
 
-        A vehicle's number is that of the earlier vehicle with which it shares most detections.
+        A vehicle keeps the number that it has in the block before, with which it shares detections.
         """
         states = [_States.of(each, block) for each in motions]
         inside = [k for k, each in enumerate(states) if len(each.step)]
@@ -95,7 +95,7 @@ class BatchMaker:
         rows, driven = [], []
         for number, motion, each in zip(numbers, motions, states, strict=True):
             table, lanelets = self._tables(each, motion)
-            driven.append(_driven(number, table, motion, block.detections))
+            driven.append(_driven_detections(number, table, motion, block.detections))
             tables.append(table.assign(vehicle=number))
             rows.append(
                 {
@@ -107,7 +107,7 @@ class BatchMaker:
                 }
             )  # fmt: skip
         if driven:
-            self._on_lanes.append(_on_lanes(driven))
+            self._lane_offsets.append(_lane_offsets(driven))
         vehicles = pd.DataFrame(rows, columns=[*VEHICLES.columns]).sort_values("vehicle")
         tracks = pd.concat(tables, ignore_index=True).sort_values(["step", "vehicle"])
         return VehicleBatch(
@@ -116,16 +116,16 @@ class BatchMaker:
         )  # fmt: skip
 
     def on_lanes(self, sensors: Sequence[str]) -> list[pd.DataFrame]:
-        """Return the places of vehicles by sensor, with names, for :func:`warn_of_poses`."""
+        """Return distances of vehicles from their lanes by sensor, for :func:`warn_of_poses`."""
         names = np.array(sensors, object)
-        return [each.assign(sensor=names[each["sensor"]]) for each in self._on_lanes]
+        return [each.assign(sensor=names[each["sensor"]]) for each in self._lane_offsets]
 
     def _numbers(self, block: Block, motions: list[Motion], states: list[_States]) -> list[int]:
-        """Return the number of each vehicle: that of the block before where it goes on."""
+        """Return the number of each vehicle: that in the block before, or a new one."""
         numbers = [-1] * len(motions)
         if self._known is not None and self._edge == block.first_step - 1:
             goes_on = [k for k, each in enumerate(states) if each.step[0] == block.first_step]
-            for k, number in self._same(block.detections, [motions[k] for k in goes_on]):
+            for k, number in self._continued(block.detections, [motions[k] for k in goes_on]):
                 numbers[goes_on[k]] = number
         for k, number in enumerate(numbers):
             if number < 0:
@@ -140,8 +140,11 @@ class BatchMaker:
         self._known = pd.concat(kept, ignore_index=True) if kept else None
         return numbers
 
-    def _same(self, detections: MapDetections, motions: list[Motion]) -> list[tuple[int, int]]:
-        """Return pairs of a motion and a known vehicle that share detections."""
+    def _continued(self, detections: MapDetections, motions: list[Motion]) -> list[tuple[int, int]]:
+        """Return pairs of a motion and the vehicle of the block before that it continues.
+
+        The assignment is that with the most shared detections.
+        """
         known = self._known
         if known is None or not motions:
             return []
@@ -164,8 +167,8 @@ class BatchMaker:
     def _tables(self, states: _States, motion: Motion) -> tuple[pd.DataFrame, Integers]:
         """Return the rows of `tracks` of a vehicle, and the lanelets that it follows."""
         graph = self._graph
-        way = np.column_stack([np.cos(states.heading), np.sin(states.heading)])
-        fronts = states.middle + 0.5 * motion.length_m * way
+        direction = np.column_stack([np.cos(states.heading), np.sin(states.heading)])
+        fronts = states.middle + 0.5 * motion.length_m * direction
         route = route_of(fronts, states.heading, graph)
         on = route.lane >= 0
         lanelet = pd.Series(graph.lanelet_id[np.maximum(route.lane, 0)], dtype="Int64")
@@ -194,18 +197,18 @@ class BatchMaker:
         return table, route.lanelets(graph)
 
 
-def _driven(
+def _driven_detections(
     number: int, table: pd.DataFrame, motion: Motion, detections: MapDetections
 ) -> pd.DataFrame:
     """Return the detections of a vehicle while it drives, with its distance left of its lane."""
     step = (detections.time[motion.rows] / STEP_S).astype(np.int64) - int(table["step"].iloc[0])
     inside = np.flatnonzero((step >= 0) & (step < len(table)))
-    drives = inside[table["speed"].to_numpy()[step[inside]] > THROUGH_MPS]
+    drives = inside[table["speed"].to_numpy()[step[inside]] > DRIVING_MPS]
     at = step[drives]
     towards = table["towards"].to_numpy()[at]
     left_m = table["d_m"].to_numpy(np.float64, na_value=np.nan)[at]
-    way = np.round(np.nan_to_num(towards) / WAY_RAD).astype(np.int64) % round(2 * np.pi / WAY_RAD)
-    middle = WAY_RAD * way
+    way = np.round(np.nan_to_num(towards) / BIN_RAD).astype(np.int64) % round(2 * np.pi / BIN_RAD)
+    middle = BIN_RAD * way
     return pd.DataFrame(
         {
             "vehicle": number,
@@ -218,8 +221,8 @@ def _driven(
     )
 
 
-def _on_lanes(driven: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Return each vehicle's distance left of its lane by each sensor, by heading.
+def _lane_offsets(driven: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return the distance of each vehicle left of its lane, by sensor and direction.
 
     All vehicles of a block are grouped at once, which takes no longer than for one.
     """
@@ -265,7 +268,7 @@ def warn_of_poses(seen: Sequence[pd.DataFrame]) -> list[str]:
 
 
 def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str]) -> list[str]:
-    """Return a warning for each sensor whose vehicles drive beside the lanes: its pose may be off.
+    """Return a warning for each sensor whose vehicles drive beside the lanes.
 
     Parameters
     ----------
@@ -293,7 +296,7 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str]) -> list[str]:
             each[1] for other, each in judged.items() if other != number and np.isfinite(each[1])
         ]
         apart = beside - float(np.median(others)) if others else 0.0
-        least = max(MOST_BESIDE_M, SURE * sigma, DRAWN * max(shifts.values()))
+        least = max(MOST_BESIDE_M, SURE_SIGMAS * sigma, LEAST_OF_WORST * max(shifts.values()))
         if off > MOST_OFF_LANE:
             what = Text("{:.0%} of its vehicles follow no lanelet", off)
         elif shifts[number] > least:
@@ -313,10 +316,10 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str]) -> list[str]:
 
 
 def _shift(left: pd.DataFrame) -> tuple[Floats, float]:
-    """Return the common shift of a sensor's vehicles, (east, north) in metres, and its sigma.
+    """Return the shift of a sensor's vehicles from the lanes, (east, north) metres, and its sigma.
 
     Vehicles show the shift across their direction. Those of one lane share an offset, so that many
-    count little more than a few; a prior fixes the direction in which nobody drives.
+    count little more than a few. A prior bounds the shift across which nobody drives.
     """
     ways = left.groupby("way").agg(
         towards=("towards", "mean"), left_m=("left_m", "median"), count=("left_m", "size")
@@ -344,7 +347,7 @@ class _States:
 
     @classmethod
     def of(cls, motion: Motion, block: Block) -> _States:
-        """Return the states of a motion from its first step to its last."""
+        """Return the states of a motion at all its steps within the span of a block."""
         first = max(motion.first_step, block.first_step)
         last = min(motion.last_step, block.last_step)
         step = np.arange(first, last + 1)
@@ -357,7 +360,7 @@ class _States:
 
 
 def _keys(detections: MapDetections) -> list[tuple[int, float, float]]:
-    """Return keys that identify detections."""
+    """Return keys by which detections of two blocks are compared: sensor, time, easting."""
     return list(
         zip(
             detections.sensor.tolist(),

@@ -13,19 +13,19 @@ from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections
 
-LEAST_LEVEL = 0.3  # least cosine of the elevation: steeper below, range rates give no speed
-# Heights over the road between which vehicles scatter: reflections by the road seem to lie lower,
-# the highest trucks are 4 m.
+LEAST_COS = 0.3  # least cosine of the elevation: steeper below, range rates give no speed
+# Heights over the road of vehicles' detections: multipath by the road lies below it, the highest
+# trucks are 4 m.
 LOW_M, HIGH_M = -1.0, 4.5
 HEIGHT_RAD = 0.035  # tolerance of the height by the elevation: 2 sigma of a recorded ARS548
 MOVING_MPS = 0.15  # least absolute range rate of what moves: seven sigma of a recorded ARS548
 # The same in sigmas of the sensor's own noise, where that is more: of 500 fixed detections a frame,
 # one seems to move every three minutes.
 STILL_SIGMAS = 5.0
-# The noise is measured in the first seconds, by slower detections, at least so many (a sigma to
-# 3 %); SLOW_MPS is also the upper bound of the threshold.
+# The noise is measured in the first NOISE_S by detections slower than SLOW_MPS, at least so many (a
+# sigma to 3 %). SLOW_MPS is also the upper bound of the threshold.
 NOISE_S, SLOW_MPS, LEAST_SLOW = 20.0, 0.3, 1000
-PEAK_SHARE = 0.5  # least share of them below a third of SLOW_MPS; without noise it is a third
+PEAK_SHARE = 0.5  # least share of them below a third of SLOW_MPS; of uniform ones a third is
 AZIMUTH_RAD = 0.004  # sigma of a bearing, including the bias of each target
 
 
@@ -44,7 +44,7 @@ class MapDetections:
     range_rate : (n,) array
         Range rate in the plane, m/s: the measured one divided by the cosine of the elevation.
     sight : (n, 2) array
-        Horizontal unit vectors from the sensor to the detection.
+        Line of sight: horizontal unit vectors from the sensor to the detection.
     range_m : (n,) array
         Distance from the sensor, metres.
     sensor : (n,) int64 array
@@ -69,8 +69,8 @@ class MapDetections:
         """Return some rows."""
         return type(self)(**{each.name: getattr(self, each.name)[keep] for each in fields(self)})
 
-    def eyes(self) -> Floats:
-        """Return the sensors' places, (sensors, 2) metres; 0 for one without detections."""
+    def sensor_positions(self) -> Floats:
+        """Return the positions of the sensors, (sensors, 2), metres; 0 without detections."""
         away = self.points - self.sight * self.range_m[:, None]
         found = np.zeros((int(self.sensor.max(initial=-1)) + 1, 2))
         for sensor in np.unique(self.sensor).tolist():
@@ -132,20 +132,20 @@ def map_detections(
     """
     points = pose.to_map(read.points, road_m=road_m) - [*graph.origin, 0.0]
     points[np.isnan(read.points[:, 2]), 2] = np.nan
-    eye = pose.position - [*graph.origin, 0.0]
+    sensor_place = pose.position - [*graph.origin, 0.0]
     range_m = read.range_m
     height, on = _over_lanes(points, range_m, graph.field.arrays)
     kept = np.flatnonzero(on & np.isfinite(read.range_rate))
-    away = points[kept, :2] - eye[:2]
-    flat = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-6)
-    level = np.maximum(flat / np.maximum(range_m[kept], 1e-6), LEAST_LEVEL)
+    away = points[kept, :2] - sensor_place[:2]
+    ground_range = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-6)
+    cos_elevation = np.maximum(ground_range / np.maximum(range_m[kept], 1e-6), LEAST_COS)
     rate = read.range_rate[kept]
     return MapDetections(
         time=read.time[kept],
         points=points[kept, :2].copy(),
         height_m=height[kept],
-        range_rate=np.where(np.abs(rate) < still_mps, 0.0, rate) / level,
-        sight=away / flat[:, None],
+        range_rate=np.where(np.abs(rate) < still_mps, 0.0, rate) / cos_elevation,
+        sight=away / ground_range[:, None],
         range_m=range_m[kept],
         sensor=np.full(len(kept), number, np.int64),
         rcs=np.where(np.isfinite(read.rcs), read.rcs, np.nan)[kept],
@@ -171,17 +171,17 @@ def still_rate(range_rate: Floats) -> float:
 
 @compiled
 def _over_lanes(points: Floats, range_m: Floats, field: FieldArrays) -> tuple[Floats, Booleans]:
-    """Return each point's height over the lane nearest in height, and whether it fits one."""
-    out = np.empty((8, 6))
+    """Return each point's height over the nearest lane, and whether it can be of a vehicle."""
+    lanes = np.empty((8, 6))
     height, on = np.full(len(points), np.nan), np.zeros(len(points), np.bool_)
     for i in range(len(points)):
-        found = lanes_at(points[i, 0], points[i, 1], field, out)
-        more = HEIGHT_RAD * range_m[i]
+        found = lanes_at(points[i, 0], points[i, 1], field, lanes)
+        tolerance = HEIGHT_RAD * range_m[i]
         for k in range(found):
-            over = points[i, 2] - out[k, 5]
+            over = points[i, 2] - lanes[k, 5]
             if np.isnan(over):  # road or sensor without heights
                 on[i] = True
-            elif LOW_M - more <= over <= HIGH_M + more:
+            elif LOW_M - tolerance <= over <= HIGH_M + tolerance:
                 on[i] = True
                 if np.isnan(height[i]) or abs(over) < abs(height[i]):
                     height[i] = over

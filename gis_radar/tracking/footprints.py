@@ -76,11 +76,11 @@ class CrossLines:
         lines = np.hstack([right, left])
         return cls(
             lines=lines, height_m=tiles["height_m"].to_numpy(np.float64), origin=origin,
-            cells=_fill(lines, columns, rows, cell_m), columns=columns, rows=rows, cell_m=cell_m,
+            cells=_by_cell(lines, columns, rows, cell_m), columns=columns, rows=rows, cell_m=cell_m,
         )  # fmt: skip
 
 
-def _fill(
+def _by_cell(
     lines: Floats, columns: int, rows: int, cell_m: float
 ) -> tuple[Integers, NDArray[np.int32]]:
     """Return the index of each cell's first line, and the lines by cell whose boxes meet it."""
@@ -144,7 +144,7 @@ class PathBook:
     ) -> tuple[Integers, Floats, Booleans]:
         """Extend the paths of long vehicles; return `path`, `points`, `begins` of Footprints.
 
-        Vehicles without a state now are forgotten, as states have no gaps.
+        Vehicles without a state now are dropped, as states have no gaps.
         """
         path = np.full(len(vehicle), -1)
         fronts = boxes[:, :2] + boxes[:, 2:4] * boxes[:, 4:5]
@@ -157,7 +157,7 @@ class PathBook:
             start = self.paths.get(number)
             if start is None:
                 start = fronts[rows[:1]] - length * boxes[rows[:1], 2:4]
-            line, last = _thinned(start, fronts[rows], PATH_STEP_M)
+            line, last = _extended(start, fronts[rows], PATH_STEP_M)
             path[rows] = done + last
             points.append(line)
             done += len(line)
@@ -171,10 +171,10 @@ class PathBook:
 
 
 @compiled
-def _thinned(
+def _extended(
     start: Floats, fronts: Floats, step_m: float
 ) -> tuple[Floats, Integers]:  # pragma: no cover - compiled
-    """Extend a line by fronts a step apart; return the index of its end at each."""
+    """Extend a line by fronts a step apart; return it, and its last index at each front."""
     line = np.empty((len(start) + len(fronts), 2))
     line[: len(start)] = start
     count = len(start)
@@ -276,7 +276,7 @@ def _clip_wedge(
 
 
 @compiled
-def _joined_share(shares: Floats, count: int) -> float:  # pragma: no cover - compiled
+def _union_length(shares: Floats, count: int) -> float:  # pragma: no cover - compiled
     """Return the length of the union of intervals; sorts them in place."""
     for i in range(1, count):  # few, and nearly in order
         low, high = shares[i, 0], shares[i, 1]
@@ -347,7 +347,7 @@ def overlapped_m(
             before_x, before_y = back_x, back_y
         from_x, from_y = points[path, 0], points[path, 1]
         path -= 1
-    return _joined_share(shares, count) * length
+    return _union_length(shares, count) * length
 
 
 @compiled

@@ -20,14 +20,14 @@ from gis_radar.tracking.blocks import Block
 from gis_radar.tracking.detections import NOISE_S, MapDetections, map_detections, still_rate
 
 BLOCK_STEPS = 6000  # length of a block, which begins at a multiple of it: five minutes
-# Steps before and after a block that are used to find its vehicles: a stationary vehicle is silent
-# for 25 s in one case of ten.
+# Steps before and after a block whose detections are used, too: a stationary vehicle is undetected
+# for 25 s on end in one case of ten.
 MARGIN_STEPS = 1200
 
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """Section of an hour: blocks that are made from one reading.
+    """Section of an hour: blocks whose recordings are read in one pass.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def blocks_of(
     Yields
     ------
     (int, int)
-        The block's place: its first step, and the step after its last.
+        First step of the block, and the step after its last.
     Block
         The block there; it begins with the first and ends with the last frame where there are none
         on the other side of its edge.
@@ -90,7 +90,7 @@ def blocks_of(
         ]
         for begin, after in section.spans:
             before, inside, later = (
-                _between(known, *span)
+                _steps_between(known, *span)
                 for span in ((begin - margin, begin), (begin, after), (after, after + margin))
             )
             if not len(inside):
@@ -101,7 +101,7 @@ def blocks_of(
             detections = _joined(held, begin - margin, after + margin)
             del held
             for each in streams:
-                each.forget(after - margin)  # the next block's margin begins there
+                each.drop_before(after - margin)  # the next block's margin begins there
             give_back_memory()
             yield (
                 (begin, after),
@@ -115,7 +115,8 @@ def blocks_of(
             give_back_memory()  # before the next block is read
 
 
-def _between(steps: Integers, first: int, after: int) -> Integers:
+def _steps_between(steps: Integers, first: int, after: int) -> Integers:
+    """Return the steps, which ascend, from one to before another."""
     low, high = np.searchsorted(steps, [first, after])
     return steps[low:high]
 
@@ -149,7 +150,7 @@ class _Stream:
             self._reached = np.inf if batch is None else batch[1]
             self.held += [] if batch is None else [batch]
 
-    def forget(self, step: int) -> None:
+    def drop_before(self, step: int) -> None:
         """Drop everything before a step."""
         self.held = [each for each in self.held if each[1] >= step]
 
@@ -183,24 +184,24 @@ def _frames_of(
     """Read the whole frames of a sensor in a section, each once, with corrected times."""
     limits = np.array([section.first - 1, section.after + 1]) * STEP_S
     for number, source in enumerate(sensor.sources):
-        mine_us, clock = sensor.frames.time_us[sensor.source == number], source.right_clock
-        if not len(mine_us):
+        own_us, clock = sensor.frames.time_us[sensor.source == number], source.right_clock
+        if not len(own_us):
             continue
         begin, end = clock.shown(limits).tolist()
         for read in whole_frames(source.recording.read_between(begin, end)):
             time = clock.corrected(read.time)
             step = step_of(time)
             inside = (step >= section.first) & (step < section.after)
-            inside &= np.rint(time * 1e6) >= mine_us[0]  # before it, an earlier recording is used
+            inside &= np.rint(time * 1e6) >= own_us[0]  # before it, an earlier recording is used
             if inside.any():
                 yield source, rows_of(replace(read, time=time), inside)
 
 
-def _still_rate(found: Sequence[tuple[PlacedRecording, Detections]]) -> float:
+def _still_rate(batches: Sequence[tuple[PlacedRecording, Detections]]) -> float:
     """Return the largest range rate of still detections, by the first seconds."""
     rates = [np.empty(0)]
-    for _, rows in found:
-        soon = rows.time < found[0][1].time[0] + NOISE_S
+    for _, rows in batches:
+        soon = rows.time < batches[0][1].time[0] + NOISE_S
         rates.append(rows.range_rate[rows.present & soon])
     return still_rate(np.concatenate(rates))
 

@@ -29,9 +29,9 @@ from gis_radar.tracking.occupancy import OccupancyEngine
 from gis_radar.tracking.tables import PASSAGES, TRACKS, VEHICLES
 from gis_radar.tracking.tracker import vehicles_in
 
-NUMBERS_PER_HOUR = 1_000_000
+NUMBERS_PER_HOUR = 1_000_000  # an hour's vehicles have numbers from so many times the hour on
 
-_Placed: TypeAlias = tuple[tuple[int, int], Block]
+_TimedBlock: TypeAlias = tuple[tuple[int, int], Block]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,21 +94,21 @@ def vehicles_of_hour(
         Number of blocks in which vehicles are looked for in parallel.
     """
     engine = OccupancyEngine(tiles, sights)
-    gathered = _Gathered(window=window, engine=engine, held=held)
-    makes = BatchMaker(graph)
+    results = _HourResults(window=window, engine=engine, held=held)
+    maker = BatchMaker(graph)
     blocks = blocks_of(sensors, window, graph)
     for begin, block, motions in _with_motions(blocks, graph, processes):
-        gathered.advance(block.first_step)
-        batch = makes.batch(block, motions)
-        gathered.add(batch.tracks, batch.vehicles, makes.numbers)
+        results.advance(block.first_step)
+        batch = maker.batch(block, motions)
+        results.add(batch.tracks, batch.vehicles, maker.numbers)
         if begin < window.begin:
-            makes.forget_lanes()  # the job of the hour before checks poses by these
+            maker.clear_lane_offsets()  # the job of the hour before checks poses by these
         del block, motions, batch  # before the next block is read
-    return gathered.finish(makes.on_lanes([each.sensor for each in sensors]))
+    return results.finish(maker.on_lanes([each.sensor for each in sensors]))
 
 
 def _with_motions(
-    blocks: Iterator[_Placed], graph: LaneGraph, processes: int
+    blocks: Iterator[_TimedBlock], graph: LaneGraph, processes: int
 ) -> Iterator[tuple[int, Block, list[Motion]]]:
     """Yield the first step of each block, the block, and the motions of its vehicles."""
     first = list(islice(blocks, 2)) if processes > 1 else []
@@ -117,7 +117,7 @@ def _with_motions(
             yield begin, block, _motions(block.detections, graph)
         return
     waiting = deque[tuple[int, Block, "Future[list[Motion]]"]]()
-    with worker_pool(processes, _start, graph) as pool:
+    with worker_pool(processes, _start_worker, graph) as pool:
         for (start, _), read in chain(first, blocks):
             waiting.append((start, read, pool.submit(_motions_in_worker, read.detections)))
             if len(waiting) > processes:
@@ -137,7 +137,7 @@ def _motions(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
 _graph: LaneGraph | None = None  # lanes of this worker process
 
 
-def _start(graph: LaneGraph) -> None:
+def _start_worker(graph: LaneGraph) -> None:
     global _graph  # noqa: PLW0603 - what all blocks of a worker have in common
     watch_parent()
     _graph = graph
@@ -149,8 +149,8 @@ def _motions_in_worker(detections: MapDetections) -> list[Motion]:
 
 
 @dataclass(kw_only=True)
-class _Gathered:
-    """Results of blocks, cut to the hour."""
+class _HourResults:
+    """Results of the blocks of an hour, in the order of time and cut to the hour."""
 
     window: HourWindow
     engine: OccupancyEngine
@@ -164,27 +164,27 @@ class _Gathered:
     over_end: list[int] = field(default_factory=list)
 
     def add(self, states: pd.DataFrame, vehicles: pd.DataFrame, numbers: list[int]) -> None:
-        """Add the states of a block; all earlier ones must have been advanced over."""
+        """Add the states of a block, after `advance` over all earlier ones."""
         states, vehicles = TRACKS.typed(states), VEHICLES.typed(vehicles)
         begin, end = self.window.begin, self.window.end
         states = states[states["step"] <= end].reset_index(drop=True)
         self.waiting = (states, vehicles)
-        self.over_begin += _over(begin, states, numbers)
-        self.over_end += _over(end, states, numbers)
-        mine = states[states["step"].between(begin, end - 1)]
-        step, number = (mine[name].to_numpy(np.int64) for name in ("step", "vehicle"))
-        spans = mine.groupby("vehicle", sort=True)["step"].agg(["min", "max"])
+        self.over_begin += _vehicles_over(begin, states, numbers)
+        self.over_end += _vehicles_over(end, states, numbers)
+        part = states[states["step"].between(begin, end - 1)]
+        step, number = (part[name].to_numpy(np.int64) for name in ("step", "vehicle"))
+        spans = part.groupby("vehicle", sort=True)["step"].agg(["min", "max"])
         first, last = (spans[name].reindex(number).to_numpy() for name in ("min", "max"))
-        self.tracks.append(mine[(step % TRACK_EVERY_STEPS == 0) | (step == first) | (step == last)])
+        self.tracks.append(part[(step % TRACK_EVERY_STEPS == 0) | (step == first) | (step == last)])
         by_number = vehicles.set_index("vehicle", drop=False)
-        lanelets = _lanelets(mine)
+        lanelets = _lanelets(part)
         for n, (least, most) in zip(spans.index.tolist(), spans.to_numpy().tolist(), strict=True):
             row = {str(name): value for name, value in by_number.loc[n].items()}
             row |= {"first_step": least, "last_step": most, "lanelets": lanelets[n]}
             self.vehicles[n] = joined_rows(self.vehicles.get(n), row)
 
     def advance(self, to: int) -> None:
-        """Advance the engine up to a step with the states that are complete."""
+        """Advance the engine to a step, with the states of the block added last."""
         if self.waiting is None:
             self.reached = to
             return
@@ -196,10 +196,10 @@ class _Gathered:
         """Return all results, with final numbers of vehicles."""
         begin, end = self.window.begin, self.window.end
         self.advance(end + 1)
-        occupied, visible = (_cut(each, begin, end) for each in self.engine.flush())
-        names = self._names()
+        occupied, visible = (_cut_to_hour(each, begin, end) for each in self.engine.flush())
+        final = self._final_numbers()
         rows = [
-            self.vehicles[n] | {"vehicle": names[n]} for n in sorted(names, key=names.__getitem__)
+            self.vehicles[n] | {"vehicle": final[n]} for n in sorted(final, key=final.__getitem__)
         ]
         vehicles = pd.DataFrame(rows, columns=[*VEHICLES.columns])
         tracks = pd.concat([TRACKS.empty(), *self.tracks], ignore_index=True)
@@ -207,17 +207,17 @@ class _Gathered:
         passages = passages[passages["step"].between(begin, end - 1)]
         heavy = passages["vehicle"].map({n: row["p_heavy"] for n, row in self.vehicles.items()})
         before = (self.window.hour - 1) * NUMBERS_PER_HOUR
-        continued = [(before + k, names[n]) for k, n in enumerate(self.over_begin)]
+        continued = [(before + k, final[n]) for k, n in enumerate(self.over_begin)]
         return HourVehicles(
-            tracks=_ends_and_fourths(_renamed(tracks, names), vehicles),
+            tracks=_ends_and_fourths(_renumbered(tracks, final), vehicles),
             vehicles=vehicles,
             continued=pd.DataFrame(continued, columns=["vehicle", "next"]).astype(np.int64),
-            passages=_renamed(passages.assign(p_heavy=heavy), names, PASSAGES.order),
+            passages=_renumbered(passages.assign(p_heavy=heavy), final, PASSAGES.order),
             occupied=occupied, visible=visible, on_lanes=on_lanes,
         )  # fmt: skip
 
-    def _names(self) -> dict[int, int]:
-        """Return the final number of each vehicle; those that go on over the hour's end are first.
+    def _final_numbers(self) -> dict[int, int]:
+        """Return the final number of each vehicle; those that go on over its end come first.
 
         The job of the next hour makes the block at that edge, too, and so knows their numbers.
         """
@@ -227,7 +227,7 @@ class _Gathered:
         return {n: base + k for k, n in enumerate([*self.over_end, *rest])}
 
 
-def _over(edge: int, states: pd.DataFrame, numbers: list[int]) -> list[int]:
+def _vehicles_over(edge: int, states: pd.DataFrame, numbers: list[int]) -> list[int]:
     """Return which vehicles have states on both sides of an edge, in the order of the block."""
     step = states["step"].to_numpy(np.int64)
     sides = [set(states["vehicle"].to_numpy()[step == at].tolist()) for at in (edge - 1, edge)]
@@ -246,22 +246,23 @@ def _lanelets(states: pd.DataFrame) -> dict[int, Integers]:
     return none | dict(zip(ids.tolist(), found, strict=True))
 
 
-def _cut(runs: pd.DataFrame, begin: int, end: int) -> pd.DataFrame:
-    """Return the runs within the hour."""
+def _cut_to_hour(runs: pd.DataFrame, begin: int, end: int) -> pd.DataFrame:
+    """Return the parts of runs within the hour."""
     first, last = runs["first_step"].clip(lower=begin), runs["last_step"].clip(upper=end - 1)
     cut = runs.assign(first_step=first, last_step=last)
     return pd.DataFrame(cut[first <= last]).reset_index(drop=True)
 
 
-def _renamed(
-    rows: pd.DataFrame, names: Mapping[int, int], order: Sequence[str] = ("vehicle", "step")
+def _renumbered(
+    rows: pd.DataFrame, final: Mapping[int, int], order: Sequence[str] = ("vehicle", "step")
 ) -> pd.DataFrame:
-    renamed = rows.assign(vehicle=rows["vehicle"].map(names).astype(np.int64))
+    """Return rows with the final numbers of vehicles, sorted."""
+    renamed = rows.assign(vehicle=rows["vehicle"].map(final).astype(np.int64))
     return renamed.sort_values([*order], ignore_index=True)
 
 
 def _ends_and_fourths(tracks: pd.DataFrame, vehicles: pd.DataFrame) -> pd.DataFrame:
-    """Leave out the first and last states of blocks that are not those of their vehicles."""
+    """Keep every fourth step and the first and last of each vehicle, not those of its blocks."""
     known = vehicles.set_index("vehicle")
     first, last = (
         known[name].reindex(tracks["vehicle"]).to_numpy() for name in ("first_step", "last_step")

@@ -19,18 +19,17 @@ from gis_radar.tracking.paths import DIRECTION_RAD, Path, path_through
 from gis_radar.tracking.size import END_SHARE, Size, size_of
 
 HALF_STEPS = STEPS_PER_SECOND // 2
-# Variances of a hardly known place, m2, and speed, m2/s2.
+# Prior variances of place, m2, and speed, m2/s2.
 UNKNOWN_S, UNKNOWN_V = 25.0, 9.0
-LOST = 6  # places in a row that do not fit after which the filter starts again
-STILL_COS = 0.05  # least cosine: nearer to square, a range rate holds nothing of the speed
+MOST_MISSES = 6  # places in a row outside the gate after which the filter starts again
+STILL_COS = 0.05  # least cosine of the aspect; below it, a range rate is no evidence of the speed
 SPACING_M = 1.0  # distance along the road of the points through which a path is fitted
 ALONG_M = 0.3  # sigma of a detection along the road
 RANGE_RATE_MPS = 0.4  # sigma of a range rate, including what wheels and turning add
 ACCEL_VAR = 2.0  # variance that a driver's choice adds to the speed per second, m2/s3
-REPEATS = 4.0  # factor on the sigma of places, as a scatterer lasts for several frames
+REPEAT_FACTOR = 4.0  # factor on the sigma of places, as a scatterer lasts for several frames
 MOST_WEIGHT = 8.0  # most weight sideways of the detections in two metres of a path, 1/m2
-# Detections of a vehicle slower than this count for its length with this weight: things beside it
-# may be among them.
+# Weight for the length of detections of a slower vehicle: some may be of objects beside it.
 DRIVING_MPS, STILL_TRUST = 1.0, 0.3
 # A detection whose range rate differs from the motion's by more than both this and this share of
 # the speed does not count for the length, as it may be of a wheel or in a turn.
@@ -52,7 +51,7 @@ class Motion:
     s_m, speed : (n,) arrays
         Distance of its middle along the path, metres, and its speed, m/s, at each step.
     var_s : (n,) array
-        Variance of `s_m`.
+        Variance of `s_m`, m2.
     length_m, width_m, length_sigma_m, p_heavy : float
         Its size, and the probability that it is longer than 7 m.
     along_m, left_m : (k,) arrays
@@ -94,7 +93,7 @@ class Motion:
         return np.interp(inside, steps, self.s_m) + (place - inside) * STEP_S * speed, speed
 
     def halves(self) -> tuple[Integers, Floats, Floats]:
-        """Return (half second, place, heading) at the steps that are whole half seconds."""
+        """Return (number of the half second, place, heading) at the begin of each half second."""
         place, heading = self.places
         every = np.arange(-self.first_step % HALF_STEPS, len(heading), HALF_STEPS)
         every = every if len(every) else np.zeros(1, np.int64)
@@ -142,16 +141,16 @@ class Motion:
 
 
 def fit_motion(detections: MapDetections, rows: Integers, states: Floats) -> Motion:
-    """Smooth the motion of a vehicle over all its detections.
+    """Estimate the motion and size of a vehicle from all its detections (smoothing).
 
     Parameters
     ----------
     detections : MapDetections
         All detections.
     rows : (k,) int64 array
-        Those of the vehicle.
+        Rows of those of the vehicle.
     states : (n, 6) array
-        State of the filter at each of all detections.
+        State of the forward filter at each of all detections.
     """
     rows = rows[np.argsort(detections.time[rows], kind="stable")]
     path, guess = _fitted_path(detections, rows, states[rows])
@@ -167,42 +166,42 @@ def fit_motion(detections: MapDetections, rows: Integers, states: Floats) -> Mot
     noise = np.hypot(ALONG_M, AZIMUTH_RAD * detections.range_m[rows] * sin)
     rate = detections.range_rate[rows] / np.where(np.abs(cos) < STILL_COS, STILL_COS, cos)
     rate_var = (RANGE_RATE_MPS / np.maximum(np.abs(cos), STILL_COS)) ** 2
-    together = np.bincount(step, minlength=count)[step]
+    same_step = np.bincount(step, minlength=count)[step]
     # The error of a direction lasts about a second: all range rates of that time share it.
     across = states[rows, 3] * sin / np.maximum(np.abs(cos), STILL_COS)
-    rate_var += (DIRECTION_RAD * across) ** 2 * STEPS_PER_SECOND * together
+    rate_var += (DIRECTION_RAD * across) ** 2 * STEPS_PER_SECOND * same_step
     ends = np.column_stack([-np.sign(cos), np.abs(cos), sin])  # the end that is seen, and how much
     size, shift = Size(), 0.0
     for _ in range(2):
         share = END_SHARE * size.width_m * ends[:, 1]
         share /= size.width_m * ends[:, 1] + size.length_m * sin + 1e-9
         half = 0.5 * size.length_m
-        spread = noise**2 + (1.0 - share) * half**2 / 3.0 + share * (1.0 - share) * half**2
+        variance = noise**2 + (1.0 - share) * half**2 / 3.0 + share * (1.0 - share) * half**2
         # scatterers last: what one frame shows the next shows again
-        spread *= REPEATS * np.sqrt(together)
+        variance *= REPEAT_FACTOR * np.sqrt(same_step)
         middle = s - ends[:, 0] * share * half
         smoothed = _smooth(
-            count, step, rate, rate_var, middle, spread, float(middle[:5].mean()),
+            count, step, rate, rate_var, middle, variance, float(middle[:5].mean()),
             max(float(states[rows[0], 3]), 0.0),
         )  # fmt: skip
         place = time * STEPS_PER_SECOND - first
         along = s - np.interp(place, np.arange(count), smoothed[0])
         speed = np.interp(place, np.arange(count), smoothed[1])
-        off = np.abs(rate - speed) * np.maximum(np.abs(cos), STILL_COS)
-        fits = off < LEAST_OFF_MPS + OFF_SHARE * speed
+        rate_error = np.abs(rate - speed) * np.maximum(np.abs(cos), STILL_COS)
+        fits = rate_error < LEAST_OFF_MPS + OFF_SHARE * speed
         # a standing vehicle may seem as long as all still things there
         trust = np.where(speed > DRIVING_MPS, 1.0, STILL_TRUST) * fits
         size, shift = size_of(along, ends, noise, time, trust)
     return Motion(
         rows=rows, path=path, first_step=first,
-        s_m=without_way_back(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
+        s_m=non_decreasing(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
         var_s=smoothed[2], length_m=size.length_m, width_m=size.width_m,
         length_sigma_m=size.sigma_m, p_heavy=size.p_heavy, along_m=along - shift, left_m=left,
     )  # fmt: skip
 
 
-def without_way_back(s_m: Floats) -> Floats:
-    """Return non-decreasing places: the highest so far, or the lowest from there on.
+def non_decreasing(s_m: Floats) -> Floats:
+    """Return places without backward motion: the highest so far, or the lowest from then on.
 
     Parameters
     ----------
@@ -212,14 +211,14 @@ def without_way_back(s_m: Floats) -> Floats:
     Returns
     -------
     (n,) array
-        The one of both that changes the places less, metres.
+        That of the two which changes the places less, metres.
     """
-    held, until = np.maximum.accumulate(s_m), np.minimum.accumulate(s_m[::-1])[::-1]
-    return np.asarray(min(held, until, key=lambda each: float(np.abs(each - s_m).sum())))
+    highest, lowest = np.maximum.accumulate(s_m), np.minimum.accumulate(s_m[::-1])[::-1]
+    return np.asarray(min(highest, lowest, key=lambda each: float(np.abs(each - s_m).sum())))
 
 
 def side_seen(path: Path, s_m: Floats, sight: Floats) -> Floats:
-    """Return the offset of detections to the left of a car's middle: towards the sensor.
+    """Return the mean offset of detections left of a car's axis: they lie towards the sensor.
 
     Parameters
     ----------
@@ -240,7 +239,7 @@ def side_seen(path: Path, s_m: Floats, sight: Floats) -> Floats:
 
 
 def _fitted_path(detections: MapDetections, rows: Integers, states: Floats) -> tuple[Path, Floats]:
-    """Return the path of the states, moved sideways to the detections, and a guess along it."""
+    """Return the path through states, shifted sideways to the detections, and places along it."""
     when = detections.time[rows, None]
     path, way = path_through(np.hstack([states[:, :3], when]), SPACING_M)
     guess, _ = path.project(states[:, :2], way, 25.0)
@@ -250,12 +249,12 @@ def _fitted_path(detections: MapDetections, rows: Integers, states: Floats) -> t
     cell = np.clip((s / 2.0).astype(np.int64), 0, int(path.s_m[-1] / 2.0))
     count = int(path.s_m[-1] / 2.0) + 1
     total = np.bincount(cell, weight, count)
-    drift = np.bincount(cell, weight * np.clip(left, -2.0, 2.0), count)
+    offset = np.bincount(cell, weight * np.clip(left, -2.0, 2.0), count)
     # repeated detections of a lasting scatterer do not reduce its bias
-    cap = np.minimum(total, MOST_WEIGHT) / np.maximum(total, 1e-9)
-    bell = np.exp(-0.5 * (np.arange(-10, 11) / 4.0) ** 2)
-    near = np.convolve(total * cap, bell, "full")[10:-10]
-    shift = np.convolve(drift * cap, bell, "full")[10:-10] / (near + 1.0)
+    factor = np.minimum(total, MOST_WEIGHT) / np.maximum(total, 1e-9)
+    kernel = np.exp(-0.5 * (np.arange(-10, 11) / 4.0) ** 2)
+    weight_near = np.convolve(total * factor, kernel, "full")[10:-10]
+    shift = np.convolve(offset * factor, kernel, "full")[10:-10] / (weight_near + 1.0)
     left_of = np.interp(path.s_m, 1.0 + 2.0 * np.arange(count), shift)
     heading = path.heading_at(path.s_m)
     moved = path.points + left_of[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)])
@@ -275,11 +274,15 @@ def _smooth(  # pragma: no cover - compiled
     s: float,
     v: float,
 ) -> tuple[Floats, Floats, Floats]:
-    """Smooth place and speed over steps; measurements in their order (Rauch, Tung, Striebel)."""
+    """Smooth place and speed over steps (Rauch, Tung, Striebel).
+
+    Measurements, in the order of time, are the speed (`rate`) and the place (`middle`), each with
+    its variance; `s`, `v` are the first place and speed. Returns place, speed, variance of place.
+    """
     dt = 1.0 / 20.0
     q_ss, q_sv, q_vv = ACCEL_VAR * dt**3 / 3.0, ACCEL_VAR * dt**2 / 2.0, ACCEL_VAR * dt
-    mean, kept = np.empty((count, 2)), np.empty((count, 3))
-    ahead, wide = np.empty((count, 2)), np.empty((count, 3))
+    mean, cov = np.empty((count, 2)), np.empty((count, 3))
+    predicted, predicted_cov = np.empty((count, 2)), np.empty((count, 3))
     a, b, c = UNKNOWN_S, 0.0, UNKNOWN_V
     k, misses, fitted = 0, 0, 0
     for i in range(count):
@@ -288,10 +291,10 @@ def _smooth(  # pragma: no cover - compiled
             a += 2.0 * dt * b + dt * dt * c + q_ss
             b += dt * c + q_sv
             c += q_vv
-        if misses >= max(LOST, fitted):  # the first places were of something else
+        if misses >= max(MOST_MISSES, fitted):  # the track so far was of something else
             a, c, misses, fitted = a + UNKNOWN_S, c + UNKNOWN_V, 0, 0
-        ahead[i, 0], ahead[i, 1] = s, v
-        wide[i, 0], wide[i, 1], wide[i, 2] = a, b, c
+        predicted[i, 0], predicted[i, 1] = s, v
+        predicted_cov[i, 0], predicted_cov[i, 1], predicted_cov[i, 2] = a, b, c
         while k < len(step) and step[k] == i:
             misses += 1
             gap, total = rate[k] - v, c + rate_var[k]
@@ -318,29 +321,29 @@ def _smooth(  # pragma: no cover - compiled
             b -= b * c / total
             c -= c * c / total
         mean[i, 0], mean[i, 1] = s, v
-        kept[i, 0], kept[i, 1], kept[i, 2] = a, b, c
-    _look_back(mean, kept, ahead, wide)
-    return mean[:, 0].copy(), mean[:, 1].copy(), kept[:, 0].copy()
+        cov[i, 0], cov[i, 1], cov[i, 2] = a, b, c
+    _smooth_backward(mean, cov, predicted, predicted_cov)
+    return mean[:, 0].copy(), mean[:, 1].copy(), cov[:, 0].copy()
 
 
 @compiled
-def _look_back(
-    mean: Floats, kept: Floats, ahead: Floats, wide: Floats
+def _smooth_backward(
+    mean: Floats, cov: Floats, predicted: Floats, predicted_cov: Floats
 ) -> None:  # pragma: no cover - compiled
     """Smooth filtered states (s, v) and covariances (ss, sv, vv), given the predictions."""
     dt = 1.0 / 20.0
     for i in range(len(mean) - 2, -1, -1):
-        a, b, c = kept[i]
-        pa, pb, pc = wide[i + 1]
+        a, b, c = cov[i]
+        pa, pb, pc = predicted_cov[i + 1]
         det = pa * pc - pb * pb
         # covariance with the state ahead: P F^T
         f00, f01, f10, f11 = a + dt * b, b, b + dt * c, c
         g00, g01 = (f00 * pc - f01 * pb) / det, (f01 * pa - f00 * pb) / det
         g10, g11 = (f10 * pc - f11 * pb) / det, (f11 * pa - f10 * pb) / det
-        ds, dv = mean[i + 1, 0] - ahead[i + 1, 0], mean[i + 1, 1] - ahead[i + 1, 1]
+        ds, dv = mean[i + 1, 0] - predicted[i + 1, 0], mean[i + 1, 1] - predicted[i + 1, 1]
         mean[i, 0] += g00 * ds + g01 * dv
         mean[i, 1] += g10 * ds + g11 * dv
-        da, db, dc = kept[i + 1, 0] - pa, kept[i + 1, 1] - pb, kept[i + 1, 2] - pc
-        kept[i, 0] = a + g00 * (g00 * da + g01 * db) + g01 * (g00 * db + g01 * dc)
-        kept[i, 1] = b + g10 * (g00 * da + g01 * db) + g11 * (g00 * db + g01 * dc)
-        kept[i, 2] = c + g10 * (g10 * da + g11 * db) + g11 * (g10 * db + g11 * dc)
+        da, db, dc = cov[i + 1, 0] - pa, cov[i + 1, 1] - pb, cov[i + 1, 2] - pc
+        cov[i, 0] = a + g00 * (g00 * da + g01 * db) + g01 * (g00 * db + g01 * dc)
+        cov[i, 1] = b + g10 * (g00 * da + g01 * db) + g11 * (g00 * db + g01 * dc)
+        cov[i, 2] = c + g10 * (g10 * da + g11 * db) + g11 * (g10 * db + g11 * dc)

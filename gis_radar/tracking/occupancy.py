@@ -48,7 +48,7 @@ class OccupancyEngine:
         self._paths = PathBook()
         self._passages = PassageBook(places=self._places)
         self._visibility = Visibility(tiles, self._lines, sights)
-        self._open = np.full((len(tiles), 3), -1)
+        self._open_runs = np.full((len(tiles), 3), -1)
         self._stamps = np.full((len(tiles), 3), -1)
         self._ended: list[Integers] = []
 
@@ -90,23 +90,25 @@ class OccupancyEngine:
         return np.where(heavy, HEAVY_HEIGHT_M, light)
 
     def _occupy(self, prints: Footprints) -> Integers:
+        """Advance the runs of occupied tiles; return those that ended."""
         lines = self._lines
         return occupied_runs(
             prints.step, prints.boxes, prints.level_m, prints.seen, prints.path, prints.points,
             prints.begins, lines.lines, lines.height_m, *lines.cells, lines.columns, lines.rows,
-            lines.cell_m, self._open, self._stamps,
+            lines.cell_m, self._open_runs, self._stamps,
         )  # fmt: skip
 
     def flush(self) -> tuple[pd.DataFrame, pd.DataFrame]:
         """Return the runs of occupied and visible tiles since the last call, by tile and step."""
-        running = np.flatnonzero(self._open[:, 0] >= 0)
-        self._ended.append(np.column_stack([running, self._open[running]]))
-        self._open[running] = -1
+        running = np.flatnonzero(self._open_runs[:, 0] >= 0)
+        self._ended.append(np.column_stack([running, self._open_runs[running]]))
+        self._open_runs[running] = -1
         occupied = self._table(np.concatenate(self._ended))
         self._ended = []
         return occupied, self._table(self._visibility.flush())
 
     def _table(self, runs: Integers) -> pd.DataFrame:
+        """Return runs as a table, by tile and step."""
         runs = runs[np.lexsort((runs[:, 1], runs[:, 0]))]
         table = pd.DataFrame(runs, columns=["tile_id", "first_step", "last_step", "seen"])
         return table.assign(tile_id=self._tile_id[runs[:, 0]])

@@ -1,4 +1,4 @@
-"""Places along lanelets, and the passages of their middles."""
+"""Passages: vehicles' fronts that pass the middles of lanelets."""
 
 from __future__ import annotations
 

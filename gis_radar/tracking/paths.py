@@ -12,12 +12,12 @@ from gis_radar.tracking.size import LONGEST_M
 
 TIGHTEST_M = 5.0  # radius of the turning circle of a small car
 FASTEST_MPS = 70.0  # largest speed, 250 km/h
-FREE_TURN = 0.35  # largest error of the difference of two states' headings, radians
-# Standard deviation of a vehicle's direction about that of its path, radians: 3 degrees by bends as
-# drawn in maps, lane changes, and swinging bodies.
+TURN_ERROR_RAD = 0.35  # largest error of the difference of two states' headings
+# Sigma of a vehicle's direction about that of its path, radians: 3 degrees, by errors of maps in
+# bends, lane changes, and swinging bodies.
 DIRECTION_RAD = 0.05
-BELL_M = 3  # standard deviation of the bell by which a path is smoothed, whole metres
-ANCHORS = 5  # states tried as a start of the path: hardly all of them are off it
+SMOOTHING_M = 3  # sigma of the normal kernel by which a path is smoothed, whole metres
+ANCHORS = 5  # states that are tried as a start of the path: hardly all of them are outliers
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,8 @@ class Path:
         """Return places (k, 2) and headings (k,) at distances along the path."""
         last = len(self.s_m) - 2
         k = np.clip(np.searchsorted(self.s_m, s_m, side="right") - 1, 0, last)
-        return self.points[k] + (s_m - self.s_m[k])[:, None] * self._way[k], self.heading_at(s_m)
+        away = (s_m - self.s_m[k])[:, None] * self._direction[k]
+        return self.points[k] + away, self.heading_at(s_m)
 
     def heading_at(self, s_m: Floats) -> Floats:
         """Return headings (k,) at distances along the path."""
@@ -62,7 +63,7 @@ class Path:
         return np.asarray(0.5 * (self.s_m[1:] + self.s_m[:-1]))
 
     @cached_property
-    def _way(self) -> Floats:
+    def _direction(self) -> Floats:
         return np.column_stack([np.cos(self.heading), np.sin(self.heading)])
 
     def project(self, points: Floats, guess: Floats, reach_m: float) -> tuple[Floats, Floats]:
@@ -112,7 +113,7 @@ def _project(
 
 
 def path_through(states: Floats, spacing_m: float) -> tuple[Path, Floats]:
-    """Return the smoothed path through states in the order of time, and a place of each on it.
+    """Return a smooth path through states in the order of time, and the place of each along it.
 
     Only states ahead of earlier ones count: those of a body's rear lie behind those of its front.
 
@@ -145,35 +146,41 @@ def path_through(states: Floats, spacing_m: float) -> tuple[Path, Floats]:
 
 
 def _progress(states: Floats, spacing_m: float) -> Integers:
-    """Return the rows of a track `spacing_m` apart, both ways from the start that gives most."""
+    """Return rows of states `spacing_m` apart, both ways from the start that gives most."""
     last = len(states) - 1
-    ways: list[Integers] = []
+    tracks: list[Integers] = []
     for anchor in np.unique(np.linspace(0, last, ANCHORS).astype(np.int64)).tolist():
-        after = _onward(states, anchor, 1, spacing_m)
-        before = _onward(states, anchor, -1, spacing_m)
-        ways.append(np.concatenate([before[:0:-1], after]))
-    return max(ways, key=len)
+        after = _progress_from(states, anchor, 1, spacing_m)
+        before = _progress_from(states, anchor, -1, spacing_m)
+        tracks.append(np.concatenate([before[:0:-1], after]))
+    return max(tracks, key=len)
 
 
 @compiled
-def _onward(
-    states: Floats, first: int, way: int, spacing_m: float
+def _progress_from(
+    states: Floats, first: int, sign: int, spacing_m: float
 ) -> Integers:  # pragma: no cover - compiled
-    """Return the rows from one on, or back from it, at which so much way has been made."""
+    """Return the rows from one on, by time (1) or backward (-1), at steps of `spacing_m` ahead."""
     kept = np.empty(len(states), np.int64)
-    kept[0], count, k = first, 1, first + way
+    kept[0], count, k = first, 1, first + sign
     while 0 <= k < len(states):
         last = kept[count - 1]
         dx, dy = states[k, 0] - states[last, 0], states[k, 1] - states[last, 1]
+<<<<<<< HEAD
         forward = way * (dx * np.cos(states[k, 2]) + dy * np.sin(states[k, 2]))
         turn = abs(heading_difference(states[k, 2], states[last, 2]))
+=======
+        ahead_m = sign * (dx * np.cos(states[k, 2]) + dy * np.sin(states[k, 2]))
+        turn = abs(turned(states[k, 2], states[last, 2]))
+>>>>>>> 89821f15e8d05db340815f1d07e288beb482419a
         way_m, lapse = np.hypot(dx, dy), abs(states[k, 3] - states[last, 3])
-        # no vehicle turns in less way than that, nor is so fast: the state is off its way
-        able = turn < FREE_TURN + way_m / TIGHTEST_M and way_m < LONGEST_M + FASTEST_MPS * lapse
-        if forward >= spacing_m and able:
+        # no vehicle turns within less distance, or is faster: such a state is an outlier
+        able = turn < TURN_ERROR_RAD + way_m / TIGHTEST_M
+        able = able and way_m < LONGEST_M + FASTEST_MPS * lapse
+        if ahead_m >= spacing_m and able:
             kept[count] = k
             count += 1
-        k += way
+        k += sign
     return kept[:count]
 
 
@@ -197,27 +204,28 @@ def _bridged(states: Floats) -> Floats:
 def _smoothed(line: Floats) -> Path:
     """Return a line with a vertex a metre, smoothed so that its bends stay as they are.
 
-    A bell alone cuts the inner side of a bend and begins it early. So the difference that it makes
-    is smoothed and added back, twice (Tukey's *twicing*): of a wave of 11 m half is left.
+    A kernel alone moves a bend to its inner side and begins it early. So the residual is smoothed
+    and added, twice (Tukey's *twicing*): half of a wave of 11 m is left.
     """
     line = _every_metre(line)
-    smooth = _blurred(line)
+    smooth = _filtered(line)
     for _ in range(2):
-        smooth += _blurred(line - smooth)
+        smooth += _filtered(line - smooth)
     return Path(_every_metre(smooth))
 
 
 def _every_metre(line: Floats) -> Floats:
+    """Return a line resampled to a vertex a metre."""
     s = Path(line).s_m
     every = np.arange(0.0, s[-1], 1.0)
     return np.column_stack([np.interp(every, s, line[:, k]) for k in range(2)])
 
 
-def _blurred(line: Floats) -> Floats:
-    """Smooth a line by a bell of `BELL_M`, mirrored about its end points."""
-    reach = 3 * BELL_M
-    bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / BELL_M) ** 2)
+def _filtered(line: Floats) -> Floats:
+    """Smooth a line by a normal kernel of `SMOOTHING_M`, mirrored about its end points."""
+    reach = 3 * SMOOTHING_M
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / SMOOTHING_M) ** 2)
     padded = np.vstack(
         [2 * line[0] - line[reach:0:-1], line, 2 * line[-1] - line[-2 : -reach - 2 : -1]]
     )
-    return np.column_stack([np.convolve(each, bell / bell.sum(), "valid") for each in padded.T])
+    return np.column_stack([np.convolve(each, kernel / kernel.sum(), "valid") for each in padded.T])

@@ -13,8 +13,9 @@ MOST = 8  # most lanelets at one point
 # Sigma of the front's distance from the lanelet's centre, and of the heading from the lanelet's.
 LEFT_M, TURN_RAD = 1.0, 0.3
 MOST_RAD = 1.0  # largest difference of headings at which a vehicle follows a lanelet
-OFF_LANE = 9.0  # cost of a step off all lanelets: that of three sigma beside one
-CHANGE = 30.0  # cost of a change to a lanelet that is no successor: half a second beside the lane
+OFF_LANE_COST = 9.0  # cost of a step off all lanelets: that of three sigma beside one
+# Cost of a change to a lanelet that is no successor: half a second beside the lane.
+CHANGE_COST = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,35 +69,40 @@ def route_of(fronts: Floats, heading: Floats, graph: LaneGraph) -> Route:
 def _likeliest(
     fronts: Floats, heading: Floats, first: Integers, after: Integers, field: FieldArrays
 ) -> tuple[Integers, Floats, Floats]:  # pragma: no cover - compiled
-    count, found = len(fronts), np.empty((MOST, 6))
+    """Return lane, s and d of the likeliest sequence of lanelets at each step (Viterbi)."""
+    count, lanes = len(fronts), np.empty((MOST, 6))
     # candidates (lane, s, d) of each step; the last one stands for off the lanes
-    known = np.full((count, MOST + 1, 3), np.nan)
-    cost, before = np.full((count, MOST + 1), 1e18), np.zeros((count, MOST + 1), np.int64)
+    candidates = np.full((count, MOST + 1, 3), np.nan)
+    cost, parent = np.full((count, MOST + 1), 1e18), np.zeros((count, MOST + 1), np.int64)
     for i in range(count):
-        number = lanes_at(fronts[i, 0], fronts[i, 1], field, found)
+        number = lanes_at(fronts[i, 0], fronts[i, 1], field, lanes)
         for j in range(MOST + 1):
             if j == MOST:
-                here = OFF_LANE
-                known[i, j, 0] = -1.0
+                emission = OFF_LANE_COST
+                candidates[i, j, 0] = -1.0
             elif j < number:
+<<<<<<< HEAD
                 turn = abs(heading_difference(found[j, 3], heading[i]))
+=======
+                turn = abs(turned(lanes[j, 3], heading[i]))
+>>>>>>> 89821f15e8d05db340815f1d07e288beb482419a
                 if turn > MOST_RAD:
                     continue
-                here = (found[j, 2] / LEFT_M) ** 2 + (turn / TURN_RAD) ** 2
-                known[i, j] = found[j, :3]
+                emission = (lanes[j, 2] / LEFT_M) ** 2 + (turn / TURN_RAD) ** 2
+                candidates[i, j] = lanes[j, :3]
             else:
                 continue
-            cost[i, j] = here
+            cost[i, j] = emission
             if i > 0:
-                best, before[i, j] = _cheapest(
-                    known[i - 1, :, 0], cost[i - 1], known[i, j, 0], first, after
+                best, parent[i, j] = _cheapest(
+                    candidates[i - 1, :, 0], cost[i - 1], candidates[i, j, 0], first, after
                 )
                 cost[i, j] += best
     lane, s_m, d_m = np.empty(count, np.int64), np.empty(count), np.empty(count)
     j = int(np.argmin(cost[count - 1]))
     for i in range(count - 1, -1, -1):
-        lane[i], s_m[i], d_m[i] = int(known[i, j, 0]), known[i, j, 1], known[i, j, 2]
-        j = before[i, j]
+        lane[i], s_m[i], d_m[i] = int(candidates[i, j, 0]), candidates[i, j, 1], candidates[i, j, 2]
+        j = parent[i, j]
     return lane, s_m, d_m
 
 
@@ -108,22 +114,22 @@ def _cheapest(
     best, chosen = 1e18, 0
     for k in range(len(lanes)):
         if costs[k] < 1e18:
-            total = costs[k] + _change(lanes[k], new, first, after)
+            total = costs[k] + _change_cost(lanes[k], new, first, after)
             if total < best:
                 best, chosen = total, k
     return best, chosen
 
 
 @compiled
-def _change(
+def _change_cost(
     old: float, new: float, first: Integers, after: Integers
 ) -> float:  # pragma: no cover - compiled
     """Return the cost of a change from one lanelet to another."""
     if old == new:
         return 0.0
     if old < 0.0 or new < 0.0:
-        return 0.5 * CHANGE
+        return 0.5 * CHANGE_COST
     for k in range(first[int(old)], first[int(old) + 1]):
         if after[k] == int(new):
             return 0.0
-    return CHANGE
+    return CHANGE_COST

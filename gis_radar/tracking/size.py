@@ -21,13 +21,14 @@ class Size:
 
 LONGEST_M = 18.75  # a lorry with trailer (directive 96/53/EC, annex I)
 LONG_M = 7.0  # longer vehicles are lorries and buses
-# Share of detections that come from the end of a vehicle seen squarely; the others come from
-# anywhere along the body.
+# Share of detections of the end of a vehicle, if the sensor sees it squarely; others: of all the
+# body.
 END_SHARE = 0.75
 SCATTERER_M, ASPECT_RAD = 0.5, 0.3  # detections nearer along the body and in aspect are of one
-# Weight of each detection of a scatterer, 1 in all at most; less where a metre of the body is
-# detected in fewer half seconds than LASTING.
-WEIGHT, LASTING = 0.25, 4.0
+# Weight of each detection of a scatterer, whose sum is 1 at most; less where a metre of the body is
+# detected in fewer than LASTING_HALVES half seconds.
+REPEAT_WEIGHT, LASTING_HALVES = 0.25, 4.0
+# Grid of lengths, and of the middle ahead of its first guess, metres.
 LENGTHS = np.concatenate([np.arange(2.0, 7.1, 0.5), np.arange(8.0, 19.1, 1.0)])
 SHIFTS = np.arange(-6.0, 6.1, 0.5)
 
@@ -48,19 +49,19 @@ def length_prior(lengths: Floats) -> Floats:
     return np.asarray(np.log(density))
 
 
-_PRIOR = length_prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
-_CELLS = np.gradient(LENGTHS)
+_LOG_PRIOR = length_prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
+_LENGTH_WIDTHS = np.gradient(LENGTHS)
 
 
 def size_of(
     along: Floats, ends: Floats, noise: Floats, time: Floats, trust: Floats
 ) -> tuple[Size, float]:
-    """Return the size and the middle from the places of detections on the body.
+    """Estimate the size and the middle of a vehicle from the places of detections on it.
 
     Parameters
     ----------
     along, noise : (n,) arrays
-        Distances ahead of a first guess of the middle, and their 1 sigma, metres.
+        Distances ahead of a first guess of the middle, and their sigma, metres.
     ends : (n, 3) array
         The end that the sensor sees (1 front, -1 rear), and how squarely it sees the end and the
         side, from 0 to 1.
@@ -81,15 +82,15 @@ def size_of(
     along, ends, noise, weight = _scatterers(
         along[fits], ends[fits], noise[fits], time[fits], trust[fits]
     )
-    coarse = _likelihood(along, ends, noise, weight, LENGTHS, SHIFTS)
-    coarse += _PRIOR
+    coarse = _log_likelihood(along, ends, noise, weight, LENGTHS, SHIFTS)
+    coarse += _LOG_PRIOR
     top = np.unravel_index(int(coarse.argmax()), coarse.shape)
     fine_l = np.maximum(LENGTHS[top[0]] + np.arange(-0.75, 0.76, 0.25), 1.5)
     fine_d = SHIFTS[top[1]] + np.arange(-0.5, 0.51, 0.125)
-    fine = _likelihood(along, ends, noise, weight, fine_l, fine_d)
+    fine = _log_likelihood(along, ends, noise, weight, fine_l, fine_d)
     fine += length_prior(fine_l)[:, None] - 0.5 * (fine_d / 3.0) ** 2
     share = np.exp(coarse - coarse.max())
-    by_length = share.sum(axis=1) * _CELLS
+    by_length = share.sum(axis=1) * _LENGTH_WIDTHS
     by_length /= by_length.sum()
     mean = float(by_length @ LENGTHS)
     sigma = float(np.sqrt(by_length @ (LENGTHS - mean) ** 2))
@@ -104,9 +105,9 @@ def size_of(
 def _scatterers(
     along: Floats, ends: Floats, noise: Floats, time: Floats, trust: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return place, visible end, noise and weight of each scatterer.
+    """Group detections to scatterers; return place, visible end, noise and weight of each.
 
-    A sensor sees the same few scatterers of a body from one side, and how often it detects each is
+    From one side a sensor sees the same few scatterers of a body, and how often it detects each is
     no evidence of the length. Detections in one half second only may be of a passing vehicle.
     """
     aspect = np.arctan2(ends[:, 2], -ends[:, 0] * ends[:, 1]) / ASPECT_RAD
@@ -117,20 +118,20 @@ def _scatterers(
     half = (2.0 * (time - time.min())).astype(np.int64)
     halves = int(half.max()) + 1
     seen = np.bincount(np.unique(metre * halves + half) // halves + 400, None, 801)
-    lasts = np.minimum(seen[metre + 400] / LASTING, 1.0)
+    lasts = np.minimum(seen[metre + 400] / LASTING_HALVES, 1.0)
     table = np.column_stack([along, ends, noise])
     mean = np.stack([np.bincount(which, column) for column in table.T], axis=1) / count[:, None]
     most = np.zeros(len(count))
     np.maximum.at(most, which, trust)
-    weight = np.minimum(np.bincount(which, lasts * trust) * WEIGHT, most)
+    weight = np.minimum(np.bincount(which, lasts * trust) * REPEAT_WEIGHT, most)
     return mean[:, 0], mean[:, 1:4], mean[:, 4], weight
 
 
 @compiled
-def _likelihood(
+def _log_likelihood(
     along: Floats, ends: Floats, noise: Floats, weight: Floats, lengths: Floats, shifts: Floats
 ) -> Floats:  # pragma: no cover - compiled
-    """Return the log likelihood of lengths and shifts by the visible end and the sides."""
+    """Return the log likelihood of each length and shift of the middle, (lengths, shifts)."""
     out = np.zeros((len(lengths), len(shifts)))
     for a in range(len(lengths)):
         half = 0.5 * lengths[a]

@@ -1,4 +1,7 @@
-"""Tracker: find the vehicles in the detections of a span of time, as smoothed motions."""
+"""Tracker: find the vehicles in the detections of a span of time, as smoothed motions.
+
+First tracks come from a forward filter and track management; the posterior corrects them.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ from gis_radar.tracking.start.track_management import complete_tracks
 
 
 def vehicles_in(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
-    """Return the motions of the vehicles in some detections.
+    """Find the vehicles in some detections; return their motions.
 
     Parameters
     ----------
@@ -35,32 +38,32 @@ def vehicles_in(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
     """
     if len(detections) == 0:
         return []
-    found = _found(detections, graph)
+    started = _started(detections, graph)
     give_back_memory()  # the temporary arrays take twice the memory of the detections
-    improved = improve(found, detections, graph)
+    improved = improve(started, detections, graph)
     persons = is_person(detections, improved)
     return [each for each, person in zip(improved, persons, strict=True) if not person]
 
 
-def _found(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
-    """Return the vehicles that the filter follows, from arrival to departure."""
-    joined, states = _followed(detections, graph)
+def _started(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
+    """Return first tracks: the filter's, completed by the time at rest."""
+    joined, states = _tracks(detections, graph)
     parts = [rows for rows in rows_by_number(joined) if len(rows) >= LEAST_ROWS]
-    free = np.abs(detections.range_rate) < MOVING_MPS
-    followed = absorb(detections, parts, states)
-    motions = [each for each in followed if (~free[each.rows]).sum() >= BIRTHS]
+    unassigned = np.abs(detections.range_rate) < MOVING_MPS
+    moving = absorb(detections, parts, states)
+    motions = [each for each in moving if (~unassigned[each.rows]).sum() >= BIRTHS]
     persons = is_person(detections, motions)
     driven = [each for each, person in zip(motions, persons, strict=True) if not person]
     driven = without_faint_ends(detections, driven, states)
     if not driven:
         return []  # without driving vehicles, stationary ones cannot be told from fixed objects
     for each in motions:
-        free[each.rows] = False
-    return complete_tracks(detections, graph, driven, states, free)
+        unassigned[each.rows] = False
+    return complete_tracks(detections, graph, driven, states, unassigned)
 
 
-def _followed(detections: MapDetections, graph: LaneGraph) -> tuple[Integers, Floats]:
-    """Return the vehicle of each detection, and its state, from both directions of time."""
+def _tracks(detections: MapDetections, graph: LaneGraph) -> tuple[Integers, Floats]:
+    """Return the number of each detection's track and its state, from both directions of time."""
     numbers, both = follow_both_ways(detections, graph)
     joined = join_directions(*numbers, detections.time)
     return joined, merge_states(numbers[0], both, joined)

@@ -1,4 +1,4 @@
-"""Visibility: find the tiles that are observed and not hidden by other vehicles for too long.
+"""Visibility: tiles that are observed, and not hidden by other vehicles for too long.
 
 Other vehicles hide a tile from a sensor where the line of sight to its centre, a little over the
 road, crosses the box of a vehicle that does not occupy the tile itself; of several sensors that
@@ -24,12 +24,12 @@ from gis_radar.poses import Pose
 from gis_radar.tracking.footprints import MOST_PARTS, CrossLines, Footprints, clip_box, is_occupied
 
 HIDDEN_S = 10.0  # a tile stays visible for so long while other vehicles hide it (the contract)
-# Runs of visible steps are split where other vehicles hide the tile for so long: a passing vehicle
-# hides it for less, which tracks bridge.
+# A run of visible steps is split into seen and unseen where other vehicles hide the tile for so
+# long: a passing vehicle hides it for less, through which tracks continue.
 UNSEEN_S = 1.0
 # Steps between two checks of the lines of sight, which are also checked when sensors change: a
 # vehicle at 15 m/s moves 3 m in 0.2 s, which is little against 10 s of hiding.
-LOOK_STEPS = 4
+CHECK_STEPS = 4
 TARGET_M = 0.6  # height over the road of a tile's target (the contract): a car's bumper
 # Height of a sensor over the road where tiles have no heights: a mast or a signal head stands 4 to
 # 6 m high.
@@ -43,8 +43,8 @@ class Rays:
 
     Parameters
     ----------
-    eye : (4,) array
-        x, y from the origin of the cross-lines, height of the sensor, height of the road below it.
+    sensor : (4,) array
+        x, y from the origin of the cross-lines, height of the sensor, height of the road below.
     first : (BINS + 1,) int64 array
         Index of the first ray in each bin of azimuth.
     tile : (n,) int64 array
@@ -55,7 +55,7 @@ class Rays:
         Least height of the targets, metres.
     """
 
-    eye: Floats
+    sensor: Floats
     first: Integers
     tile: Integers
     ends: Floats
@@ -78,8 +78,8 @@ class Rays:
         ends = np.column_stack([targets[:, :2], level, range_m])[order]
         first = np.searchsorted(place[order], np.arange(BINS + 1))
         lowest_m = float(level.min()) if len(level) else road_m
-        eye = np.array([x, y, height, road_m])
-        return cls(eye=eye, first=first, tile=tile[order], ends=ends, lowest_m=lowest_m)
+        sensor = np.array([x, y, height, road_m])
+        return cls(sensor=sensor, first=first, tile=tile[order], ends=ends, lowest_m=lowest_m)
 
 
 class Visibility:
@@ -109,7 +109,7 @@ class Visibility:
         self._seen = np.ones(count, np.bool_)  # whether its steps are not hidden
         self._stamps = np.full((count, 3), -1)
         self._reached = -1
-        self._looked = -1  # step of the latest lines of sight, as long as the same sights are held
+        self._checked = -1  # step of the latest check of lines of sight with the same sights
         self._active: list[str] = []
         self._ended: list[Integers] = []
 
@@ -124,7 +124,7 @@ class Visibility:
         footprints : Footprints
             Footprints of the span.
         height_m : (n,) array
-            Height of the box of each, metres.
+            Height of the vehicle of each, metres.
         held : DataFrame
             `sight, first_step, last_step`: runs of steps in which frames are valid.
         span : (int, int)
@@ -152,23 +152,24 @@ class Visibility:
             for each in rays:
                 observed[each.tile] += 1
             if active != self._active:
-                self._active, self._looked = active, -1
+                self._active, self._checked = active, -1
             self._reached = begin - 1
             self._end_runs(np.flatnonzero((self._begun >= 0) & (observed == 0)))
             self._hidden[observed == 0] = 0
             low, high = np.searchsorted(footprints.step, [begin, after])
             first, last = np.searchsorted(step, [begin, after])
-            self._watch(
+            self._advance_steps(
                 footprints, height_m, rays, observed, (begin, after, int(low), int(high)),
                 (step[first:last], tile[first:last], answers[first:last]),
             )  # fmt: skip
             self._reached = after - 1
         return answers
 
-    def _watch(
+    def _advance_steps(
         self, footprints: Footprints, height_m: Floats, rays: list[Rays], observed: Integers,
         part: tuple[int, int, int, int], queries: tuple[Integers, Integers, Booleans],
     ) -> None:  # fmt: skip
+        """Advance over a part of a span in which the same sights are observed."""
         if not rays:
             return
         begin, after, low, high = part
@@ -179,18 +180,18 @@ class Visibility:
                 footprints.step[low:high], footprints.boxes[low:high],
                 footprints.level_m[low:high], height_m[low:high], footprints.path[low:high],
                 footprints.points, footprints.begins, self._lines.lines,
-                np.stack([each.eye for each in rays]),
+                np.stack([each.sensor for each in rays]),
                 np.stack([o + each.first for o, each in zip(offsets, rays, strict=False)]),
                 np.concatenate([each.tile for each in rays]),
                 np.concatenate([each.ends for each in rays]),
                 np.array([each.lowest_m for each in rays]),
                 observed, np.flatnonzero(observed), self._hidden, self._begun, self._seen,
                 self._stamps, round(HIDDEN_S * STEPS_PER_SECOND),
-                round(UNSEEN_S * STEPS_PER_SECOND), LOOK_STEPS, self._looked, *queries,
+                round(UNSEEN_S * STEPS_PER_SECOND), CHECK_STEPS, self._checked, *queries,
             )
         )  # fmt: skip
-        first_look = begin if self._looked < 0 else self._looked
-        self._looked = max(first_look, (after - 1) // LOOK_STEPS * LOOK_STEPS)
+        first_check = begin if self._checked < 0 else self._checked
+        self._checked = max(first_check, (after - 1) // CHECK_STEPS * CHECK_STEPS)
 
     def flush(self) -> Integers:
         """End all runs at the last step so far; return those since the last call, (n, 4).
@@ -203,12 +204,14 @@ class Visibility:
         return found
 
     def _end_runs(self, tile: Integers) -> None:
+        """End the runs of some tiles at the last step so far."""
         begun = self._begun[tile]
         reached = np.full(len(tile), self._reached)
         self._ended.append(np.column_stack([tile, begun, reached, self._seen[tile]]))
         self._begun[tile], self._seen[tile] = -1, True
 
     def _rays_of(self, name: str) -> Rays:
+        """Return the lines of sight of a sight, made once."""
         if name not in self._rays:
             seen = self._sights[name]
             tile = np.searchsorted(self._tile_id, seen.tile_id)
@@ -240,23 +243,23 @@ def _segments(held: pd.DataFrame, span: tuple[int, int]) -> list[tuple[int, int,
 
 
 @compiled
-def _hides(
-    eye: Floats, end: Floats, box: Floats, bottom_m: float, top_m: float
+def _crosses(
+    sensor: Floats, end: Floats, box: Floats, bottom_m: float, top_m: float
 ) -> bool:  # pragma: no cover - compiled
-    """Return whether a box that does not contain the end crosses a line of sight."""
+    """Return whether a line of sight crosses a box that does not contain its end."""
     low, high = clip_box(
-        eye[0], eye[1], end[0], end[1], box[0], box[1], box[2], box[3], box[4], box[5]
+        sensor[0], sensor[1], end[0], end[1], box[0], box[1], box[2], box[3], box[4], box[5]
     )
     if high <= low or high >= 1.0:
         return False
-    one, other = eye[2] + low * (end[2] - eye[2]), eye[2] + high * (end[2] - eye[2])
+    one, other = sensor[2] + low * (end[2] - sensor[2]), sensor[2] + high * (end[2] - sensor[2])
     return bool(min(one, other) < top_m and max(one, other) > bottom_m)
 
 
 @compiled
-def _azimuths(eye: Floats, box: Floats) -> tuple[float, float, float, float]:  # pragma: no cover
+def _azimuths(sensor: Floats, box: Floats) -> tuple[float, float, float, float]:  # pragma: no cover
     """Return the range of azimuths of a box, in bins, and the range of its distances."""
-    x, y = box[0] - eye[0], box[1] - eye[1]
+    x, y = box[0] - sensor[0], box[1] - sensor[1]
     apart, reach = math.sqrt(x * x + y * y), math.sqrt(box[4] * box[4] + box[5] * box[5])
     if apart <= reach:
         return 0.0, BINS - 1.0, 0.0, apart + reach
@@ -275,20 +278,20 @@ def _azimuths(eye: Floats, box: Floats) -> tuple[float, float, float, float]:  #
 
 @compiled
 def _cast_shadow(  # noqa: PLR0917
-    eye: Floats, first: Integers, ray_tile: Integers, ends: Floats, lowest_m: float,
+    sensor: Floats, first: Integers, ray_tile: Integers, ends: Floats, lowest_m: float,
     box: Floats, level_m: float, height_m: float, path: int, points: Floats, begins: Booleans,
     lines: Floats, stamps: Integers, step: int, mark: int, shares: Floats,
 ) -> None:  # pragma: no cover - compiled  # fmt: skip
-    """Count the sensors from which a box hides each tile.
+    """Count in `stamps` from how many sensors each tile is hidden by a box.
 
-    The columns of `stamps`: the step of the count, the count of sensors, the mark of the last one.
+    Its columns are the step of the count, the number of sensors, and the mark of the last one.
     """
-    low, high, nearest, farthest = _azimuths(eye, box)
-    bottom = eye[3] if math.isnan(level_m) else level_m
+    low, high, nearest, farthest = _azimuths(sensor, box)
+    bottom = sensor[3] if math.isnan(level_m) else level_m
     top = bottom + height_m
     limit = np.inf
-    if eye[2] > top:  # beyond, the lines of sight pass above the box
-        limit = farthest * max(1.0, (eye[2] - lowest_m) / (eye[2] - top))
+    if sensor[2] > top:  # beyond, the lines of sight pass above the box
+        limit = farthest * max(1.0, (sensor[2] - lowest_m) / (sensor[2] - top))
     for turn in range(math.floor(low), math.floor(high) + 1):
         place = turn % BINS
         k, after = first[place], first[place + 1]
@@ -297,7 +300,7 @@ def _cast_shadow(  # noqa: PLR0917
             tile = ray_tile[k]
             if (
                 not (stamps[tile, 0] == step and stamps[tile, 2] == mark)
-                and _hides(eye, ends[k], box, bottom, top)
+                and _crosses(sensor, ends[k], box, bottom, top)
                 and not is_occupied(lines[tile], box, path, points, begins, shares)
             ):
                 if stamps[tile, 0] != step:
@@ -310,10 +313,10 @@ def _cast_shadow(  # noqa: PLR0917
 @compiled
 def _watch_steps(  # noqa: C901, PLR0912, PLR0917 - calls between compiled functions cost
     begin: int, after: int, step: Integers, boxes: Floats, level_m: Floats, height_m: Floats,
-    path: Integers, points: Floats, begins: Booleans, lines: Floats, eyes: Floats,
+    path: Integers, points: Floats, begins: Booleans, lines: Floats, sensors: Floats,
     first: Integers, ray_tile: Integers, ends: Floats, lowest_m: Floats, observed: Integers,
     watched: Integers, hidden: Integers, begun: Integers, seen: Booleans, stamps: Integers,
-    most: int, least: int, every: int, looked: int, query_step: Integers,
+    most: int, least: int, every: int, checked: int, query_step: Integers,
     query_tile: Integers, answers: Booleans,
 ) -> Integers:  # pragma: no cover - compiled  # fmt: skip
     """Process steps in which the same views are observed; return the runs that ended."""
@@ -324,17 +327,17 @@ def _watch_steps(  # noqa: C901, PLR0912, PLR0917 - calls between compiled funct
         low = state
         while state < len(step) and step[state] == now:
             state += 1
-        if looked < 0 or now % every == 0:
-            looked = now
-        for view in range(len(eyes) if looked == now else 0):
+        if checked < 0 or now % every == 0:
+            checked = now
+        for view in range(len(sensors) if checked == now else 0):
             for k in range(low, state):
                 _cast_shadow(
-                    eyes[view], first[view], ray_tile, ends, lowest_m[view],
+                    sensors[view], first[view], ray_tile, ends, lowest_m[view],
                     boxes[k], level_m[k], height_m[k], path[k], points, begins,
                     lines, stamps, now, view, shares,
                 )  # fmt: skip
         for tile in watched:
-            if stamps[tile, 0] == looked and stamps[tile, 1] == observed[tile]:
+            if stamps[tile, 0] == checked and stamps[tile, 1] == observed[tile]:
                 hidden[tile] += 1
             else:
                 hidden[tile] = 0

@@ -1,4 +1,4 @@
-"""Vehicles as one estimate: the probability of all detections, and moves that raise it.
+"""Joint estimate of all vehicles: the posterior of their tracks, and moves that raise it.
 
 Detections are a superposition of Poisson processes, one a vehicle and one of the background (Khan
 et al. 2005, Oh et al. 2009: moves of tracks; Meyer and Williams 2021: extended objects).
@@ -16,27 +16,27 @@ from gis_radar.tracking.posterior.ends import lengthen, with_undetected_ends
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.existence import with_existence
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
-from gis_radar.tracking.posterior.refits import reassign, refit
+from gis_radar.tracking.posterior.refits import reassociate, refit
 from gis_radar.tracking.posterior.sizes import resize
 
 __all__ = ["Posterior", "improve"]
 
 
 def improve(motions: Sequence[Motion], detections: MapDetections, graph: LaneGraph) -> list[Motion]:
-    """Return vehicles under which the detections are more likely.
+    """Return vehicles with a higher posterior than those to begin with.
 
-    Lengths are chosen, long vehicles split in two and neighbours joined to one, stretches that
-    nothing supports cut. Then ends are lengthened along the lanes and motions fitted to the
-    detections that are theirs. Twice, since what one vehicle loses another one gains; at the end
-    lengths, joins and stretches again, each vehicle is extended while hardly a detection is due,
-    and told how likely it exists.
+    Moves that raise the posterior are made in turn: change lengths, split long vehicles, merge
+    neighbours, cut stretches without support, lengthen tracks along the lanes, associate detections
+    anew and smooth motions over them. All are made twice, since what one vehicle loses another one
+    gains. At the end lengths, merges and cuts are made once more, tracks are extended where few
+    detections are expected, and the probability that each vehicle exists is computed.
 
     Parameters
     ----------
     motions : sequence of Motion
         The vehicles to begin with.
     detections : MapDetections
-        All of them.
+        All detections.
     graph : LaneGraph
         The lanes.
     """
@@ -44,20 +44,21 @@ def improve(motions: Sequence[Motion], detections: MapDetections, graph: LaneGra
         return []
     posterior = Posterior(detections, motions)
     posterior.learn(_sized_and_cut(posterior, split=True))
-    posterior.place(lengthen(posterior, graph))
-    posterior.motions = reassign(posterior)
-    posterior.place(refit(posterior))
+    posterior.set_vehicles(lengthen(posterior, graph))
+    posterior.motions = reassociate(posterior)
+    posterior.set_vehicles(refit(posterior))
     posterior.learn(_sized_and_cut(posterior, split=True))
-    posterior.place(lengthen(posterior, graph))
-    posterior.motions = reassign(posterior)
-    # two that were joined by how they drove drive alike since: nothing would join them once more
+    posterior.set_vehicles(lengthen(posterior, graph))
+    posterior.motions = reassociate(posterior)
+    # no splits now: halves of a body that was merged by its motion drive alike, and would stay two
     found = with_undetected_ends(posterior, _sized_and_cut(posterior, split=False), graph)
     return with_existence(posterior, found)
 
 
 def _sized_and_cut(posterior: Posterior, *, split: bool) -> list[Motion]:
-    posterior.place(resize(posterior))
+    """Return the vehicles after changing lengths, splitting (if asked), merging and cutting."""
+    posterior.set_vehicles(resize(posterior))
     if split:
-        posterior.place(split_long(posterior))
-    posterior.place(join_neighbours(posterior))
+        posterior.set_vehicles(split_long(posterior))
+    posterior.set_vehicles(join_neighbours(posterior))
     return cut(posterior)

@@ -1,4 +1,4 @@
-"""Detections that are of no vehicle: of what stands, and of clutter that moves."""
+"""Background rate: detections of no vehicle, from fixed objects and from moving clutter."""
 
 from __future__ import annotations
 
@@ -11,30 +11,33 @@ from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.posterior.frames import Frames
 from gis_radar.tracking.posterior.likelihood import CELL_M, RATE_MPS
 
-SPOT_M = 0.5  # what stands returns from a spot of that size
-STILL_MPS = 0.3
-STILL_DENSITY = 1.0 / (math.sqrt(2.0 * math.pi) * RATE_MPS)  # s / m; of a vehicle at rest, too
-AFTER_S = 1.5  # so long after a vehicle has driven over a spot hardly another one stands there
+SPOT_M = 0.5  # side of the spots in which the rate of fixed objects is learned
+STILL_MPS = 0.3  # largest absolute range rate of a detection of a fixed object
+# Density of such a range rate, s/m: that of a vehicle at rest, too, so that it does not decide.
+STILL_DENSITY = 1.0 / (math.sqrt(2.0 * math.pi) * RATE_MPS)
+AFTER_S = 1.5  # time after a vehicle drove over a spot in which hardly another one stands there
 DRIVES_MPS = 2.0
 BESIDE_M = 0.5  # about a body its own detections are not told from what stands
 FEW = 20.0  # frames that what is usual counts as
-SPEEDS = (3.0, 8.0)  # m/s, between slow, middling and fast clutter
-WIDTHS = np.array([2.0 * SPEEDS[0], 2.0 * (SPEEDS[1] - SPEEDS[0]), 44.0])  # m/s; fast up to 30
-FLOOR = 1e-7  # per frame, m2 and m/s: a hundredth of faint clutter; no logarithm of nothing
+SPEEDS = (3.0, 8.0)  # bounds between slow, middling and fast clutter, m/s
+# Widths of these bins of range rates of both signs, m/s; fast ones end at 30 m/s.
+WIDTHS = np.array([2.0 * SPEEDS[0], 2.0 * (SPEEDS[1] - SPEEDS[0]), 44.0])
+LEAST_RATE = 1e-7  # least rate, per frame, m2 and m/s: a hundredth of faint clutter, over 0
 
 
 class Background:
-    """Expected detections of no vehicle, per frame, m2 and m/s.
+    """Background rate at each detection, per frame, m2 and m/s.
 
-    What returns from a spot is learned just after a vehicle drove over it, and while none is on it:
-    never while one may stand there, so that who stands throughout is not taken for what is built.
+    The rate of fixed objects at a spot is learned from the frames just after a vehicle drove over
+    it, and from those in which no vehicle is on it: so a vehicle that stands throughout does not
+    count as a fixed object. That of moving clutter is learned by map cell, sensor and speed.
 
     Parameters
     ----------
     detections : MapDetections
-        In the order of the frames.
+        Detections in the order of the frames.
     frames : Frames
-        Of all sensors.
+        Frames of all sensors.
     """
 
     def __init__(self, detections: MapDetections, frames: Frames) -> None:
@@ -46,70 +49,71 @@ class Background:
         self._clutter = ((detections.sensor * rows + cell[:, 0]) * columns + cell[:, 1]) * 3 + speed
         self._still_rate = np.zeros(len(detections))
 
-    def watch(self, order: Integers, frame: Integers, shape: Floats) -> None:
-        """Learn what stands, from the frames in which no vehicle is on a spot.
+    def learn_fixed(self, order: Integers, frame: Integers, shape: Floats) -> None:
+        """Learn the rate of fixed objects from the frames in which no vehicle is on a spot.
 
         Parameters
         ----------
         order : (n,) int64 array
-            States of vehicles by frame.
-        frame, shape : arrays
-            Of all states.
+            States of vehicles, sorted by frame.
+        frame, shape : (m,), (m, 9) arrays
+            Frame and shape of all states.
         """
         frames = self._frames
         for low, high in zip(frames.begin[:-1].tolist(), frames.begin[1:].tolist(), strict=True):
             rows = slice(int(frames.first[low]), int(frames.first[high]))
             if rows.start < rows.stop:
                 part = order[slice(*np.searchsorted(frame[order], [low, high]))]
-                self._still_rate[rows] = self._of_sensor((low, high), rows, part, frame, shape)
+                self._still_rate[rows] = self._fixed_rates((low, high), rows, part, frame, shape)
 
-    def _of_sensor(
+    def _fixed_rates(
         self, span: tuple[int, int], rows: slice, order: Integers, frame: Integers, shape: Floats
     ) -> Floats:
-        """Return the rate of each detection of a sensor by what stands; its frames are a span."""
+        """Return the rate of fixed objects at each detection of a sensor with a span of frames."""
         frames, points = self._frames, self._points[rows]
         corner = points.min(axis=0) - SPOT_M
         spot = ((points - corner) / SPOT_M).astype(np.int64)
         size = tuple((spot.max(axis=0) + 2).tolist())
-        bare, (counted, after, found) = (
+        bare, (counted, after, counted_after) = (
             np.full(size, float(span[1] - span[0])),
             np.zeros((3, *size)),
         )
-        _watch(
+        _count(
             order, frame, shape, frames.time, frames.first, span, self._still, spot, corner, bare,
-            counted, after, found,
+            counted, after, counted_after,
         )  # fmt: skip
         known = bare > 5.0 * FEW
-        usual = counted[known].sum() / max(bare[known].sum(), 1.0)
-        rate = (counted + FEW * usual) / (np.maximum(bare, 0.0) + FEW)
-        rate = (found + 0.5 * FEW * rate) / (after + 0.5 * FEW)
+        mean_rate = counted[known].sum() / max(bare[known].sum(), 1.0)
+        rate = (counted + FEW * mean_rate) / (np.maximum(bare, 0.0) + FEW)
+        rate = (counted_after + 0.5 * FEW * rate) / (after + 0.5 * FEW)
         return np.asarray(self._still[rows] * rate[tuple(spot.T)] / SPOT_M**2 * STILL_DENSITY)
 
-    def rates(self, left: Floats) -> Floats:
-        """Return the rate of each detection by what is no vehicle.
+    def rates(self, unexplained: Floats) -> Floats:
+        """Return the background rate at each detection: fixed objects, clutter, least rate.
 
         Parameters
         ----------
-        left : (n,) array
-            The share of each detection that no vehicle explains.
+        unexplained : (n,) array
+            Share of each detection that no vehicle explains: 1 less their responsibilities.
         """
         size = (int(self._clutter.max()) // 3 + 1) * 3
-        cells = np.bincount(self._clutter, left * ~self._still, size).reshape(-1, 3)
+        cells = np.bincount(self._clutter, unexplained * ~self._still, size).reshape(-1, 3)
         used = np.bincount(self._clutter // 3, minlength=len(cells)) > 0
-        frames = len(self._frames.time) / len(self._frames.eyes)
+        frames = len(self._frames.time) / len(self._frames.sensor_xy)
         each = 0.5 * (cells + cells[used].mean(axis=0)) / (frames * CELL_M**2 * WIDTHS)
-        return np.asarray(self._still_rate + each.ravel()[self._clutter] + FLOOR)
+        return np.asarray(self._still_rate + each.ravel()[self._clutter] + LEAST_RATE)
 
 
 @compiled
-def _watch(  # noqa: PLR0917 - numba takes plain arrays
+def _count(  # noqa: PLR0917 - numba takes plain arrays
     order: Integers, frame: Integers, shape: Floats, time: Floats, first: Integers,
     span: tuple[int, int], still: Booleans, spot: Integers, corner: Floats, bare: Floats,
-    counted: Floats, after: Floats, found: Floats,
+    counted: Floats, after: Floats, counted_after: Floats,
 ) -> None:  # fmt: skip
-    """Count frames without a vehicle on a spot and still detections in them; and just after one.
+    """Count the frames without a vehicle on a spot, and the still detections in them.
 
-    `bare` and `counted` are of all frames without one, `after` and `found` of those after one.
+    Writes `bare` (frames) and `counted` (detections) of all frames without one, and `after` and
+    `counted_after` of those within `AFTER_S` after one drove over the spot.
     """
     frames = max(span[1] - span[0] - 1, 1)
     gap = max((time[span[1] - 1] - time[span[0]]) / frames, 1e-3)
@@ -123,7 +127,7 @@ def _watch(  # noqa: PLR0917 - numba takes plain arrays
             i, j = spot[d - begin, 0], spot[d - begin, 1]
             if still[d] and last[i, j] < time[f]:
                 counted[i, j] += 1.0
-                found[i, j] += 1.0 if time[f] - drove[i, j] < AFTER_S else 0.0
+                counted_after[i, j] += 1.0 if time[f] - drove[i, j] < AFTER_S else 0.0
     for i in range(bare.shape[0]):
         for j in range(bare.shape[1]):
             if drove[i, j] > 0.0:
@@ -135,7 +139,7 @@ def _cover(
     shape: Floats, now: float, gap: float, corner: Floats, bare: Floats, after: Floats,
     drove: Floats, last: Floats,
 ) -> None:  # fmt: skip
-    """Note that a vehicle is on the spots under it."""
+    """Subtract a frame of a vehicle from `bare` at the spots under it; note when it drove there."""
     x, y, c, s, speed = shape[0], shape[1], shape[2], shape[3], shape[4]
     a, b = 0.5 * shape[5] + BESIDE_M, 0.5 * shape[6] + BESIDE_M
     east, north = a * abs(c) + b * abs(s), a * abs(s) + b * abs(c)

@@ -1,4 +1,4 @@
-"""Longer tracks: along the lanes as far as detections support them, then while none is due."""
+"""Longer tracks: along the lanes, as far as detections or the lack of expected ones allow."""
 
 from __future__ import annotations
 
@@ -13,51 +13,55 @@ from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior.background import DRIVES_MPS
-from gis_radar.tracking.posterior.cuts import END_MOST
+from gis_radar.tracking.posterior.cuts import MOST_END_COST
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.frames import BEND_M, WINDOW_S
 from gis_radar.tracking.posterior.likelihood import (
     STANDS_MPS,
-    Rates,
-    Seen,
-    densities,
-    gain_of,
-    kind_and_cell,
+    DetectionArrays,
+    RateModel,
+    class_and_cell,
+    fill_densities,
+    log_likelihood_ratio,
 )
 
-AHEAD_M, MOST_WAYS, LANES = 120.0, 6, 2  # of ways on: how far, how many, from how many lanes
-MOST_TURN = 0.6  # between a vehicle and its lane, radians
-METRES_A_RADIAN = 3.0  # a lane so far beside is as unlikely as one turned by a radian
-MOST_WINDOWS, BEAM = 40, 6  # half seconds, and hypotheses that are kept
-ACCELERATIONS = np.array([-4.0, -2.0, -1.0, 0.0, 1.0, 2.0])  # m/s2
-USUAL_MPS2 = 2.0  # acceleration of one standard deviation; it costs half a second each
-GIVE_UP, LEAST_GAIN = 12.0, 3.0  # of the log-probability
-UNSEEN = 8  # half seconds without a gain, after which nobody is looked for any longer
-SAME_M, SAME_MPS = 0.4, 0.9  # hypotheses nearer to each other are one
-SPREAD_M2, MOST_SPREAD_M2 = 0.05, 1.0  # variance of the place, a second
-UNDETECTED_WINDOWS = 20  # half seconds, after which a place is not visible any longer
-TURN_POINTS = 40  # metres ahead, in which a fork shows
+# Lines along lanes on which a track may continue: length, most lines, most lanes to begin with.
+LINE_M, MOST_LINES, MOST_LANES = 120.0, 6, 2
+MOST_TURN = 0.6  # largest angle between a vehicle and its lane, radians
+METRES_PER_RAD = 3.0  # distance beside a lane that is as unlikely as a radian of turn
+MOST_WINDOWS, BEAM = 40, 6  # half seconds of the beam search, and hypotheses that it keeps
+ACCELERATIONS = np.array([-4.0, -2.0, -1.0, 0.0, 1.0, 2.0])  # that are tried, m/s2
+ACCELERATION_MPS2 = 2.0  # sigma of the acceleration, whose prior counts half in a half second
+# A hypothesis so much worse than the best is dropped; least gain of a longer track; both nats.
+PRUNED, LEAST_GAIN = 12.0, 3.0
+MOST_GAINLESS = 8  # half seconds in a row without a gain after which the search ends
+SAME_M, SAME_MPS = 0.4, 0.9  # hypotheses that differ by less are one
+VARIANCE_M2, MOST_VARIANCE_M2 = 0.05, 1.0  # growth of the variance of a place per second; its limit
+UNDETECTED_WINDOWS = 20  # half seconds of an extension: then a hidden place is not visible any more
+FORK_POINTS = 40  # points of a line, a metre apart, whose turn decides at forks
 
 
 def lengthen(posterior: Posterior, graph: LaneGraph) -> list[Motion]:
-    """Return the vehicles made longer at both ends; the best supported ones go on first.
+    """Return the vehicles lengthened at both ends, as far as detections raise the posterior.
+
+    Vehicles are lengthened in descending order of their number of detections.
 
     Parameters
     ----------
     posterior : Posterior
-        With the vehicles; what they gain joins what is there.
+        Posterior of the vehicles; rates of the new states are added to its total rates.
     graph : LaneGraph
         The lanes.
     """
     graphs = {1: graph, -1: graph.reversed()}
     found = list(posterior.motions)
     for k in np.argsort([-len(each.rows) for each in found], kind="stable").tolist():
-        for way in (1, -1):
-            longer = _go_on(posterior, found[k], graphs[way], way)
+        for direction in (1, -1):
+            longer = _lengthened(posterior, found[k], graphs[direction], direction)
             if longer is not found[k]:
                 begin, end = ((found[k].first_step - 0.5) * STEP_S,
                               (found[k].last_step + 0.5) * STEP_S)  # fmt: skip
-                new = (end, math.inf) if way > 0 else (-math.inf, begin)
+                new = (end, math.inf) if direction > 0 else (-math.inf, begin)
                 posterior.gain(longer, add=True, within=new)
                 found[k] = longer
     return found
@@ -66,16 +70,17 @@ def lengthen(posterior: Posterior, graph: LaneGraph) -> list[Motion]:
 def with_undetected_ends(
     posterior: Posterior, motions: Sequence[Motion], graph: LaneGraph
 ) -> list[Motion]:
-    """Return the vehicles extended at both ends, while silence there and their speed allow.
+    """Return the vehicles extended at both ends through times in which they are not detected.
 
     Vehicles do not vanish: far away, behind another one, or where the radar is blind, one is there
-    undetected. How many detections are due in a place is learned from all others that are in it or
-    would be, if they drove on along their lanes at the speed they had, or stood on.
+    undetected. It is predicted along its lane at constant speed, or in its place where it stands.
+    The expected number of detections in a cell is learned from all other vehicles in it, predicted
+    ones included; :func:`_undetected_steps` says how far that allows an extension.
 
     Parameters
     ----------
     posterior : Posterior
-        What is expected; the longer vehicles are placed in it.
+        Posterior with learned detection rates; the extended vehicles are set in it.
     motions : sequence of Motion
         The vehicles.
     graph : LaneGraph
@@ -84,131 +89,148 @@ def with_undetected_ends(
     Returns
     -------
     list of Motion
-        In the same order; their detections are as before.
+        In the same order, with the same detections.
     """
     graphs = {1: graph, -1: graph.reversed()}
-    longest = [_driven_on(_driven_on(each, graphs[1], 1), graphs[-1], -1) for each in motions]
-    posterior.place(longest)
-    covered = posterior.covered([(each.first_step, each.last_step) for each in motions])
-    time, cost = posterior.silence_by_others()
-    step, found = time * STEPS_PER_SECOND, []
-    cost[covered] = math.inf
+    longest = [_predicted(_predicted(each, graphs[1], 1), graphs[-1], -1) for each in motions]
+    posterior.set_vehicles(longest)
+    overlapping = posterior.overlapping([(each.first_step, each.last_step) for each in motions])
+    time, cost = posterior.cost_of_silence()
+    step, extended_motions = time * STEPS_PER_SECOND, []
+    cost[overlapping] = math.inf
     for k, motion in enumerate(motions):
-        rows, mine = posterior.states.rows(k), posterior.given.time[motion.rows] * STEPS_PER_SECOND
+        rows = posterior.states.rows(k)
+        detected = posterior.detections.time[motion.rows] * STEPS_PER_SECOND
         speed = motion.speed[[0, -1]]
-        known = 0.5 * speed / USUAL_MPS2 * STEPS_PER_SECOND
-        known[speed <= STANDS_MPS] = math.inf
+        # until the speed may have changed by half, at ACCELERATION_MPS2
+        reliable = 0.5 * speed / ACCELERATION_MPS2 * STEPS_PER_SECOND
+        reliable[speed <= STANDS_MPS] = math.inf
         before, after = (
             _undetected_steps(past, cost[rows], most)
             for past, most in zip(
-                (mine.min() - step[rows], step[rows] - mine.max()), known.tolist(), strict=True
+                (detected.min() - step[rows], step[rows] - detected.max()),
+                reliable.tolist(),
+                strict=True,
             )
         )
-        first, last = float(mine.min()) - before, float(mine.max()) + after
-        whole = longest[k].between(
+        first, last = float(detected.min()) - before, float(detected.max()) + after
+        extended = longest[k].between(
             min(motion.first_step, math.floor(first)), max(motion.last_step, math.ceil(last)),
-            posterior.given.time,
+            posterior.detections.time,
         )  # fmt: skip
-        found.append(whole or motion)
-    posterior.place(found)
-    return found
+        extended_motions.append(extended or motion)
+    posterior.set_vehicles(extended_motions)
+    return extended_motions
 
 
-def _undetected_steps(past: Floats, cost: Floats, known: float) -> float:
-    """Return how many steps past a detection a vehicle is there.
+def _undetected_steps(past: Floats, cost: Floats, reliable: float) -> float:
+    """Return for how many steps after its last detection a vehicle continues undetected.
 
-    All the way on where that costs less than an end in plain view; else as far as it does, while
-    its place is known: at `USUAL_MPS2` its speed changes by half. Who stands keeps its place.
+    For all steps if they cost no more than an end in plain view, else until they cost as much, and
+    only while the prediction is reliable.
+
+    Parameters
+    ----------
+    past : (n,) array
+        Steps after the last detection at each state; negative ones are ignored.
+    cost : (n,) array
+        Cost if the state is not detected, nats.
+    reliable : float
+        Steps for which the prediction is reliable.
     """
     order = np.argsort(past, kind="stable")
     order = order[past[order] > 0.0]
     past, total = past[order], np.cumsum(cost[order])
-    if len(past) == 0 or total[-1] <= END_MOST:
+    if len(past) == 0 or total[-1] <= MOST_END_COST:
         return float(past[-1]) if len(past) else 0.0
-    undetected = past[(total <= END_MOST) & (past <= known)]
+    undetected = past[(total <= MOST_END_COST) & (past <= reliable)]
     return float(undetected[-1]) if len(undetected) else 0.0
 
 
-def _driven_on(motion: Motion, graph: LaneGraph, way: int) -> Motion:
-    """Return a motion that goes on at its end (way 1) or its begin (-1), along the lanes there.
+def _predicted(motion: Motion, graph: LaneGraph, direction: int) -> Motion:
+    """Return a motion predicted after its end (direction 1) or before its begin (-1).
 
-    At the speed it has, up to where lanes end; of lanes that fork the straightest is taken. Who
-    stands there, but drives before or after, stays.
+    It follows the straightest lane at constant speed, up to the end of the lanes. A vehicle that
+    stands there keeps its place, if it drives at another time; else it is not extended.
     """
     middle, heading = motion.places
-    at = -1 if way > 0 else 0
+    at = -1 if direction > 0 else 0
     speed = float(motion.speed[at])
     if speed <= STANDS_MPS:
-        return _stood_on(motion, way) if motion.speed.max() > DRIVES_MPS else motion
-    lines = _ways(graph, middle[at], float(heading[at]) + (0.0 if way > 0 else math.pi))
+        return _held_at_rest(motion, direction) if motion.speed.max() > DRIVES_MPS else motion
+    lines = _lines_from(graph, middle[at], float(heading[at]) + (0.0 if direction > 0 else math.pi))
     lines = [line for line in lines if len(line) > 2]
     if not lines:
         return motion
-    line = min(lines, key=_turned)
-    far = speed * WINDOW_S * np.arange(UNDETECTED_WINDOWS + 1)
-    far = far[far <= Path(line).s_m[-1]]
-    if len(far) < 2:
+    line = min(lines, key=_turn_of)
+    along = speed * WINDOW_S * np.arange(UNDETECTED_WINDOWS + 1)
+    along = along[along <= Path(line).s_m[-1]]
+    if len(along) < 2:
         return motion
-    return _longer(motion, line, np.column_stack([far, np.full(len(far), speed)]), way)
+    states = np.column_stack([along, np.full(len(along), speed)])
+    return _with_states(motion, line, states, direction)
 
 
-def _stood_on(motion: Motion, way: int) -> Motion:
-    """Return a motion that stays in its place after its end (way 1) or before its begin (-1)."""
+def _held_at_rest(motion: Motion, direction: int) -> Motion:
+    """Return a motion that stands after its end (direction 1) or before its begin (-1)."""
     count = round(UNDETECTED_WINDOWS * WINDOW_S * STEPS_PER_SECOND)
-    sides = (0, count) if way > 0 else (count, 0)
-    place, spread = (np.pad(each, sides, mode="edge") for each in (motion.s_m, motion.var_s))
+    sides = (0, count) if direction > 0 else (count, 0)
+    place, variance = (np.pad(each, sides, mode="edge") for each in (motion.s_m, motion.var_s))
     return replace(
-        motion, first_step=motion.first_step - sides[0], s_m=place, var_s=spread,
+        motion, first_step=motion.first_step - sides[0], s_m=place, var_s=variance,
         speed=np.pad(motion.speed, sides),
     )  # fmt: skip
 
 
-def _turned(line: Floats) -> float:
-    """Return by how much a line turns within the way of a few seconds."""
-    ahead = np.diff(line[:TURN_POINTS], axis=0)
+def _turn_of(line: Floats) -> float:
+    """Return by how many radians a line turns over its first `FORK_POINTS`."""
+    ahead = np.diff(line[:FORK_POINTS], axis=0)
     heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
     return float(np.abs(heading[-1] - heading[0]))
 
 
-def _go_on(posterior: Posterior, motion: Motion, graph: LaneGraph, way: int) -> Motion:
-    """Return a motion made longer at its end (way 1) or its begin (-1)."""
+def _lengthened(posterior: Posterior, motion: Motion, graph: LaneGraph, direction: int) -> Motion:
+    """Return a motion lengthened by the beam search at its end (direction 1) or begin (-1)."""
     middle, heading = motion.places
-    at, step = (-1, motion.last_step) if way > 0 else (0, motion.first_step)
+    at, step = (-1, motion.last_step) if direction > 0 else (0, motion.first_step)
     best, longer = LEAST_GAIN, motion
-    for line in _ways(graph, middle[at], float(heading[at]) + (0.0 if way > 0 else math.pi)):
+    towards = float(heading[at]) + (0.0 if direction > 0 else math.pi)
+    for line in _lines_from(graph, middle[at], towards):
         path = Path(line)
         turn = np.append(path.heading, path.heading[-1])
         states = np.zeros((MOST_WINDOWS + 1, 2))
         gain, count = _search(
-            line, path.s_m, turn, way, (step + 0.5 * way) * STEP_S, float(motion.speed[at]),
-            motion.length_m, motion.width_m, posterior.frames.begin, posterior.frames.time,
-            posterior.rates, posterior.seen, posterior.alpha, ACCELERATIONS, states,
+            line, path.s_m, turn, direction, (step + 0.5 * direction) * STEP_S,
+            float(motion.speed[at]), motion.length_m, motion.width_m, posterior.frames.begin,
+            posterior.frames.time, posterior.rate_model, posterior.detection_arrays,
+            posterior.alpha, ACCELERATIONS, states,
         )  # fmt: skip
         if gain > best and count > 0:
-            best, longer = gain, _longer(motion, line, states[: count + 1], way)
+            best, longer = gain, _with_states(motion, line, states[: count + 1], direction)
     return longer
 
 
-def _ways(graph: LaneGraph, place: Floats, heading: float) -> list[Floats]:
-    """Return lines (n, 2) from a place on, along the lanes there and those that follow."""
+def _lines_from(graph: LaneGraph, place: Floats, heading: float) -> list[Floats]:
+    """Return lines (n, 2) from a place on, along the lanes there and their successors."""
     lanes = graph.field.lane_rows(place[None])[:, 1:5]  # position, s, d, heading
     turn = np.abs(np.angle(np.exp(1j * (lanes[:, 3] - heading))))
-    rank = np.abs(lanes[:, 2]) + METRES_A_RADIAN * turn
+    rank = np.abs(lanes[:, 2]) + METRES_PER_RAD * turn
     good = np.flatnonzero(turn < MOST_TURN)
     found: list[Floats] = []
-    for lane, s_m, d_m, _ in lanes[good[np.argsort(rank[good], kind="stable")][:LANES]].tolist():
+    likeliest = good[np.argsort(rank[good], kind="stable")][:MOST_LANES]
+    for lane, s_m, d_m, _ in lanes[likeliest].tolist():
         found += [
             _line(graph, chain, s_m, d_m, place)
-            for chain in _chains(graph, int(lane), AHEAD_M + s_m)
+            for chain in _chains(graph, int(lane), LINE_M + s_m)
         ]
-    return [line for line in found[:MOST_WAYS] if len(line) > 1]
+    return [line for line in found[:MOST_LINES] if len(line) > 1]
 
 
 def _chains(graph: LaneGraph, lane: int, reach_m: float) -> list[list[int]]:
-    """Return the chains of lanes from one on that are so long, or end."""
+    """Return the chains of lanes from one on, each up to a length or to where lanes end."""
     done: list[list[int]] = []
     waiting = [([lane], float(graph.length_m[lane]))]
-    while waiting and len(done) < MOST_WAYS:
+    while waiting and len(done) < MOST_LINES:
         chain, length = waiting.pop(0)
         after = [each for each in graph.successors[chain[-1]].tolist() if each not in chain]
         if length >= reach_m or not after:
@@ -219,7 +241,7 @@ def _chains(graph: LaneGraph, lane: int, reach_m: float) -> list[list[int]]:
 
 
 def _line(graph: LaneGraph, chain: list[int], s_m: float, d_m: float, place: Floats) -> Floats:
-    """Return a line along lanes, as far left of their middle as its begin is."""
+    """Return a line from a place along lanes, at its distance `d_m` left of their middle."""
     parts, begin = [place[None]], s_m + 1.0
     for lane in chain:
         points, heading = graph.place(lane, np.arange(begin, float(graph.length_m[lane]), 1.0))
@@ -230,40 +252,41 @@ def _line(graph: LaneGraph, chain: list[int], s_m: float, d_m: float, place: Flo
 
 @compiled
 def _search(  # noqa: PLR0917 - numba takes plain arrays
-    line: Floats, s_line: Floats, turn: Floats, way: int, time: float, speed: float,
-    length: float, width: float, begin: Integers, frame_time: Floats, rates: Rates, seen: Seen,
-    alpha: Floats, accelerations: Floats, states: Floats,
+    line: Floats, s_line: Floats, turn: Floats, direction: int, time: float, speed: float,
+    length: float, width: float, begin: Integers, frame_time: Floats, model: RateModel,
+    arrays: DetectionArrays, alpha: Floats, accelerations: Floats, states: Floats,
 ) -> tuple[float, int]:  # fmt: skip
-    """Search how a vehicle goes on along a line; return the gain and for how many half seconds.
+    """Search how a vehicle continues along a line; return the gain and the number of half seconds.
 
-    Hypotheses are a place on the line and a speed; the best are kept (beam search). `states`
-    (windows + 1, 2) is filled with those of the best one.
+    A beam search by half seconds: each hypothesis is a place on the line and a speed, which is
+    continued with each acceleration, and the best are kept. Places and speeds of the best one are
+    written to `states` (windows + 1, 2).
     """
-    beam = np.zeros((MOST_WINDOWS + 1, BEAM, 4))  # place, speed, gain, from which it comes
+    beam = np.zeros((MOST_WINDOWS + 1, BEAM, 4))  # place, speed, gain, parent
     trial = np.empty((BEAM * len(accelerations), 4))
-    room, row = np.empty((2048, 2)), np.empty(2048, np.int64)
+    work, row = np.empty((2048, 2)), np.empty(2048, np.int64)
     beam[0, 0, 1] = speed
     held, best, best_k = 1, 0.0, 0
     for k in range(MOST_WINDOWS):
-        tried, start = 0, time + way * k * WINDOW_S
-        spans = _spans(begin, frame_time, min(start, start + way * WINDOW_S))
+        tried, start = 0, time + direction * k * WINDOW_S
+        spans = _spans(begin, frame_time, min(start, start + direction * WINDOW_S))
         for b in range(held):
-            if beam[k, b, 2] < best - GIVE_UP:
+            if beam[k, b, 2] < best - PRUNED:
                 continue
-            for pull in accelerations:
-                after = max(beam[k, b, 1] + pull * WINDOW_S, 0.0)
+            for accel in accelerations:
+                after = max(beam[k, b, 1] + accel * WINDOW_S, 0.0)
                 reached = beam[k, b, 0] + 0.5 * (beam[k, b, 1] + after) * WINDOW_S
                 if reached > s_line[-1]:
                     continue
                 gain = _window_gain(
-                    line, s_line, turn, way, start, beam[k, b, 0], beam[k, b, 1], after, length,
-                    width, spans, frame_time, rates, seen, alpha, room, row,
+                    line, s_line, turn, direction, start, beam[k, b, 0], beam[k, b, 1], after,
+                    length, width, spans, frame_time, model, arrays, alpha, work, row,
                 )  # fmt: skip
                 trial[tried, 0], trial[tried, 1] = reached, after
                 trial[tried, 2], trial[tried, 3] = beam[k, b, 2] + gain, b
                 tried += 1
-        held = _best(trial[:tried], beam[k + 1])
-        if held == 0 or beam[k + 1, 0, 2] < best - GIVE_UP or k - best_k >= UNSEEN:
+        held = _best_distinct(trial[:tried], beam[k + 1])
+        if held == 0 or beam[k + 1, 0, 2] < best - PRUNED or k - best_k >= MOST_GAINLESS:
             break
         if beam[k + 1, 0, 2] > best:
             best, best_k = beam[k + 1, 0, 2], k + 1
@@ -276,7 +299,7 @@ def _search(  # noqa: PLR0917 - numba takes plain arrays
 
 @compiled
 def _spans(begin: Integers, time: Floats, start: float) -> Integers:
-    """Return (sensors, 2) the frames of each sensor in half a second."""
+    """Return begin and end (exclusive) of each sensor's frames in a half second, (sensors, 2)."""
     found = np.empty((len(begin) - 1, 2), np.int64)
     for k in range(len(begin) - 1):
         mine = time[begin[k] : begin[k + 1]]
@@ -287,51 +310,52 @@ def _spans(begin: Integers, time: Floats, start: float) -> Integers:
 
 @compiled
 def _window_gain(  # noqa: PLR0917 - numba takes plain arrays
-    line: Floats, s_line: Floats, turn: Floats, way: int, start: float, u: float, speed: float,
-    after: float, length: float, width: float, spans: Integers, frame_time: Floats, rates: Rates,
-    seen: Seen, alpha: Floats, room: Floats, row: Integers,
+    line: Floats, s_line: Floats, turn: Floats, direction: int, start: float, place: float,
+    speed: float, after: float, length: float, width: float, spans: Integers, frame_time: Floats,
+    model: RateModel, arrays: DetectionArrays, alpha: Floats, work: Floats, row: Integers,
 ) -> float:  # fmt: skip
-    """Return the gain of half a second from a place on a line with a speed, to another speed."""
-    pull = (after - speed) / WINDOW_S
-    gain = -0.25 * min((pull / USUAL_MPS2) ** 2, 9.0)
-    kind_of = 1 if speed < STANDS_MPS and after < STANDS_MPS else 0
+    """Return the gain of a half second from a place on a line, from one speed to another, nats."""
+    accel = (after - speed) / WINDOW_S
+    gain = -0.25 * min((accel / ACCELERATION_MPS2) ** 2, 9.0)
+    standing = 1 if speed < STANDS_MPS and after < STANDS_MPS else 0
     shape = np.zeros(9)
     shape[5], shape[6] = length, width
     for sensor in range(len(spans)):
-        n, due = 0, 0.0
+        n, expected = 0, 0.0
         for f in range(spans[sensor, 0], spans[sensor, 1]):
             lapse = abs(frame_time[f] - start)
-            here = max(u + speed * lapse + 0.5 * pull * lapse * lapse, 0.0)
-            i = min(max(np.searchsorted(s_line, here, side="right") - 1, 0), len(line) - 2)
+            along = max(place + speed * lapse + 0.5 * accel * lapse * lapse, 0.0)
+            i = min(max(np.searchsorted(s_line, along, side="right") - 1, 0), len(line) - 2)
             c, s = math.cos(turn[i]), math.sin(turn[i])
-            shape[0] = line[i, 0] + (here - s_line[i]) * c
-            shape[1] = line[i, 1] + (here - s_line[i]) * s
-            shape[2], shape[3], shape[4] = way * c, way * s, max(speed + pull * lapse, 0.0)
-            shape[7], shape[8] = _bends(s_line, turn, i, way)
-            kind, cell = kind_and_cell(shape, sensor, rates)
-            mu = rates[1][kind] * rates[2][cell]
-            before, n = n, densities(shape, f, seen, room, row, n)
+            shape[0] = line[i, 0] + (along - s_line[i]) * c
+            shape[1] = line[i, 1] + (along - s_line[i]) * s
+            shape[2], shape[3] = direction * c, direction * s
+            shape[4] = max(speed + accel * lapse, 0.0)
+            shape[7], shape[8] = _bends(s_line, turn, i, direction)
+            rate_class, cell = class_and_cell(shape, sensor, model)
+            mu = model[1][rate_class] * model[2][cell]
+            before, n = n, fill_densities(shape, f, arrays, work, row, n)
             for q in range(before, n):
-                room[q, 0], room[q, 1] = room[q, 0] * mu, seen[6][row[q]]
-            due += mu
-        if due > 0.0:
-            gain += gain_of(room, n, due, alpha[kind_of])[0]
+                work[q, 0], work[q, 1] = work[q, 0] * mu, arrays[6][row[q]]
+            expected += mu
+        if expected > 0.0:
+            gain += log_likelihood_ratio(work, n, expected, alpha[standing])[0]
     return gain
 
 
 @compiled
-def _bends(s_line: Floats, turn: Floats, i: int, way: int) -> tuple[float, float]:
-    """Return the curvature behind a vehicle on a segment and ahead of it, within the line."""
+def _bends(s_line: Floats, turn: Floats, i: int, direction: int) -> tuple[float, float]:
+    """Return the curvature of a line behind a vehicle on its segment `i`, and ahead of it, 1/m."""
     before = np.searchsorted(s_line, s_line[i] - BEND_M)
     after = min(np.searchsorted(s_line, s_line[i] + BEND_M), len(turn) - 1)
     early = (turn[i] - turn[before]) / BEND_M
     late = (turn[after] - turn[i]) / BEND_M
-    return (early, late) if way > 0 else (-late, -early)
+    return (early, late) if direction > 0 else (-late, -early)
 
 
 @compiled
-def _best(trial: Floats, kept: Floats) -> int:
-    """Fill in the best hypotheses that differ from each other; return how many."""
+def _best_distinct(trial: Floats, kept: Floats) -> int:
+    """Write the best hypotheses that differ from each other to `kept`; return their number."""
     held = 0
     for q in np.argsort(-trial[:, 2], kind="mergesort"):
         same = False
@@ -345,26 +369,26 @@ def _best(trial: Floats, kept: Floats) -> int:
     return held
 
 
-def _longer(motion: Motion, line: Floats, states: Floats, way: int) -> Motion:
-    """Return a motion with states along a line added at its end or its begin."""
+def _with_states(motion: Motion, line: Floats, states: Floats, direction: int) -> Motion:
+    """Return a motion with states (place, speed) along a line added at its end or its begin."""
     count = round((len(states) - 1) * WINDOW_S * STEPS_PER_SECOND)
     lapse, knots = np.arange(1, count + 1) * STEP_S, np.arange(len(states)) * WINDOW_S
-    far, speed = (np.interp(lapse, knots, states[:, k]) for k in (0, 1))
-    at = -1 if way > 0 else 0
-    spread = motion.var_s[at] + np.minimum(SPREAD_M2 * lapse, MOST_SPREAD_M2)
-    ended, known = float(motion.s_m[at]), motion.path
-    kept = known.points[way * (known.s_m - ended) < -0.5]
-    if way > 0:
+    along, speed = (np.interp(lapse, knots, states[:, k]) for k in (0, 1))
+    at = -1 if direction > 0 else 0
+    variance = motion.var_s[at] + np.minimum(VARIANCE_M2 * lapse, MOST_VARIANCE_M2)
+    end_m, path_before = float(motion.s_m[at]), motion.path
+    kept = path_before.points[direction * (path_before.s_m - end_m) < -0.5]
+    if direction > 0:
         path = Path(np.vstack([kept, line]))
         joint = float(path.s_m[len(kept)])
         return replace(
-            motion, path=path, s_m=np.append(motion.s_m - ended + joint, joint + far),
-            speed=np.append(motion.speed, speed), var_s=np.append(motion.var_s, spread),
+            motion, path=path, s_m=np.append(motion.s_m - end_m + joint, joint + along),
+            speed=np.append(motion.speed, speed), var_s=np.append(motion.var_s, variance),
         )  # fmt: skip
     path = Path(np.vstack([line[::-1], kept]))
     joint = float(path.s_m[len(line) - 1])
     return replace(
         motion, path=path, first_step=motion.first_step - count,
-        s_m=np.append((joint - far)[::-1], motion.s_m - ended + joint),
-        speed=np.append(speed[::-1], motion.speed), var_s=np.append(spread[::-1], motion.var_s),
+        s_m=np.append((joint - along)[::-1], motion.s_m - end_m + joint),
+        speed=np.append(speed[::-1], motion.speed), var_s=np.append(variance[::-1], motion.var_s),
     )  # fmt: skip

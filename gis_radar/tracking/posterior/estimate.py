@@ -1,4 +1,7 @@
-"""The posterior of vehicles: expected detections, brightness, background, and evidence."""
+"""Posterior of vehicles: the likelihood of all detections, and what each vehicle adds to it.
+
+A *gain* is a log likelihood ratio in nats: of the detections with a vehicle over those without it.
+"""
 
 from __future__ import annotations
 
@@ -28,43 +31,48 @@ from gis_radar.tracking.posterior.frames import (
 )
 from gis_radar.tracking.posterior.likelihood import (
     CELL_M,
-    KINDS,
+    CLASSES,
     STANDS_MPS,
-    Rates,
-    Seen,
-    evaluate,
-    evaluate_pairs,
+    DetectionArrays,
+    RateModel,
+    classes_and_cells,
+    fill_visible_share,
     find_pairs,
-    hide,
-    kinds_and_cells,
     overlap,
+    placed_gains,
+    window_gains,
 )
 
-ROUNDS = 4  # of expectation and maximization
-FIRST_GUESS = 0.5  # detections a frame
-KIND_FEW, CELL_FEW = 40.0, 5.0  # expected detections that what is usual counts as
-OTHERS_FEW = 1.0  # the same, of what all other vehicles show of a cell
-DULLEST, BRIGHTEST = 0.02, 4.0  # factor of a cell
-ALPHAS = (0.3, 8.0)  # shape of the distribution of brightness: at least, at most
-LEAST_GROUPS = 50
-LEAST_SHARE = 0.25  # of a vehicle on another one
+ROUNDS = 4  # rounds of expectation and maximization
+FIRST_GUESS = 0.5  # expected detections of a vehicle in a frame, before any are learned
+# Weights of the priors in detections: the mean of all classes of one range for the rate of a class,
+# 1 for the factor of a cell; and for that factor as all other vehicles alone show it.
+CLASS_PRIOR, CELL_PRIOR, OTHERS_PRIOR = 40.0, 5.0, 1.0
+LEAST_FACTOR, MOST_FACTOR = 0.02, 4.0  # bounds of the factor of a cell
+ALPHA_BOUNDS = (0.3, 8.0)  # bounds of the gamma shape: silent for seconds, nearly Poisson
+LEAST_GROUPS = 50  # least groups (vehicle, sensor, half second) that give a gamma shape
+OVERLAP_SHARE = 0.25  # share of the shorter body above which two vehicles overlap
 
+# Frame, shape, and (class, cell) of each state of a vehicle; the index of its first detection, and
+# the density and the row of each detection.
 Placed: TypeAlias = tuple[Integers, Floats, Integers, Integers, Floats, Integers]
-# frame, shape, kind and cell of each state; where its detections begin, their densities and rows
 
 
 class Posterior:
-    """All detections of a span of time against the vehicles in it.
+    """Likelihood of all detections of a span of time, given the vehicles in it.
 
-    Detections are a Poisson process, whose rate is the sum of those of all vehicles and of the
-    background. How many a vehicle gives is learned by range, aspect, length and whether it stands,
-    and by cell of the map and sensor; its brightness to a sensor is gamma distributed from half
-    second to half second, because a radar loses a vehicle for seconds.
+    Detections are a Poisson process, whose rate is the sum of the rates of all vehicles and of the
+    background. The expected number of detections of a vehicle in a frame is learned by class
+    (range, aspect, length, whether it stands) and by map cell and sensor. Its *brightness*, a
+    factor on that number, is gamma distributed: one value for each vehicle, sensor and half second,
+    because a radar loses a vehicle for seconds.
+
+    A *state* is a vehicle in a frame of a sensor; a *pair* is a state and a detection near it.
 
     Parameters
     ----------
     detections : MapDetections
-        All of them, one at least.
+        All detections, at least one.
     motions : sequence of Motion
         The vehicles to begin with.
 
@@ -72,88 +80,110 @@ class Posterior:
     ----------
     motions : list of Motion
         The vehicles.
+    states : States
+        Their states, n in all.
+    visible_share : (n,) array
+        Share of each state that other vehicles do not hide from the sensor.
     alive : (n,) bool array
-        Which of their states count.
+        Which states are not deleted.
+    alpha : (2,) array
+        Gamma shape of the brightness of vehicles that move, and that stand.
+    total_rate : (d,) array
+        Rate density at each detection by all vehicles and the background, per frame, m2 and m/s; in
+        the order of `frames.row`.
     """
 
     def __init__(self, detections: MapDetections, motions: Sequence[Motion]) -> None:
-        self.given = detections
+        self.detections = detections
         self.frames = Frames.of(detections)
         d = detections.take(self.frames.row)
         self._background = Background(d, self.frames)
-        self._seen = (self.frames.first, d.points, d.sight, d.range_m, d.range_rate, d.height_m)
+        self._arrays = (self.frames.first, d.points, d.sight, d.range_m, d.range_rate, d.height_m)
         self._corner = d.points.min(axis=0) - 2.0 * CELL_M
         span = d.points.max(axis=0) + 2.0 * CELL_M - self._corner
         self._size = np.ceil(span / CELL_M).astype(np.int64) + 1
-        self._table = np.full(int(np.prod(KINDS)), FIRST_GUESS)
-        self._factor = np.ones(len(self.frames.eyes) * int(self._size.prod()))
+        self._class_rate = np.full(int(np.prod(CLASSES)), FIRST_GUESS)
+        self._cell_factor = np.ones(len(self.frames.sensor_xy) * int(self._size.prod()))
         self.alpha = np.array([2.0, 1.0])
-        self.total = np.zeros(len(d))
+        self.total_rate = np.zeros(len(d))
         self._placed: dict[tuple[int, int, float], Placed] = {}
         del d  # times, sensors and cross sections are no longer needed
         self.learn(motions)
 
     @property
-    def rates(self) -> Rates:
-        """What is expected of a state, as compiled loops take it."""
-        return self.frames.eyes, self._table, self._factor, self._corner, self._size
+    def rate_model(self) -> RateModel:
+        """Expected numbers of detections, as compiled loops take them."""
+        rate, factor = self._class_rate, self._cell_factor
+        return self.frames.sensor_xy, rate, factor, self._corner, self._size
 
     @property
-    def seen(self) -> Seen:
+    def detection_arrays(self) -> DetectionArrays:
         """The detections, as compiled loops take them."""
-        return (*self._seen, self.total)
+        return (*self._arrays, self.total_rate)
 
     def learn(self, motions: Sequence[Motion]) -> None:
-        """Take motions as the vehicles; learn from them what to expect."""
-        self._place(motions)
-        self._background.watch(self._by_frame, self.states.frame, self.states.shape)
-        n, share = len(self.states.frame), np.zeros(len(self.total))
+        """Set the vehicles; learn detection rates and background from them (EM)."""
+        self._set_states(motions)
+        self._background.learn_fixed(self._by_frame, self.states.frame, self.states.shape)
+        n, share = len(self.states.frame), np.zeros(len(self.total_rate))
         share[self._pair_row] = 0.5
-        mu, bright = FIRST_GUESS * self.open, np.ones(n)
+        expected, bright = FIRST_GUESS * self.visible_share, np.ones(n)
         for _ in range(ROUNDS):
-            part = self._parts(mu * bright, self._background.rates(1.0 - share))
-            share = np.minimum(np.bincount(self._pair_row, part, len(self.total)), 1.0)
-            explained = np.bincount(self._pair_state, part, n).astype(np.float64)
-            self._expect(explained)
-            mu = self._mu()
-            bright = self._brightness(explained, mu)
-        self._base = self._background.rates(1.0 - share)
-        self._sum_up(mu, bright)
+            responsibility = self._responsibilities(
+                expected * bright, self._background.rates(1.0 - share)
+            )
+            of_all = np.bincount(self._pair_row, responsibility, len(self.total_rate))
+            share = np.minimum(of_all, 1.0)  # the share of each detection by all vehicles
+            explained = np.bincount(self._pair_state, responsibility, n).astype(np.float64)
+            self._learn_rates(explained)
+            expected = self._expected_detections()
+            bright = self._brightness(explained, expected)
+        self._background_rate = self._background.rates(1.0 - share)
+        self._set_rates(expected, bright)
 
-    def place(self, motions: Sequence[Motion]) -> None:
-        """Take motions as the vehicles; expect what was learned before."""
-        self._place(motions)
-        mu = self._mu()
-        bright = np.ones(len(mu))
+    def set_vehicles(self, motions: Sequence[Motion]) -> None:
+        """Set the vehicles; keep the detection rates and the background learned before."""
+        self._set_states(motions)
+        expected = self._expected_detections()
+        bright = np.ones(len(expected))
         for _ in range(2):
-            part = self._parts(mu * bright, self._base)
-            explained = np.bincount(self._pair_state, part, len(mu)).astype(np.float64)
-            bright = self._brightness(explained, mu)
-        self._sum_up(mu, bright)
+            responsibility = self._responsibilities(expected * bright, self._background_rate)
+            explained = np.bincount(self._pair_state, responsibility, len(expected))
+            bright = self._brightness(explained.astype(np.float64), expected)
+        self._set_rates(expected, bright)
 
-    def _parts(self, rate: Floats, base: Floats) -> Floats:
-        """Return which part of each detection each state explains, by the rates of states."""
-        part = self._density * rate[self._pair_state]
-        total = base + np.bincount(self._pair_row, part, len(base))
-        part /= total[self._pair_row]
-        return np.asarray(part)
+    def _responsibilities(self, rate: Floats, background: Floats) -> Floats:
+        """Return each state's responsibility for each of its detections, a value a pair.
 
-    def _place(self, motions: Sequence[Motion]) -> None:
-        """Compute states, which detections each may explain, and what hides it.
-
-        These arrays are most of the memory of a block: each old one goes as the new one is made.
+        Parameters
+        ----------
+        rate : (n,) array
+            Expected detections of each state.
+        background : (d,) array
+            Rate density of the background at each detection.
         """
-        placed = [self._placed.get(_key(each)) or self._placed_anew(each) for each in motions]
+        share = self._pair_density * rate[self._pair_state]
+        total_rate = background + np.bincount(self._pair_row, share, len(background))
+        share /= total_rate[self._pair_row]
+        return np.asarray(share)
+
+    def _set_states(self, motions: Sequence[Motion]) -> None:
+        """Compute the states of motions, their pairs with detections, and their visible shares.
+
+        These arrays are most of the memory of a block: each old one is freed before the new one is
+        made.
+        """
+        placed = [self._placed.get(_state_key(each)) or self._computed(each) for each in motions]
         self.motions = list(motions)
         frame, shape = [each[0] for each in placed], [each[1] for each in placed]
-        kinds, begins, density, row = ([each[k] for each in placed] for k in range(2, 6))
+        class_cells, begins, density, row = ([each[k] for each in placed] for k in range(2, 6))
         placed, self._placed, self.states = [], {}, States.of([], [], self.frames)
-        self.open = self._rate = self._due = np.zeros(0)
+        self.visible_share = self._pair_rate = self._expected = np.zeros(0)
         self.sensor = self._by_frame = self._pair_state = np.zeros(0, np.int64)
         give_back_memory()
-        kind = _joined(kinds, np.zeros((0, 2), np.int64))
-        self._kind, self._cell = kind[:, 0], kind[:, 1]
-        self._density = _joined(density, np.zeros(0))
+        class_cell = _joined(class_cells, np.zeros((0, 2), np.int64))
+        self._state_class, self._state_cell = class_cell[:, 0], class_cell[:, 1]
+        self._pair_density = _joined(density, np.zeros(0))
         self._pair_row = _joined(row, np.zeros(0, np.int64))
         self.states = states = States.of(frame, shape, self.frames)
         del frame, shape
@@ -162,124 +192,158 @@ class Posterior:
         count = _joined([np.diff(each) for each in begins], np.zeros(0, np.int64))
         self._pair_begin = np.concatenate([[0], np.cumsum(count)])
         self._pair_state = np.repeat(np.arange(len(count)), count)
-        self._placed = {_key(each): self._part(k, kind) for k, each in enumerate(motions)}
-        self._hide()
+        self._placed = {
+            _state_key(each): self._view_of(k, class_cell) for k, each in enumerate(motions)
+        }
+        self._update_visible_share()
 
-    def _part(self, vehicle: int, kind: Integers) -> Placed:
-        """Return what is placed of a vehicle, as parts of the arrays of all: it is there once."""
+    def _view_of(self, vehicle: int, class_cell: Integers) -> Placed:
+        """Return a vehicle's states and pairs as views of the arrays of all vehicles."""
         rows = self.states.rows(vehicle)
         begins = self._pair_begin[rows.start : rows.stop + 1]
         pairs = slice(begins[0], begins[-1])
         return (
-            self.states.frame[rows], self.states.shape[rows], kind[rows], begins,
-            self._density[pairs], self._pair_row[pairs],
+            self.states.frame[rows], self.states.shape[rows], class_cell[rows], begins,
+            self._pair_density[pairs], self._pair_row[pairs],
         )  # fmt: skip
 
-    def _placed_anew(self, motion: Motion) -> Placed:
+    def _computed(self, motion: Motion) -> Placed:
+        """Return the states and pairs of a motion that was not placed before."""
         frame, shape = motion_states(motion, self.frames)
-        kind = kinds_and_cells(shape, self.frames.sensor[frame], self.rates)
-        return (frame, shape, kind, *find_pairs(shape, frame, self.seen))
+        class_cell = classes_and_cells(shape, self.frames.sensor[frame], self.rate_model)
+        return (frame, shape, class_cell, *find_pairs(shape, frame, self.detection_arrays))
 
-    def cover(self) -> None:
-        """Compute again which share of each state others hide, of those that are left."""
-        self._hide()
-        self._due = self._mu()
+    def update_occlusion(self) -> None:
+        """Compute visible shares and expected detections anew, by the states that are alive."""
+        self._update_visible_share()
+        self._expected = self._expected_detections()
 
-    def _hide(self) -> None:
+    def _update_visible_share(self) -> None:
+        """Sort the states that are alive by frame, and compute which share of each is visible."""
         states, alive = self.states, np.flatnonzero(self.alive)
         self._by_frame = alive[np.argsort(states.frame[alive], kind="stable")]
         self._frame_begin = np.searchsorted(
             states.frame[self._by_frame], np.arange(len(self.frames.time) + 1)
         )
-        self.open = np.ones(len(states.frame))
-        hide(
-            self._by_frame, self._frame_begin, self.frames.sensor, states.shape, self.frames.eyes,
-            self.open,
+        self.visible_share = np.ones(len(states.frame))
+        fill_visible_share(
+            self._by_frame, self._frame_begin, self.frames.sensor, states.shape,
+            self.frames.sensor_xy, self.visible_share,
         )  # fmt: skip
 
     @property
     def by_frame(self) -> tuple[Integers, Integers]:
-        """States in the order of frames, and where each frame begins among them."""
+        """States that are alive, in the order of frames, and the index of each frame's first."""
         return self._by_frame, self._frame_begin
 
-    def _expect(self, explained: Floats) -> None:
-        """Learn expected detections by kind and cell."""
-        seen = np.bincount(self._kind, explained, len(self._table)).reshape(KINDS)
-        due = np.bincount(self._kind, self.open, len(self._table)).reshape(KINDS)
-        usual = (seen.sum(axis=(1, 2, 3)) + 1.0) / (due.sum(axis=(1, 2, 3)) + 3.0)
-        self._table = (
-            (seen + KIND_FEW * usual[:, None, None, None]) / (due + KIND_FEW)
+    def _learn_rates(self, explained: Floats) -> None:
+        """Learn expected detections by class and by cell, from the detections of each state."""
+        detected, frames = (
+            np.bincount(self._state_class, each, len(self._class_rate)).reshape(CLASSES)
+            for each in (explained, self.visible_share)
+        )
+        of_range = (detected.sum(axis=(1, 2, 3)) + 1.0) / (frames.sum(axis=(1, 2, 3)) + 3.0)
+        self._class_rate = (
+            (detected + CLASS_PRIOR * of_range[:, None, None, None]) / (frames + CLASS_PRIOR)
         ).ravel()  # fmt: skip
-        count = len(self._factor)
-        got = np.bincount(self._cell, explained, count)
-        want = np.bincount(self._cell, self._table[self._kind] * self.open, count)
-        self._factor = np.clip((got + CELL_FEW) / (want + CELL_FEW), DULLEST, BRIGHTEST)
+        count = len(self._cell_factor)
+        got = np.bincount(self._state_cell, explained, count)
+        want = np.bincount(
+            self._state_cell, self._class_rate[self._state_class] * self.visible_share, count
+        )
+        self._cell_factor = np.clip(
+            (got + CELL_PRIOR) / (want + CELL_PRIOR), LEAST_FACTOR, MOST_FACTOR
+        )
 
-    def _mu(self) -> Floats:
-        return np.asarray(self._table[self._kind] * self._factor[self._cell] * self.open)
+    def _expected_detections(self) -> Floats:
+        """Return the expected number of detections of each state, at brightness 1."""
+        return np.asarray(
+            self._class_rate[self._state_class]
+            * self._cell_factor[self._state_cell]
+            * self.visible_share
+        )
 
-    def _brightness(self, explained: Floats, mu: Floats) -> Floats:
-        """Return the brightness of each state; learn how much it varies."""
+    def _brightness(self, explained: Floats, expected: Floats) -> Floats:
+        """Return the posterior mean of the brightness of each state; learn the gamma shapes.
+
+        The shape is that of a negative binomial distribution, by the method of moments.
+        """
         group = self.states.group
-        n, m = np.bincount(group, explained), np.bincount(group, mu)
+        n, m = np.bincount(group, explained), np.bincount(group, expected)
         first = np.flatnonzero(np.diff(group, prepend=-1))
         stands = (self.states.shape[first, SPEED] < STANDS_MPS).astype(np.int64)
-        for kind in (0, 1):
-            mine = (stands == kind) & (m > 0.5)
-            if mine.sum() > LEAST_GROUPS:
-                extra = float(((n - m) ** 2 - n)[mine].sum())
-                shape = float((m[mine] ** 2).sum()) / max(extra, 1e-9)
-                self.alpha[kind] = min(max(shape, ALPHAS[0]), ALPHAS[1])
+        for standing in (0, 1):
+            used = (stands == standing) & (m > 0.5)
+            if used.sum() > LEAST_GROUPS:
+                extra_variance = float(((n - m) ** 2 - n)[used].sum())
+                shape = float((m[used] ** 2).sum()) / max(extra_variance, 1e-9)
+                self.alpha[standing] = min(max(shape, ALPHA_BOUNDS[0]), ALPHA_BOUNDS[1])
         alpha = self.alpha[stands]
         return np.asarray(((alpha + n) / (alpha + m))[group])
 
-    def _sum_up(self, mu: Floats, bright: Floats) -> None:
-        self._due = mu
-        self._rate = self._density * (mu * bright)[self._pair_state]
-        self.total = self._base + np.bincount(self._pair_row, self._rate, len(self.total))
+    def _set_rates(self, expected: Floats, bright: Floats) -> None:
+        """Set the rate of each pair and the total rate of each detection."""
+        self._expected = expected
+        self._pair_rate = self._pair_density * (expected * bright)[self._pair_state]
+        self.total_rate = self._background_rate + np.bincount(
+            self._pair_row, self._pair_rate, len(self.total_rate)
+        )
 
     def gains(self, rows: Integers, shape: Floats, *, add: bool = False) -> Floats:
-        """Return (groups, 2) the gain of states over all else, and what is due.
+        """Return gain and expected number of detections of a hypothetical vehicle, by group.
 
         Parameters
         ----------
         rows : (n,) int64 array
-            States whose frames, groups and hiding are taken over.
+            States whose frames, groups and visible shares it takes over.
         shape : (n, 9) array
-            The vehicle there.
+            Its shapes in these frames, as of :class:`States`.
         add : bool
-            Whether it joins what is there.
+            Whether to add its rates to the total rates.
+
+        Returns
+        -------
+        (groups, 2) array
+            For each sensor and half second.
         """
-        return evaluate(
+        return window_gains(
             self.states.group[rows], self.states.frame[rows], self.sensor[rows], shape,
-            self.open[rows], self.rates, self.seen, self.alpha, add,
+            self.visible_share[rows], self.rate_model, self.detection_arrays, self.alpha, add,
         )  # fmt: skip
 
-    def silence_by_others(self) -> tuple[Floats, Floats]:
-        """Return of each state its time, UNIX seconds, and what its silence costs, nats.
+    def cost_of_silence(self) -> tuple[Floats, Floats]:
+        """Return the time of each state, UNIX seconds, and the cost if it is not detected, nats.
 
-        What is due follows from how often all other vehicles that are placed over its cell are
-        detected there; no detection at all costs a vehicle, whose brightness is gamma-distributed,
-        so many nats in a half second (see :func:`gain_of`), of which each state has its part.
+        The factor of its cell is that of all other vehicles alone. A vehicle without a detection in
+        a half second costs ``alpha ln(1 + mu / alpha)`` where ``mu`` detections are expected
+        (:func:`log_likelihood_ratio`); its states share that cost by their expected detections.
         """
-        usual = self._table[self._kind] * self.open
-        part = self._rate / self.total[self._pair_row]
-        explained = np.bincount(self._pair_state, part, len(usual))
+        by_class = self._class_rate[self._state_class] * self.visible_share
+        responsibility = self._pair_rate / self.total_rate[self._pair_row]
+        explained = np.bincount(self._pair_state, responsibility, len(by_class))
         vehicle = np.repeat(np.arange(len(self.motions)), np.diff(self.states.first))
-        count = len(self._factor)
-        own, at = np.unique(vehicle * count + self._cell, return_inverse=True)
+        count = len(self._cell_factor)
+        own, at = np.unique(vehicle * count + self._state_cell, return_inverse=True)
         got, want = (
-            np.bincount(self._cell, each, count)[self._cell] - np.bincount(at, each, len(own))[at]
-            for each in (explained, usual)
+            np.bincount(self._state_cell, each, count)[self._state_cell]
+            - np.bincount(at, each, len(own))[at]
+            for each in (explained, by_class)
         )
-        due = usual * np.minimum((got + OTHERS_FEW) / (want + OTHERS_FEW), BRIGHTEST)
+        factor = (got + OTHERS_PRIOR) / (want + OTHERS_PRIOR)
+        expected = by_class * np.minimum(factor, MOST_FACTOR)
         group, slow = self.states.group, self.states.shape[:, SPEED] < STANDS_MPS
-        whole, alpha = np.bincount(group, due)[group], self.alpha[slow.astype(np.int64)]
-        cost = alpha * np.log1p(whole / alpha) * due / np.maximum(whole, 1e-12)
+        of_group, alpha = np.bincount(group, expected)[group], self.alpha[slow.astype(np.int64)]
+        cost = alpha * np.log1p(of_group / alpha) * expected / np.maximum(of_group, 1e-12)
         return self.frames.time[self.states.frame], np.asarray(cost)
 
-    def covered(self, spans: Sequence[tuple[int, int]]) -> Booleans:
-        """Return which states lie on another vehicle while that is in its span of steps."""
+    def overlapping(self, spans: Sequence[tuple[int, int]]) -> Booleans:
+        """Return which states overlap another vehicle while that is within its span.
+
+        Parameters
+        ----------
+        spans : sequence of (int, int)
+            First and last step of each vehicle.
+        """
         states = self.states
         step = self.frames.time[states.frame] * STEPS_PER_SECOND
         inside, share = np.zeros(len(step), np.bool_), np.zeros(len(step))
@@ -290,82 +354,98 @@ class Posterior:
             mine = np.arange(begin, end)
             if len(mine):
                 share[mine] = overlap(mine, states.frame, states.shape, inside, *self.by_frame)
-        return share > LEAST_SHARE
+        return share > OVERLAP_SHARE
 
     def own_gains(self, vehicle: int) -> Floats:
-        """Return (groups, 2) the gain of a vehicle as it is over all else, and what is due."""
+        """Return the gain and the expected number of detections of a vehicle, (groups, 2)."""
         rows = self.states.rows(vehicle)
         begin = self._pair_begin[rows.start : rows.stop + 1]
         pairs = slice(begin[0], begin[-1])
-        return evaluate_pairs(
-            self.states.group[rows], self.states.shape[rows], self._due[rows],
-            begin - begin[0], self._density[pairs], self._pair_row[pairs], self._rate[pairs],
-            self.total, self.alpha,
+        return placed_gains(
+            self.states.group[rows], self.states.shape[rows], self._expected[rows],
+            begin - begin[0], self._pair_density[pairs], self._pair_row[pairs],
+            self._pair_rate[pairs], self.total_rate, self.alpha,
         )  # fmt: skip
 
-    def strengths(self) -> Floats:
-        """Return the gain of each vehicle as it is over all else."""
+    def vehicle_gains(self) -> Floats:
+        """Return the gain of each vehicle, nats."""
         states = self.states
-        found = evaluate_pairs(
-            states.group, states.shape, self._due, self._pair_begin, self._density, self._pair_row,
-            self._rate, self.total, self.alpha,
+        found = placed_gains(
+            states.group, states.shape, self._expected, self._pair_begin, self._pair_density,
+            self._pair_row, self._pair_rate, self.total_rate, self.alpha,
         )  # fmt: skip
         vehicle = states.vehicle[np.diff(states.group, prepend=-1) > 0]
         return np.bincount(vehicle, found[:, 0], len(self.motions)).astype(np.float64)
 
-    def detections_by(self, states: Integers) -> Integers:
-        """Return the detections in the frames of some states: their places in the total."""
+    def rows_in_frames_of(self, states: Integers) -> Integers:
+        """Return the indices in `total_rate` of the detections in the frames of some states."""
         frame = np.unique(self.states.frame[states])
         first = self.frames.first[frame]
         return ranges(first, self.frames.first[frame + 1] - first)
 
     def gain(self, motion: Motion, *, add: bool = False, within: tuple[float, float] | None = None
     ) -> float:  # fmt: skip
-        """Return the gain of a motion over all else, in view, between two times if given."""
+        """Return the gain of a motion that nothing hides, nats.
+
+        Parameters
+        ----------
+        motion : Motion
+            A vehicle; its rates must not be among the total rates.
+        add : bool
+            Whether to add its rates to the total rates.
+        within : (float, float), optional
+            UNIX seconds; only its states between them count.
+        """
         frame, shape = motion_states(motion, self.frames)
         if within is not None:
             time = self.frames.time[frame]
             inside = (time > within[0]) & (time < within[1])
             frame, shape = frame[inside], shape[inside]
         sensor = self.frames.sensor[frame]
-        found = evaluate(
-            self.frames.group[frame], frame, sensor, shape, np.ones(len(frame)), self.rates,
-            self.seen, self.alpha, add,
+        found = window_gains(
+            self.frames.group[frame], frame, sensor, shape, np.ones(len(frame)), self.rate_model,
+            self.detection_arrays, self.alpha, add,
         )  # fmt: skip
         return float(found[:, 0].sum())
 
-    def lift(self, vehicle: int, sign: float = -1.0) -> None:
-        """Take a vehicle from what is there; with +1, put it back."""
+    def exclude(self, vehicle: int) -> None:
+        """Subtract a vehicle's rates from the total rates, so that others can take its place."""
         rows, rate = self._pairs_of(vehicle)
-        np.add.at(self.total, rows, sign * rate)
+        np.subtract.at(self.total_rate, rows, rate)
+
+    def include(self, vehicle: int) -> None:
+        """Add the rates of an excluded vehicle to the total rates again."""
+        rows, rate = self._pairs_of(vehicle)
+        np.add.at(self.total_rate, rows, rate)
 
     def _pairs_of(self, vehicle: int) -> tuple[Integers, Floats]:
+        """Return the rows and the rates of a vehicle's pairs."""
         rows = self.states.rows(vehicle)
-        part = slice(self._pair_begin[rows.start], self._pair_begin[rows.stop])
-        return self._pair_row[part], self._rate[part]
+        pairs = slice(self._pair_begin[rows.start], self._pair_begin[rows.stop])
+        return self._pair_row[pairs], self._pair_rate[pairs]
 
-    def remove(self, states: Integers) -> None:
-        """Remove states."""
+    def delete_states(self, states: Integers) -> None:
+        """Delete states: subtract their rates from the total rates; they hide nothing any more."""
         begin = self._pair_begin[states]
         pairs = ranges(begin, self._pair_begin[states + 1] - begin)
-        np.subtract.at(self.total, self._pair_row[pairs], self._rate[pairs])
-        self._rate[pairs] = 0.0
+        np.subtract.at(self.total_rate, self._pair_row[pairs], self._pair_rate[pairs])
+        self._pair_rate[pairs] = 0.0
         self.alive[states] = False
 
-    def explained(self, vehicle: int) -> Integers:
-        """Return the detections of a vehicle, in the order of time: those more likely of it."""
+    def associated_rows(self, vehicle: int) -> Integers:
+        """Return the detections, by time, for which a vehicle's responsibility is over a half."""
         rows, rate = self._pairs_of(vehicle)
-        mine = np.unique(self.frames.row[rows[rate > 0.5 * self.total[rows]]])
-        return mine[np.argsort(self.given.time[mine], kind="stable")]
+        mine = np.unique(self.frames.row[rows[rate > 0.5 * self.total_rate[rows]]])
+        return mine[np.argsort(self.detections.time[mine], kind="stable")]
 
 
-def _joined(parts: list[NDArray[Any]], none: NDArray[Any]) -> NDArray[Any]:
-    """Return arrays joined to one; the list is emptied, so that none is kept twice."""
-    whole = np.concatenate([none, *parts])
+def _joined(parts: list[NDArray[Any]], empty: NDArray[Any]) -> NDArray[Any]:
+    """Return arrays joined to one; empty the list, so that no array is kept twice."""
+    joined = np.concatenate([empty, *parts])
     parts.clear()
-    return whole
+    return joined
 
 
-def _key(motion: Motion) -> tuple[int, int, float]:
-    """Return what tells motions apart that have other states; those that are compared live on."""
+def _state_key(motion: Motion) -> tuple[int, int, float]:
+    """Return a key that differs between motions with different states, while both exist."""
     return id(motion.path), id(motion.s_m), motion.length_m

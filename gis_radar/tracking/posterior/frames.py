@@ -11,10 +11,11 @@ from gis_radar.base import STEP_S, Floats, Integers
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 
-WINDOW_S = 0.5  # the brightness of a vehicle, and whether it is there, is constant so long
-SILENT_S = 10.0  # who detects nothing on any lane for longer may be off
-X, Y, COS, SIN, SPEED, LENGTH, WIDTH, BEHIND, AHEAD = COLUMNS = range(9)  # of a shape
-BEND_M = 9.0  # half of the longest body: the way over which it bends
+WINDOW_S = 0.5  # time in which the brightness of a vehicle, and whether it exists, are constant
+SILENT_S = 10.0  # a sensor without a detection on any lane for longer may be off
+# Columns of a shape; BEHIND and AHEAD are curvatures of the path there.
+X, Y, COS, SIN, SPEED, LENGTH, WIDTH, BEHIND, AHEAD = COLUMNS = range(9)
+BEND_M = 9.0  # distance over which curvatures are taken: half of the longest body
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,17 +25,18 @@ class Frames:
     Parameters
     ----------
     row : (n,) int64 array
-        Positions in the detections that were given, by sensor and time.
+        Rows of the detections, sorted by sensor and time.
     sensor, time : (f,) arrays
-        Of each frame; UNIX seconds.
+        Sensor and time (UNIX seconds) of each frame.
     first : (f + 1,) int64 array
-        Where in `row` the detections of each frame begin.
+        Index in `row` of the first detection of each frame.
     begin : (k + 1,) int64 array
         The first frame of each sensor.
     window, group : (f,) int64 arrays
-        Half second of each frame; the frames of one sensor and half second are a group.
+        Number of each frame's half second, and of its group: the frames of one sensor in one half
+        second.
     eyes : (k, 2) array
-        Places of the sensors, metres.
+        Positions of the sensors, metres.
     """
 
     row: Integers
@@ -44,11 +46,11 @@ class Frames:
     begin: Integers
     window: Integers
     group: Integers
-    eyes: Floats
+    sensor_xy: Floats
 
     @classmethod
     def of(cls, detections: MapDetections) -> Frames:
-        """Gather the frames of detections; those without any on lanes are filled in."""
+        """Find the frames of detections; add the frames without any on lanes."""
         count = int(detections.sensor.max()) + 1
         order = np.lexsort((detections.time, detections.sensor))
         sensor, time = detections.sensor[order], detections.time[order]
@@ -62,11 +64,11 @@ class Frames:
         return cls(
             row=order, sensor=of, time=when,
             first=np.searchsorted(frame, np.arange(begin[-1] + 1)), begin=begin,
-            window=window, group=groups_of(of, window), eyes=detections.eyes(),
+            window=window, group=groups_of(of, window), sensor_xy=detections.sensor_positions(),
         )  # fmt: skip
 
     def between(self, begin: float, end: float) -> Integers:
-        """Return the frames of all sensors from one time to another, by sensor and time."""
+        """Return the frames of all sensors between two times, by sensor and time."""
         spans = zip(self.begin[:-1].tolist(), self.begin[1:].tolist(), strict=True)
         parts = []
         for low, high in spans:
@@ -76,7 +78,7 @@ class Frames:
 
 
 def _without_gaps(known: Floats) -> Floats:
-    """Return the times of frames with those that are missing in between."""
+    """Return the times of frames, ascending, with those of frames missing in between."""
     gaps = np.diff(known)
     cadence = float(np.median(gaps)) if len(gaps) else STEP_S
     missing = np.maximum(np.round(gaps / cadence).astype(np.int64) - 1, 0)
@@ -90,19 +92,20 @@ def _without_gaps(known: Floats) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class States:
-    """Vehicles in each frame of each sensor, by vehicle, sensor and time.
+    """States: each vehicle in each frame of each sensor, by vehicle, sensor and time.
 
     Parameters
     ----------
     vehicle, frame, window : (n,) int64 arrays
-        Of whom, in which frame, and in which half second.
+        Its vehicle, frame and half second.
     shape : (n, 9) array
-        Middle east and north, cosine and sine of the heading, speed, length, width; curvature of
-        the path behind the middle and ahead of it, 1 / m: the body bends with it.
+        Its shape: east and north of the middle, cosine and sine of the heading, speed, length,
+        width, and curvature of the path behind the middle and ahead of it, 1/m, with which the body
+        bends.
     first : (v + 1,) int64 array
-        The first state of each vehicle.
+        Index of the first state of each vehicle.
     group : (n,) int64 array
-        States of one vehicle, sensor and half second are a group.
+        Number of its group: the states of one vehicle and sensor in one half second.
     """
 
     vehicle: Integers
@@ -114,7 +117,7 @@ class States:
 
     @classmethod
     def of(cls, frame_of: Sequence[Integers], shape_of: Sequence[Floats], frames: Frames) -> States:
-        """Return the states of vehicles, by the frames and the shapes of each."""
+        """Join the states of vehicles, from the frames and shapes of each."""
         sizes = [len(each) for each in frame_of]
         frame = np.concatenate([np.zeros(0, np.int64), *frame_of])
         vehicle = np.repeat(np.arange(len(sizes)), sizes)
@@ -126,17 +129,17 @@ class States:
         )  # fmt: skip
 
     def rows(self, vehicle: int) -> slice:
-        """Return where the states of a vehicle are."""
+        """Return the slice of the states of a vehicle."""
         return slice(int(self.first[vehicle]), int(self.first[vehicle + 1]))
 
 
 def window_of(time: Floats) -> Integers:
-    """Return the half second of each time."""
+    """Return the number of the half second of each time (UNIX seconds)."""
     return np.floor(time / WINDOW_S).astype(np.int64)
 
 
 def groups_of(*columns: Integers) -> Integers:
-    """Return the number of the run of equal rows that each row is in."""
+    """Return the number of each row's run of equal rows."""
     changes = np.ones(len(columns[0]), np.bool_)
     changes[1:] = False
     for each in columns:
@@ -145,7 +148,7 @@ def groups_of(*columns: Integers) -> Integers:
 
 
 def motion_states(motion: Motion, frames: Frames) -> tuple[Integers, Floats]:
-    """Return the frames in which a motion has states, and its shape in each."""
+    """Return the frames within the time of a motion, and its shape in each."""
     frame = frames.between((motion.first_step - 0.5) * STEP_S, (motion.last_step + 0.5) * STEP_S)
     s_m, speed = motion.at(frames.time[frame])
     rear, front = (motion.path.heading_at(s_m + way * BEND_M) for way in (-1.0, 1.0))

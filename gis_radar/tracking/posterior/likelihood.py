@@ -1,4 +1,4 @@
-"""Detections of a vehicle: where on it, how fast, how many, and how much others hide."""
+"""Likelihood of the detections of a vehicle: place on the body, range rate, number, occlusion."""
 
 from __future__ import annotations
 
@@ -10,57 +10,70 @@ import numpy as np
 from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.tracking.size import LONG_M
 
-ON_FACES = 0.75  # share of detections of the faces that are seen; others are of all the body
-FACE_M, FACE_RAD = 0.35, 0.004  # standard deviation across a face: its depth, and of the azimuth
-RATE_MPS, RATE_SHARE = 0.25, 0.02  # standard deviation of the range rate of a body
-WHEELS, TURNS = 0.13, 2.1  # share of detections of wheels, and up to how often the body's speed
-REACH_M = 2.0  # farther from the body no detection is of it
-CLEAR_M = 0.3  # between the sides of two vehicles abreast, at least
-THROUGH = 0.3  # share that a vehicle returns of what another one hides
-MAST_M, LOOK_M = 6.0, 0.6  # heights over the road: of a sensor, and of what is seen of a vehicle
-CAR_M, LORRY_M, BOTTOM_M = 1.5, 3.2, 0.2  # heights of bodies, and where they begin
-HEIGHT_M, HEIGHT_RAD = 0.2, 0.0185  # standard deviation of a height over the road
-STANDS_MPS = 0.5
-STRAIGHT = 0.003  # curvature, 1 / m, by which a lorry bends by a hand's breadth
-CELL_M = 4.0  # in a cell a sensor sees all vehicles alike
-FAR_M, ASPECTS = 10.0, (0.5, 0.87)  # kinds of states: by range, and by the cosine of the aspect
-KINDS = (21, 3, 2, 2)  # ranges, aspects, long or not, standing or not
+ON_FACES = 0.75  # share of detections of the faces that the sensor sees; others: of all the body
+FACE_M, AZIMUTH_RAD = 0.35, 0.004  # sigma across a face: of its depth, and of the azimuth
+RATE_MPS, RATE_SHARE = 0.25, 0.02  # sigma of the range rate of a body, and per m/s of it
+# Share of detections of wheels, and their largest range rate as a multiple of the body's: the rim
+# of a wheel moves at up to twice its speed.
+WHEELS, MOST_TURNS = 0.13, 2.1
+REACH_M = 2.0  # largest distance of a vehicle's detections from its body
+ABREAST_M = 0.3  # least distance between the sides of two vehicles abreast
+SHARE_BEHIND = 0.3  # share of its detections that a vehicle gives where another one hides it
+SENSOR_M, TARGET_M = 6.0, 0.6  # heights over the road: of a sensor, and of a vehicle's scatterers
+CAR_M, LORRY_M, BOTTOM_M = 1.5, 3.2, 0.2  # heights over the road: of tops, and of undersides
+HEIGHT_M, HEIGHT_RAD = 0.2, 0.0185  # sigma of a height over the road: fixed, and of the elevation
+STANDS_MPS = 0.5  # slower vehicles count as standing
+STRAIGHT = 0.003  # curvature, 1/m, below which a body counts as straight: a lorry is 0.1 m off
+CELL_M = 4.0  # side of the map cells in which factors on the detection rate are learned
+# Classes of states: width of a bin of range, bounds of the cosine of the aspect; and the numbers of
+# ranges, aspects, lengths (up to LONG_M, over it) and motions (moving, standing).
+RANGE_BIN_M, ASPECTS = 10.0, (0.5, 0.87)
+CLASSES = (21, 3, 2, 2)
 
-Rates: TypeAlias = tuple[Floats, Floats, Floats, Floats, Integers]  # eyes table factor corner size
-Seen: TypeAlias = tuple[Integers, Floats, Floats, Floats, Floats, Floats, Floats]
-# first points sight range rate height total
+# Positions of sensors, expected detections by class, factors by cell, corner and size of the cells.
+RateModel: TypeAlias = tuple[Floats, Floats, Floats, Floats, Integers]
+# First detection of each frame; points, sight, range, range rate, height, total rate of detections.
+DetectionArrays: TypeAlias = tuple[Integers, Floats, Floats, Floats, Floats, Floats, Floats]
 
 
 @compiled
 def _blurred(x: float, half: float, sigma: float) -> float:
-    """Return the density of a uniform distribution on +-half, blurred."""
+    """Return the density of a uniform variable on +-half with normal noise of that sigma."""
     root = sigma * 1.4142135623730951
     return 0.25 * (math.erf((x + half) / root) - math.erf((x - half) / root)) / half
 
 
 @compiled
 def _normal(x: float, sigma: float) -> float:
+    """Return the density of a normal variable of mean 0."""
     z = x / sigma
     return 0.3989422804014327 / sigma * math.exp(-0.5 * z * z)
 
 
 @compiled
 def place_density(
-    along: float, left: float, cos: float, sin: float, length: float, width: float, away: float
+    along: float, left: float, cos: float, sin: float, length: float, width: float, range_m: float
 ) -> float:
-    """Return the density of a place on a body, 1 / m2.
+    """Return the density of a detection's place on a body, 1/m2.
 
-    `cos` and `sin` are of the angle from the heading to the line of sight.
+    Parameters
+    ----------
+    along, left : float
+        Place ahead of the middle, and left of it, metres.
+    cos, sin : float
+        Of the angle from the heading to the line of sight.
+    length, width, range_m : float
+        Size of the body, and its distance from the sensor, metres.
     """
-    sigma, by_width, of_flank = density_across(left, cos, sin, width, away)
+    sigma, by_width, of_flank = density_across(left, cos, sin, width, range_m)
     return density_along(along, cos, sin, length, width, sigma, by_width, of_flank)
 
 
 @compiled
 def density_across(
-    left: float, cos: float, sin: float, width: float, away: float
+    left: float, cos: float, sin: float, width: float, range_m: float
 ) -> tuple[float, float, float]:
-    """Return what of the density of a place does not depend on the length of the body.
+    """Return the factors of a place's density that do not depend on the length of the body.
 
     Returns
     -------
@@ -69,11 +82,12 @@ def density_across(
     by_width, of_flank : float
         Density across the whole body, and across the flank that is seen, 1 / m.
     """
-    left_sigma = math.hypot(FACE_M, FACE_RAD * away * cos)
+    left_sigma = math.hypot(FACE_M, AZIMUTH_RAD * range_m * cos)
     side = 0.5 * width
     flank = -side if sin > 0.0 else side
     by_width = _blurred(left, side, left_sigma)
-    return math.hypot(FACE_M, FACE_RAD * away * sin), by_width, _normal(left - flank, left_sigma)
+    sigma = math.hypot(FACE_M, AZIMUTH_RAD * range_m * sin)
+    return sigma, by_width, _normal(left - flank, left_sigma)
 
 
 @compiled
@@ -81,7 +95,7 @@ def density_along(
     along: float, cos: float, sin: float, length: float, width: float,
     sigma: float, by_width: float, of_flank: float,
 ) -> float:  # fmt: skip
-    """Return the density of a place on a body, 1 / m2, by what `density_across` returns."""
+    """Return the density of a place on a body, 1/m2, from the factors of `density_across`."""
     ends = width * abs(cos)
     share = ends / (ends + length * abs(sin) + 1e-9)
     half = 0.5 * length
@@ -94,57 +108,66 @@ def density_along(
 
 @compiled
 def rate_density(rate: float, radial: float) -> float:
-    """Return the density of a range rate of a body that moves so along the line of sight, s / m."""
-    found = (1.0 - WHEELS) * _normal(rate - radial, RATE_MPS + RATE_SHARE * abs(radial))
-    top = max(TURNS * abs(radial), 2.0 * RATE_MPS)
+    """Return the density of a range rate, s/m, of a body with the radial speed `radial`, m/s."""
+    density = (1.0 - WHEELS) * _normal(rate - radial, RATE_MPS + RATE_SHARE * abs(radial))
+    top = max(MOST_TURNS * abs(radial), 2.0 * RATE_MPS)
     turned = rate if radial >= 0.0 else -rate
     if -RATE_MPS < turned < top:
-        found += WHEELS / (top + RATE_MPS)
-    return found
+        density += WHEELS / (top + RATE_MPS)
+    return density
 
 
 @compiled
-def taller(height: float, away: float) -> float:
-    """Return how much denser a height is for a lorry or bus than for a car; 1 where unknown."""
+def height_ratio(height: float, range_m: float) -> float:
+    """Return the likelihood ratio of a height for a lorry or bus over a car; 1 where unknown."""
     if not math.isfinite(height):
         return 1.0
-    sigma = HEIGHT_M + HEIGHT_RAD * away
+    sigma = HEIGHT_M + HEIGHT_RAD * range_m
     tall, low = 0.5 * (LORRY_M - BOTTOM_M), 0.5 * (CAR_M - BOTTOM_M)
     of_lorry = _blurred(height - BOTTOM_M - tall, tall, sigma)
     of_car = _blurred(height - BOTTOM_M - low, low, sigma)
-    return min(max(of_lorry / max(of_car, 1e-9), 0.2), 5.0)  # heights of one body are off alike
+    # bounded, as the errors of one body's heights are correlated
+    return min(max(of_lorry / max(of_car, 1e-9), 0.2), 5.0)
 
 
 @compiled
-def kind_and_cell(shape: Floats, sensor: int, rates: Rates) -> tuple[int, int]:
-    """Return the kind of a state, as a position in the table of rates, and its cell."""
-    eyes, _, _, corner, size = rates
+def class_and_cell(shape: Floats, sensor: int, model: RateModel) -> tuple[int, int]:
+    """Return the index of a state's class, and that of its cell with its sensor."""
+    sensor_xy, _, _, corner, size = model
     x, y, speed, length = shape[0], shape[1], shape[4], shape[5]
-    dx, dy = x - eyes[sensor, 0], y - eyes[sensor, 1]
-    far = math.sqrt(dx * dx + dy * dy)  # a third of the time of hypot
-    facing = abs(dx * shape[2] + dy * shape[3]) / max(far, 1e-6)
+    dx, dy = x - sensor_xy[sensor, 0], y - sensor_xy[sensor, 1]
+    range_m = math.sqrt(dx * dx + dy * dy)  # a third of the time of hypot
+    facing = abs(dx * shape[2] + dy * shape[3]) / max(range_m, 1e-6)
     aspect = 0 if facing < ASPECTS[0] else (1 if facing < ASPECTS[1] else 2)
-    kind = (min(int(far / FAR_M), KINDS[0] - 1) * KINDS[1] + aspect) * 2
-    kind = (kind + (1 if length > LONG_M else 0)) * 2 + (1 if speed < STANDS_MPS else 0)
+    rate_class = (min(int(range_m / RANGE_BIN_M), CLASSES[0] - 1) * CLASSES[1] + aspect) * 2
+    rate_class = (rate_class + (1 if length > LONG_M else 0)) * 2 + (1 if speed < STANDS_MPS else 0)
     i = min(max(int((x - corner[0]) / CELL_M), 0), size[0] - 1)
     j = min(max(int((y - corner[1]) / CELL_M), 0), size[1] - 1)
-    return kind, (sensor * size[0] + i) * size[1] + j
+    return rate_class, (sensor * size[0] + i) * size[1] + j
 
 
 @compiled
-def kinds_and_cells(shape: Floats, sensor: Integers, rates: Rates) -> Integers:
-    """Return (n, 2) the kind and the cell of each state."""
+def classes_and_cells(shape: Floats, sensor: Integers, model: RateModel) -> Integers:
+    """Return the class and the cell of each state, (n, 2)."""
     found = np.empty((len(shape), 2), np.int64)
     for e in range(len(shape)):
-        found[e, 0], found[e, 1] = kind_and_cell(shape[e], sensor[e], rates)
+        found[e, 0], found[e, 1] = class_and_cell(shape[e], sensor[e], model)
     return found
 
 
 @compiled
-def on_body(shape: Floats, dx: float, dy: float) -> tuple[float, float, float]:
-    """Return how far a place is along a body from its middle and left of it, and its turn there.
+def body_coordinates(shape: Floats, dx: float, dy: float) -> tuple[float, float, float]:
+    """Return a place in body coordinates: ahead of the middle, left of it, and the body's turn.
 
-    A body bends with its path, ahead and behind by an arc each.
+    A body bends with its path, along an arc ahead of its middle and another one behind it; the turn
+    is the change of heading from the middle to the place, radians.
+
+    Parameters
+    ----------
+    shape : (9,) array
+        The body, as of :class:`States`.
+    dx, dy : float
+        East and north of its middle, metres.
     """
     along, left = dx * shape[2] + dy * shape[3], dy * shape[2] - dx * shape[3]
     bend = shape[8] if along > 0.0 else shape[7]
@@ -156,19 +179,20 @@ def on_body(shape: Floats, dx: float, dy: float) -> tuple[float, float, float]:
 
 
 @compiled
-def _near(along: float, left: float, length: float, width: float) -> bool:
+def _is_near(along: float, left: float, length: float, width: float) -> bool:
+    """Return whether a place in body coordinates is so near that its detection may be of it."""
     return abs(along) < 0.5 * length + REACH_M and abs(left) < 0.5 * width + REACH_M
 
 
 @compiled
 def _reach(length: float, width: float) -> float:
-    """Return a distance from the middle of a body beyond which nothing is near it."""
+    """Return the largest distance from the middle of a body at which a place can be near it."""
     return 0.5 * (length + width) + 2.0 * REACH_M
 
 
 @compiled
 def aspect(c: float, s: float, turn: float, sight: Floats) -> tuple[float, float]:
-    """Return cosine and sine of the angle from the heading, turned, to the line of sight."""
+    """Return cosine and sine of the aspect: from the heading (c, s) and a turn to the sight."""
     cos, sin = c * sight[0] + s * sight[1], c * sight[1] - s * sight[0]
     if turn == 0.0:
         return cos, sin
@@ -177,15 +201,17 @@ def aspect(c: float, s: float, turn: float, sight: Floats) -> tuple[float, float
 
 
 @compiled
-def densities(shape: Floats, frame: int, seen: Seen, room: Floats, row: Integers, n: int) -> int:
-    """Fill in the detections that a state may explain, and how dense each is, from place n on.
+def fill_densities(
+    shape: Floats, frame: int, arrays: DetectionArrays, work: Floats, row: Integers, n: int
+) -> int:
+    """Write the pairs of a state to working memory: densities to `work[:, 0]`, rows to `row`.
 
     Returns
     -------
     int
-        The place after the last; what finds no room is left out.
+        Number of pairs, `n` before included; those beyond the memory's length are left out.
     """
-    first, points, sight, away, rate, height, _ = seen
+    first, points, sight, range_m, rate, height, _ = arrays
     # one by one: to unpack an array takes five times as long
     x, y, c, s, speed = shape[0], shape[1], shape[2], shape[3], shape[4]
     length, width = shape[5], shape[6]
@@ -194,52 +220,55 @@ def densities(shape: Floats, frame: int, seen: Seen, room: Floats, row: Integers
         dx, dy = points[d, 0] - x, points[d, 1] - y
         if (abs(dx) > reach) | (abs(dy) > reach):  # one jump: few are near
             continue
-        along, left, turn = on_body(shape, dx, dy)
-        if not _near(along, left, length, width) or n >= len(room):
+        along, left, turn = body_coordinates(shape, dx, dy)
+        if not _is_near(along, left, length, width) or n >= len(work):
             continue
         cos, sin = aspect(c, s, turn, sight[d])
-        found = place_density(along, left, cos, sin, length, width, away[d])
-        found *= rate_density(rate[d], speed * cos)
+        density = place_density(along, left, cos, sin, length, width, range_m[d])
+        density *= rate_density(rate[d], speed * cos)
         if length > LONG_M:
-            found *= taller(height[d], away[d])
-        room[n, 0], row[n] = found, d
+            density *= height_ratio(height[d], range_m[d])
+        work[n, 0], row[n] = density, d
         n += 1
     return n
 
 
 @compiled
-def gain_of(room: Floats, count: int, due: float, alpha: float) -> tuple[float, float]:
-    """Return by how much the log-probability is higher with a vehicle, and its brightness.
+def log_likelihood_ratio(
+    rates: Floats, count: int, expected: float, alpha: float
+) -> tuple[float, float]:
+    """Return the log likelihood ratio of detections with a vehicle, nats, and its brightness.
+
+    Brightness is integrated out: exactly where no detection is of the vehicle, and where all are.
 
     Parameters
     ----------
-    room : (n, 2) array
-        Of each detection its rate by the vehicle and by all else.
+    rates : (n, 2) array
+        Rate of each detection by the vehicle at brightness 1, and by all else.
     count : int
-        How many there are.
-    due : float
-        Expected number of detections.
+        Number of rows that count.
+    expected : float
+        Expected number of detections; if it is 0, the ratio without detections is 0.
     alpha : float
-        Shape of the gamma distribution of brightness, whose mean is 1. Brightness is integrated
-        out: exactly where no detection is of the vehicle (0 where none is due), and where all are.
+        Shape of the gamma distribution of brightness, whose mean is 1.
     """
     n, bright = 0.0, 1.0
     for _ in range(5 if count > 0 else 1):
         n = 0.0
         for q in range(count):
-            lit = room[q, 0] * bright
-            n += lit / (room[q, 1] + lit)
-        bright = (alpha + n) / (alpha + due)
+            lit = rates[q, 0] * bright
+            n += lit / (rates[q, 1] + lit)
+        bright = (alpha + n) / (alpha + expected)
     gain = alpha * math.log(alpha * bright) - (alpha + n) * math.log(alpha + n)
     if n > 0.0:
         gain += math.lgamma(alpha + n) - math.lgamma(alpha)
     for q in range(count):
-        gain += math.log(1.0 + room[q, 0] * bright / room[q, 1])
+        gain += math.log(1.0 + rates[q, 0] * bright / rates[q, 1])
     return gain, bright
 
 
 @compiled
-def runs_in(group: Integers) -> int:
+def count_runs(group: Integers) -> int:
     """Return the number of runs of equal numbers."""
     count = min(len(group), 1)
     for e in range(1, len(group)):
@@ -248,97 +277,102 @@ def runs_in(group: Integers) -> int:
 
 
 @compiled
-def evaluate(  # noqa: PLR0917 - numba takes plain arrays
-    group: Integers, frame: Integers, sensor: Integers, shape: Floats, open_share: Floats,
-    rates: Rates, seen: Seen, alpha: Floats, add: bool,  # noqa: FBT001
+def window_gains(  # noqa: PLR0917 - numba takes plain arrays
+    group: Integers, frame: Integers, sensor: Integers, shape: Floats, visible_share: Floats,
+    model: RateModel, arrays: DetectionArrays, alpha: Floats, add: bool,  # noqa: FBT001
 ) -> Floats:  # fmt: skip
-    """Return (groups, 2) the gain of a vehicle over all else in each group, and what is due.
+    """Return the gain of a hypothetical vehicle and its expected detections, (groups, 2).
 
-    With `add` its rates are added to the total of `seen`.
+    With `add` its rates are added to the total rates of `arrays`.
     """
-    found = np.zeros((runs_in(group), 2))
-    room, row = np.empty((4096, 2)), np.empty(4096, np.int64)
-    total, e = seen[6], 0
-    for g in range(len(found)):
-        n, due, stands = 0, 0.0, 1 if shape[e, 4] < STANDS_MPS else 0
-        mine = group[e]
-        while e < len(group) and group[e] == mine:
-            kind, cell = kind_and_cell(shape[e], sensor[e], rates)
-            mu = rates[1][kind] * rates[2][cell] * open_share[e]
-            begin, n = n, densities(shape[e], frame[e], seen, room, row, n)
+    gains = np.zeros((count_runs(group), 2))
+    work, row = np.empty((4096, 2)), np.empty(4096, np.int64)
+    total, e = arrays[6], 0
+    for g in range(len(gains)):
+        n, expected, stands = 0, 0.0, 1 if shape[e, 4] < STANDS_MPS else 0
+        this = group[e]
+        while e < len(group) and group[e] == this:
+            rate_class, cell = class_and_cell(shape[e], sensor[e], model)
+            mu = model[1][rate_class] * model[2][cell] * visible_share[e]
+            begin, n = n, fill_densities(shape[e], frame[e], arrays, work, row, n)
             for q in range(begin, n):
-                room[q, 0], room[q, 1] = room[q, 0] * mu, total[row[q]]
-            due += mu
+                work[q, 0], work[q, 1] = work[q, 0] * mu, total[row[q]]
+            expected += mu
             e += 1
-        found[g, 0], bright = gain_of(room, n, due, alpha[stands])
-        found[g, 1] = due
+        gains[g, 0], bright = log_likelihood_ratio(work, n, expected, alpha[stands])
+        gains[g, 1] = expected
         for q in range(n if add else 0):
-            total[row[q]] += room[q, 0] * bright
-    return found
+            total[row[q]] += work[q, 0] * bright
+    return gains
 
 
 @compiled
-def evaluate_pairs(  # noqa: PLR0917 - numba takes plain arrays
-    group: Integers, shape: Floats, due: Floats, begin: Integers, density: Floats, row: Integers,
-    rate: Floats, total: Floats, alpha: Floats,
+def placed_gains(  # noqa: PLR0917 - numba takes plain arrays
+    group: Integers, shape: Floats, expected: Floats, begin: Integers, density: Floats,
+    row: Integers, rate: Floats, total: Floats, alpha: Floats,
 ) -> Floats:  # fmt: skip
-    """Return what `evaluate` does for a vehicle that is part of the total, at this rate.
+    """Return what `window_gains` does, for a vehicle whose rates are part of the total rates.
 
-    The detections of each state are those from `begin` on.
+    The pairs of each state are those from `begin` on, with their density, row and rate.
     """
-    found, room = np.zeros((runs_in(group), 2)), np.empty((len(row), 2))
+    gains, work = np.zeros((count_runs(group), 2)), np.empty((len(row), 2))
     e = 0
-    for g in range(len(found)):
+    for g in range(len(gains)):
         n, stands = 0, 1 if shape[e, 4] < STANDS_MPS else 0
-        mine = group[e]
-        while e < len(group) and group[e] == mine:
+        this = group[e]
+        while e < len(group) and group[e] == this:
             for q in range(begin[e], begin[e + 1]):
-                room[n, 0], room[n, 1] = density[q] * due[e], total[row[q]] - rate[q]
+                work[n, 0], work[n, 1] = density[q] * expected[e], total[row[q]] - rate[q]
                 n += 1
-            found[g, 1] += due[e]
+            gains[g, 1] += expected[e]
             e += 1
-        found[g, 0], _ = gain_of(room, n, found[g, 1], alpha[stands])
-    return found
+        gains[g, 0], _ = log_likelihood_ratio(work, n, gains[g, 1], alpha[stands])
+    return gains
 
 
 @compiled
 def _half_across(shape: Floats, x: float, y: float, far: float) -> float:
-    """Return half the width of a body as seen along a direction (x, y) of length far."""
+    """Return half the extent of a body across a direction (x, y), whose length is `far`."""
     c, s = shape[2], shape[3]
     across = shape[5] * abs(c * y - s * x) + shape[6] * abs(c * x + s * y)
     return float(0.5 * across / far)
 
 
 @compiled
-def hide(
-    order: Integers, first: Integers, sensor: Integers, shape: Floats, eyes: Floats,
-    open_share: Floats,
+def fill_visible_share(
+    order: Integers, first: Integers, sensor: Integers, shape: Floats, sensor_xy: Floats,
+    visible_share: Floats,
 ) -> None:  # fmt: skip
-    """Fill in which share of each state others do not hide; `order` sorts them by frame."""
-    place = np.empty((int(np.diff(first).max()), 3))  # from the eye, and how wide at most
+    """Multiply `visible_share` by the share of each state that no other one hides from the sensor.
+
+    `order` sorts the states by frame; `first` is the index of each frame's first in it.
+    """
+    place = np.empty((int(np.diff(first).max()), 3))  # from the sensor; half of the extent at most
     for f in range(len(first) - 1):
-        ex, ey = eyes[sensor[f], 0], eyes[sensor[f], 1]
-        here = order[first[f] : first[f + 1]]
-        for a in range(len(here)):
-            place[a, 0], place[a, 1] = shape[here[a], 0] - ex, shape[here[a], 1] - ey
-            place[a, 2] = 0.5 * (shape[here[a], 5] + shape[here[a], 6])
-        for a in range(len(here)):
-            i, x, y = here[a], place[a, 0], place[a, 1]
+        ex, ey = sensor_xy[sensor[f], 0], sensor_xy[sensor[f], 1]
+        states = order[first[f] : first[f + 1]]
+        for a in range(len(states)):
+            place[a, 0], place[a, 1] = shape[states[a], 0] - ex, shape[states[a], 1] - ey
+            place[a, 2] = 0.5 * (shape[states[a], 5] + shape[states[a], 6])
+        for a in range(len(states)):
+            i, x, y = states[a], place[a, 0], place[a, 1]
             far = max(math.hypot(x, y), 1.0)
             half = _half_across(shape[i], x, y, far)
-            for b in range(len(here)):
-                ahead = place[b, 0] * x + place[b, 1] * y  # times far, as aside
+            for b in range(len(states)):
+                ahead = place[b, 0] * x + place[b, 1] * y  # times the range, as aside
                 aside = place[b, 0] * y - place[b, 1] * x
                 beside = abs(aside) * far > half * ahead + place[b, 2] * far * far
                 if (ahead <= far) | (ahead >= far * far) | beside or a == b:  # hides nothing
                     continue
                 near, aside = ahead / far, aside / far
-                over = LOOK_M + (MAST_M - LOOK_M) * (1.0 - near / far)  # of the ray over the road
-                if over > (LORRY_M if shape[here[b], 5] > LONG_M else CAR_M):
+                # height over the road of the line of sight
+                over = TARGET_M + (SENSOR_M - TARGET_M) * (1.0 - near / far)
+                if over > (LORRY_M if shape[states[b], 5] > LONG_M else CAR_M):
                     continue
-                mine, other = half * near / far, _half_across(shape[here[b]], x, y, far)
-                both = min(mine, aside + other) - max(-mine, aside - other)
-                open_share[i] *= 1.0 - (1.0 - THROUGH) * max(both, 0.0) / (2.0 * mine + 1e-9)
+                own, other = half * near / far, _half_across(shape[states[b]], x, y, far)
+                both = min(own, aside + other) - max(-own, aside - other)
+                lost = (1.0 - SHARE_BEHIND) * max(both, 0.0)
+                visible_share[i] *= 1.0 - lost / (2.0 * own + 1e-9)
 
 
 @compiled
@@ -346,7 +380,10 @@ def overlap(
     rows: Integers, frame: Integers, shape: Floats, alive: Booleans, order: Integers,
     first: Integers,
 ) -> Floats:  # fmt: skip
-    """Return which share of the shorter of two lies on another vehicle, for states of one."""
+    """Return the largest share of the shorter body that overlaps, for states of one vehicle.
+
+    `order` and `first` give the states of all vehicles by frame; those not `alive` are ignored.
+    """
     share = np.zeros(len(rows))
     for k in range(len(rows)):
         e = rows[k]
@@ -355,13 +392,13 @@ def overlap(
         for a in range(first[frame[e]], first[frame[e] + 1]):
             o = order[a]
             dx, dy = shape[o, 0] - x, shape[o, 1] - y
-            apart = 0.5 * (length + shape[o, 5] + width + shape[o, 6]) + CLEAR_M
+            apart = 0.5 * (length + shape[o, 5] + width + shape[o, 6]) + ABREAST_M
             if (abs(dx) > apart) | (abs(dy) > apart):  # one jump: few are near
                 continue
             if rows[0] <= o <= rows[-1] or not alive[o]:
                 continue
-            along, aside, turn = on_body(shape[e], dx, dy)
-            if abs(aside) > 0.5 * (width + shape[o, 6]) + CLEAR_M:
+            along, aside, turn = body_coordinates(shape[e], dx, dy)
+            if abs(aside) > 0.5 * (width + shape[o, 6]) + ABREAST_M:
                 continue
             if abs(aspect(c, s, turn, shape[o, 2:4])[0]) < 0.8:
                 continue
@@ -372,24 +409,26 @@ def overlap(
 
 
 @compiled
-def find_pairs(shape: Floats, frame: Integers, seen: Seen) -> tuple[Integers, Floats, Integers]:
-    """Return the detections that each state may explain.
+def find_pairs(
+    shape: Floats, frame: Integers, arrays: DetectionArrays
+) -> tuple[Integers, Floats, Integers]:
+    """Return the pairs of states and detections near them.
 
     Returns
     -------
     begin : (states + 1,) int64 array
-        Where those of each state begin.
+        Index of the first pair of each state.
     density, row : (n,) arrays
-        How dense the state makes them, and which they are.
+        Density of the detection, given the state, and its row.
     """
-    first, most = seen[0], 0
+    first, most = arrays[0], 0
     for e in range(len(frame)):
         most += first[frame[e] + 1] - first[frame[e]]
-    begin, room, row = (
+    begin, work, row = (
         np.zeros(len(frame) + 1, np.int64),
         np.empty((most, 2)),
         np.empty(most, np.int64),
     )
     for e in range(len(frame)):
-        begin[e + 1] = densities(shape[e], frame[e], seen, room, row, begin[e])
-    return begin, room[: begin[-1], 0].copy(), row[: begin[-1]].copy()
+        begin[e + 1] = fill_densities(shape[e], frame[e], arrays, work, row, begin[e])
+    return begin, work[: begin[-1], 0].copy(), row[: begin[-1]].copy()

@@ -1,4 +1,4 @@
-"""Sizes of vehicles by the posterior."""
+"""Sizes of vehicles: the lengths under which their detections are most likely."""
 
 from __future__ import annotations
 
@@ -14,38 +14,39 @@ from gis_radar.tracking.posterior.frames import SPEED
 from gis_radar.tracking.posterior.likelihood import (
     REACH_M,
     STANDS_MPS,
-    Rates,
-    Seen,
+    DetectionArrays,
+    RateModel,
     aspect,
+    body_coordinates,
+    class_and_cell,
     density_across,
     density_along,
-    gain_of,
-    kind_and_cell,
-    on_body,
+    height_ratio,
+    log_likelihood_ratio,
     rate_density,
-    taller,
 )
 from gis_radar.tracking.size import LONG_M, length_prior, width_of
 
-# Shorter ones are only the tracker's: one scatterer looks like a motorcycle.
-TRIED_M = (4.0, 4.5, 5.0, 6.0, 7.5, 9.0, 10.5, 12.0, 14.0, 16.5, 18.5)
-STAYS = (-1.0, 0.0, 1.0)  # what of a body stays where it is: rear, middle, front
-# Half seconds that are looked at, driven and at rest each, spread over its time: the same
-# scatterers tell no more of a length.
+# Lengths that are tried, metres. Shorter ones come from the start only: one scatterer looks like a
+# motorcycle.
+LENGTHS_M = (4.0, 4.5, 5.0, 6.0, 7.5, 9.0, 10.5, 12.0, 14.0, 16.5, 18.5)
+FIXED_POINTS = (-1.0, 0.0, 1.0)  # what keeps its place in another length: rear, middle, front
+# Most half seconds of a vehicle that are evaluated, while it drives and while it stands, spread
+# over its time: more show the same scatterers again.
 MOST_WINDOWS = 20
-LEAST_GAIN = 2.0  # of the log-probability
+LEAST_GAIN = 2.0  # least gain of another length, nats
 
 
-def prior(length: float) -> float:
-    """Return the log prior density of a length."""
+def log_prior(length: float) -> float:
+    """Return the log prior density of a length (metres)."""
     return float(length_prior(np.array([length]))[0])
 
 
-_PRIORS = [prior(length) for length in TRIED_M]
+_LOG_PRIORS = [log_prior(length) for length in LENGTHS_M]
 
 
 def with_size(motion: Motion, length: float, ahead: float) -> Motion:
-    """Return a motion with another length, its middle moved ahead."""
+    """Return a motion with another length, its middle moved ahead by so many metres."""
     heavy = float(length > LONG_M)
     if (motion.p_heavy > 0.5) == (heavy > 0.5):
         heavy = 0.5 * (motion.p_heavy + heavy)
@@ -56,12 +57,12 @@ def with_size(motion: Motion, length: float, ahead: float) -> Motion:
 
 
 def resize(posterior: Posterior) -> list[Motion]:
-    """Return the vehicles with the lengths that fit their detections best.
+    """Return the vehicles with the lengths that maximize the posterior.
 
     Parameters
     ----------
     posterior : Posterior
-        With the vehicles; it is left as it is.
+        Posterior of the vehicles; it does not change.
     """
     found = []
     for vehicle, motion in enumerate(posterior.motions):
@@ -71,18 +72,18 @@ def resize(posterior: Posterior) -> list[Motion]:
 
 
 def _best_size(posterior: Posterior, vehicle: int) -> tuple[float, float, float]:
-    """Return the length that fits best, how far ahead the middle is then, and the gain."""
+    """Return the best length, the shift of the middle ahead (both metres), and the gain, nats."""
     motion = posterior.motions[vehicle]
     (rows,) = sample(posterior, (vehicle,))
     if len(rows) == 0:
         return motion.length_m, 0.0, 0.0
-    tried = [(motion.length_m, 0.0)] + [
-        (length, 0.5 * stays * (motion.length_m - length)) for length in TRIED_M for stays in STAYS
-    ]
-    posterior.lift(vehicle)
+    tried = [(motion.length_m, 0.0)]
+    for length in LENGTHS_M:
+        tried += [(length, 0.5 * fixed * (motion.length_m - length)) for fixed in FIXED_POINTS]
+    posterior.exclude(vehicle)
     found = gains_of_sizes(posterior, rows, tried)
-    posterior.lift(vehicle, 1.0)
-    found += [prior(motion.length_m), *np.repeat(_PRIORS, len(STAYS))]
+    posterior.include(vehicle)
+    found += [log_prior(motion.length_m), *np.repeat(_LOG_PRIORS, len(FIXED_POINTS))]
     best = int(np.argmax(found))
     return (*tried[best], float(found[best] - found[0]))
 
@@ -90,24 +91,34 @@ def _best_size(posterior: Posterior, vehicle: int) -> tuple[float, float, float]
 def gains_of_sizes(
     posterior: Posterior, rows: Integers, sizes: Sequence[tuple[float, float]]
 ) -> Floats:
-    """Return the gain over all else of states with each length, their middle moved ahead."""
+    """Return the gain of states with each of some sizes, nats.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        The vehicle's own rates must not be among its total rates.
+    rows : (n,) int64 array
+        States of one vehicle.
+    sizes : sequence of (float, float)
+        Length, and how far ahead its middle is then, metres.
+    """
     table = np.array([(length, width_of(length), ahead) for length, ahead in sizes])
     states = posterior.states
     return _sum_gains(
         states.group[rows], states.frame[rows], posterior.sensor[rows],
-        states.shape[rows], posterior.open[rows], table, posterior.rates, posterior.seen,
-        posterior.alpha,
+        states.shape[rows], posterior.visible_share[rows], table, posterior.rate_model,
+        posterior.detection_arrays, posterior.alpha,
     )  # fmt: skip
 
 
 @compiled
 def _sum_gains(  # noqa: PLR0917 - numba takes plain arrays
-    group: Integers, frame: Integers, sensor: Integers, shape: Floats, open_share: Floats,
-    sizes: Floats, rates: Rates, seen: Seen, alpha: Floats,
+    group: Integers, frame: Integers, sensor: Integers, shape: Floats, visible_share: Floats,
+    sizes: Floats, model: RateModel, arrays: DetectionArrays, alpha: Floats,
 ) -> Floats:  # fmt: skip
-    """Return the gain for each (length, width, ahead) of `sizes`."""
-    begin, row, pair = _pairs(frame, shape, sizes, seen)
-    room, new = np.empty((len(row), 2)), np.empty(shape.shape[1])
+    """Return the gain, nats, with each row (length, width, middle ahead) of `sizes`."""
+    begin, row, pair = _pairs(frame, shape, sizes, arrays)
+    work, new = np.empty((len(row), 2)), np.empty(shape.shape[1])
     across = np.empty((len(row), 3))
     gains = np.zeros(len(sizes))
     for k in range(len(sizes)):
@@ -116,19 +127,19 @@ def _sum_gains(  # noqa: PLR0917 - numba takes plain arrays
         if k == 0 or width != sizes[k - 1, 1]:
             for q in range(len(row)):
                 left, cos, sin = pair[q, 1], pair[q, 2], pair[q, 3]
-                found = density_across(left, cos, sin, width, seen[3][row[q]])
+                found = density_across(left, cos, sin, width, arrays[3][row[q]])
                 across[q, 0], across[q, 1], across[q, 2] = found
         while e < len(group):
-            g, n, due = group[e], 0, 0.0
+            g, n, expected = group[e], 0, 0.0
             stands = 1 if shape[e, 4] < STANDS_MPS else 0
             while e < len(group) and group[e] == g:
                 new[0] = shape[e, 0] + ahead * shape[e, 2]
                 new[1] = shape[e, 1] + ahead * shape[e, 3]
                 new[2], new[3], new[4] = shape[e, 2], shape[e, 3], shape[e, 4]
                 new[5] = length
-                kind, cell = kind_and_cell(new, sensor[e], rates)
-                mu = rates[1][kind] * rates[2][cell] * open_share[e]
-                due += mu
+                rate_class, cell = class_and_cell(new, sensor[e], model)
+                mu = model[1][rate_class] * model[2][cell] * visible_share[e]
+                expected += mu
                 for q in range(begin[e], begin[e + 1]):
                     along, left = pair[q, 0] - ahead, pair[q, 1]
                     if abs(along) < half + REACH_M and abs(left) < side:
@@ -138,30 +149,30 @@ def _sum_gains(  # noqa: PLR0917 - numba takes plain arrays
                         )  # fmt: skip
                         if length > LONG_M:
                             density *= pair[q, 5]
-                        room[n, 0], room[n, 1] = mu * density, seen[6][row[q]]
+                        work[n, 0], work[n, 1] = mu * density, arrays[6][row[q]]
                         n += 1
                 e += 1
-            gains[k] += gain_of(room, n, due, alpha[stands])[0]
+            gains[k] += log_likelihood_ratio(work, n, expected, alpha[stands])[0]
     return gains
 
 
 @compiled
 def _pairs(
-    frame: Integers, shape: Floats, sizes: Floats, seen: Seen
+    frame: Integers, shape: Floats, sizes: Floats, arrays: DetectionArrays
 ) -> tuple[Integers, Integers, Floats]:
-    """Return the detections that states of any of the sizes may explain.
+    """Return the pairs of states, in any of the sizes, and detections near them.
 
     Returns
     -------
     begin : (states + 1,) int64 array
-        Where those of each state begin.
+        Index of the first pair of each state.
     row : (n,) int64 array
         The detection.
     pair : (n, 6) array
-        Ahead and left of the middle, cosine and sine of the angle to the line of sight, density of
-        the range rate, and how much denser its height is for a lorry.
+        Place ahead and left of the middle, cosine and sine of the angle to the line of sight,
+        density of the range rate, likelihood ratio of the height for a lorry.
     """
-    first, points, sight, away, rate, height, _ = seen
+    first, points, sight, range_m, rate, height, _ = arrays
     rear, front = 0.0, 0.0
     for k in range(len(sizes)):
         rear = min(rear, sizes[k, 2] - 0.5 * sizes[k, 0])
@@ -179,12 +190,12 @@ def _pairs(
             dx, dy = points[d, 0] - x, points[d, 1] - y
             if (abs(dx) > reach) | (abs(dy) > reach):
                 continue
-            along, left, turn = on_body(shape[e], dx, dy)
+            along, left, turn = body_coordinates(shape[e], dx, dy)
             if rear - REACH_M < along < front + REACH_M and abs(left) < side:
                 cos, sin = aspect(c, s, turn, sight[d])
                 pair[n, 0], pair[n, 1], pair[n, 2], pair[n, 3] = along, left, cos, sin
                 pair[n, 4] = rate_density(rate[d], speed * cos)
-                pair[n, 5] = taller(height[d], away[d])
+                pair[n, 5] = height_ratio(height[d], range_m[d])
                 row[n] = d
                 n += 1
         begin[e + 1] = n
@@ -192,15 +203,17 @@ def _pairs(
 
 
 def sample(posterior: Posterior, vehicles: Sequence[int]) -> list[Integers]:
-    """Return states of vehicles in some half seconds of their time.
+    """Return the states of some vehicles in a sample of half seconds, an array of rows each.
 
-    In as many at most of the time in which the first one drives as of the rest.
+    The sample has at most `MOST_WINDOWS` half seconds in which the first vehicle drives, and as
+    many of the others.
     """
     states = posterior.states
     parts = [states.rows(each) for each in vehicles]
     slow = states.window[parts[0]][states.shape[parts[0], SPEED] < STANDS_MPS]
     windows = np.unique(np.concatenate([states.window[each] for each in parts]))
-    rests = np.isin(windows, slow)
-    kinds = (windows[~rests], windows[rests])
-    some = np.concatenate([each[:: max(-(-len(each) // MOST_WINDOWS), 1)] for each in kinds])
-    return [part.start + np.flatnonzero(np.isin(states.window[part], some)) for part in parts]
+    standing = np.isin(windows, slow)
+    parts_of_time = (windows[~standing], windows[standing])
+    every = [max(-(-len(each) // MOST_WINDOWS), 1) for each in parts_of_time]
+    sampled = np.concatenate([each[::n] for each, n in zip(parts_of_time, every, strict=True)])
+    return [part.start + np.flatnonzero(np.isin(states.window[part], sampled)) for part in parts]

@@ -1,4 +1,4 @@
-"""New tracks: moving detections are stored until several of them agree on a vehicle."""
+"""Birth of tracks: moving detections are stored until several of them agree on a vehicle."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ from gis_radar.tracking.columns import (  # fmt: skip
     Y,
 )
 
-FASTEST_MPS = 60.0
-# Least number of detections, within this time, whose places and range rates agree, that begin a
-# track: beyond 150 m a car gives one in half a second, false moving ones are one a frame at most.
+FASTEST_MPS = 60.0  # largest speed of a new track, 216 km/h
+# Least number of detections within this time whose places and range rates agree that begin a track:
+# beyond 150 m a car gives one in half a second, and clutter at most one moving detection a frame.
 BIRTHS, BIRTH_S = 3, 1.5
 LEAST_COS = 0.3  # least cosine between line of sight and lane at which a range rate gives the speed
-CAR_M = 4.6  # length of a car, the first guess for all vehicles
+CAR_M = 4.6  # first guess of the length of a vehicle: a car
 
 
 @compiled
@@ -53,26 +53,29 @@ def begin(  # pragma: no cover - compiled
     bodies: Floats,
     waiting: Floats,
     counts: Integers,
-    born: Integers,
+    members: Integers,
     lanes: Floats,
     field: FieldArrays,
 ) -> int:
-    """Store a moving detection, or begin a track where several agree; return its number of rows."""
+    """Begin a track where stored detections agree with this one, else store it.
+
+    Lists the detections of a new track in `members`, and returns their number; 0 without one.
+    """
     kept = 0
     for k in range(counts[WAITS]):
         if detection[6] - waiting[k, WAIT_TIME] <= BIRTH_S:
             waiting[kept] = waiting[k]
             kept += 1
     counts[WAITS] = kept
-    found = lanes_at(detection[0], detection[1], field, lanes)
+    lane_count = lanes_at(detection[0], detection[1], field, lanes)
     first = counts[ALIVE]
-    for k in range(found):
+    for k in range(lane_count):
         cos = np.cos(lanes[k, TOWARDS]) * detection[3] + np.sin(lanes[k, TOWARDS]) * detection[4]
         speed = detection[2] / cos if abs(cos) >= LEAST_COS else -1.0
         if not 0.3 <= speed <= FASTEST_MPS or abs(lanes[k, LEFT]) > lanes[k, HALF] + 0.5:
             continue
-        matches, moments = _agreeing(detection, speed, lanes[k, TOWARDS], waiting, counts[WAITS])
-        if matches >= BIRTHS and moments >= 2 and counts[ALIVE] < len(bodies):
+        matches, frames = _agreeing(detection, speed, lanes[k, TOWARDS], waiting, counts[WAITS])
+        if matches >= BIRTHS and frames >= 2 and counts[ALIVE] < len(bodies):
             body = bodies[counts[ALIVE]]
             body[:] = 0.0
             body[X], body[Y], body[HEADING], body[SPEED] = (
@@ -91,8 +94,8 @@ def begin(  # pragma: no cover - compiled
             counts[ALIVE] += 1
     if counts[ALIVE] > first:
         counts[BEGUN] += 1
-        return _claim(row, detection, bodies[first : counts[ALIVE]], waiting, counts, born)
-    for k in range(found):
+        return _gather(row, detection, bodies[first : counts[ALIVE]], waiting, counts, members)
+    for k in range(lane_count):
         cos = np.cos(lanes[k, TOWARDS]) * detection[3] + np.sin(lanes[k, TOWARDS]) * detection[4]
         speed = detection[2] / cos if abs(cos) >= LEAST_COS else -1.0
         if 0.3 <= speed <= FASTEST_MPS and counts[WAITS] < len(waiting):
@@ -108,8 +111,8 @@ def begin(  # pragma: no cover - compiled
 def _agreeing(
     detection: Floats, speed: float, heading: float, waiting: Floats, count: int
 ) -> tuple[int, int]:  # pragma: no cover - compiled
-    """Return the number of agreeing detections, this one included, and of their frames."""
-    matches, moments, last, counted = 1, 1, detection[6], -1.0
+    """Return the numbers of agreeing detections and of their frames, this one included."""
+    matches, frames, last_time, counted_row = 1, 1, detection[6], -1.0
     c, s = np.cos(heading), np.sin(heading)
     for j in range(count - 1, -1, -1):
         wait = waiting[j]
@@ -117,35 +120,35 @@ def _agreeing(
         if away or abs(wait[WAIT_SPEED] - speed) > 1.0 + 0.08 * speed:
             continue
         dx, dy = detection[0] - wait[X], detection[1] - wait[Y]
-        way = 0.5 * (wait[WAIT_SPEED] + speed) * (detection[6] - wait[WAIT_TIME])
-        if abs(dx * c + dy * s - way) > 3.0 or abs(dy * c - dx * s) > 1.8:
+        driven = 0.5 * (wait[WAIT_SPEED] + speed) * (detection[6] - wait[WAIT_TIME])
+        if abs(dx * c + dy * s - driven) > 3.0 or abs(dy * c - dx * s) > 1.8:
             continue
-        if wait[WAIT_ROW] != counted:  # a detection is stored once for each lane
+        if wait[WAIT_ROW] != counted_row:  # a detection is stored once for each lane
             matches += 1
-            counted = wait[WAIT_ROW]
-        if wait[WAIT_TIME] < last:
-            moments += 1
-            last = wait[WAIT_TIME]
-    return matches, moments
+            counted_row = wait[WAIT_ROW]
+        if wait[WAIT_TIME] < last_time:
+            frames += 1
+            last_time = wait[WAIT_TIME]
+    return matches, frames
 
 
 @compiled
-def _claim(
-    row: int, detection: Floats, begun: Floats, waiting: Floats, counts: Integers, born: Integers
+def _gather(
+    row: int, detection: Floats, new: Floats, waiting: Floats, counts: Integers, members: Integers
 ) -> int:
-    """Remove the stored detections that agree with a new track; return the number of its rows."""
-    born[0], taken, kept = row, 1, 0
+    """Move stored detections that agree with a new track to `members`; return their number."""
+    members[0], taken, kept = row, 1, 0
     for j in range(counts[WAITS]):
         wait = waiting[j]
         agrees = False
-        for k in range(len(begun)):
-            c, s = np.cos(begun[k, HEADING]), np.sin(begun[k, HEADING])
-            way = begun[k, SPEED] * (detection[6] - wait[WAIT_TIME])
+        for k in range(len(new)):
+            c, s = np.cos(new[k, HEADING]), np.sin(new[k, HEADING])
+            way = new[k, SPEED] * (detection[6] - wait[WAIT_TIME])
             dx, dy = detection[0] - wait[X], detection[1] - wait[Y]
             agrees = agrees or (abs(dx * c + dy * s - way) <= 3.0 and abs(dy * c - dx * s) <= 1.8)
-        old = int(wait[WAIT_ROW] - counts[PASSED])
-        if agrees and old >= 0 and taken < len(born):
-            born[taken] = old
+        old_row = int(wait[WAIT_ROW] - counts[PASSED])
+        if agrees and old_row >= 0 and taken < len(members):
+            members[taken] = old_row
             taken += 1
         elif not agrees:
             waiting[kept] = wait

@@ -1,8 +1,9 @@
-"""Bodies: find which detections are of one vehicle while it moves.
+"""Bodies: associate the detections of moving vehicles, and tell persons from vehicles.
 
-The filter follows detections forward and backward in time; where both agree, a vehicle is followed
-whole. Several vehicles of the filter are often the ends of one long vehicle, or one vehicle as two
-sensors see it: they keep their places in the frame that moves along, as no other vehicle does.
+The filter follows vehicles forward and backward in time; tracks of both directions that share
+detections are joined. Several tracks are often the ends of one long vehicle, or one vehicle as two
+sensors see it: parts of one body keep their places in the frame that moves with it, as no other
+vehicle does.
 """
 
 from __future__ import annotations
@@ -20,22 +21,22 @@ from gis_radar.tracking.start.tall import one_tall_odds, tall_odds
 
 LEAST_SPREAD_M = 0.1  # two detections of one scatterer
 UNKNOWN_SIZE = -1.0  # log odds of a person of unknown size: on lanes persons are fewer
-# A part is split, MOST_SPLIT times at most, while a smaller share of it keeps its place in the
-# moving frame; parts of fewer rows are dropped.
+# A track is split, into MOST_SPLIT parts at most, while a smaller share of its detections keeps its
+# place in the moving frame; parts of fewer detections are dropped.
 LEAST_PURE, MOST_SPLIT, LEAST_ROWS = 0.95, 3, 5
 SEEN_S = 0.35  # time before and after a detection in which the state of its vehicle is known
-LEFT_M, BEARING_RAD = 1.7, 0.006  # half the width of a truck, error of a bearing: sideways
-# Tolerance of a range rate: noise, a share of the speed, and a share of it at which the ends of a
-# turning body swing.
+LEFT_M, BEARING_RAD = 1.7, 0.006  # tolerance sideways: half a truck, error of a bearing
+# Tolerance of a range rate: noise, share of the speed for wheels, and factor on the speed at which
+# the ends of a turning body swing.
 RATE_MPS, WHEEL_SHARE, SWING = 0.8, 0.08, 0.6
 LEAST_FIT = 0.7  # share of detections whose places and range rates fit
-SCATTER_M = 2.5  # largest median scatter of places: scatterers change along a body
-PLACE_M = 0.4  # sigma of a mean place, for which scatterers last
+SCATTER_M = 2.5  # largest median residual of places on a body: scatterers change along it
+PLACE_M = 0.4  # sigma of the mean place of a body's detections over half a second
 REACH_M = 16.5  # from the middle of its detections to any part of a truck with trailer
 CAR_M = 4.7  # length of a car
 GAP_S, GAP_SPREAD = 1.8, 0.6  # median time gap between drivers, and sigma of its logarithm
 LONG_SHARE = 0.12  # share of vehicles over 7 m in traffic
-LEAST_ODDS = 0.5  # logarithm of the odds above which two parts are joined
+LEAST_ODDS = 0.5  # log odds above which two parts are joined
 DRIVEN_MPS = 8.0  # vehicles above this speed certainly drive
 CYCLIST_MPS = 7.5  # largest speed of cyclists
 # Mean and sigma of the cross section, dB over that of vehicles, and of the logarithm of the spread
@@ -54,22 +55,22 @@ STEADY = 0.5  # share of the 90 % quantile of its speed that a person exceeds ha
 
 
 def rows_by_number(number: Integers) -> list[Integers]:
-    """Return the rows of each number in ascending order; rows of `NONE` are left out."""
+    """Return the rows of each number, by ascending number; rows of `NONE` are left out."""
     rows = np.flatnonzero(number != NONE)
     rows = rows[np.argsort(number[rows], kind="stable")]
     return np.split(rows, np.flatnonzero(np.diff(number[rows])) + 1) if len(rows) else []
 
 
 def join_directions(number: Integers, against: Integers, time: Floats) -> Integers:
-    """Return one number for each detection from those of both directions of time.
+    """Join the tracks of both directions of time; return the number of each detection's track.
 
-    A detection that only the backward direction claims gets the number of its neighbour there. Two
-    vehicles that one vehicle of the other direction follows one after the other are one.
+    A detection that is in a backward track only gets the number of the nearest one in time in that
+    track. Two forward tracks are one where a backward track contains much of both.
 
     Parameters
     ----------
     number, against : (n,) int64 arrays
-        The filter's numbers of detections, forward and backward in time.
+        Number of the track of each detection, forward and backward in time; `NONE` without.
     time : (n,) array
         Times of the detections, seconds.
     """
@@ -78,48 +79,48 @@ def join_directions(number: Integers, against: Integers, time: Floats) -> Intege
         return against.copy()
     spans = {int(number[r[0]]): (float(time[r].min()), float(time[r].max())) for r in rows}
     sizes = {int(number[r[0]]): len(r) for r in rows}
-    groups = _Groups(spans)
-    joined, fresh = number.copy(), int(number.max()) + 1
-    for part in rows_by_number(against):
-        known = np.flatnonzero(number[part] != NONE)
+    groups = _TrackGroups(spans)
+    joined, next_number = number.copy(), int(number.max()) + 1
+    for back in rows_by_number(against):
+        known = np.flatnonzero(number[back] != NONE)
         if len(known) == 0:
-            joined[part] = fresh
-            fresh += 1
+            joined[back] = next_number
+            next_number += 1
             continue
-        free = np.flatnonzero(number[part] == NONE)
-        joined[part[free]] = number[part[known[nearest(time[part[known]], time[part[free]])]]]
-        values, counts = np.unique(number[part[known]], return_counts=True)
-        strong = [
+        free = np.flatnonzero(number[back] == NONE)
+        joined[back[free]] = number[back[known[nearest(time[back[known]], time[back[free]])]]]
+        values, counts = np.unique(number[back[known]], return_counts=True)
+        matched = [
             value for value, count in zip(values.tolist(), counts.tolist(), strict=True)
             if count >= max(4, 0.3 * sizes[value])
         ]  # fmt: skip
-        strong.sort(key=lambda value: spans[value])
-        for one, other in pairwise(strong):
+        matched.sort(key=lambda value: spans[value])
+        for one, other in pairwise(matched):
             groups.join(one, other)
-    mapped = np.arange(fresh)
+    mapped = np.arange(next_number)
     for value in spans:
         mapped[value] = groups.of(value)
     return np.where(joined == NONE, NONE, mapped[joined])
 
 
-class _Groups:
-    """Groups of tracks of one vehicle, by the spans of time in which they are followed."""
+class _TrackGroups:
+    """Groups of tracks of one vehicle, which hardly overlap in time (disjoint sets)."""
 
-    MOST_BOTH_S = 0.7  # longest time that a vehicle is followed twice, where one track ends
+    MOST_BOTH_S = 0.7  # longest overlap of two tracks of one vehicle, where one of them ends
 
     def __init__(self, spans: dict[int, tuple[float, float]]) -> None:
         self._head = {value: value for value in spans}
         self._spans = {value: [span] for value, span in spans.items()}
 
     def of(self, value: int) -> int:
-        """Return the number that represents a vehicle's group."""
+        """Return the number of the track that represents the group of a track."""
         while self._head[value] != value:
             self._head[value] = self._head[self._head[value]]
             value = self._head[value]
         return value
 
     def join(self, one: int, other: int) -> None:
-        """Join two groups, unless both were followed at the same time."""
+        """Join the groups of two tracks, unless they overlap in time."""
         one, other = self.of(one), self.of(other)
         if one == other:
             return
@@ -136,62 +137,62 @@ def absorb(
     parts: list[Integers],
     states: Floats,
 ) -> list[Motion]:
-    """Join parts of one body, those with the highest odds first; return each vehicle's motion.
+    """Join parts of one body, beginning with the largest parts; return each vehicle's motion.
 
     Parameters
     ----------
     detections : MapDetections
         All detections.
     parts : list of int64 arrays
-        Rows that were followed as one vehicle.
+        Rows of each track.
     states : (n, 6) array
-        State of the vehicle, for every detection.
+        State of the filter at each detection.
     """
-    found = [each for rows in parts for each in purified(detections, rows, states)]
-    boxes = [_box(detections, each.rows) for each in found]
-    gone: set[int] = set()
-    for strong in sorted(range(len(found)), key=lambda k: -len(found[k].rows)):
-        again = strong not in gone
-        while again:
-            again = False
-            for other in range(len(found)):
-                weaker = len(found[other].rows) <= len(found[strong].rows)
-                if other == strong or other in gone or not weaker:
+    motions = [each for rows in parts for each in purified(detections, rows, states)]
+    boxes = [_box(detections, each.rows) for each in motions]
+    absorbed: set[int] = set()
+    for base in sorted(range(len(motions)), key=lambda k: -len(motions[k].rows)):
+        grew = base not in absorbed
+        while grew:
+            grew = False
+            for other in range(len(motions)):
+                weaker = len(motions[other].rows) <= len(motions[base].rows)
+                if other == base or other in absorbed or not weaker:
                     continue
-                if (boxes[other][0] > boxes[strong][1]).any() or (
-                    boxes[other][1] < boxes[strong][0]
+                if (boxes[other][0] > boxes[base][1]).any() or (
+                    boxes[other][1] < boxes[base][0]
                 ).any():
                     continue
-                odds = log_odds(detections, found[strong], found[other])
+                odds = log_odds(detections, motions[base], motions[other])
                 if odds > LEAST_ODDS:
-                    rows = np.concatenate([found[strong].rows, found[other].rows])
-                    found[strong] = fit_motion(detections, rows, states)
-                    boxes[strong] = _box(detections, rows)
-                    gone.add(other)
-                    again = True
-    return [each for k, each in enumerate(found) if k not in gone]
+                    rows = np.concatenate([motions[base].rows, motions[other].rows])
+                    motions[base] = fit_motion(detections, rows, states)
+                    boxes[base] = _box(detections, rows)
+                    absorbed.add(other)
+                    grew = True
+    return [each for k, each in enumerate(motions) if k not in absorbed]
 
 
 def _box(detections: MapDetections, rows: Integers) -> Floats:
-    """Return the least and most of time, easting and northing, widened by a long body."""
+    """Return bounds of time, easting and northing of detections, widened by a long body."""
     table = np.column_stack([detections.time[rows], detections.points[rows]])
     reach = np.array([0.1, 20.0, 20.0])
     return np.stack([table.min(axis=0) - reach, table.max(axis=0) + reach])
 
 
 def log_odds(detections: MapDetections, body: Motion, other: Motion) -> float:
-    """Return the logarithm of the odds that two parts are one body.
+    """Return the log odds that two parts are of one body.
 
-    In the frame that moves with the first, the second keeps its place if it is of the same body;
-    another vehicle drifts, and keeps its distance: time gaps between drivers are log-normal, with a
-    median of 1.8 s (Treiber and Kesting, *Traffic Flow Dynamics*, 2013, ch. 4).
+    In the frame that moves with the first part, the second one keeps its place if it is of the same
+    body. Another vehicle drifts, and keeps its distance: time gaps between drivers are log-normal,
+    with a median of 1.8 s (Treiber and Kesting, *Traffic Flow Dynamics*, 2013, ch. 4).
     """
     rows = other.rows[np.abs(detections.range_rate[other.rows]) > MOVING_MPS]
     own = detections.time[body.rows]
     rows = rows[(detections.time[rows] > own[0] - 0.2) & (detections.time[rows] < own[-1] + 0.2)]
     if len(rows) < 3:
         return -np.inf
-    # the first body's frame is known well only while it is seen, too
+    # the moving frame is known only while the first part is detected, too
     near = nearest(own, detections.time[rows])
     rows = rows[np.abs(own[near] - detections.time[rows]) < SEEN_S]
     if len(rows) < 3 or np.ptp(detections.time[rows]) < 0.1:
@@ -199,7 +200,7 @@ def log_odds(detections: MapDetections, body: Motion, other: Motion) -> float:
     along, left, rate = body.frame(detections, rows)
     _, speed = body.at(detections.time[rows])
     beside = LEFT_M + BEARING_RAD * detections.range_m[rows]
-    fits = (np.abs(left) < beside) & (np.abs(rate) < _slack(body, along, speed))
+    fits = (np.abs(left) < beside) & (np.abs(rate) < _rate_tolerance(body, along, speed))
     if fits.mean() < LEAST_FIT or fits.sum() < 3:
         return -np.inf
     one, two = (
@@ -207,75 +208,77 @@ def log_odds(detections: MapDetections, body: Motion, other: Motion) -> float:
         for each in (body, other)
     )
     long = one_tall_odds((one, two))
-    return _odds_of_places(detections.time[rows][fits], along[fits], speed[fits], body, long)
+    return _odds_by_places(detections.time[rows][fits], along[fits], speed[fits], body, long)
 
 
-def _slack(body: Motion, along: Floats, speed: Floats) -> Floats:
-    """Return the tolerance of range rates of a body: in a bend its ends swing."""
+def _rate_tolerance(body: Motion, along: Floats, speed: Floats) -> Floats:
+    """Return the tolerance of range rates at places on a body, m/s: in a bend its ends swing."""
     swing = SWING * min(body.path.most_bend, 0.1) * speed * np.abs(along)
     return np.asarray(RATE_MPS + WHEEL_SHARE * speed + swing)
 
 
 def purified(detections: MapDetections, rows: Integers, states: Floats) -> list[Motion]:
-    """Return the motions of a part, which is split where it cannot be of one body."""
-    found: list[Motion] = []
-    while len(rows) >= LEAST_ROWS and len(found) < MOST_SPLIT:
+    """Return the motions of a track, split where its detections cannot be of one body."""
+    motions: list[Motion] = []
+    while len(rows) >= LEAST_ROWS and len(motions) < MOST_SPLIT:
         body = fit_motion(detections, rows, states)
         along, left, rate = body.frame(detections, body.rows)
         _, speed = body.at(detections.time[body.rows])
-        own = np.abs(along) < 0.5 * REACH_M + 1.0
-        own &= np.abs(left) < 2.0 * LEFT_M
-        own &= np.abs(rate) < 2.0 * _slack(body, along, speed) + speed
-        if own.mean() >= LEAST_PURE or own.sum() < LEAST_ROWS:
-            return [*found, body]
-        kept = fit_motion(detections, body.rows[own], states)
-        found.append(kept)
-        rows = body.rows[~own]
-    return found
+        fits = np.abs(along) < 0.5 * REACH_M + 1.0
+        fits &= np.abs(left) < 2.0 * LEFT_M
+        fits &= np.abs(rate) < 2.0 * _rate_tolerance(body, along, speed) + speed
+        if fits.mean() >= LEAST_PURE or fits.sum() < LEAST_ROWS:
+            return [*motions, body]
+        pure = fit_motion(detections, body.rows[fits], states)
+        motions.append(pure)
+        rows = body.rows[~fits]
+    return motions
 
 
-def _odds_of_places(time: Floats, along: Floats, speed: Floats, body: Motion, long: float) -> float:
-    """Return the log odds from places in a moving frame: whether they stay, and are too near.
+def _odds_by_places(time: Floats, along: Floats, speed: Floats, body: Motion, long: float) -> float:
+    """Return the log odds of one body by the places of a part in the frame of another one.
 
-    The other evidence for a long vehicle counts only for places beyond the body.
+    They are those of no drift over those of two drivers, and of a long vehicle over a follower at
+    that distance. The second, and `long`, the log odds by heights, count only for places beyond the
+    body.
     """
     span = float(np.ptp(time))
-    away = abs(float(np.median(along)))
-    if away > REACH_M:
+    distance = abs(float(np.median(along)))
+    if distance > REACH_M:
         return -np.inf
-    stays = 0.0
+    no_drift = 0.0
     if span > 0.3:
         centred = time - time.mean()
         drift = float(centred @ (along - along.mean()) / (centred @ centred))
-        rest = np.abs(along - np.median(along) - drift * centred)
-        if np.median(rest) > SCATTER_M:
+        residual = np.abs(along - np.median(along) - drift * centred)
+        if np.median(residual) > SCATTER_M:
             return -np.inf
         # sigma of the slope of places that are independent every half second
         sigma = np.hypot(PLACE_M * np.sqrt(12.0) / (span * np.sqrt(max(2 * span, 1))), 0.1)
         wide = np.hypot(1.0, sigma)  # 1 m/s: sigma of the difference of drivers' speeds
-        stays = 0.5 * (drift / wide) ** 2 - 0.5 * (drift / sigma) ** 2 + np.log(wide / sigma)
-    within = np.abs(along) < 0.5 * max(body.length_m, 3.0) + 1.0
-    if within.mean() > 0.6:
-        return 5.0 + min(stays, 0.0)
-    pace = max(float(np.quantile(speed, 0.8)), 2.0)
-    gap_s = max(away - CAR_M, 0.05) / pace
+        no_drift = 0.5 * (drift / wide) ** 2 - 0.5 * (drift / sigma) ** 2 + np.log(wide / sigma)
+    inside = np.abs(along) < 0.5 * max(body.length_m, 3.0) + 1.0
+    if inside.mean() > 0.6:
+        return 5.0 + min(no_drift, 0.0)
+    fast_mps = max(float(np.quantile(speed, 0.8)), 2.0)
+    gap_s = max(distance - CAR_M, 0.05) / fast_mps
     z = np.log(gap_s / GAP_S) / GAP_SPREAD
-    follows = -0.5 * z * z - np.log(gap_s * GAP_SPREAD * 2.5066 * pace)
-    return float(stays + long + np.log(LONG_SHARE / 12.0) - follows)
+    log_follows = -0.5 * z * z - np.log(gap_s * GAP_SPREAD * 2.5066 * fast_mps)
+    return float(no_drift + long + np.log(LONG_SHARE / 12.0) - log_follows)
 
 
 def merge_states(number: Integers, states: tuple[Floats, Floats], joined: Integers) -> Floats:
-    """Return forward states, and backward ones where only these claim a detection."""
+    """Return the forward states; backward ones for detections in backward tracks only."""
     return np.where(((number == NONE) & (joined != NONE))[:, None], states[1], states[0])
 
 
 def is_person(detections: MapDetections, motions: Sequence[Motion]) -> list[bool]:
-    """Return for each motion whether it is a walker or a cyclist: weak, small, slow and steady.
+    """Return for each motion whether it is of a walker or cyclist: weak, small, slow and steady.
 
-    The cross section of vehicles is that of fast ones in the same recordings, since radars
-    state cross sections on scales of their own. Still detections are about as strong: where no
-    vehicle drives fast, a track far weaker than these is a person. People keep their pace; a track
-    that mostly stands cannot be told from its surroundings by its returns.
+    Cross sections are compared with those of fast vehicles in the same recordings, since each radar
+    has its own scale. Where no vehicle drives fast they are compared with still detections, which
+    are about as strong. Persons keep their pace; a track that mostly stands is not judged, as it
+    cannot be told from its surroundings by its cross section.
     """
     rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
     fast = np.array([_fast(each) for each in motions])
@@ -293,10 +296,10 @@ def are_persons(
     Parameters
     ----------
     rcs, fast, spread_m : (n,) arrays
-        Median cross section of each, dBm2; its speed, m/s; and the standard deviation of its
-        detections' places on it, metres, NaN where that is not known.
+        Median cross section of each track, dBm2; its speed (90 % quantile while it moves), m/s; and
+        the standard deviation of its detections' places on the body, metres, NaN if unknown.
     steady : (n,) bool array
-        Whether it keeps its pace.
+        Whether its speed is over `STEADY` of that quantile half of the time.
     still : float
         Median cross section of still detections, dBm2.
     """
@@ -314,17 +317,17 @@ def are_persons(
 
 
 def _weakest_told(sigma: float) -> float:
-    """Return the cross section, dB over that of vehicles, where the odds of a person are highest.
+    """Return the cross section, dB over that of vehicles, with the highest odds of a person.
 
-    Vehicles vary by more than persons, so that by normal densities what is weaker still would be
-    rather a vehicle again.
+    Weaker ones count as this one: the density of vehicles is wider than that of persons, so that
+    the odds would fall again.
     """
     wide, narrow = sigma**2, PERSON[1] ** 2
     return PERSON[0] * wide / (wide - narrow) if wide > narrow else -np.inf
 
 
 def _log_density(value: Floats, usual: Sequence[float]) -> Floats:
-    """Return the logarithm of a normal density up to a constant; `usual` is mean and sigma."""
+    """Return the log density of a normal distribution without its constant, by (mean, sigma)."""
     mean, sigma = usual
     return np.asarray(-0.5 * ((value - mean) / sigma) ** 2 - np.log(sigma))
 
@@ -335,7 +338,7 @@ def still_rcs(detections: MapDetections) -> float:
 
 
 def _driven_rcs(rcs: Floats, fast: Floats, faint: Booleans) -> tuple[float, float]:
-    """Return the median cross section of fast vehicles, NaN if there are none, and its sigma."""
+    """Return median and sigma of the cross sections of fast vehicles, dBm2; NaN without any."""
     driven = rcs[(fast > DRIVEN_MPS) & ~faint & np.isfinite(rcs)]
     usual = usual_rcs(driven)
     if len(driven) < LEAST_DRIVEN:
@@ -347,10 +350,10 @@ def _driven_rcs(rcs: Floats, fast: Floats, faint: Booleans) -> tuple[float, floa
 def without_faint_ends(
     detections: MapDetections, motions: list[Motion], states: Floats
 ) -> list[Motion]:
-    """Cut off begins and ends of motions in which a person was followed, too.
+    """Cut off begins and ends of motions in which the filter followed a person.
 
-    Nearly all detections of a person are faint, of a vehicle few: the cut is where the sum of their
-    log odds is highest. Motions of which less than a body remains are dropped.
+    Nearly all detections of a person are faint, few of a vehicle. The cut is where the cumulative
+    log odds of a person are highest. Motions with fewer than `LEAST_ROWS` detections are dropped.
 
     Parameters
     ----------
@@ -359,7 +362,7 @@ def without_faint_ends(
     motions : list of Motion
         Motions of vehicles.
     states : (n, 6) array
-        State of the vehicle, for every detection.
+        State of the filter at each detection.
     """
     found = []
     rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])

@@ -1,8 +1,8 @@
-"""Expected number of detections of a vehicle by place: without them, no vehicle is there.
+"""Expected number of detections of a vehicle by place; without one of them, none is there.
 
-How often each sensor detects vehicles in a cell of the map is learned from those that drive
-through it, which includes the effects of range, aspect and obstacles. Other vehicles hide what is
-behind them.
+The detection rate of vehicles in a map cell is learned for each sensor from those that drive
+through it, which includes the effects of range, aspect and obstacles. Occlusion by other vehicles
+is computed from their places.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from gis_radar.base import STEPS_PER_SECOND, Floats, Integers, compiled
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import HALF_STEPS, Motion
 
-HALF_WIDTH_M = 1.5  # half width of the strip that a body hides: half a lorry and an error of place
-NEAREST_M = 1.0  # bodies nearer to a place do not hide it; a nearer sensor does not see it
-# Size of the map cells in which the rate of detections is learned, together with their neighbours.
+HALF_WIDTH_M = 1.5  # half the width of an occluder: half a lorry and an error of place
+NEAREST_M = 1.0  # a body nearer to a place does not hide it; a sensor nearer to it does not see it
+# Side of the map cells in which the detection rate is learned, each with its eight neighbours.
 CELL_M = 6.0
 DRIVING_MPS = 3.0  # least speed of the vehicles from which it is learned
-LEAST_S = 1.0  # least total time of vehicles in a cell; with less, the rate is unknown
-SILENT_S = 2.0  # shorter gaps between detections are ignored
+LEAST_S = 1.0  # least time of vehicles in a cell and its neighbours; with less, the rate is unknown
+SILENT_S = 2.0  # shorter gaps between detections are no evidence
 
 
 @dataclass(frozen=True, kw_only=True)
 class Occluders:
-    """Places of vehicles in each half second, which hide what is behind them.
+    """Occluders: bodies of vehicles in each half second, which hide what is behind them.
 
     Parameters
     ----------
     half : (n,) int64 array
         Number of the half second.
     owner : (n,) int64 array
-        Number of the vehicle.
+        Number of the vehicle, as the caller numbers them.
     shape : (n, 5) array
         Easting and northing of its middle, cosine and sine of its heading, half its length.
     """
@@ -46,7 +46,7 @@ class Occluders:
 
     @classmethod
     def of(cls, motions: Sequence[Motion]) -> Occluders:
-        """Make occluders of moving vehicles, numbered in order."""
+        """Make occluders of motions, with their index as owner."""
         parts = []
         for number, motion in enumerate(motions):
             half, place, heading = motion.halves()
@@ -65,7 +65,7 @@ class Occluders:
         halves : (n,) int64 array
             Half seconds to choose from.
         owner : int
-            Number of the vehicle that does not count.
+            The vehicle that does not count.
         within_m : float
             Largest distance from the place to the nearest end of a vehicle, approximately.
         """
@@ -109,69 +109,69 @@ class Detectability:
 
     Parameters
     ----------
-    eyes : (k, 2) array
-        Places of the sensors in the map, metres.
+    sensor_xy : (k, 2) array
+        Positions of the sensors in the map, metres.
     rate : (k, rows, columns) array
-        Detections a second of a vehicle in a cell.
+        Detection rate of a vehicle in a cell, 1/s; 0 where it is unknown.
     corner : (2,) array
         South-west corner of the first cell.
     first_half : int
-        Number of the first half second of `works`.
-    works : (k, n) array
+        Number of the first half second of `is_active`.
+    is_active : (k, n) array
         1 in half seconds in which a sensor detected anything, else 0.
     occluders : Occluders
         Vehicles that hide others.
     """
 
-    eyes: Floats
+    sensor_xy: Floats
     rate: Floats
     corner: Floats
     first_half: int
-    works: Floats
+    is_active: Floats
     occluders: Occluders
 
     @classmethod
     def learned(cls, detections: MapDetections, motions: Sequence[Motion]) -> Detectability:
-        """Learn the rate of detections by place from moving vehicles.
+        """Learn detection rates by place from moving vehicles.
 
         Parameters
         ----------
         detections : MapDetections
             All detections, at least one.
         motions : sequence of Motion
-            Vehicles.
+            Motions of vehicles.
         """
-        eyes = detections.eyes()
-        count = len(eyes)
+        sensor_xy = detections.sensor_positions()
+        count = len(sensor_xy)
         corner = detections.points.min(axis=0) - CELL_M
         size = np.ceil((detections.points.max(axis=0) - corner) / CELL_M).astype(np.int64) + 1
-        seen, spent = np.zeros((count, *size)), np.zeros(tuple(size))
+        detected, present_s = np.zeros((count, *size)), np.zeros(tuple(size))
         for motion in motions:
             drives = motion.speed > DRIVING_MPS
             if not drives.any():
                 continue
             cell = _cells(motion.places[0][drives], corner, size)
-            np.add.at(spent, tuple(cell.T), 1.0 / STEPS_PER_SECOND)
+            np.add.at(present_s, tuple(cell.T), 1.0 / STEPS_PER_SECOND)
             step = np.round(detections.time[motion.rows] * STEPS_PER_SECOND).astype(np.int64)
             step = np.clip(step - motion.first_step, 0, len(motion.speed) - 1)
             rows, step = motion.rows[drives[step]], step[drives[step]]
             cell = _cells(motion.places[0][step], corner, size)
-            np.add.at(seen, (detections.sensor[rows], *cell.T), 1.0)
-        near = uniform_filter(spent, 3, mode="constant") * 9.0
-        summed = np.stack([uniform_filter(each, 3, mode="constant") * 9.0 for each in seen])
-        known = near > LEAST_S
-        rate = np.where(known, summed / np.maximum(near, 1e-9), 0.0)
+            np.add.at(detected, (detections.sensor[rows], *cell.T), 1.0)
+        present_near_s = uniform_filter(present_s, 3, mode="constant") * 9.0
+        sums = [uniform_filter(each, 3, mode="constant") * 9.0 for each in detected]
+        known = present_near_s > LEAST_S
+        rate = np.where(known, np.stack(sums) / np.maximum(present_near_s, 1e-9), 0.0)
         half = (detections.time * 2.0).astype(np.int64)
         first = int(half.min())
-        works = np.zeros((count, int(half.max()) - first + 1))
-        works[detections.sensor, half - first] = 1.0
+        is_active = np.zeros((count, int(half.max()) - first + 1))
+        is_active[detections.sensor, half - first] = 1.0
         return cls(
-            eyes=eyes, rate=rate, corner=corner, first_half=first,
-            works=works, occluders=Occluders.of(motions),
+            sensor_xy=sensor_xy, rate=rate, corner=corner, first_half=first,
+            is_active=is_active, occluders=Occluders.of(motions),
         )  # fmt: skip
 
-    def due(self, places: Floats, halves: Integers, owners: tuple[int, int]) -> float:
-        """Return the expected number of detections of a vehicle in view.
+    def expected(self, places: Floats, halves: Integers, owners: tuple[int, int]) -> float:
+        """Return the expected number of detections of a vehicle where no other one hides it.
 
         Parameters
         ----------
@@ -183,14 +183,14 @@ class Detectability:
             Numbers of the occluders that are the vehicle itself, which do not hide it.
         """
         return float(
-            _due(
-                places, halves, np.array(owners), self.eyes, self.rate, self.corner,
-                self.first_half, self.works, self.occluders.half, self.occluders.owner,
+            _expected(
+                places, halves, np.array(owners), self.sensor_xy, self.rate, self.corner,
+                self.first_half, self.is_active, self.occluders.half, self.occluders.owner,
                 self.occluders.shape,
             )
         )  # fmt: skip
 
-    def due_between(
+    def expected_between(
         self, places: Floats, times: tuple[float, float], owners: tuple[int, int]
     ) -> float:
         """Return the expected number of detections on the straight line between two places.
@@ -202,14 +202,14 @@ class Detectability:
         times : (float, float)
             UNIX seconds; one half second at either end does not count.
         owners : (int, int)
-            As for :meth:`due`.
+            As for :meth:`expected`.
         """
         halves = np.arange(int(np.ceil(2.0 * times[0])) + 1, int(2.0 * times[1]) - 1)
         if len(halves) == 0:
             return 0.0
         share = (0.5 * halves - times[0]) / (times[1] - times[0])
         way = places[0] + share[:, None] * (places[1] - places[0])
-        return self.due(way, halves, owners)
+        return self.expected(way, halves, owners)
 
 
 def _cells(points: Floats, corner: Floats, size: Integers) -> Integers:
@@ -218,51 +218,52 @@ def _cells(points: Floats, corner: Floats, size: Integers) -> Integers:
 
 
 @compiled
-def _due(  # noqa: PLR0917 - numba takes plain arrays
+def _expected(  # noqa: PLR0917 - numba takes plain arrays
     places: Floats,
     halves: Integers,
     owners: Integers,
-    eyes: Floats,
+    sensor_xy: Floats,
     rate: Floats,
     corner: Floats,
     first_half: int,
-    works: Floats,
+    is_active: Floats,
     body_half: Integers,
     body_owner: Integers,
     shape: Floats,
 ) -> float:  # pragma: no cover - compiled
+    """Return what :meth:`Detectability.expected` does, from its arrays."""
     total = 0.0
     for i in range(len(places)):
         h = halves[i] - first_half
         a, b = int((places[i, 0] - corner[0]) / CELL_M), int((places[i, 1] - corner[1]) / CELL_M)
-        if h < 0 or h >= works.shape[1] or a < 0 or b < 0:
+        if h < 0 or h >= is_active.shape[1] or a < 0 or b < 0:
             continue
         if a >= rate.shape[1] or b >= rate.shape[2]:
             continue
         low = np.searchsorted(body_half, halves[i])
         high = np.searchsorted(body_half, halves[i], side="right")
-        for k in range(len(eyes)):
-            if rate[k, a, b] <= 0.0 or works[k, h] == 0.0:
+        for k in range(len(sensor_xy)):
+            if rate[k, a, b] <= 0.0 or is_active[k, h] == 0.0:
                 continue
             others = np.flatnonzero(
                 (body_owner[low:high] != owners[0]) & (body_owner[low:high] != owners[1])
             )
-            if not _is_hidden(places[i] - eyes[k], eyes[k], shape[low:high][others]):
+            if not _is_hidden(places[i] - sensor_xy[k], sensor_xy[k], shape[low:high][others]):
                 total += 0.5 * rate[k, a, b]
     return total
 
 
 @compiled
-def _is_hidden(way: Floats, eye: Floats, shape: Floats) -> bool:  # pragma: no cover - compiled
-    """Return whether a body lies in the way of a sensor to a place."""
-    far = np.hypot(way[0], way[1])
-    if far < NEAREST_M:
+def _is_hidden(offset: Floats, xy: Floats, shape: Floats) -> bool:  # pragma: no cover - compiled
+    """Return whether a body of `shape` hides the place at an offset from a sensor at xy."""
+    range_m = np.hypot(offset[0], offset[1])
+    if range_m < NEAREST_M:
         return True
-    c, s = way[0] / far, way[1] / far
+    c, s = offset[0] / range_m, offset[1] / range_m
     for j in range(len(shape)):
-        x, y = shape[j, 0] - eye[0], shape[j, 1] - eye[1]
+        x, y = shape[j, 0] - xy[0], shape[j, 1] - xy[1]
         ahead, aside = x * c + y * s, y * c - x * s
         across = abs(shape[j, 3] * c - shape[j, 2] * s) * shape[j, 4] + HALF_WIDTH_M
-        if abs(aside) < across and 0.0 < ahead < far - NEAREST_M:
+        if abs(aside) < across and 0.0 < ahead < range_m - NEAREST_M:
             return True
     return False

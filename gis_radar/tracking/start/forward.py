@@ -1,11 +1,11 @@
-"""Forward filter, which follows moving vehicles detection by detection, and starts new ones.
+"""Forward filter: a Kalman filter that follows moving vehicles detection by detection.
 
-A vehicle is a body on the plane: a point of it, its heading, its speed, and how far it reaches to
-the front and to the rear. On a lane its heading turns as the lane does; where lanes fork, a branch
-of it follows each of them until detections decide which one it took. A detection belongs to the
-body that it lies in and whose motion its range rate fits; it corrects the speed by its range rate,
-and the position only as far as it lies outside the body, since a radar hits a vehicle anywhere.
-Still detections are left to `stationary`: here they would draw bodies to kerbs and signs.
+A vehicle is a body on the plane: a point of it, its heading, its speed, and its reach ahead and
+behind. On a lane its heading turns as the lane does; where lanes fork, each is a branch (a
+hypothesis), until detections decide which one it took. A detection is associated with the body that
+it lies on and whose speed its range rate fits. Its range rate corrects the speed; its place, the
+position, only if it lies outside the body, since a vehicle has scatterers anywhere. Still
+detections are left to `stationary`: here they would pull bodies to kerbs and signs.
 """
 
 from __future__ import annotations
@@ -56,15 +56,15 @@ from gis_radar.tracking.size import LONGEST_M
 from gis_radar.tracking.start.births import BIRTH_S, LEAST_COS, begin
 
 CAPACITY = 1024  # most vehicles at a time
-WAITING = 2048  # most detections at a time that no vehicle claims
+WAITING = 2048  # most detections at a time that are of no vehicle yet
 SPARE = 1024  # room for branches beyond the number of detections
-MOST_M = 30.0  # largest distance from the point of a body to any part of it, with its error
-WIDE_M = 1.0  # half the width of a vehicle
+REACH_M = 30.0  # largest distance from the point of a body to its detections
+HALF_WIDTH_M = 1.0  # half the width of a vehicle
 FORK_M = 3.0  # lanes that begin within this of a place are branches of one fork
-ONE_WAY_M, NEAR_M = 30.0, 1.0  # branches so near each other so far after the fork are one
-# By how much the misfit of a branch may exceed another's, and most misfit by one detection, both in
-# squares of sigma: six outliers do not end a branch.
-MOST_MISFIT, MOST_TOLD = 24.0, 4.0
+SINCE_FORK_M, NEAR_M = 30.0, 1.0  # branches so near each other so far beyond the fork are one
+# Largest difference of the misfits of two branches of a vehicle, and largest misfit by one
+# detection, both in squared sigmas: so six outliers do not end a branch.
+MOST_MISFIT, MOST_COST = 24.0, 4.0
 ACCEL_MPS2 = 1.5  # sigma of the acceleration that drivers choose
 SIDEWAYS_MPS = 0.3  # sigma of the drift across the lane
 RATE_MPS = 0.25  # sigma of a range rate, including what a turning body adds
@@ -75,13 +75,13 @@ COAST_S, STAND_S = 2.0, 20.0
 STANDING_MPS = 0.7  # below it a vehicle may stand
 
 
-# The branch of each detection; the parent of each branch and the detection at which it forked; rows
-# (detection, branch, state) where there are several branches.
-Past: TypeAlias = tuple[Integers, Integers, Floats]
+# Branch of each detection; (parent, detection at the fork) of each branch; rows (detection, branch,
+# state) where a vehicle has several branches.
+BranchLog: TypeAlias = tuple[Integers, Integers, Floats]
 
 
 class ForwardFilter:
-    """Vehicles followed through a stream of detections.
+    """Filter that follows vehicles through a stream of detections.
 
     Parameters
     ----------
@@ -122,17 +122,18 @@ class ForwardFilter:
         return number, state
 
     def _push(self, detections: MapDetections) -> tuple[Integers, Floats]:
+        """Process the selected detections, as `push`."""
         number, state = np.full(len(detections), NONE, np.int64), np.zeros((len(detections), 6))
         columns = ("points", "range_rate", "sight", "range_m", "time")
-        seen = np.column_stack([getattr(detections, name) for name in columns])
+        rows = np.column_stack([getattr(detections, name) for name in columns])
         count = len(detections) + SPARE
-        past = (np.full(count, NONE), np.full((count, 2), NONE), np.zeros((4 * count, 8)))
+        log = (np.full(count, NONE), np.full((count, 2), NONE), np.zeros((4 * count, 8)))
         self._counts[BASE], self._counts[KEPT] = self._counts[BRANCHES], 0
         _follow(
-            seen, self._bodies, self._waiting, self._counts, (number, state), past,
+            rows, self._bodies, self._waiting, self._counts, (number, state), log,
             self._field,
         )  # fmt: skip
-        _take_last(number, state, past, self._counts)
+        _use_final_branches(number, state, log, self._counts)
         self._counts[PASSED] += len(detections)
         return number, state
 
@@ -153,51 +154,57 @@ class ForwardFilter:
 def follow_both_ways(
     detections: MapDetections, graph: LaneGraph
 ) -> tuple[tuple[Integers, Integers], tuple[Floats, Floats]]:
-    """Follow vehicles forward and backward in time; return the numbers and states of both."""
+    """Follow vehicles forward and backward in time.
+
+    Returns
+    -------
+    numbers, states : (forward, backward)
+        As `ForwardFilter.push` returns them, for each direction.
+    """
     number, state = ForwardFilter(graph).push(detections)
-    back = ForwardFilter(graph.reversed())
-    against, state_against = back.push(detections.reversed())
-    against, state_against = against[::-1].copy(), state_against[::-1].copy()
-    state_against[:, HEADING] += np.pi
-    state_against[:, [FRONT, REAR]] = state_against[:, [REAR, FRONT]]
-    return (number, against), (state, state_against)
+    backward = ForwardFilter(graph.reversed())
+    number_back, state_back = backward.push(detections.reversed())
+    number_back, state_back = number_back[::-1].copy(), state_back[::-1].copy()
+    state_back[:, HEADING] += np.pi
+    state_back[:, [FRONT, REAR]] = state_back[:, [REAR, FRONT]]
+    return (number, number_back), (state, state_back)
 
 
 @compiled
 def _follow(
-    seen: Floats,
+    detections: Floats,
     bodies: Floats,
     waiting: Floats,
     counts: Integers,
-    found: tuple[Integers, Floats],
-    past: Past,
+    out: tuple[Integers, Floats],
+    log: BranchLog,
     field: FieldArrays,
 ) -> None:
-    """Process detections (x, y, range rate, sight, range, time) frame by frame."""
-    lanes, born = np.empty((8, 6)), np.empty(len(waiting), np.int64)
-    number, state = found
-    branch, _, kept = past
-    for i in range(len(seen)):
-        now = seen[i, 6]
-        if i == 0 or now > seen[i - 1, 6]:
-            _go_on(i, past, bodies, counts, now, lanes, field)
-        if abs(seen[i, 2]) < MOVING_MPS:
+    """Process detections (x, y, range rate, sight, range, time); write number and state of each."""
+    lanes, members = np.empty((8, 6)), np.empty(len(waiting), np.int64)
+    number, state = out
+    branch, _, branch_states = log
+    for i in range(len(detections)):
+        now = detections[i, 6]
+        if i == 0 or now > detections[i - 1, 6]:
+            _predict_all(i, log, bodies, counts, now, lanes, field)
+        if abs(detections[i, 2]) < MOVING_MPS:
             continue
-        chosen = _choose(seen[i], bodies, counts[ALIVE])
+        chosen = _associate(detections[i], bodies, counts[ALIVE])
         if chosen >= 0:
             number[i] = int(bodies[chosen, NUMBER])
-            best = _correct_branches(i, chosen, bodies, counts, seen[i], kept)
+            best = _correct_branches(i, chosen, bodies, counts, detections[i], branch_states)
             state[i], branch[i] = bodies[best, : REAR + 1], int(bodies[best, BRANCH])
         else:
             before = counts[ALIVE]
-            begun = begin(i, seen[i], bodies, waiting, counts, born, lanes, field)
-            if begun == 0:
+            count = begin(i, detections[i], bodies, waiting, counts, members, lanes, field)
+            if count == 0:
                 continue
-            born_as = bodies[before : counts[ALIVE]]
-            body = born_as[np.argmin(born_as[:, MISFIT])]
-            for k in range(begun):
-                row = born[k]
-                lapse = now - seen[row, 6]
+            branches = bodies[before : counts[ALIVE]]
+            body = branches[np.argmin(branches[:, MISFIT])]
+            for k in range(count):
+                row = members[k]
+                lapse = now - detections[row, 6]
                 number[row], branch[row] = int(body[NUMBER]), int(body[BRANCH])
                 state[row] = body[: REAR + 1]
                 state[row, X] -= body[SPEED] * lapse * np.cos(body[HEADING])
@@ -205,35 +212,35 @@ def _follow(
 
 
 @compiled
-def _go_on(
+def _predict_all(
     row: int,
-    past: Past,
+    log: BranchLog,
     bodies: Floats,
     counts: Integers,
     now: float,
     lanes: Floats,
     field: FieldArrays,
 ) -> None:
-    """Predict all bodies to a time; drop those without detections for too long."""
+    """Predict all bodies to a time, drop those undetected for too long, fork and prune branches."""
     k = 0
     while k < counts[ALIVE]:
         body = bodies[k]
-        patience = STAND_S if body[SPEED] < STANDING_MPS else COAST_S
-        if now - body[LAST] > (BIRTH_S if body[HITS] < 6.0 else patience):
+        longest_s = STAND_S if body[SPEED] < STANDING_MPS else COAST_S
+        if now - body[LAST] > (BIRTH_S if body[HITS] < 6.0 else longest_s):
             counts[ALIVE] -= 1
             bodies[k] = bodies[counts[ALIVE]]
             continue
-        found = _predict(body, now, lanes, field)
-        _fork(k, row, past[1], bodies, counts, lanes, found)
+        lane_count = _predict(body, now, lanes, field)
+        _fork(k, row, log[1], bodies, counts, lanes, lane_count)
         k += 1
-    _forget_branches(bodies, counts)
+    _prune_branches(bodies, counts)
 
 
 @compiled
 def _fork(
     k: int, row: int, lineage: Integers, bodies: Floats, counts: Integers, lanes: Floats, found: int
 ) -> None:  # pragma: no cover - compiled
-    """Add a branch of a track for each other lane that begins where its own lane does."""
+    """Add a branch of body `k` for each other lane that begins where its own lane does."""
     body = bodies[k]
     for j in range(found):
         if lanes[j, LANE] == body[FOLLOWED] or lanes[j, ALONG_LANE] > FORK_M:
@@ -244,11 +251,11 @@ def _fork(
         ):
             continue
         new = counts[BRANCHES] - counts[BASE]
-        known = counts[ALIVE] >= len(bodies) or new >= len(lineage)
+        exists = counts[ALIVE] >= len(bodies) or new >= len(lineage)
         for other in range(counts[ALIVE]):
             same = bodies[other, NUMBER] == body[NUMBER]
-            known = known or (same and bodies[other, FOLLOWED] == lanes[j, LANE])
-        if not known:
+            exists = exists or (same and bodies[other, FOLLOWED] == lanes[j, LANE])
+        if not exists:
             bodies[counts[ALIVE]] = body
             bodies[counts[ALIVE], FOLLOWED] = lanes[j, LANE]
             bodies[counts[ALIVE], BRANCH] = counts[BRANCHES]
@@ -259,8 +266,8 @@ def _fork(
 
 
 @compiled
-def _forget_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no cover - compiled
-    """Drop branches that fit much worse than another one, or are on its lane again."""
+def _prune_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no cover - compiled
+    """Drop branches that fit much worse than another one of the vehicle, or follow its lane."""
     k = 0
     while k < counts[ALIVE]:
         worse = False
@@ -269,7 +276,7 @@ def _forget_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no co
                 continue
             more = bodies[k, MISFIT] - bodies[other, MISFIT]
             same = bodies[k, FOLLOWED] >= 0.0 and bodies[k, FOLLOWED] == bodies[other, FOLLOWED]
-            same = same or _is_one_way(bodies[k], bodies[other])
+            same = same or _is_one_again(bodies[k], bodies[other])
             worse = (
                 worse
                 or more > MOST_MISFIT
@@ -283,42 +290,44 @@ def _forget_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no co
 
 
 @compiled
-def _is_one_way(one: Floats, other: Floats) -> bool:  # pragma: no cover - compiled
-    """Return whether two branches still lie on each other, long after they forked."""
+def _is_one_again(one: Floats, other: Floats) -> bool:  # pragma: no cover - compiled
+    """Return whether two branches are at one place, far beyond their fork."""
     apart = np.hypot(one[X] - other[X], one[Y] - other[Y])
-    return bool(min(one[SINCE_M], other[SINCE_M]) > ONE_WAY_M and apart < NEAR_M)
+    return bool(min(one[SINCE_M], other[SINCE_M]) > SINCE_FORK_M and apart < NEAR_M)
 
 
 @compiled
 def _predict(
     body: Floats, time: float, lanes: Floats, field: FieldArrays
 ) -> int:  # pragma: no cover - compiled
-    """Predict a body to a time along its lane; return the number of lanes it reaches."""
+    """Predict a body to a time along its lane; return the number of lanes there if it is new."""
     lapse = time - body[TIME]
     if lapse <= 0.0:
         return 0
     body[TIME] = time
     step = body[SPEED] * lapse
     body[SINCE_M] += abs(step)
-    here, way, _ = _lane_of(body[X], body[Y], body[HEADING], body[FOLLOWED], lanes, field)
+    here, towards, _ = _lane_of(body[X], body[Y], body[HEADING], body[FOLLOWED], lanes, field)
     body[X] += step * np.cos(body[HEADING])
     body[Y] += step * np.sin(body[HEADING])
-    new = 0
+    new_lanes = 0
     if here >= 0.0 and abs(step) > 0.0:
-        there, ahead, found = _lane_of(body[X], body[Y], way, here, lanes, field)
+        there, towards_after, count = _lane_of(body[X], body[Y], towards, here, lanes, field)
         if there >= 0.0:
-            body[HEADING] += heading_difference(ahead, way)
+            body[HEADING] += heading_difference(towards_after, towards)
             # towards the lane's direction, within the way in which a driver straightens up
-            body[HEADING] += heading_difference(ahead, body[HEADING]) * min(abs(step) / 15.0, 1.0)
-        new = found if there >= 0.0 and there != body[FOLLOWED] else 0
+            body[HEADING] += heading_difference(towards_after, body[HEADING]) * min(
+                abs(step) / 15.0, 1.0
+            )
+        new_lanes = count if there >= 0.0 and there != body[FOLLOWED] else 0
         body[FOLLOWED] = there
-    push = ACCEL_MPS2**2
-    body[VAR_S] += 2.0 * lapse * body[COV_SV] + lapse**2 * body[VAR_V] + push * lapse**4 / 4.0
-    body[COV_SV] += lapse * body[VAR_V] + push * lapse**3 / 2.0
-    body[VAR_V] += push * lapse
+    accel_var = ACCEL_MPS2**2
+    body[VAR_S] += 2.0 * lapse * body[COV_SV] + lapse**2 * body[VAR_V] + accel_var * lapse**4 / 4.0
+    body[COV_SV] += lapse * body[VAR_V] + accel_var * lapse**3 / 2.0
+    body[VAR_V] += accel_var * lapse
     drift = SIDEWAYS_MPS * min(abs(body[SPEED]) / 3.0, 1.0)
     body[VAR_D] += (drift**2 + 0.01) * lapse
-    return new
+    return new_lanes
 
 
 @compiled
@@ -329,75 +338,75 @@ def _lane_of(
     best, lane, towards = 1e9, -1.0, heading
     found = lanes_at(x, y, field, lanes)
     for k in range(found):
-        off = abs(heading_difference(lanes[k, TOWARDS], heading))
-        cost = off / 0.25 + abs(lanes[k, LEFT]) / 1.5
+        turn = abs(heading_difference(lanes[k, TOWARDS], heading))
+        cost = turn / 0.25 + abs(lanes[k, LEFT]) / 1.5
         if lanes[k, LANE] == before:
             cost -= 2.0
-        if off < 0.8 and cost < best:
+        if turn < 0.8 and cost < best:
             best, lane, towards = cost, lanes[k, LANE], lanes[k, TOWARDS]
     return lane, towards, found
 
 
 @compiled
-def _choose(detection: Floats, bodies: Floats, alive: int) -> int:  # pragma: no cover - compiled
-    """Return which body a detection belongs to, or -1."""
+def _associate(detection: Floats, bodies: Floats, alive: int) -> int:  # pragma: no cover - compiled
+    """Return the body with the least cost of association with a detection, -1 without any."""
     best, chosen = 1e9, -1
     for k in range(alive):
-        cost = _misfit(detection, bodies[k])
+        cost = _association_cost(detection, bodies[k])
         if cost < best:
             best, chosen = cost, k
     return chosen
 
 
 @compiled
-def _misfit(detection: Floats, body: Floats) -> float:  # pragma: no cover - compiled
-    """Return the misfit of a detection and a body; infinite if it cannot be of it."""
+def _association_cost(detection: Floats, body: Floats) -> float:  # pragma: no cover - compiled
+    """Return the cost of associating a detection with a body; infinite outside of the gate."""
     dx, dy = detection[0] - body[X], detection[1] - body[Y]
-    if abs(dx) + abs(dy) > MOST_M:
+    if abs(dx) + abs(dy) > REACH_M:
         return np.inf
     rate = detection[2]
     c, s = np.cos(body[HEADING]), np.sin(body[HEADING])
-    u, w = dx * c + dy * s, dy * c - dx * s
-    beyond = max(u - body[FRONT], -body[REAR] - u, 0.0)
-    beside = max(abs(w) - WIDE_M, 0.0)
+    along, left = dx * c + dy * s, dy * c - dx * s
+    beyond = max(along - body[FRONT], -body[REAR] - along, 0.0)
+    beside = max(abs(left) - HALF_WIDTH_M, 0.0)
     cos = c * detection[3] + s * detection[4]
     expected = body[SPEED] * cos
-    gap = abs(rate - expected)
+    innovation = abs(rate - expected)
     noise = np.sqrt(RATE_MPS**2 + body[VAR_V] * cos * cos)
     side = ACROSS_M + AZIMUTH_RAD * detection[5] + np.sqrt(min(body[VAR_D], 1.0))
     ahead = min(ALONG_M, 0.5 + 0.2 * abs(body[SPEED]))
     ahead += 2.0 * np.sqrt(min(body[VAR_S], 1.0))
-    if gap < 3.0 * noise:
+    if innovation < 3.0 * noise:
         # a detection so near at the same speed is of this body: drivers keep a second apart
         ahead += 0.5 * min(body[SPEED], 6.0)
     elif beyond > ALONG_M:
         return np.inf
     # the rim of a wheel moves at 0 to 2 v
-    if beyond > ahead or beside > side or gap > abs(expected) + 1.0 + 2.0 * noise:
+    if beyond > ahead or beside > side or innovation > abs(expected) + 1.0 + 2.0 * noise:
         return np.inf
-    cost = (beyond / 0.5) ** 2 + (beside / 0.5) ** 2 + (w / 1.5) ** 2
-    return float(cost + min((gap / noise) ** 2, 9.0 + gap))
+    cost = (beyond / 0.5) ** 2 + (beside / 0.5) ** 2 + (left / 1.5) ** 2
+    return float(cost + min((innovation / noise) ** 2, 9.0 + innovation))
 
 
 @compiled
 def _correct_branches(
     row: int, chosen: int, bodies: Floats, counts: Integers, detection: Floats,
-    kept: Floats,
+    branch_states: Floats,
 ) -> int:  # fmt: skip  # pragma: no cover - compiled
-    """Correct all branches of a body that a detection fits, store their states; return the best."""
+    """Correct the branches of a vehicle by a detection, log their states; return the best one."""
     best, least, first = chosen, np.inf, counts[KEPT]
     for k in range(counts[ALIVE]):
         if bodies[k, NUMBER] != bodies[chosen, NUMBER]:
             continue
-        cost = _misfit(detection, bodies[k])
-        bodies[k, MISFIT] += min(cost, MOST_TOLD)
+        cost = _association_cost(detection, bodies[k])
+        bodies[k, MISFIT] += min(cost, MOST_COST)
         if cost < np.inf:
             _correct(bodies[k], detection)
             if bodies[k, MISFIT] < least:
                 best, least = k, bodies[k, MISFIT]
-        if counts[KEPT] < len(kept):
-            kept[counts[KEPT], 0], kept[counts[KEPT], 1] = row, bodies[k, BRANCH]
-            kept[counts[KEPT], 2:] = bodies[k, : REAR + 1]
+        if counts[KEPT] < len(branch_states):
+            branch_states[counts[KEPT], 0], branch_states[counts[KEPT], 1] = row, bodies[k, BRANCH]
+            branch_states[counts[KEPT], 2:] = bodies[k, : REAR + 1]
             counts[KEPT] += 1
     if counts[KEPT] == first + 1:
         counts[KEPT] = first  # with one branch only, its state need not be stored
@@ -405,11 +414,11 @@ def _correct_branches(
 
 
 @compiled
-def _take_last(
-    number: Integers, state: Floats, past: Past, counts: Integers
+def _use_final_branches(
+    number: Integers, state: Floats, log: BranchLog, counts: Integers
 ) -> None:  # pragma: no cover - compiled
-    """Set the state of each detection to that of the branch its vehicle finally took."""
-    branch, lineage, kept = past
+    """Set the state of each detection to that of the branch that its vehicle finally took."""
+    branch, lineage, branch_states = log
     last = np.full(counts[BEGUN], NONE)
     k, base = counts[KEPT] - 1, counts[BASE]
     for i in range(len(number) - 1, -1, -1):
@@ -419,55 +428,55 @@ def _take_last(
         while base <= taken < base + len(lineage) and lineage[taken - base, 1] > i:
             taken = lineage[taken - base, 0]
         last[number[i]] = taken
-        while k >= 0 and kept[k, 0] > i:
+        while k >= 0 and branch_states[k, 0] > i:
             k -= 1
         j = k
-        while j >= 0 and kept[j, 0] == i:
-            if int(kept[j, 1]) == taken:
-                state[i] = kept[j, 2:]
+        while j >= 0 and branch_states[j, 0] == i:
+            if int(branch_states[j, 1]) == taken:
+                state[i] = branch_states[j, 2:]
             j -= 1
 
 
 @compiled
 def _correct(body: Floats, detection: Floats) -> None:  # pragma: no cover - compiled
-    """Correct a body by a detection on it."""
+    """Correct a body by a detection: a Kalman update of speed, position, reach and heading."""
     c, s = np.cos(body[HEADING]), np.sin(body[HEADING])
     dx, dy = detection[0] - body[X], detection[1] - body[Y]
-    u, w = dx * c + dy * s, dy * c - dx * s
+    ahead, left = dx * c + dy * s, dy * c - dx * s
     cos = c * detection[3] + s * detection[4]
-    gap = detection[2] - body[SPEED] * cos
+    innovation = detection[2] - body[SPEED] * cos
     noise = RATE_MPS**2 + body[VAR_V] * cos * cos
-    told = gap * gap < 9.0 * noise
-    if told and abs(cos) >= LEAST_COS:
+    rate_fits = innovation * innovation < 9.0 * noise
+    if rate_fits and abs(cos) >= LEAST_COS:
         gain_v, gain_s = body[VAR_V] * cos / noise, body[COV_SV] * cos / noise
-        body[SPEED] += gain_v * gap
-        body[X] += gain_s * gap * c
-        body[Y] += gain_s * gap * s
-        u -= gain_s * gap
+        body[SPEED] += gain_v * innovation
+        body[X] += gain_s * innovation * c
+        body[Y] += gain_s * innovation * s
+        ahead -= gain_s * innovation
         body[VAR_S] -= gain_s * cos * body[COV_SV]
         body[COV_SV] -= gain_v * cos * body[COV_SV]
         body[VAR_V] -= gain_v * cos * body[VAR_V]
     body[SPEED] = max(body[SPEED], -0.5)
-    out = max(u - body[FRONT], 0.0) + min(u + body[REAR], 0.0)
-    if out != 0.0:
+    outside = max(ahead - body[FRONT], 0.0) + min(ahead + body[REAR], 0.0)
+    if outside != 0.0:
         # Young bodies move to their detections; old ones grow, since their position is known.
         total = body[VAR_S] + 0.3
         gain = body[VAR_S] / total
-        body[X] += gain * out * c
-        body[Y] += gain * out * s
-        body[SPEED] += body[COV_SV] / total * out
+        body[X] += gain * outside * c
+        body[Y] += gain * outside * s
+        body[SPEED] += body[COV_SV] / total * outside
         body[VAR_V] -= body[COV_SV] ** 2 / total
         body[COV_SV] *= 1.0 - gain
         body[VAR_S] *= 1.0 - gain
-        if told and body[SPEED] > 4.0 and body[FRONT] + body[REAR] < LONGEST_M:
-            grown = 0.2 * (1.0 - gain) * out
+        if rate_fits and body[SPEED] > 4.0 and body[FRONT] + body[REAR] < LONGEST_M:
+            grown = 0.2 * (1.0 - gain) * outside
             body[FRONT] += max(grown, 0.0)
             body[REAR] -= min(grown, 0.0)
     gain = body[VAR_D] / (body[VAR_D] + 0.6 + (AZIMUTH_RAD * detection[5]) ** 2)
-    body[X] -= gain * w * s
-    body[Y] += gain * w * c
+    body[X] -= gain * left * s
+    body[Y] += gain * left * c
     body[VAR_D] *= 1.0 - gain
     if body[SPEED] > 1.0:
-        body[HEADING] += 0.02 * gain * w
+        body[HEADING] += 0.02 * gain * left
     body[LAST] = body[TIME]
     body[HITS] += 1.0

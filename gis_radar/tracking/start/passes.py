@@ -1,4 +1,4 @@
-"""Passes: when vehicles drove over places of the lanes, so that no vehicle stood there."""
+"""Passes: times at which vehicles drove over places of lanes, so that no vehicle stood there."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.start.strips import Strips
 
-CELLS = 100_000  # most cells of a strip, more than the longest has
-TWO_CELLS_M = 0.5  # length of two cells, whose size is that of the cells in `stationary`
+MOST_CELLS = 100_000  # most cells of a strip: numbers of cells of all strips are made with it
+PAIR_M = 0.5  # length of a cell here: two cells of `stationary`
 # A vehicle drives over a place if it is at least so fast, was detected within this time of the
 # moment, and its middle comes so near to the place, or to the middle of the lane: half the width of
 # two cars and the error of their places. With 0.7 and 1.3 m the occupancies of towns change by less
 # than 0.3 %.
 PASS_MPS, PASS_SEEN_S, PASS_NEAR_M = 1.5, 0.75, 1.0
-FAST_MPS = 4.0  # just before and after a pass at this speed, no vehicle stands at the place
+FAST_MPS = 4.0  # just before and after a faster pass, no vehicle stands at the place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class Passes:
     tree, when : cKDTree, (n,) array
         Places (n, 2) of the middles of driving vehicles, and their times, UNIX seconds.
     times : dict
-        By cell, the times of passes, ascending UNIX seconds.
+        By the number of a cell, the times of passes, ascending UNIX seconds.
     fast : dict
         As `times`, of passes faster than `FAST_MPS` only.
     """
@@ -47,52 +47,61 @@ class Passes:
 
     @classmethod
     def of(cls, motions: Sequence[Motion], detections: MapDetections, strips: Strips) -> Passes:
-        """Collect the middles of moving vehicles while they are detected."""
-        places, when, pace = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros(0)]
+        """Find the passes of motions while they are detected."""
+        places, when, speeds = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros(0)]
         for motion in motions:
             time = (motion.first_step + np.arange(len(motion.s_m))) / STEPS_PER_SECOND
             seen = detections.time[motion.rows]
-            near = np.abs(time - seen[nearest(seen, time)])
-            drives = (motion.speed > PASS_MPS) & (near < PASS_SEEN_S)
+            since_s = np.abs(time - seen[nearest(seen, time)])
+            drives = (motion.speed > PASS_MPS) & (since_s < PASS_SEEN_S)
             if drives.sum() >= 3:
                 places.append(motion.places[0][drives])
                 when.append(time[drives])
-                pace.append(motion.speed[drives])
-        every = np.concatenate(when)
-        at = strips.lay(np.vstack(places), PASS_NEAR_M)
+                speeds.append(motion.speed[drives])
+        moments = np.concatenate(when)
+        on_strips = strips.project(np.vstack(places), PASS_NEAR_M)
         times: dict[int, list[float]] = {}
         fast: dict[int, list[float]] = {}
         for strip, s, moment, speed in zip(
-            at.strip.tolist(), at.s_m.tolist(), every[at.row].tolist(),
-            np.concatenate(pace)[at.row].tolist(), strict=True,
+            on_strips.strip.tolist(), on_strips.s_m.tolist(), moments[on_strips.row].tolist(),
+            np.concatenate(speeds)[on_strips.row].tolist(), strict=True,
         ):  # fmt: skip
-            for cell in range(int((s - 0.5) / TWO_CELLS_M), int((s + 0.5) / TWO_CELLS_M) + 1):
-                times.setdefault(strip * CELLS + cell, []).append(moment)
+            for cell in range(int((s - 0.5) / PAIR_M), int((s + 0.5) / PAIR_M) + 1):
+                times.setdefault(strip * MOST_CELLS + cell, []).append(moment)
                 if speed > FAST_MPS:
-                    fast.setdefault(strip * CELLS + cell, []).append(moment)
+                    fast.setdefault(strip * MOST_CELLS + cell, []).append(moment)
         return cls(
-            strips=strips, tree=cKDTree(np.vstack(places)), when=every,
+            strips=strips, tree=cKDTree(np.vstack(places)), when=moments,
             times=_sorted(times), fast=_sorted(fast),
         )  # fmt: skip
 
-    def after(self, body: Floats, time: float) -> float:
-        """Return the next pass over points of a body, (k, 2), a second or more after a time."""
-        known = self._over(body)
+    def after(self, points: Floats, time: float) -> float:
+        """Return the time of the next pass over some points, a second or more after a time.
+
+        Parameters
+        ----------
+        points : (k, 2) array
+            Points in the map, metres.
+        time : float
+            UNIX seconds.
+        """
+        known = self._over(points)
         k = int(np.searchsorted(known, time + 1.0))
         return float(known[k]) if k < len(known) else np.inf
 
-    def before(self, body: Floats, time: float) -> float:
-        """Return the time of the last pass over points of a body, a second before or more."""
-        known = self._over(body)
+    def before(self, points: Floats, time: float) -> float:
+        """Return the time of the last pass over some points, a second or more before a time."""
+        known = self._over(points)
         k = int(np.searchsorted(known, time - 1.0)) - 1
         return float(known[k]) if k >= 0 else -np.inf
 
-    def _over(self, body: Floats) -> Floats:
-        """Return the times of passes over points."""
-        near = self.tree.query_ball_point(np.atleast_2d(body), PASS_NEAR_M)
+    def _over(self, points: Floats) -> Floats:
+        """Return the times of passes over any of some points, ascending."""
+        near = self.tree.query_ball_point(np.atleast_2d(points), PASS_NEAR_M)
         rows = np.unique(np.concatenate([np.zeros(0), *near])).astype(np.int64)
         return np.sort(self.when[rows])
 
 
 def _sorted(times: dict[int, list[float]]) -> dict[int, Floats]:
+    """Return the times of each cell as a sorted array."""
     return {cell: np.sort(np.array(each)) for cell, each in times.items()}

@@ -13,12 +13,11 @@ from gis_radar.tracking.start.forward import STANDING_MPS
 from gis_radar.tracking.start.passes import Passes
 from gis_radar.tracking.start.stationary import RATE_SHARE, SILENCE_S
 
-END_M = 1.0  # largest error of an end of a vehicle
-LEFT_M = 1.1  # half the width of a vehicle with the error of its place
-# Still detections belong to a vehicle that comes to rest or sets off if its place gives fewer of
-# them while it is empty: in the nearest EMPTY_S in which the vehicle is at least AWAY_M beyond its
-# length away, searched for up to SEARCH_S within the block and its margins. At least OWN_SHARE of
-# the detections must be the vehicle's.
+END_M = 1.0  # error of the place of an end of a vehicle
+LEFT_M = 1.1  # half the width of a vehicle, with the error of its place
+# Still detections are of a vehicle that comes to rest or sets off if its place gives fewer of them
+# while it is empty: in the nearest EMPTY_S of the SEARCH_S before or after it, in which it is more
+# than its length and AWAY_M away. At least OWN_SHARE of the detections must be the vehicle's.
 AWAY_M, EMPTY_S, SEARCH_S, OWN_SHARE = 2.0, 3.0, 60.0, 0.5
 
 
@@ -29,12 +28,29 @@ def with_rest(
     free: Booleans,
     states: Floats,
     passes: Passes,
-    seen: Detectability,
+    detectability: Detectability,
 ) -> Motion:
     """Return a motion extended by the unassigned still detections on it while it is at rest.
 
-    A vehicle that comes to rest stands until it is silent or another one drives over its place; one
-    that sets off is assumed to have stood before, likewise.
+    A vehicle that comes to rest stands until it is not detected for `SILENCE_S`, or until another
+    one drives over its place; a vehicle that sets off stood before, back to such a time.
+
+    Parameters
+    ----------
+    number : int
+        Number of the vehicle among the occluders.
+    motion : Motion
+        Its motion.
+    detections : MapDetections
+        All detections.
+    free : (n,) bool array
+        Which are still and unassigned; those that it takes are cleared.
+    states : (n, 6) array
+        States of the filter; set to the motion for its detections.
+    passes : Passes
+        Times at which vehicles drove over places.
+    detectability : Detectability
+        Expected numbers of detections.
     """
     slow = np.flatnonzero(motion.speed < STANDING_MPS)
     place, heading = motion.places
@@ -47,29 +63,32 @@ def with_rest(
     ends = (motion.first_step + slow[[0, -1]]) / STEPS_PER_SECOND
     last = len(motion.speed) - 1
     if slow[0] == 0:
-        ends[0] = passes.before(_inner(motion, 0), float(ends[0]))
+        ends[0] = passes.before(_axis(motion, 0), float(ends[0]))
     if slow[-1] == last:
-        ends[1] = passes.after(_inner(motion, -1), float(ends[1]))
-    rows = _in_span(detections, free, ends)
+        ends[1] = passes.after(_axis(motion, -1), float(ends[1]))
+    rows = _free_between(detections, free, ends)
     reach = 3.0 * _half_m(motion) + np.ptp(place[slow], axis=0)
     rows = rows[(np.abs(detections.points[rows] - place[slow].mean(axis=0)) < reach).all(axis=1)]
     step = np.round(detections.time[rows] * STEPS_PER_SECOND).astype(np.int64) - motion.first_step
     step = np.clip(step, 0, last)
     at_rest = motion.speed[step] < STANDING_MPS
     rows, step = rows[at_rest], step[at_rest]
-    on = _on_body(motion, motion.s_m[step], detections, rows)
-    rows, step = rows[on], step[on]
+    on_body = _on_body(motion, motion.s_m[step], detections, rows)
+    rows, step = rows[on_body], step[on_body]
     span = (float(time[0]), float(time[-1]))
-    kept = unbroken(detections.time[rows], span, SILENCE_S)
+    kept = without_gaps(detections.time[rows], span, SILENCE_S)
     rows, step = rows[kept], step[kept]
-    for at in (0, -1):
-        side = detections.time[rows] > span[1] if at else detections.time[rows] < span[0]
+    for end in (0, -1):
+        side = detections.time[rows] > span[1] if end else detections.time[rows] < span[0]
         if side.any():
-            ends = np.sort([span[at], float(detections.time[rows[side][at]])])
-            due = seen.due_between(place[[at, at]], (ends[0], ends[1]), (number, NONE))
-            fixed = (ends[1] - ends[0]) * rate_without(number, motion, at, detections, free, seen)
-            own, count = side.sum() - fixed, side.sum()
-            if own < RATE_SHARE * due or own < OWN_SHARE * count:
+            ends = np.sort([span[end], float(detections.time[rows[side][end]])])
+            expected = detectability.expected_between(
+                place[[end, end]], (ends[0], ends[1]), (number, NONE)
+            )
+            rate = rate_without(number, motion, end, detections, free, detectability)
+            fixed = (ends[1] - ends[0]) * rate
+            own_count, count = side.sum() - fixed, side.sum()
+            if own_count < RATE_SHARE * expected or own_count < OWN_SHARE * count:
                 rows, step = rows[~side], step[~side]
     if len(rows) == 0:
         return motion
@@ -78,9 +97,12 @@ def with_rest(
     return fit_motion(detections, np.concatenate([motion.rows, rows]), states)
 
 
-def _inner(motion: Motion, at: int) -> Floats:
-    """Return points (k, 2) along the middle of a vehicle at a step, a metre inside its ends."""
-    place, heading = (each[at] for each in motion.places)
+def _axis(motion: Motion, end: int) -> Floats:
+    """Return points (k, 2) along a vehicle's axis at its first (0) or last (-1) step.
+
+    They lie a metre inside its ends, where errors of its length do not matter.
+    """
+    place, heading = (each[end] for each in motion.places)
     half = max(0.5 * motion.length_m - END_M, 0.0)
     way = np.array([np.cos(heading), np.sin(heading)])
     return np.asarray(place + np.linspace(-half, half, 2 * int(half) + 1)[:, None] * way)
@@ -91,8 +113,8 @@ def _half_m(motion: Motion) -> float:
     return 0.5 * max(motion.length_m, 4.0) + 0.5
 
 
-def _in_span(detections: MapDetections, free: Booleans, ends: Floats) -> Integers:
-    """Return the free detections between two times."""
+def _free_between(detections: MapDetections, free: Booleans, ends: Floats) -> Integers:
+    """Return the unassigned still detections between two times."""
     low, high = np.searchsorted(detections.time, ends)
     return np.asarray(low + np.flatnonzero(free[low:high]))
 
@@ -103,7 +125,7 @@ def _on_body(
     detections: MapDetections,
     rows: Integers,
 ) -> Booleans:
-    """Return which detections lie on a vehicle whose middle is at a distance along its path."""
+    """Return which detections lie on a vehicle whose middle is at `s_m` along its path."""
     if len(rows) == 0:
         return np.zeros(0, np.bool_)
     along, left = motion.path.project(detections.points[rows], s_m, 25.0)
@@ -114,15 +136,15 @@ def _on_body(
 def rate_without(
     number: int,
     motion: Motion,
-    at: int,
+    end: int,
     detections: MapDetections,
     free: Booleans,
-    seen: Detectability,
+    detectability: Detectability,
 ) -> float:
-    """Return the rate of still detections at a vehicle's place before it came or after it left.
+    """Return the rate of still detections at a vehicle's place without it, before or after.
 
-    Still detections without a vehicle there are of the road or of cars parked beside it. They are
-    counted in the nearest seconds in which no other vehicle is there.
+    Such detections are of fixed objects or of parked cars. They are counted in the nearest seconds
+    in which no other vehicle is there.
 
     Parameters
     ----------
@@ -144,27 +166,27 @@ def rate_without(
     float
         Detections a second; 0 where the place is never without vehicles.
     """
-    away = np.abs(motion.s_m - motion.s_m[at]) > motion.length_m + AWAY_M
+    away = np.abs(motion.s_m - motion.s_m[end]) > motion.length_m + AWAY_M
     if not away.any():
         return 0.0
-    when = (motion.first_step + np.flatnonzero(away)[at]) / STEPS_PER_SECOND
-    ends = np.array([when - SEARCH_S, when] if at else [when, when + SEARCH_S])
+    when = (motion.first_step + np.flatnonzero(away)[end]) / STEPS_PER_SECOND
+    ends = np.array([when - SEARCH_S, when] if end else [when, when + SEARCH_S])
     ends = np.clip(ends, detections.time[0], detections.time[-1])
     halves = np.arange(int(2.0 * ends[0]), int(2.0 * ends[1]) + 1)
-    others = seen.occluders.near(motion.places[0][at], halves, number, motion.length_m)
+    others = detectability.occluders.near(motion.places[0][end], halves, number, motion.length_m)
     empty, count = np.setdiff1d(halves, others), round(2.0 * EMPTY_S)
-    empty = empty[-count:] if at else empty[:count]
+    empty = empty[-count:] if end else empty[:count]
     if len(empty) == 0:
         return 0.0
-    rows = _in_span(detections, free, np.array([0.5 * empty[0], 0.5 * empty[-1] + 0.5]))
-    s_m = np.full(len(rows), motion.s_m[at])
+    rows = _free_between(detections, free, np.array([0.5 * empty[0], 0.5 * empty[-1] + 0.5]))
+    s_m = np.full(len(rows), motion.s_m[end])
     rows = rows[_on_body(motion, s_m, detections, rows)]
     return float(
         2.0 * np.isin((2.0 * detections.time[rows]).astype(np.int64), empty).sum() / len(empty)
     )
 
 
-def unbroken(time: Floats, span: tuple[float, float], silence_s: float) -> slice:
+def without_gaps(time: Floats, span: tuple[float, float], silence_s: float) -> slice:
     """Return the slice of ascending times around a span that has no gap over `silence_s`."""
     early = np.append(time[time < span[0]], span[0])
     late = np.insert(time[time > span[1]], 0, span[1])

@@ -1,10 +1,10 @@
 """Stationary vehicles on lanes, distinguished from fixed objects beside and above them.
 
-Stationary vehicles give detections like moving ones, but so does everything else that is still.
-Kerbs, parked cars and signs lie at the edge of a lane, a vehicle fills its middle; gantries and
-mast arms hang above it. So still detections well inside a lane are of vehicles. Their places along
-it, with the end that each sensor sees, show where one vehicle ends and the next begins. Where a
-vehicle drives over a place, no other one stands there any more.
+Stationary vehicles give detections like moving ones, but so do fixed objects. Kerbs, parked cars
+and signs lie at the edge of a lane, gantries and mast arms hang above it, a vehicle fills its
+middle. So still detections well inside a lane are of vehicles. Their places along it, with the end
+that each sensor sees, show where one vehicle ends and the next begins. Where a vehicle drives over
+a place, no other one stands there any more.
 """
 
 from __future__ import annotations
@@ -22,32 +22,33 @@ from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.size import LONGEST_M, length_prior
-from gis_radar.tracking.start.passes import CELLS, TWO_CELLS_M, Passes
+from gis_radar.tracking.start.passes import MOST_CELLS, PAIR_M, Passes
 
-FRONT, REAR, SIDE = range(3)  # part of a vehicle that a sensor sees
+FRONT, REAR, SIDE = range(3)  # the end of a vehicle that a sensor sees, or its side
 SQUARE_COS = 0.5  # least cosine of the aspect at which an end is seen: 60 degrees
-SLOT_S = 0.5  # time slot of the counts by which fixed objects are found
+BIN_S = 0.5  # time bin of the counts by which fixed objects are found
 CHANGE_M = 1.5  # largest apparent move of a vehicle's ends from second to second
 INSIDE_M = 0.5  # least distance from the lane's edge: kerbs, signs and parked cars lie nearer to it
 HIGH_M = 3.2  # a scatterer whose median height over the road is larger hangs above the lane
-CELL_M = 0.5 * TWO_CELLS_M  # length of a cell of a strip: the spread of a scatterer's detections
-# After a longer gap without a detection a scatterer counts as a new one: a stationary vehicle is
-# silent for 9 to 25 s in one case of ten. A vehicle first detected so soon after the first of all
-# detections stood there before; one last detected so shortly before the last of all stays.
+CELL_M = 0.5 * PAIR_M  # length of a cell of a strip: the spread of a scatterer's detections
+# Longest gap between the detections of a scatterer; after a longer one it counts as a new one. (A
+# Longest gap between detections of a scatterer; after a longer one it counts as a new one. (A
+# this time of the first of all detections stood there from the begin, likewise at the end.
 SILENCE_S = 10.0
-SLICE_S = 1.0  # step of time at which the stationary vehicles are determined
+SLICE_S = 1.0  # step of time in which stationary vehicles are found and associated
 # Between these times before and after a vehicle drives over a place fast, no vehicle stands there.
 NEAR_S, FAR_S = 0.7, 2.5
-# Detections in these times after at least LEAST_BUILT passes, and BUILT_SHARE of all, belong to the
-# road; except where the count over CAR_M of the lane exceeds the usual count by MORE_SIGMAS.
-LEAST_BUILT, BUILT_SHARE, MORE_SIGMAS, CAR_M = 2, 0.5, 3.0, 4.5
-# Least gap in a queue; gap below which a cost begins, as drivers keep more; that cost, 1/m2.
-GAP_M, EASY_M, TIGHT = 1.0, 2.0, 8.0
+# Where detections occur in these times at LEAST_FIXED passes or more, and at FIXED_SHARE of them,
+# they are of fixed objects; except while their count over CAR_M of the lane exceeds that at passes
+# by MORE_SIGMAS.
+LEAST_FIXED, FIXED_SHARE, MORE_SIGMAS, CAR_M = 2, 0.5, 3.0, 4.5
+# Least gap in a queue; gap below which there is a cost, as drivers keep more; that cost, nats/m2.
+GAP_M, EASY_GAP_M, TIGHT_COST = 1.0, 2.0, 8.0
 SHORTEST_M = 3.4  # anything shorter cannot be distinguished from a sign
-POWER = 0.5  # repeated detections of a scatterer weigh as their number to this power
-WINDOW_M, MOST_WEIGHT = 5.0, 24.0  # most weight of all detections within such a window
-NEW_COST = 7.0  # cost of a vehicle: log odds that the evidence for one must exceed
-STICK = 12.0  # gain of a vehicle that stood in the same place one slice before
+POWER = 0.5  # weight of a scatterer: its number of detections to this power
+WINDOW_M, MOST_WEIGHT = 5.0, 24.0  # length of a window of the lane, and the most weight in it
+VEHICLE_COST = 7.0  # cost of a vehicle: prior log odds against one
+STAY_GAIN = 12.0  # gain of a vehicle that stood in the same place one SLICE_S before, nats
 LOG_CLUTTER = math.log(0.02)  # log density of detections of no vehicle, 1/m
 END_M, END_SHARE = 0.35, 0.6  # sigma of an end's detections, and their share if seen squarely
 # Least detections and duration of a vehicle, and its least rate of detections as a share of that of
@@ -80,18 +81,20 @@ class StationaryTarget:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Still:
-    """Still detections inside of lanes, in the order of time."""
+class _StillDetections:
+    """Still detections inside of lanes, in the order of time, an entry for each."""
 
-    row: Integers
+    row: Integers  # among all detections
     strip: Integers
-    s_m: Floats
-    time: Floats
-    kind: Integers  # FRONT, REAR or SIDE
-    episode: Integers
+    s_m: Floats  # along the strip
+    time: Floats  # UNIX seconds
+    end_seen: Integers  # what the sensor sees of a vehicle there: FRONT, REAR or SIDE
+    episode: Integers  # detections at one place without a long gap or a pass between them
 
-    def take(self, keep: Booleans) -> _Still:
-        return _Still(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+    def take(self, keep: Booleans) -> _StillDetections:
+        """Return some of them."""
+        names = self.__dataclass_fields__
+        return _StillDetections(**{name: getattr(self, name)[keep] for name in names})
 
 
 def find_stationary(
@@ -100,7 +103,7 @@ def find_stationary(
     motions: Sequence[Motion],
     passes: Passes,
 ) -> list[StationaryTarget]:
-    """Return the stationary vehicles that explain the still detections on lanes.
+    """Find the stationary vehicles that explain the still detections on lanes.
 
     Parameters
     ----------
@@ -109,9 +112,9 @@ def find_stationary(
     free : (n,) bool array
         Which are still, and of no moving vehicle.
     motions : sequence of Motion
-        Vehicles that move: how often they are seen says how often a standing one would be.
+        Moving vehicles, whose detection rate is that expected of a stationary one.
     passes : Passes
-        Where they drove.
+        Times at which they drove over places.
     """
     still = _still_inside(detections, free, passes)
     if len(still.row) == 0:
@@ -120,30 +123,32 @@ def find_stationary(
     begin, end = np.full(count, np.inf), np.full(count, -np.inf)
     np.minimum.at(begin, still.episode, still.time)
     np.maximum.at(end, still.episode, still.time)
-    # detections of one sensor in one cell and episode are of one lasting scatterer
+    # detections of one sensor in one cell and episode are of one scatterer
     cell = (still.s_m / CELL_M).astype(np.int64)
     sensor = detections.sensor[still.row]
-    key = np.column_stack([still.episode, cell, still.kind, sensor])
-    groups, first, seen = np.unique(key, axis=0, return_index=True, return_counts=True)
-    weight = seen.astype(np.float64) ** POWER
+    key = np.column_stack([still.episode, cell, still.end_seen, sensor])
+    groups, first, numbers = np.unique(key, axis=0, return_index=True, return_counts=True)
+    weight = numbers.astype(np.float64) ** POWER
     strip = still.strip[first]
     targets: list[StationaryTarget] = []
     for line in np.unique(strip).tolist():
-        mine = np.flatnonzero(strip == line)
-        episode = groups[mine, 0]
+        own = np.flatnonzero(strip == line)
+        episode = groups[own, 0]
         targets += _on_strip(
-            line, begin[episode], end[episode], groups[mine, 1], groups[mine, 2], weight[mine]
+            line, begin[episode], end[episode], groups[own, 1], groups[own, 2], weight[own]
         )
-    usual = _usual_rate(motions, detections)
+    typical = _typical_rate(motions, detections)
     return [
-        part for each in _with_rows(targets, still) for part in heard_parts(each, detections, usual)
+        part
+        for each in _with_rows(targets, still)
+        for part in detected_parts(each, detections, typical)
     ]
 
 
-def _still_inside(detections: MapDetections, free: Booleans, passes: Passes) -> _Still:
-    """Return the still detections inside of lanes, grouped to episodes by cell."""
+def _still_inside(detections: MapDetections, free: Booleans, passes: Passes) -> _StillDetections:
+    """Return the still detections inside of lanes, grouped to episodes, without those above."""
     rows = np.flatnonzero(free)
-    at = passes.strips.lay(detections.points[rows])
+    at = passes.strips.project(detections.points[rows])
     inside = at.edge_m > INSIDE_M
     row, heading = rows[at.row[inside]], at.heading[inside]
     order = np.argsort(detections.time[row], kind="stable")
@@ -151,24 +156,24 @@ def _still_inside(detections: MapDetections, free: Booleans, passes: Passes) -> 
     cos = np.cos(heading) * detections.sight[row, 0] + np.sin(heading) * detections.sight[row, 1]
     square = np.abs(cos) >= SQUARE_COS
     strip, s_m = at.strip[inside][order], at.s_m[inside][order]
-    place = strip * CELLS + ((s_m / CELL_M).astype(np.int64) // 2)
-    found = _Still(
+    place = strip * MOST_CELLS + ((s_m / CELL_M).astype(np.int64) // 2)
+    still = _StillDetections(
         row=row, strip=strip, s_m=s_m, time=detections.time[row],
-        kind=np.where(square, np.where(cos < 0.0, FRONT, REAR), SIDE),
+        end_seen=np.where(square, np.where(cos < 0.0, FRONT, REAR), SIDE),
         episode=_episodes(place, detections.time[row], passes.times),
     )  # fmt: skip
     if len(row) == 0:
-        return found
+        return still
     # things above the lane, by the median height of each episode, are no vehicles
     height = np.nan_to_num(detections.height_m[row])
-    rank = np.lexsort((height, found.episode))
-    bounds = np.searchsorted(found.episode[rank], np.arange(found.episode.max() + 2))
+    rank = np.lexsort((height, still.episode))
+    bounds = np.searchsorted(still.episode[rank], np.arange(still.episode.max() + 2))
     median = height[rank][(bounds[:-1] + bounds[1:]) // 2]
-    return found.take(median[found.episode] < HIGH_M)
+    return still.take(median[still.episode] < HIGH_M)
 
 
-def not_built(detections: MapDetections, free: Booleans, passes: Passes) -> Booleans:
-    """Return which still detections are unassigned and do not belong to the road.
+def without_fixed(detections: MapDetections, free: Booleans, passes: Passes) -> Booleans:
+    """Return which unassigned still detections are not of fixed objects.
 
     Parameters
     ----------
@@ -177,59 +182,60 @@ def not_built(detections: MapDetections, free: Booleans, passes: Passes) -> Bool
     free : (n,) bool array
         Which are still, and of no moving vehicle.
     passes : Passes
-        Where vehicles drove, and when.
+        Times at which vehicles drove over places.
     """
     rows = np.flatnonzero(free)
-    at = passes.strips.lay(detections.points[rows])
-    row = rows[at.row]
-    place = at.strip * CELLS + ((at.s_m / CELL_M).astype(np.int64) // 2)
+    on_strips = passes.strips.project(detections.points[rows])
+    row = rows[on_strips.row]
+    place = on_strips.strip * MOST_CELLS + ((on_strips.s_m / CELL_M).astype(np.int64) // 2)
     order = np.argsort(detections.time[row], kind="stable")
     row, place = row[order], place[order]
-    built = _built(place, detections.sensor[row], detections.time[row], passes.fast)
-    left = free.copy()
-    left[row[built]] = False
-    return left
+    fixed = _is_fixed(place, detections.sensor[row], detections.time[row], passes.fast)
+    kept = free.copy()
+    kept[row[fixed]] = False
+    return kept
 
 
-def _built(place: Integers, sensor: Integers, time: Floats, fast: dict[int, Floats]) -> Booleans:
-    """Return which detections belong to the road, as they occur also next to fast passes.
+def _is_fixed(place: Integers, sensor: Integers, time: Floats, fast: dict[int, Floats]) -> Booleans:
+    """Return which detections are of fixed objects: those that also occur next to fast passes.
 
-    Detections clearly more frequent, over a car's length, than usual at passes do not.
+    While there are clearly more of them, over a car's length, than at passes, they are not. `place`
+    is the number of each detection's cell, `fast` as in :class:`Passes`.
     """
-    built = np.zeros(len(place), np.bool_)
+    fixed = np.zeros(len(place), np.bool_)
     if len(place) == 0:
-        return built
+        return fixed
     half = 0.5 * (FAR_S - NEAR_S)
-    slot = ((time - time.min()) / SLOT_S).astype(np.int64)
-    line = place // CELLS * 64 + sensor
+    time_bin = ((time - time.min()) / BIN_S).astype(np.int64)
+    line = place // MOST_CELLS * 64 + sensor
     order = np.lexsort((time, place, line))
     for rows in np.split(order, np.flatnonzero(np.diff(line[order])) + 1):
-        count = _counts(place[rows], slot[rows], int(slot.max()) + 1)
+        count = _counts(place[rows], time_bin[rows], int(time_bin.max()) + 1)
         lowest = place[rows[0]]
         for part in np.split(rows, np.flatnonzero(np.diff(place[rows])) + 1):
-            over = fast.get(int(place[part[0]]))
-            if over is None:
+            passed = fast.get(int(place[part[0]]))
+            if passed is None:
                 continue
-            over = over[np.concatenate([[True], np.diff(over) > FAR_S])]
-            empty = np.stack([over - half - NEAR_S, over + half + NEAR_S])
-            low, high = (np.searchsorted(time[part], empty + way * half) for way in (-1.0, 1.0))
+            passed = passed[np.concatenate([[True], np.diff(passed) > FAR_S])]
+            windows = np.stack([passed - half - NEAR_S, passed + half + NEAR_S])
+            low, high = (np.searchsorted(time[part], windows + way * half) for way in (-1.0, 1.0))
             seen = (high > low).any(axis=0)
-            if seen.sum() >= LEAST_BUILT and seen.mean() >= BUILT_SHARE:
-                here = count[place[part[0]] - lowest]
-                when = np.floor((empty - time.min()) / SLOT_S).astype(np.int64)
-                then = here[when[(when >= 0) & (when < len(here))]]
-                usual = float(np.median(then)) if len(then) else 0.0
+            if seen.sum() >= LEAST_FIXED and seen.mean() >= FIXED_SHARE:
+                counts = count[place[part[0]] - lowest]
+                when = np.floor((windows - time.min()) / BIN_S).astype(np.int64)
+                counts_then = counts[when[(when >= 0) & (when < len(counts))]]
+                at_passes = float(np.median(counts_then)) if len(counts_then) else 0.0
                 # the sigma of small counts is at least that of one
-                more = MORE_SIGMAS * np.sqrt(max(usual, 1.0))
-                built[part] = here[slot[part]] <= usual + more
-    return built
+                tolerance = MORE_SIGMAS * np.sqrt(max(at_passes, 1.0))
+                fixed[part] = counts[time_bin[part]] <= at_passes + tolerance
+    return fixed
 
 
-def _counts(place: Integers, slot: Integers, slots: int) -> Floats:
-    """Return the number of detections within a car's length and 2.5 s, by cell and half second."""
+def _counts(place: Integers, time_bin: Integers, bins: int) -> Floats:
+    """Return the number of detections within a car's length and 2.5 s, by cell and time bin."""
     cells = place - place.min()
-    count = np.zeros((int(cells.max()) + 1, slots))
-    np.add.at(count, (cells, slot), 1.0)
+    count = np.zeros((int(cells.max()) + 1, bins))
+    np.add.at(count, (cells, time_bin), 1.0)
     size = (int(CAR_M / CELL_M) // 2, 5)
     # not by a running sum, which accumulates rounding errors
     counted = size[0] * size[1] * uniform_filter(count, size, mode="constant")
@@ -237,7 +243,7 @@ def _counts(place: Integers, slot: Integers, slots: int) -> Floats:
 
 
 def _episodes(place: Integers, time: Floats, passes: dict[int, Floats]) -> Integers:
-    """Return the episode of each detection: at one place, until a gap or a pass."""
+    """Return the number of each detection's episode: at one place, until a gap or a pass."""
     if len(place) == 0:
         return np.zeros(0, np.int64)
     order = np.lexsort((time, place))
@@ -256,51 +262,55 @@ def _episodes(place: Integers, time: Floats, passes: dict[int, Floats]) -> Integ
 
 
 def _on_strip(
-    line: int, begin: Floats, end: Floats, cell: Integers, kind: Integers, weight: Floats
+    strip: int, begin: Floats, end: Floats, cell: Integers, end_seen: Integers, weight: Floats
 ) -> list[StationaryTarget]:
-    """Return the stationary vehicles of a strip, associated from second to second."""
+    """Return the stationary vehicles of a strip, found and associated second by second.
+
+    The arrays have an entry for each scatterer: begin and end of its episode, cell along the strip,
+    what the sensor sees, and weight.
+    """
     half, low = 0.5 * SLICE_S, int(cell.min()) - 8
     count = int(cell.max()) + 9 - low
     window = int(WINDOW_M / CELL_M)
-    held = np.full(count + 1, NONE, np.int64)
-    found: Floats = np.zeros((0, 2))
+    rear_before = np.full(count + 1, NONE, np.int64)
+    vehicles: Floats = np.zeros((0, 2))
     previous = np.zeros(0, np.bool_)
-    book = _Followed(line, half)
+    associator = _Associator(strip, half)
     for now in np.arange(begin.min(), end.max() + SLICE_S, SLICE_S).tolist():
         active = (begin <= now + half) & (end >= now - half)
         if not np.array_equal(active, previous):
             weights = np.zeros((3, count))
-            np.add.at(weights, (kind[active], cell[active] - low), weight[active])
+            np.add.at(weights, (end_seen[active], cell[active] - low), weight[active])
             local = window * uniform_filter1d(weights.sum(axis=0), window, mode="constant")
             share = np.minimum(1.0, MOST_WEIGHT / np.maximum(local, 1e-9))
-            cells = pack(weights * share, held)
-            found = np.asarray((cells + low) * CELL_M, np.float64)
+            cells = pack(weights * share, rear_before)
+            vehicles = np.asarray((cells + low) * CELL_M, np.float64)
             previous = active
-            held[:] = NONE
-            held[cells[:, 1]] = cells[:, 0]
-        book.follow(found, now)
-    return book.targets()
+            rear_before[:] = NONE
+            rear_before[cells[:, 1]] = cells[:, 0]
+        associator.follow(vehicles, now)
+    return associator.targets()
 
 
-class _Followed:
-    """Follower that associates the stationary vehicles of a strip from second to second."""
+class _Associator:
+    """Association of the stationary vehicles of a strip from second to second."""
 
     def __init__(self, line: int, half_s: float) -> None:
         self._line, self._half = line, half_s
-        self._open: list[tuple[list[Floats], float]] = []
-        self._done: list[StationaryTarget] = []
+        self._standing: list[tuple[list[Floats], float]] = []
+        self._ended: list[StationaryTarget] = []
         self._now = 0.0
 
-    def follow(self, found: Floats, now: float) -> None:
-        """Associate the vehicles (rear, front) of the next second."""
-        left = list(range(len(found)))
+    def follow(self, spans_now: Floats, now: float) -> None:
+        """Associate the vehicles (rear, front) of the next second with those of the last."""
+        left = list(range(len(spans_now)))
         stay: list[tuple[list[Floats], float]] = []
-        for spans, begin in self._open:
+        for spans, begin in self._standing:
             rear, front = spans[-1]
             apart = {
                 k: min(
-                    0.5 * (abs(found[k, 0] - rear) + abs(found[k, 1] - front)),
-                    abs(0.5 * (found[k].sum() - rear - front)),
+                    0.5 * (abs(spans_now[k, 0] - rear) + abs(spans_now[k, 1] - front)),
+                    abs(0.5 * (spans_now[k].sum() - rear - front)),
                 )
                 for k in left
             }
@@ -309,14 +319,15 @@ class _Followed:
                 self._end(spans, begin)
                 continue
             left.remove(best)
-            spans.append(found[best])
+            spans.append(spans_now[best])
             stay.append((spans, begin))
-        self._open = stay + [([found[k]], now) for k in left]
+        self._standing = stay + [([spans_now[k]], now) for k in left]
         self._now = now
 
     def _end(self, spans: list[Floats], begin: float) -> None:
+        """End a vehicle at the median of its (rear, front)."""
         rear, front = np.median(np.array(spans), axis=0)
-        self._done.append(
+        self._ended.append(
             StationaryTarget(
                 strip=self._line, rear_m=float(rear), front_m=float(front),
                 begin=begin - self._half, end=self._now + self._half,
@@ -325,33 +336,33 @@ class _Followed:
 
     def targets(self) -> list[StationaryTarget]:
         """Return all stationary vehicles of the strip."""
-        for spans, begin in self._open:
+        for spans, begin in self._standing:
             self._end(spans, begin)
-        self._open = []
-        return self._done
+        self._standing = []
+        return self._ended
 
 
-def pack(weights: Floats, held: Integers) -> Integers:
-    """Return the vehicles (rear, front) along a strip that explain the detections best.
+def pack(weights: Floats, rear_before: Integers) -> Integers:
+    """Return the vehicles (rear, front) along a strip under which the detections are likeliest.
 
-    A dynamic program runs over the cells of their fronts: each vehicle has a cost for itself and
-    for its length, a gain by the detections that it explains, and a gap to the one ahead.
+    A dynamic program over the cells of their fronts: each vehicle has a prior cost, also by its
+    length, a gain by the detections on it, and a cost of a short gap to the one behind.
 
     Parameters
     ----------
     weights : (3, n) array
         Weights of the detections by cell, of sensors that see a front, a rear, a side.
-    held : (n + 1,) int64 array
+    rear_before : (n + 1,) int64 array
         By front, the rear of a vehicle that stood there one slice before, or `NONE`.
     """
     metres = np.arange(int(LONGEST_M / CELL_M) + 1, dtype=np.float64) * CELL_M
     prior = np.where(metres < SHORTEST_M, -np.inf, length_prior(metres))
-    return _pack(weights, _gains(weights), prior, held)
+    return _pack(weights, _gains(weights), prior, rear_before)
 
 
 @compiled
 def _gains(weights: Floats) -> Floats:  # pragma: no cover - compiled
-    """Return the gain of a front and of a rear at each boundary of cells."""
+    """Return the gain, nats, of a front and of a rear at each boundary of cells, (2, n + 1)."""
     count = weights.shape[1]
     reach = int(4.0 * END_M / CELL_M)
     body = np.log((1.0 - END_SHARE) / 5.0)
@@ -371,15 +382,16 @@ def _gains(weights: Floats) -> Floats:  # pragma: no cover - compiled
 def _pack(
     weights: Floats, gains: Floats, prior: Floats, held: Integers
 ) -> Integers:  # pragma: no cover - compiled
+    """Return what `pack` does, with the gains of ends and the log priors of lengths in cells."""
     count = weights.shape[1]
     end_gain, side_gain = np.log((1.0 - END_SHARE) / 5.0) - LOG_CLUTTER, np.log(0.2) - LOG_CLUTTER
     ends, sides = np.zeros(count + 1), np.zeros(count + 1)
     for k in range(count):
         ends[k + 1] = ends[k] + weights[0, k] + weights[1, k]
         sides[k + 1] = sides[k] + weights[2, k]
-    room, wide = int(np.ceil(GAP_M / CELL_M)), int(np.ceil(EASY_M / CELL_M))
-    best, back = np.zeros(count + 1), np.full(count + 1, -1)
-    ahead, before = np.zeros(count + 1), np.zeros(count + 1, np.int64)
+    least_gap, easy_gap = int(np.ceil(GAP_M / CELL_M)), int(np.ceil(EASY_GAP_M / CELL_M))
+    best, rear_of = np.zeros(count + 1), np.full(count + 1, -1)
+    behind, front_behind = np.zeros(count + 1), np.zeros(count + 1, np.int64)
     for f in range(1, count + 1):
         best[f] = best[f - 1]
         for r in range(max(f - len(prior) + 1, 0), f):
@@ -389,45 +401,45 @@ def _pack(
             score += gains[0, f] + gains[1, r]
             if score <= 0.0:
                 continue
-            score += prior[f - r] - NEW_COST + ahead[r] + (STICK if held[f] == r else 0.0)
+            score += prior[f - r] - VEHICLE_COST + behind[r] + (STAY_GAIN if held[f] == r else 0.0)
             if score > best[f] + 1e-9:
-                best[f], back[f] = score, r
-        ahead[f], before[f] = _room_before(best, f, room, wide)
-    return _traced(back, before)
+                best[f], rear_of[f] = score, r
+        behind[f], front_behind[f] = _best_behind(best, f, least_gap, easy_gap)
+    return _traced(rear_of, front_behind)
 
 
 @compiled
-def _room_before(
-    best: Floats, rear: int, room: int, wide: int
+def _best_behind(
+    best: Floats, rear: int, least_gap: int, easy_gap: int
 ) -> tuple[float, int]:  # pragma: no cover - compiled
-    """Return the best solution before a rear, and its last front: gaps under 2 m are rare."""
+    """Return the best score behind a rear, less the cost of a short gap, and the front there."""
     top, place = -1e9, 0
-    for more in range(room, wide + 1):
+    for gap in range(least_gap, easy_gap + 1):
         value = 0.0
-        if rear > more:
-            value = best[rear - more] - TIGHT * ((wide - more) * CELL_M) ** 2
+        if rear > gap:
+            value = best[rear - gap] - TIGHT_COST * ((easy_gap - gap) * CELL_M) ** 2
         if value > top:
-            top, place = value, max(rear - more, 0)
+            top, place = value, max(rear - gap, 0)
     return top, place
 
 
 @compiled
-def _traced(back: Integers, before: Integers) -> Integers:  # pragma: no cover - compiled
+def _traced(rear_of: Integers, front_behind: Integers) -> Integers:  # pragma: no cover - compiled
     """Return the vehicles (rear, front) of the best solution, traced back from the last cell."""
-    count = len(back) - 1
-    out = np.empty((count // 4 + 1, 2), np.int64)
+    count = len(rear_of) - 1
+    vehicles = np.empty((count // 4 + 1, 2), np.int64)
     found, f = 0, count
     while f > 0:
-        if back[f] < 0:
+        if rear_of[f] < 0:
             f -= 1
             continue
-        out[found, 0], out[found, 1] = back[f], f
+        vehicles[found, 0], vehicles[found, 1] = rear_of[f], f
         found += 1
-        f = before[back[f]]
-    return out[:found]
+        f = front_behind[rear_of[f]]
+    return vehicles[:found]
 
 
-def _with_rows(targets: list[StationaryTarget], still: _Still) -> list[StationaryTarget]:
+def _with_rows(targets: list[StationaryTarget], still: _StillDetections) -> list[StationaryTarget]:
     """Return the stationary targets with their detections."""
     order = np.lexsort((still.s_m, still.strip))
     along = still.strip[order] * 1e5 + still.s_m[order]
@@ -441,8 +453,8 @@ def _with_rows(targets: list[StationaryTarget], still: _Still) -> list[Stationar
     return found
 
 
-def _usual_rate(motions: Sequence[Motion], detections: MapDetections) -> float:
-    """Return the median rate of detections of vehicles, 1/s, times the square of the range."""
+def _typical_rate(motions: Sequence[Motion], detections: MapDetections) -> float:
+    """Return the median of the vehicles' detection rate times the square of range, m2/s."""
     rates = []
     for motion in motions:
         lapse = float(np.ptp(detections.time[motion.rows]))
@@ -452,8 +464,8 @@ def _usual_rate(motions: Sequence[Motion], detections: MapDetections) -> float:
     return float(np.median(rates)) if rates else 0.0
 
 
-def heard_parts(
-    target: StationaryTarget, detections: MapDetections, usual: float
+def detected_parts(
+    target: StationaryTarget, detections: MapDetections, typical: float
 ) -> list[StationaryTarget]:
     """Split a stationary target at gaps; keep the parts that are detected often enough.
 
@@ -463,15 +475,15 @@ def heard_parts(
         A target with the rows of its detections, by time.
     detections : MapDetections
         The detections to which the rows refer.
-    usual : float
-        Usual rate of detections times the square of range, m^2/s; if it is 0, no part is kept.
+    typical : float
+        Typical detection rate times the square of range, m2/s; if it is 0, no part is kept.
 
     Returns
     -------
     list of StationaryTarget
         The parts, by time.
     """
-    if usual <= 0.0:
+    if typical <= 0.0:
         return []
     cuts = np.flatnonzero(np.diff(detections.time[target.rows]) > SILENCE_S) + 1
     found = []
@@ -479,7 +491,7 @@ def heard_parts(
         if len(rows) < LEAST_DETECTIONS:
             continue
         begin, end = (float(detections.time[rows[k]]) for k in (0, -1))
-        expected = usual / float(np.median(detections.range_m[rows])) ** 2 * (end - begin)
+        expected = typical / float(np.median(detections.range_m[rows])) ** 2 * (end - begin)
         if end - begin >= LEAST_S and len(rows) >= RATE_SHARE * expected:
             found.append(replace(target, begin=begin, end=end, rows=rows))
     return found

@@ -1,4 +1,4 @@
-"""Strips: chains of lanelets, each followed by its straightest successor."""
+"""Strips: chains of lanelets, each with its straightest successor."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from gis_radar.base import Floats, Integers
 from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.columns import NONE
 
-AT_ONCE = 100_000  # points processed at once: with the lanes near them, 20 MB
-ROOM_M = 0.6  # least distance from the edge of a lane at which a point is well inside it
+POINTS_AT_ONCE = 100_000  # points processed at once: with the lanes near them, 20 MB
+WELL_INSIDE_M = 0.6  # distance inside a lane's edge beyond which the longer strip is preferred
 
 
 @dataclass(frozen=True, kw_only=True)
 class OnStrips:
-    """Points on strips, a row each.
+    """Points projected onto strips, a row for each pair.
 
     Parameters
     ----------
@@ -66,23 +66,28 @@ class Strips:
         strip = 0
         for head in [*heads, *range(count)]:  # lanelets without a head are in circles
             lane: int | None = head
-            way = 0.0
+            length_m = 0.0
             if number[head] != NONE:
                 continue
             while lane is not None and number[lane] == NONE:
-                number[lane], start[lane] = strip, way
-                way += float(graph.length_m[lane])
+                number[lane], start[lane] = strip, length_m
+                length_m += float(graph.length_m[lane])
                 lane = follower.get(lane)
             strip += 1
         return cls(graph=graph, number=number, start_m=start)
 
-    def lay(self, points: Floats, near_m: float | None = None) -> OnStrips:
-        """Project points (n, 2) onto strips, each onto the longest one that it is well inside.
+    def project(self, points: Floats, near_m: float | None = None) -> OnStrips:
+        """Project points onto strips, each onto the longest one that it is well inside.
 
-        With `near_m`, each is projected onto every strip within that distance.
+        Parameters
+        ----------
+        points : (n, 2) array
+            Points in the map, metres.
+        near_m : float, optional
+            If given, each is projected onto every strip whose middle is that near, metres.
         """
-        pieces = range(0, max(len(points), 1), AT_ONCE)
-        parts = [self._lay(points[begin : begin + AT_ONCE], near_m) for begin in pieces]
+        pieces = range(0, max(len(points), 1), POINTS_AT_ONCE)
+        parts = [self._projected(points[k : k + POINTS_AT_ONCE], near_m) for k in pieces]
         begins = np.repeat(pieces, [len(part.row) for part in parts])
         columns = {
             each.name: np.concatenate([getattr(part, each.name) for part in parts])
@@ -91,13 +96,14 @@ class Strips:
         columns["row"] += begins
         return OnStrips(**columns)
 
-    def _lay(self, points: Floats, near_m: float | None) -> OnStrips:
+    def _projected(self, points: Floats, near_m: float | None) -> OnStrips:
+        """Project one piece of the points."""
         table = self.graph.field.lanes(points)
         lane, point = table["lane"].to_numpy(), table["point"].to_numpy()
         edge = (table["half_width_m"] - table["d_m"].abs()).to_numpy()
         length = np.zeros(int(self.number.max()) + 1)
         np.maximum.at(length, self.number, self.start_m + self.graph.length_m)
-        rank = np.minimum(edge, ROOM_M) * 1e4 + length[self.number[lane]]
+        rank = np.minimum(edge, WELL_INSIDE_M) * 1e4 + length[self.number[lane]]
         order = np.lexsort((-rank, point))
         if near_m is not None:
             order = order[(table["d_m"].abs().to_numpy() < near_m)[order]]
@@ -126,9 +132,9 @@ def _straightest(graph: LaneGraph) -> dict[int, int]:
     pairs = []
     for lane, after in enumerate(graph.successors):
         for other in after.tolist():
-            turn = float(graph.heading[ends[lane]] - graph.heading[starts[other]])
-            whole = float(graph.heading[ends[other]] - graph.heading[starts[other]])
-            bend = abs(np.angle(np.exp(1j * turn))) + abs(whole)
+            turn_between = float(graph.heading[ends[lane]] - graph.heading[starts[other]])
+            turn_within = float(graph.heading[ends[other]] - graph.heading[starts[other]])
+            bend = abs(np.angle(np.exp(1j * turn_between))) + abs(turn_within)
             pairs.append((bend, lane, other))
     follower: dict[int, int] = {}
     taken: set[int] = set()

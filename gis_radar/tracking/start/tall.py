@@ -1,4 +1,4 @@
-"""Tall vehicles: evidence on lengths by heights over the road.
+"""Tall vehicles: heights of detections as evidence of long vehicles.
 
 Seen from one end, a lorry looks as short as a car, and in a queue its ends look like those of two
 cars. But cars scatter from below a metre and a half, lorries and buses from all of their three to
@@ -14,15 +14,15 @@ from gis_radar.base import Floats
 # Mean height of the detections of a car, and of a lorry or bus, with its standard deviation between
 # vehicles, metres: the middle of their bodies.
 CAR_M, LORRY_M = (0.75, 0.3), (1.6, 0.5)
-# Sigma of the elevation: of a target over its whole time, and from detection to detection.
+# Sigma of the elevation, radians: common to all detections of a vehicle, and of each.
 BIAS_RAD, ELEVATION_RAD = 0.006, 0.0175
-LEAST_ROWS = 10  # least number of heights; fewer are ignored
-MOST_ODDS = 4.0  # largest logarithm of the odds by heights
+LEAST_ROWS = 10  # least number of heights; fewer are no evidence
+MOST_ODDS = 4.0  # largest log odds by heights
 LORRY_SHARE = 0.12  # share of lorries and buses in traffic
 
 
 def tall_odds(height_m: Floats, range_m: Floats) -> float:
-    """Return the logarithm of the odds of a lorry or bus over a car by heights.
+    """Return the log odds of a lorry or bus over a car by heights.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def tall_odds(height_m: Floats, range_m: Floats) -> float:
 
 
 def one_tall_odds(odds: tuple[float, float]) -> float:
-    """Return the logarithm of the odds of one lorry over two vehicles by the heights of two parts.
+    """Return the log odds of one lorry or bus over two vehicles, by the heights of two parts.
 
     Parameters
     ----------

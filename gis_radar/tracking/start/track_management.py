@@ -1,7 +1,7 @@
 """Complete tracks of vehicles: moving and stationary parts joined from arrival to departure.
 
-A vehicle that stops is taken for the one that leaves later, unless another one drove over the
-place in between.
+A vehicle that stops at a place and one that leaves it later are one, unless another one drove over
+the place in between.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from gis_radar.tracking.start.stationary import (
     SILENCE_S,
     StationaryTarget,
     find_stationary,
-    not_built,
+    without_fixed,
 )
 from gis_radar.tracking.start.strips import Strips
 
 APART_S = 1.0  # least time between two vehicles at one place
-# Least moving detections and least distance of a vehicle; otherwise its detections are false.
+# Least number of moving detections and least distance of a vehicle; with less, a track is false.
 LEAST_MOVING, LEAST_WAY_M = 6, 4.0
-ALONE_S, ALONE_ROWS = 3.0, 10  # least duration and detections of a vehicle that never moves
+ALONE_S, ALONE_ROWS = 3.0, 10  # least duration and detections of a vehicle that only stands
 PLACE_M = 0.5  # sigma of the place of a stationary vehicle
 
 
@@ -55,36 +55,37 @@ def complete_tracks(
     motions : sequence of Motion
         Motions of vehicles while they move.
     states : (n, 6) array
-        State of the vehicle, for every detection of one.
+        State of the filter at each detection of a vehicle.
     free : (n,) bool array
-        Whether each detection is still, and of no moving vehicle.
+        Which detections are still, and of no moving vehicle.
     """
     states = states.copy()
     strips = Strips.of(graph)
     passes = Passes.of(motions, detections, strips)
-    free = not_built(detections, free, passes)
-    seen = Detectability.learned(detections, motions)
+    free = without_fixed(detections, free, passes)
+    detectability = Detectability.learned(detections, motions)
     motions = [
         part for each in motions
         for part in split_at_drives(each, detections, states, free, passes)
     ]  # fmt: skip
-    seen = replace(seen, occluders=Occluders.of(motions))  # numbered as the parts now
+    # the owners of occluders are numbers of the parts now
+    detectability = replace(detectability, occluders=Occluders.of(motions))
     motions = [
-        with_rest(number, each, detections, free, states, passes, seen)
+        with_rest(number, each, detections, free, states, passes, detectability)
         for number, each in enumerate(motions)
     ]  # fmt: skip
     targets = find_stationary(detections, free, motions, passes)
     places = [strips.place(each.strip, 0.5 * (each.rear_m + each.front_m)) for each in targets]
-    hides = [Occluders.of(motions)]
+    occluders = [Occluders.of(motions)]
     for number, (each, (place, heading)) in enumerate(zip(targets, places, strict=True)):
         states[each.rows, :2], states[each.rows, 2], states[each.rows, 3] = place, heading, 0.0
         body = (*place, heading, each.front_m - each.rear_m)
-        hides.append(Occluders.stationary(len(motions) + number, (each.begin, each.end), *body))
-    seen = replace(seen, occluders=Occluders.join(hides))
+        occluders.append(Occluders.stationary(len(motions) + number, (each.begin, each.end), *body))
+    detectability = replace(detectability, occluders=Occluders.join(occluders))
     parts = [*map(Part.of_motion, motions), *map(Part.of_target, targets, places)]
     tracks = (
         _track(chain, motions, targets, places, detections, states)
-        for chain in chains(parts, passes, seen)
+        for chain in chains(parts, passes, detectability)
     )
     return [each for each in tracks if each is not None]
 
@@ -93,7 +94,7 @@ def _track(
     chain: Sequence[int], motions: Sequence[Motion], targets: Sequence[StationaryTarget],
     places: Sequence[tuple[Floats, float]], detections: MapDetections, states: Floats,
 ) -> Motion | None:  # fmt: skip
-    """Return the motion of a chain of motions and targets, None where its detections are false."""
+    """Return the motion of a chain of motions and targets, None if it is a false track."""
     moving = [motions[k] for k in chain if k < len(motions)]
     stationary = [k - len(motions) for k in chain if k >= len(motions)]
     if not moving:
@@ -109,14 +110,14 @@ def _track(
 
 
 def _drove(motion: Motion, detections: MapDetections) -> bool:
-    """Return whether a motion has enough distance and moving detections not to be false."""
+    """Return whether a motion has enough moving detections and distance to be of a vehicle."""
     moving = np.abs(detections.range_rate[motion.rows]) > MOVING_MPS
     way = float(motion.s_m[-1] - motion.s_m[0])
     return int(moving.sum()) >= LEAST_MOVING and way > LEAST_WAY_M
 
 
 def _stood(motion: Motion, detections: MapDetections) -> bool:
-    """Return whether a motion has enough still detections, for long enough, to be a vehicle."""
+    """Return whether a motion has enough still detections, for long enough, to be of a vehicle."""
     still = motion.rows[np.abs(detections.range_rate[motion.rows]) <= MOVING_MPS]
     enough = len(still) >= ALONE_ROWS
     return enough and float(np.ptp(detections.time[still])) >= ALONE_S
@@ -125,9 +126,9 @@ def _stood(motion: Motion, detections: MapDetections) -> bool:
 def split_at_drives(
     motion: Motion, detections: MapDetections, states: Floats, free: Booleans, passes: Passes
 ) -> list[Motion]:
-    """Split a motion at gaps in which others drove over its place.
+    """Split a motion at gaps between detections in which another vehicle drove over its place.
 
-    A motion that is elsewhere after a long gap is split, too: links may join it again.
+    A motion that is elsewhere after a long gap is split, too: links may join its parts again.
 
     Parameters
     ----------
@@ -145,7 +146,7 @@ def split_at_drives(
     Returns
     -------
     list of Motion
-        The parts by time; the motion alone where nothing splits it.
+        The parts by time; the motion alone if nothing splits it.
     """
     time = detections.time[motion.rows]
     cuts = []
@@ -165,7 +166,7 @@ def split_at_drives(
 def _parts(
     motion: Motion, cuts: list[int], detections: MapDetections, states: Floats, free: Booleans
 ) -> list[Motion]:
-    """Split a motion; still detections of parts that are too small become unassigned."""
+    """Split a motion before some rows; still detections of too small parts become unassigned."""
     if not cuts:
         return [motion]
     parts = []
@@ -183,7 +184,7 @@ def _stationary_only(
     rows: Integers,
     detections: MapDetections,
 ) -> Motion | None:
-    """Return the motion of a vehicle that never moves, None if it is detected too briefly."""
+    """Return the motion of a vehicle that only stands, None if it is detected too briefly."""
     begin, end = (float(detections.time[rows[k]]) for k in (0, -1))
     if end - begin < ALONE_S or len(rows) < ALONE_ROWS:
         return None
