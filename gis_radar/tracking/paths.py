@@ -166,13 +166,8 @@ def _progress_from(
     while 0 <= k < len(states):
         last = kept[count - 1]
         dx, dy = states[k, 0] - states[last, 0], states[k, 1] - states[last, 1]
-<<<<<<< HEAD
-        forward = way * (dx * np.cos(states[k, 2]) + dy * np.sin(states[k, 2]))
-        turn = abs(heading_difference(states[k, 2], states[last, 2]))
-=======
         ahead_m = sign * (dx * np.cos(states[k, 2]) + dy * np.sin(states[k, 2]))
-        turn = abs(turned(states[k, 2], states[last, 2]))
->>>>>>> 89821f15e8d05db340815f1d07e288beb482419a
+        turn = abs(heading_difference(states[k, 2], states[last, 2]))
         way_m, lapse = np.hypot(dx, dy), abs(states[k, 3] - states[last, 3])
         # no vehicle turns within less distance, or is faster: such a state is an outlier
         able = turn < TURN_ERROR_RAD + way_m / TIGHTEST_M

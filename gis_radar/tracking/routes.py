@@ -81,11 +81,7 @@ def _likeliest(
                 emission = OFF_LANE_COST
                 candidates[i, j, 0] = -1.0
             elif j < number:
-<<<<<<< HEAD
-                turn = abs(heading_difference(found[j, 3], heading[i]))
-=======
-                turn = abs(turned(lanes[j, 3], heading[i]))
->>>>>>> 89821f15e8d05db340815f1d07e288beb482419a
+                turn = abs(heading_difference(lanes[j, 3], heading[i]))
                 if turn > MOST_RAD:
                     continue
                 emission = (lanes[j, 2] / LEFT_M) ** 2 + (turn / TURN_RAD) ** 2

@@ -48,7 +48,7 @@ from gis_radar.tracking import (
     vehicles_of_hour,
 )
 
-METHOD = 16
+METHOD = 17
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # equal frames of two sensors that may be chance
