@@ -17,9 +17,7 @@ STILL_MPS = 0.3  # largest absolute range rate of a detection of a fixed object
 STILL_DENSITY = 1.0 / (math.sqrt(2.0 * math.pi) * RATE_MPS)
 AFTER_S = 1.5  # time after a vehicle drove over a spot in which hardly another one stands there
 DRIVES_MPS = 2.0
-# Distance from a body within which detections of fixed objects are not counted: two sigma of the
-# depth of a face and half a spot. With less, the flank of who stands for minutes looks built.
-BESIDE_M = 1.0
+BESIDE_M = 0.5  # no fixed objects are counted on a body and so far around it: its own detections
 FEW = 20.0  # weight of the usual rate of fixed objects, frames
 SPEEDS = (3.0, 8.0)  # bounds between slow, middling and fast clutter, m/s
 # Widths of these bins of range rates of both signs, m/s; fast ones end at 30 m/s.
