@@ -82,16 +82,6 @@ def test_where_vehicles_differ_by_more_a_weak_one_is_no_person():
         assert found.tolist() == [person, *[False] * 5]
 
 
-def test_a_near_car_is_no_person_where_cross_sections_grow_with_range():
-    ranges = [30.0, *np.linspace(60.0, 160.0, 6)]
-    grows, same = [-8.0, *np.linspace(-5.0, 5.0, 6)], [-8.0, *[0.0] * 6]
-    for rcs, person in ((grows, False), (same, True)):
-        detections, motions = followed(rcs, [6.0, *[12.0] * 6])
-        detections.range_m[: 20 * 7] = np.repeat(ranges, 20)
-        cars = [replace(each, along_m=np.linspace(-2.0, 2.0, 20)) for each in motions]
-        assert is_person(detections, cars) == [person, *[False] * 6]
-
-
 @pytest.mark.parametrize("apart", [1.0, 5.0, 8.0])
 def test_the_weaker_a_slow_track_is_the_rather_it_is_a_person(apart):
     others = apart * np.array([-1.0, -0.7, 0.0, 0.7, 1.0])

@@ -48,7 +48,7 @@ from gis_radar.tracking import (
     vehicles_of_hour,
 )
 
-METHOD = 17
+METHOD = 16
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # equal frames of two sensors that may be chance

@@ -9,7 +9,6 @@ vehicle does.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -46,9 +45,6 @@ CYCLIST_MPS = 7.5  # largest speed of cyclists
 # that of the recordings where enough of them drive fast.
 PERSON, VEHICLE = (-7.0, 3.0, -0.3, 0.45), (0.0, 4.0, 0.4, 0.5)
 LEAST_DRIVEN, LEAST_DB = 5, 3.0  # fast vehicles that tell the sigma, which is this at least, dB
-# Prior sigma of the growth of cross sections with range, dB/m; detections of a track above which
-# its median cross section is no better known.
-SLOPE_DB_M, MANY_ROWS = 0.1, 50
 FAINT_DB = 9.0  # detections weaker by this are faint: persons, also next to a passing vehicle
 FAINT_SIGMAS = 3.0  # a track weaker by so many may be a person at any speed
 # Share of faint detections of a vehicle, and one less that of a person: a tenth of a car's, a fifth
@@ -284,57 +280,12 @@ def is_person(detections: MapDetections, motions: Sequence[Motion]) -> list[bool
     are about as strong. Persons keep their pace; a track that mostly stands is not judged, as it
     cannot be told from its surroundings by its cross section.
     """
-    tracks = _CrossSections.of(detections, motions)
+    rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
+    fast = np.array([_fast(each) for each in motions])
     spread = np.array([np.hypot(np.std(each.along_m), np.std(each.left_m)) for each in motions])
-    pace = np.array([np.median(each.speed) for each in motions])
-    steady = pace > STEADY * tracks.fast
-    still = still_rcs(detections)
-    return list(are_persons(tracks.rcs, tracks.fast, spread, steady, still).tolist())
-
-
-@dataclass(frozen=True, kw_only=True)
-class _CrossSections:
-    """Cross sections of tracks, corrected to one range.
-
-    Far away only strong returns are detected, so the median cross section of vehicles grows with
-    range; compared without a correction, near cars would look as weak as persons.
-
-    Parameters
-    ----------
-    rcs, fast : (n,) arrays
-        Median cross section of each track at the usual range, dBm2, and its speed, m/s.
-    slope, usual_m : float
-        Growth of cross sections with range, dB/m, and the median range of fast vehicles, metres.
-    """
-
-    rcs: Floats
-    fast: Floats
-    slope: float = 0.0
-    usual_m: float = 0.0
-
-    @classmethod
-    def of(cls, detections: MapDetections, motions: Sequence[Motion]) -> _CrossSections:
-        """Measure the tracks; the growth follows from fast vehicles, by least squares.
-
-        Its prior is normal about 0, so that ranges that hardly differ give no growth.
-        """
-        rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
-        fast = np.array([_fast(each) for each in motions])
-        driven = np.flatnonzero((fast > DRIVEN_MPS) & np.isfinite(rcs))
-        if len(driven) < LEAST_DRIVEN:
-            return cls(rcs=rcs, fast=fast)
-        range_m = np.array([np.median(detections.range_m[each.rows]) for each in motions])
-        weight = np.array([min(len(motions[k].rows) / MANY_ROWS, 1.0) for k in driven.tolist()])
-        usual_m = float(np.median(range_m[driven]))
-        farther, stronger = range_m[driven] - usual_m, rcs[driven] - np.median(rcs[driven])
-        information = (weight * farther) @ farther + (VEHICLE[1] / SLOPE_DB_M) ** 2
-        slope = max(float((weight * farther) @ stronger / information), 0.0)
-        corrected = rcs - slope * (range_m - usual_m)
-        return cls(rcs=corrected, fast=fast, slope=slope, usual_m=usual_m)
-
-    def corrected(self, rcs: Floats, range_m: Floats) -> Floats:
-        """Return cross sections of detections as they would be at the usual range, dBm2."""
-        return np.asarray(rcs - self.slope * (range_m - self.usual_m))
+    steady = [np.median(each.speed) > STEADY * v for each, v in zip(motions, fast, strict=True)]
+    still, told = still_rcs(detections), np.array(steady, np.bool_)
+    return list(are_persons(rcs, fast, spread, told, still).tolist())
 
 
 def are_persons(
@@ -414,12 +365,12 @@ def without_faint_ends(
         State of the filter at each detection.
     """
     found = []
-    tracks = _CrossSections.of(detections, motions)
-    usual, _ = _driven_rcs(tracks.rcs, tracks.fast, np.zeros(len(motions), np.bool_))
+    rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
+    fast = np.array([_fast(each) for each in motions])
+    usual, _ = _driven_rcs(rcs, fast, np.zeros(len(rcs), np.bool_))
     odds = np.log(FAINT_SHARE / (1.0 - FAINT_SHARE))
     for each in motions:
-        rcs = tracks.corrected(detections.rcs[each.rows], detections.range_m[each.rows])
-        faint = rcs < usual - FAINT_DB
+        faint = detections.rcs[each.rows] < usual - FAINT_DB
         tells = np.where(faint, -odds, odds)
         ends = []
         for way in (tells, tells[::-1]):
