@@ -217,7 +217,7 @@ class _Network:
     def _locate(self, member: _Member) -> tuple[list[Choice], Placing]:
         """Return a sensor's choices and its placing by the placed sensors, after its clock is set.
 
-        The clock gets an offset where the vehicles then agree better, with a z score of `OFFSET_Z`.
+        An offset needs a z score of `OFFSET_Z`; a wrong rate counts by itself if the pose is fixed.
         """
         member.clock, member.free = NO_OFFSET, False
         choices, placing = self._compare_with_placed(member)

@@ -35,7 +35,7 @@ class Frames:
     window, group : (f,) int64 arrays
         Number of each frame's half second, and of its group: the frames of one sensor in one half
         second.
-    eyes : (k, 2) array
+    sensor_xy : (k, 2) array
         Positions of the sensors, metres.
     """
 

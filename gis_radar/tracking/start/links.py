@@ -97,7 +97,7 @@ def chains(parts: Sequence[Part], passes: Passes, detectability: Detectability) 
         Parts of all tracks.
     passes : Passes
         Times at which vehicles drove over places.
-    seen : Detectability
+    detectability : Detectability
         Expected numbers of detections; its occluders are numbered as the parts.
     """
     following = _following(parts, passes, detectability)

@@ -152,13 +152,13 @@ def rate_without(
         Number of the vehicle among the occluders.
     motion : Motion
         Motion of the vehicle.
-    at : int
+    end : int
         0 for its first place, before it came; -1 for its last place, after it left.
     detections : MapDetections
         Detections of all sensors, by time.
     free : (n,) array of bool
         Which detections are of no vehicle.
-    seen : Detectability
+    detectability : Detectability
         Has the places of other vehicles as occluders.
 
     Returns
