@@ -231,7 +231,10 @@ class Webhook:
         self, url: str, *, retries_s: tuple[float, ...] = RETRIES_S, reporter: Reporter = QUIET
     ) -> None:
         self._url, self._retries_s, self._reporter = webhook_address(url), retries_s, reporter
-        self._host = urlsplit(url).hostname  # the rest of the address may be a secret
+        parts = urlsplit(url)
+        self._host = parts.hostname  # the rest of the address may be a secret
+        # http is for this machine: a proxy of the environment would take it elsewhere
+        self._proxies: dict[str, str] | None = {} if parts.scheme == "http" else None
         self._waiting: Queue[bytes] = Queue(MOST_WAITING)
         self._is_failing = False
         self.sent = self.lost = 0
@@ -271,7 +274,8 @@ class Webhook:
             request = urllib.request.Request(  # noqa: S310 - http and https alone, checked
                 self._url, data=content, headers={"Content-Type": "application/json"}
             )
-            opener = urllib.request.build_opener(NoRedirect())
+            proxies = urllib.request.ProxyHandler(self._proxies)
+            opener = urllib.request.build_opener(NoRedirect(), proxies)
             with opener.open(request, timeout=TIMEOUT_S):
                 return ""
         except urllib.error.HTTPError as error:
