@@ -146,7 +146,7 @@ class JobResult(Reporter):
     hours : list of int
         Hours that have to be made (again).
     doubts : dict
-        By sensor, the doubt of the check of poses and recordings, empty where all fits.
+        By sensor, the doubt of the check of poses and recordings, None where all fits.
     unchecked : dict
         By sensor, the hour in which there was too little traffic for a verdict.
     """
