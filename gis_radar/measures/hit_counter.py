@@ -157,7 +157,7 @@ class CountedFrame:
     detections, moving, wild : int
         Numbers of detections, as in the table `frames`.
     tiles : (k,) int64 array
-        Positions of the tiles that it hits, ascending, for :func:`encode_tiles`.
+        Positions of the tiles that it hits, ascending.
     """
 
     time_us: int

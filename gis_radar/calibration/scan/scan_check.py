@@ -210,7 +210,7 @@ def require_scans_near(
     Parameters
     ----------
     scans, scan_crs
-        As for :func:`scan_check`.
+        As for :func:`check_against_scan`.
     crs : CRS
         The map frame.
     place : (easting, northing, ...)
