@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import shapely
 
-from gis_radar.calibration.registration.lane_paths import CHANGE, match_paths
+from gis_radar.calibration.registration.lane_paths import CHANGE_COST, match_paths
 from gis_radar.calibration.registration.lanes import place, sample_lanes
 from gis_radar.calibration.registration.matches import lanes_near, match
 from gis_radar.calibration.registration.model import MODEL
@@ -70,7 +70,7 @@ def test_a_change_of_lanes_costs_once(lanes, begin_m):
     east = placed.points[:, 0]
     assert set(lanes.lane[changed.lane[east < begin_m]]) <= {0, 2}
     assert set(lanes.lane[changed.lane[east > begin_m + 10.0]]) == {1}
-    assert changed.path_cost.sum() == pytest.approx(CHANGE)
+    assert changed.path_cost.sum() == pytest.approx(CHANGE_COST)
     assert begin_m < east[changed.path_cost > 0.0][0] < begin_m + 10.0
 
 

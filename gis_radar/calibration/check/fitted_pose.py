@@ -23,7 +23,7 @@ from gis_radar.calibration.registration.certainty import (
 from gis_radar.calibration.registration.hypotheses import LOOK_SCALE_M, few_samples, prior_at
 from gis_radar.calibration.registration.lanes import Scene
 from gis_radar.calibration.registration.model import MODEL
-from gis_radar.calibration.registration.solver import Fit, Prior, cost_at, settle, solve
+from gis_radar.calibration.registration.solver import Fit, Prior, cost_at, solve
 from gis_radar.calibration.registration.state import POSE, SIZE, State
 from gis_radar.calibration.registration.traces import thin
 from gis_radar.poses import Pose
@@ -40,11 +40,6 @@ TURN_Z = 5  # of the state: the turn about the vertical
 # there or a metre aside the one of the lowest cost.
 SIDES_M = (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)
 TURNED_DEG = (-1.0, 1.0)
-# Number of starts fitted to the end, of lowest cost after the first stage: the others stop in worse
-# places, or in the same ones.
-FINALISTS = 3
-FIRST = replace(WINDOW, scales_m=WINDOW.scales_m[:1])
-FURTHER = replace(WINDOW, scales_m=WINDOW.scales_m[1:])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,9 +122,7 @@ def _likeliest(scene: Scene, prior: Prior) -> Fit:
     level, turned = starts[: len(SIDES_M)], starts[len(SIDES_M) :]
     few = few_samples(scene)
     likeliest = min(turned, key=lambda start: cost_at(few, start, scale_m=LOOK_SCALE_M))
-    begun = [settle(scene, each, prior, schedule=FIRST) for each in (*level, likeliest)]
-    best = sorted(begun, key=lambda each: each.cost)[:FINALISTS]
-    fits = [solve(scene, each, prior, schedule=FURTHER) for each in best]
+    fits = [solve(scene, each, prior, schedule=WINDOW) for each in (*level, likeliest)]
     return min(fits, key=lambda each: each.cost)
 
 

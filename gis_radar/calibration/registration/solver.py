@@ -212,20 +212,16 @@ class Rest:
 
 
 def settle(
-    scene: Scene,
-    start: State,
-    prior: Prior,
-    *,
-    schedule: Schedule,
-    model: Model = MODEL,
-    hold: Floats | None = None,
+    scene: Scene, start: State, prior: Prior, *, schedule: Schedule, model: Model, hold: Floats
 ) -> Rest:
     """Find a pose as :func:`solve` does, but return only where it stopped.
 
     Parameters
     ----------
-    scene, start, prior, schedule, model, hold
+    scene, start, prior, schedule, model
         As for :func:`solve`.
+    hold : (7,) array
+        Weights of a linear combination of the state's components that is kept as at the start.
     """
     _, here, _ = _descended(scene, start, prior, schedule, model, hold)
     return Rest(

@@ -217,7 +217,7 @@ class _Network:
     def _locate(self, member: _Member) -> tuple[list[Choice], Placing]:
         """Return a sensor's choices and its placing by the placed sensors, after its clock is set.
 
-        An offset needs a z score of `OFFSET_Z`; a wrong rate counts by itself if the pose is fixed.
+        An offset needs a z score of `OFFSET_Z`, a wrong rate of a fixed pose one over minus that.
         """
         member.clock, member.free = NO_OFFSET, False
         choices, placing = self._compare_with_placed(member)
@@ -227,7 +227,7 @@ class _Network:
             shifted_choices, shifted = self._compare_with_placed(member)
             # a fixed pose explains no wrong rate, which shows little in a short recording
             is_rate = abs(clock.drift_ppm) > 1e6 * ODD_DRIFT and member.fixed
-            least, now = -np.inf if is_rate else OFFSET_Z, placing.scores_in_time
+            least, now = -OFFSET_Z if is_rate else OFFSET_Z, placing.scores_in_time
             if shifted.inside is not None and preference(shifted.inside.scores, now) >= least:
                 member.free, choices, placing = True, shifted_choices, shifted
             else:
