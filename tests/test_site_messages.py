@@ -20,7 +20,8 @@ TRAFFIC = {"--interval", "--counts", "--sections"}  # of gis-radar traffic
 WITHOUT_MAP = {"--map", "--hits-only"}  # each site file has a map
 OWN = {"--fresh", "--jobs", "--template", "--layer", "--version", "--stdin"}
 CITY = {"--city-template", "--executor", "--nthreads"}  # of a city's run, and of its workers
-OTHERS = CITY | ASKING | TRAFFIC | WITHOUT_MAP | OWN
+LIVE = {"--webhook"}  # where the centre sends alerts, on its command line alone
+OTHERS = CITY | ASKING | TRAFFIC | WITHOUT_MAP | OWN | LIVE
 
 
 def options_named():
