@@ -308,7 +308,8 @@ def test_a_damaged_file_is_put_aside(server, place, tmp_path, damaged):
     [({"token_file": "abc"}, "Bearer abc"),
      ({"user": "u", "password_file": "p"}, "Basic dTpw"), ({}, None)],
 )  # fmt: skip
-def test_log_ins_are_sent(server, tmp_path, keys, header):
+def test_log_ins_are_sent(server, tmp_path, keys, header, monkeypatch):
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")  # not for this machine
     given = {}
     for key, text in keys.items():
         given[key] = text

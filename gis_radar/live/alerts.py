@@ -34,7 +34,7 @@ from gis_radar.base import (
 from gis_radar.calibration import SENSOR_STATES, concerns_clocks
 from gis_radar.live.background import in_background
 from gis_radar.live.health import ALARMS, SensorHealth
-from gis_radar.live.served.sensorthings import NoRedirect
+from gis_radar.live.served.sensorthings import opener_of
 from gis_radar.live.wire.payload import VERSION
 from gis_radar.live.wire.settings import webhook_address
 
@@ -231,10 +231,7 @@ class Webhook:
         self, url: str, *, retries_s: tuple[float, ...] = RETRIES_S, reporter: Reporter = QUIET
     ) -> None:
         self._url, self._retries_s, self._reporter = webhook_address(url), retries_s, reporter
-        parts = urlsplit(url)
-        self._host = parts.hostname  # the rest of the address may be a secret
-        # http is for this machine: a proxy of the environment would take it elsewhere
-        self._proxies: dict[str, str] | None = {} if parts.scheme == "http" else None
+        self._host = urlsplit(url).hostname  # the rest of the address may be a secret
         self._waiting: Queue[bytes] = Queue(MOST_WAITING)
         self._is_failing = False
         self.sent = self.lost = 0
@@ -274,9 +271,7 @@ class Webhook:
             request = urllib.request.Request(  # noqa: S310 - http and https alone, checked
                 self._url, data=content, headers={"Content-Type": "application/json"}
             )
-            proxies = urllib.request.ProxyHandler(self._proxies)
-            opener = urllib.request.build_opener(NoRedirect(), proxies)
-            with opener.open(request, timeout=TIMEOUT_S):
+            with opener_of(self._url).open(request, timeout=TIMEOUT_S):
                 return ""
         except urllib.error.HTTPError as error:
             error.close()

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from datetime import datetime
 from itertools import groupby, islice
 from typing import Any, NamedTuple
-from urllib.parse import quote, urljoin
+from urllib.parse import quote, urljoin, urlsplit
 
 from gis_radar.base import STEP_S, GisRadarError, iso_from_step, street_label
 from gis_radar.live.served.snapshot import Place, geometries
-from gis_radar.live.wire.settings import read_secret
+from gis_radar.live.wire.settings import LOOPBACK, read_secret
 from gis_radar.site import SensorThingsTable
 
 TIMEOUT_S = 30.0
@@ -120,11 +120,24 @@ class ServerError(GisRadarError):
     """Error of a server that cannot be reached, or refuses a request."""
 
 
-class NoRedirect(urllib.request.HTTPRedirectHandler):
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
     """Refusal of redirects: the log-in would go to any host, and a POST would become a GET."""
 
     def redirect_request(self, *_: Any) -> None:
         """Return nothing, so that the answer is an error."""
+
+
+def opener_of(url: str) -> urllib.request.OpenerDirector:
+    """Return an opener for an address that may hold a secret, or is sent one.
+
+    It follows no redirect, and takes no proxy of the environment to this machine.
+    """
+    handlers: list[urllib.request.BaseHandler] = [_NoRedirect()]
+    if url.startswith("https"):
+        handlers.append(urllib.request.HTTPSHandler(context=ssl.create_default_context()))
+    if urlsplit(url).hostname in LOOPBACK:
+        handlers.append(urllib.request.ProxyHandler({}))
+    return urllib.request.build_opener(*handlers)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,11 +185,8 @@ class Service:
         request = urllib.request.Request(  # noqa: S310 - http and https alone, checked
             f"{self.root}/{path}", data=body, headers=dict(self.headers)
         )
-        handlers: list[urllib.request.BaseHandler] = [NoRedirect()]
-        if self.root.startswith("https"):
-            handlers.append(urllib.request.HTTPSHandler(context=ssl.create_default_context()))
         try:
-            with urllib.request.build_opener(*handlers).open(request, timeout=TIMEOUT_S) as answer:
+            with opener_of(self.root).open(request, timeout=TIMEOUT_S) as answer:
                 text = answer.read()
         except urllib.error.HTTPError as error:
             error.close()
