@@ -295,6 +295,14 @@ def test_what_the_end_of_another_drives_alone_is_kept():
     assert span_s(alone) == pytest.approx((18.0, 21.0), abs=0.2)
 
 
+def test_tracks_of_one_half_second_that_are_never_there_together_are_not_compared():
+    """One ends within the half second in which the other, a brief one, begins."""
+    rng = np.random.default_rng(15)
+    found = detected(returns(rng, 0, 13, 20.0, 10.0), clutter(rng, 14))
+    long, brief = track(found, 0, 12.1, 20.0, 10.0), track(found, 12.2, 12.4, 142.0, 10.0)
+    assert len(join_neighbours(Posterior(found, [long, brief]))) == 2
+
+
 @given(along=st.floats(-9.0, 9.0), left=st.floats(-1.5, 1.5), bend=st.floats(-0.08, 0.08))
 def test_places_on_a_bent_body_are_those_along_its_path(along, left, bend):
     """The oracle is a polyline through the same arc."""

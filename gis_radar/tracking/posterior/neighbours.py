@@ -164,6 +164,8 @@ def _driven_as_one_odds(first: Motion, second: Motion) -> float:
     detections do not count, since a body returns from a few scatterers only.
     """
     low, high = max(first.first_step, second.first_step), min(first.last_step, second.last_step)
+    if low > high:  # both are in one half second, but one begins after the other ends
+        return -np.inf
     a, b = (slice(low - each.first_step, high + 1 - each.first_step) for each in (first, second))
     flowing = np.minimum(first.speed[a], second.speed[b]) > FLOWING_MPS
     time = float(flowing.sum()) * STEP_S
