@@ -135,7 +135,7 @@ def report_contradictions(found: Iterable[Contradiction], reporter: Reporter) ->
         if parts:
             reporter.warn(
                 "the recording of {} contradicts its sight: {}; was it built or pulled "
-                "down since the scan, or is the pose off?",
+                "down since the scan, do vehicles stand in the way, or is the pose off?",
                 sensor,
                 Text("; ").join(parts),
             )
