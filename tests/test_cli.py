@@ -317,12 +317,17 @@ run_group(waits)
     assert time.monotonic() - begun < 25.0
 
 
-def test_an_interruption_of_compiled_code_is_one(capfd, monkeypatch, handlers_stay):
-    """Numba reports an error of its own for an interruption that reaches it."""
+@pytest.mark.parametrize("levels", [1, 3])
+def test_an_interruption_of_compiled_code_is_one(capfd, monkeypatch, handlers_stay, levels):
+    """Numba reports errors of its own for an interruption that reaches it, at each of its calls."""
 
     @command(example="work")
     def work(*, reporter):
-        raise SystemError("a result with an exception set") from KeyboardInterrupt()
+        cause = KeyboardInterrupt()
+        for _ in range(levels):
+            error = SystemError("a result with an exception set")
+            error.__cause__, cause = cause, error
+        raise error
 
     monkeypatch.setattr(sys, "argv", ["gis-radar", "work", "--json"])
     with pytest.raises(SystemExit) as ended:
