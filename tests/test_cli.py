@@ -451,14 +451,14 @@ def test_sentences_of_a_summary_are_lines_of_their_own(capfd):
     summary = {
         "facts": {"Recorded": "100 s", "Sensors": "2 (R1, R2)"},
         "basis": [["What", "Here"], ["Recorded", "100 s"], ["Sensors", "two of them"]],
-        "remarks": ["Recorded were 100 s only", "R2 stands alone"],
+        "remarks": ["Only 100 s were recorded", "R2 stands alone"],
         "highest_lane": 17863,
     }
     TerminalConsole().result(Result(outputs=[], summary=summary))
     lines = [line.strip() for line in capfd.readouterr().out.splitlines()]
     assert lines == [
         "facts         Recorded: 100 s", "Sensors: 2 (R1, R2)",
-        "remarks       Recorded were 100 s only", "R2 stands alone", "highest lane  17863",
+        "remarks       Only 100 s were recorded", "R2 stands alone", "highest lane  17863",
         "basis", "What      Here", "Recorded  100 s", "Sensors   two of them",
     ]  # fmt: skip
 

@@ -73,7 +73,10 @@ def test_the_command(place):
 
 def test_a_site_that_can_be_run_is_told_so(place):
     done = CliRunner().invoke(group, ["check", str(site := place())])
-    assert done.stdout.splitlines()[-1] == f"the site can be run: gis-radar run {site}"
+    says, _, command = done.stdout.splitlines()[-1].partition(": gis-radar ")
+    assert (says, command) == ("the site can be run", f"run {site} -o results")
+    context = group.commands["run"].make_context("run", command.split()[1:])
+    assert context.params["site"] == site
 
 
 @pytest.mark.parametrize(
