@@ -348,6 +348,13 @@ def test_where_nothing_can_be_told_there_is_no_answer(dataset):
         gr.compare(dataset, before=halves[0], after=halves[1])
 
 
+def test_a_period_without_a_whole_minute_of_recording_has_no_answer(dataset):
+    dataset = seen_by(dataset, {"R1": (BEGIN, BEGIN + STEPS_PER_HOUR + 800)})  # 40 s of AFTER
+    with pytest.raises(NoAnswerError, match="no lane was seen by the same sensors") as caught:
+        gr.compare(dataset, before=BEFORE, after=AFTER)
+    assert "recorded nine tenths of an interval and more: a minute" in caught.value.hint
+
+
 def test_a_second_radar_is_not_more_traffic(dataset):
     """What two radars see is not compared with what one saw."""
     edge, end = BEGIN + STEPS_PER_HOUR, BEGIN + 2 * STEPS_PER_HOUR

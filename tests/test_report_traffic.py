@@ -123,7 +123,9 @@ def test_figures_are_those_of_the_dataset(folder, page):
 
 
 def test_tracks_are_those_of_the_dataset_where_there_was_no_run(page):
-    (row,) = (each for each in table_of(page, ["What", "Here"]) if each["What"] == "Vehicles followed")
+    (row,) = (
+        each for each in table_of(page, ["What", "Here"]) if each["What"] == "Vehicles followed"
+    )
     assert row["Here"] == "8 tracks, 0 of heavy vehicles"
 
 
