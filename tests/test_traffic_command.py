@@ -90,6 +90,12 @@ def test_all_files_are_named_and_there(written):
     assert summary["begin"] == "2023-11-14T22:00:00Z"
 
 
+def test_without_a_visible_stop_line_none_are_counted_at_one(dataset):
+    made = gr.make_traffic(dataset)
+    lanes = made.lanes.assign(queue_max_m=np.nan)
+    assert Traffic(lanes=lanes, turns=made.turns).figures()["vehicles_at_stop_lines"] is None
+
+
 def test_verbs_take_a_dataset_or_its_folder(dataset):
     folder = str(dataset.folder)
     pd.testing.assert_frame_equal(gr.make_traffic(folder).turns, gr.make_traffic(dataset).turns)
