@@ -176,6 +176,25 @@ def test_numbers_of_approaches_that_meet_do_not_lie_on_each_other():
     assert not any(one.intersects(other) for one, other in combinations(areas, 2))
 
 
+def test_numbers_that_find_no_room_before_their_junction_are_left_out():
+    """Two lanes end in one place; a junction lies between them and the room farther back."""
+    from matplotlib.figure import Figure
+
+    lines = [LineString([(-60.0, y), (0.0, 0.0)]) for y in (0.0, 1.0)]
+    ways = [LineString([(0.0, 0.0), (10.0, y)]) for y in (0.0, -1.0)]
+    across = LineString([(-18.0, 10.0), (-18.0, -10.0)])
+    lanes = gpd.GeoDataFrame({"lane": [1, 2, 3]}, geometry=[*lines, across], crs=25832)
+    known = gpd.GeoDataFrame(
+        {"from_lane": [1, 2, 3], "to_lane": [4, 5, 6], "turn": ["straight"] * 3,
+         "volume_veh_h": [100.0] * 3, "error_veh_h": [10.0] * 3},
+        geometry=[*ways, across], crs=25832,
+    )  # fmt: skip
+    figure = Figure((10.0, 10.0), dpi=100)
+    assert len(draw_turning_diagram(figure, lanes, known).texts) == 2
+    figure = Figure((10.0, 10.0), dpi=100)
+    assert len(draw_turning_diagram(figure, lanes, known[:2]).texts) == 2
+
+
 def test_the_workbook_shows_heads_and_whole_times(written):
     folder, _ = written()
     with zipfile.ZipFile(folder / "traffic.xlsx") as file:

@@ -369,7 +369,8 @@ def _turning_diagram(traffic: ReportedTraffic) -> Figure:
         caption=tr(
             "Vehicles an hour with their standard errors; an arrow is as wide as its volume, north "
             "is up. Vehicles that were not followed to an exit are shared among the turns like the "
-            "others; a turn without an arrow was not seen."
+            "others; a turn without an arrow was not seen; figures without room stand in the "
+            "table."
         ),
         alt=tr("Turning diagram of the site; the table below has its figures."),
     )  # fmt: skip
