@@ -303,7 +303,7 @@ def add_corner_scale(
     def within(left: float, places: Floats, around: float) -> int:
         along, up = ((places - low) * metre_in).T
         beside = (along > left - around) & (along < left + room_in + around)
-        return np.count_nonzero(beside & (up < 0.66 + around))
+        return int(np.count_nonzero(beside & (up < 0.66 + around)))
 
     def taken(left: float) -> tuple[bool, int]:
         return within(left, stand, SENSOR_IN) > 0, within(left, road, 0.0)

@@ -240,7 +240,8 @@ def measure_quality(
     Quality(R1: 1 of 1 hours good)
     """
     dataset = open_dataset(dataset, reporter=reporter)
-    zone = zone_of(timezone or dataset.timezone)
+    timezone = timezone or dataset.timezone
+    zone = zone_of(timezone)
     times = frame_times(dataset)
     dropped_hours = [
         hour for hour, each in dataset.records().items() if FRAMES.name in each.dropped
