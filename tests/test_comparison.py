@@ -419,6 +419,7 @@ def test_the_command_writes_page_table_layer_and_maps(run, dataset, tmp_path):
     assert "&lt;Ring&gt;" in page
     assert "<Ring>" not in page
     assert "weniger Fahrzeuge" in page
+    assert '<div class="wide"><img' in page  # on a phone it scrolls, else its letters are too small
     assert (tmp_path / "out" / "compare.png").read_bytes()[:4] == b"\x89PNG"
     for name in ("map.osm", "R1.parquet", "R1.json"):
         (tmp_path / name).touch()
