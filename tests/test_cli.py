@@ -452,13 +452,14 @@ def test_sentences_of_a_summary_are_lines_of_their_own(capfd):
         "facts": {"Recorded": "100 s", "Sensors": "2 (R1, R2)"},
         "basis": [["What", "Here"], ["Recorded", "100 s"], ["Sensors", "two of them"]],
         "remarks": ["Only 100 s were recorded", "R2 stands alone"],
-        "highest_lane": 17863,
-    }
+        "highest_lane": 17863, "worst_lane": None,
+    }  # fmt: skip
     TerminalConsole().result(Result(outputs=[], summary=summary))
     lines = [line.strip() for line in capfd.readouterr().out.splitlines()]
     assert lines == [
         "facts         Recorded: 100 s", "Sensors: 2 (R1, R2)",
         "remarks       Only 100 s were recorded", "R2 stands alone", "highest lane  17863",
+        "worst lane    not known",
         "basis", "What      Here", "Recorded  100 s", "Sensors   two of them",
     ]  # fmt: skip
 
