@@ -317,12 +317,17 @@ run_group(waits)
     assert time.monotonic() - begun < 25.0
 
 
-def test_an_interruption_of_compiled_code_is_one(capfd, monkeypatch, handlers_stay):
-    """Numba reports an error of its own for an interruption that reaches it."""
+@pytest.mark.parametrize("levels", [1, 3])
+def test_an_interruption_of_compiled_code_is_one(capfd, monkeypatch, handlers_stay, levels):
+    """Numba reports errors of its own for an interruption that reaches it, at each of its calls."""
 
     @command(example="work")
     def work(*, reporter):
-        raise SystemError("a result with an exception set") from KeyboardInterrupt()
+        cause = KeyboardInterrupt()
+        for _ in range(levels):
+            error = SystemError("a result with an exception set")
+            error.__cause__, cause = cause, error
+        raise error
 
     monkeypatch.setattr(sys, "argv", ["gis-radar", "work", "--json"])
     with pytest.raises(SystemExit) as ended:
@@ -446,14 +451,15 @@ def test_sentences_of_a_summary_are_lines_of_their_own(capfd):
     summary = {
         "facts": {"Recorded": "100 s", "Sensors": "2 (R1, R2)"},
         "basis": [["What", "Here"], ["Recorded", "100 s"], ["Sensors", "two of them"]],
-        "remarks": ["Recorded were 100 s only", "R2 stands alone"],
-        "highest_lane": 17863,
-    }
+        "remarks": ["Only 100 s were recorded", "R2 stands alone"],
+        "highest_lane": 17863, "worst_lane": None,
+    }  # fmt: skip
     TerminalConsole().result(Result(outputs=[], summary=summary))
     lines = [line.strip() for line in capfd.readouterr().out.splitlines()]
     assert lines == [
         "facts         Recorded: 100 s", "Sensors: 2 (R1, R2)",
-        "remarks       Recorded were 100 s only", "R2 stands alone", "highest lane  17863",
+        "remarks       Only 100 s were recorded", "R2 stands alone", "highest lane  17863",
+        "worst lane    not known",
         "basis", "What      Here", "Recorded  100 s", "Sensors   two of them",
     ]  # fmt: skip
 

@@ -348,6 +348,13 @@ def test_where_nothing_can_be_told_there_is_no_answer(dataset):
         gr.compare(dataset, before=halves[0], after=halves[1])
 
 
+def test_a_period_without_a_whole_minute_of_recording_has_no_answer(dataset):
+    dataset = seen_by(dataset, {"R1": (BEGIN, BEGIN + STEPS_PER_HOUR + 800)})  # 40 s of AFTER
+    with pytest.raises(NoAnswerError, match="no lane was seen by the same sensors") as caught:
+        gr.compare(dataset, before=BEFORE, after=AFTER)
+    assert "recorded nine tenths of an interval and more: a minute" in caught.value.hint
+
+
 def test_a_second_radar_is_not_more_traffic(dataset):
     """What two radars see is not compared with what one saw."""
     edge, end = BEGIN + STEPS_PER_HOUR, BEGIN + 2 * STEPS_PER_HOUR
@@ -412,6 +419,7 @@ def test_the_command_writes_page_table_layer_and_maps(run, dataset, tmp_path):
     assert "&lt;Ring&gt;" in page
     assert "<Ring>" not in page
     assert "weniger Fahrzeuge" in page
+    assert '<div class="wide"><img' in page  # on a phone it scrolls, else its letters are too small
     assert (tmp_path / "out" / "compare.png").read_bytes()[:4] == b"\x89PNG"
     for name in ("map.osm", "R1.parquet", "R1.json"):
         (tmp_path / name).touch()

@@ -121,6 +121,16 @@ def test_the_name_of_a_sensor_at_the_edge_is_whole(at):
     assert names == [(True, True, True)] * 2
 
 
+@pytest.mark.parametrize(("east", "is_left"), [(90.0, True), (10.0, False), (50.0, False)])
+def test_the_scale_bar_stands_in_the_corner_with_less_road(east, is_left):
+    corners = np.array([[(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]])
+    picture = map_picture(corners, (np.zeros(2), np.full(2, 100.0)), 40_000)
+    figure, ax = picture.blank()
+    road = np.column_stack([np.full(100, east), np.arange(100.0)])
+    box = add_corner_scale(figure, ax, road=road)
+    assert (box.x0 < ax.get_window_extent().width / 3.0) == is_left
+
+
 @pytest.mark.parametrize("width_in", [OVERLAY_IN, NARROW_IN])
 def test_a_sensor_beside_the_scale_bar_and_its_name_are_not_under_its_ground(width_in):
     corners = np.array([[(0.0, 0.0), (100.0, 0.0), (100.0, 60.0), (0.0, 60.0)]])

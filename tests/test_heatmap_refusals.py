@@ -25,6 +25,16 @@ def test_a_moment_without_frames_names_the_nearest_step():
     assert "2023-11-14T22:13:21.500Z" in caught.value.hint
 
 
+def test_a_time_without_frames_tells_when_there_are_some():
+    view = ("R1", "a")
+    dataset = make_site(lane_tiles(1), {view: {T0, T0 + 30}}, {view: {0}}, set()).dataset
+    with pytest.raises(InputError, match=r"frame from 2023-11-14T23:00:00Z to its end") as caught:
+        make_heatmap(dataset, begin="2023-11-14T23:00Z")
+    assert "from 2023-11-14T22:13:20Z to 2023-11-14T22:13:21.550Z" in caught.value.hint
+    with pytest.raises(UsageError, match="expected ascending times"):
+        make_heatmap(dataset, begin="2023-11-14T23:00Z", end="2023-11-14T22:00Z")
+
+
 def test_interval_and_moment_exclude_each_other():
     site = two_sensors()
     with pytest.raises(UsageError, match="at and interval"):

@@ -218,6 +218,40 @@ def test_under_a_fifth_there_is_no_estimate_and_over_it_one_with_its_error():
     assert turns.loc[(APPROACH, STRAIGHT, 0), "volume"] == 2.0
 
 
+def test_a_turn_that_nobody_took_has_its_part_of_the_error_of_its_approach():
+    """Where the line was visible for half of the time, some may have turned unseen."""
+    cars = [(STRAIGHT, BEGIN, np.arange(50.0, 90.0, 2.0))]
+    lanes, turns = measured(cars, GRID, share=0.5)
+    for interval in (0, 1):  # one car, none
+        approach = lanes.loc[(APPROACH, interval)]
+        se = turns["volume_se"].xs(interval, level="interval").loc[APPROACH]
+        assert (se > 0.3).all()
+        assert (se**2).sum() == pytest.approx(approach["volume_se"] ** 2)
+    assert se.loc[LEFT] == pytest.approx(se.loc[STRAIGHT])
+
+
+def test_who_has_one_way_on_takes_it_though_followed_to_the_line_only():
+    car = [(0, 1, 5.0), (0, 1, 15.0)]
+    tiles = junction(divides=False).query("lanelet_id != 4")
+    network = LaneNetwork.of(tiles)
+    runs, counts = seen_all(GRID, tiles, share=0.5)
+    vehicle, lane, along = zip(*car, strict=True)
+    states = FrontStates(
+        vehicle=np.array(vehicle), step=BEGIN + 20 * np.array([0, 1]),
+        lane=np.searchsorted(network.lane, lane), along_m=np.array(along),
+        speed=np.full(2, 10.0), seen=np.ones(2, np.bool_),
+    )  # fmt: skip
+    found = measure_lanes(network, GRID, states, vehicles_of([0]), runs, counts)
+    lanes, turns = (pd.DataFrame(dict(each)) for each in (
+        {name: found.lanes[name] for name in ("lane", "interval", "volume", "volume_se")},
+        found.turns,
+    ))  # fmt: skip
+    measures = ["interval", "volume", "volume_se"]
+    approach, turn = lanes[lanes["lane"] == 1], turns[turns["from_lane"] == 1]
+    assert approach["volume"].tolist() == [2.0, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose(turn[measures], approach[measures])
+
+
 def test_a_front_over_the_line_unseen_is_not_counted():
     cars = [(STRAIGHT, BEGIN + QUARTER // 2, np.arange(50.0, 90.0, 2.0))]
     lanes, _ = measured(cars, GRID, share=0.5)
@@ -504,3 +538,16 @@ def test_lanes_are_numbered_from_the_kerb(offside, right_hand):
         names = lane_names(layer, LaneNetwork.of(tiles))
         from_kerb = [1, 2] if right_hand or 3 in lanes else [2, 1]
         assert names[:2] == [f"Road eastbound, lane {number}" for number in from_kerb]
+
+
+def test_an_approach_without_a_stop_line_is_named_by_where_it_meets_the_junction():
+    """It leads from the north round a bend of 90 degrees, and then to the east."""
+    tiles = junction()
+    network = LaneNetwork.of(tiles)
+    bend = [(-40, 60), (-40, 0), (20, 0)]
+    lines = [bend if lane == 1 else [(20, 0), (40, 0)] for lane in network.lane]
+    layer = gpd.GeoDataFrame(
+        {"lane": network.lane, "street": None, "turn": None},
+        geometry=[LineString(np.add(each, (EAST, NORTH))) for each in lines], crs=UTM,
+    )  # fmt: skip
+    assert lane_names(layer, network)[0].startswith("Road eastbound, lane 1")

@@ -190,7 +190,7 @@ def test_a_run_logs_what_a_german_report_found_as_all_else_in_english(written):
     """The console translates for who wants German; here it would be one line among English."""
     found = [made.summary["found"] for made in written.values()]
     assert found[0] == found[1]
-    assert found[0][0].startswith("Recorded were")
+    assert found[0][0].startswith("Only ")
     assert written["de"].summary["remarks"][0].startswith("Aufgezeichnet sind")
 
 

@@ -162,6 +162,17 @@ def test_the_hour_that_comes_twice(tmp_path):
     assert set(table["weekday"]) == {"Sunday"}
 
 
+def test_hours_are_by_the_clocks_of_the_dataset(tmp_path):
+    path = recording(tmp_path / "a.parquet", *drive([START])[:2], range_rate=np.float32(0.0))
+    dataset = measure(
+        [path], [pose()], crossing(), None, tmp_path / "a", hits_only=True, check=False,
+        timezone="Asia/Tokyo",
+    )  # fmt: skip
+    begin = datetime.fromtimestamp(START, ZoneInfo("Asia/Tokyo"))
+    assert row_of(dataset)["hour"] == begin.hour
+    assert row_of(dataset, timezone="UTC")["hour"] != begin.hour
+
+
 @settings(max_examples=5)
 @given(seed=st.integers(0, 99), cut=st.integers(1, 599))
 def test_quality_of_a_recording_in_two_is_that_of_the_whole(tmp_path_factory, seed, cut):

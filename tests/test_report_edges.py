@@ -92,7 +92,7 @@ def test_a_pose_in_another_plane_is_told(results, tmp_path, blank_paper):
     report = gr.write_report(tmp_path / "run")
     told = "The pose of sensor R2 is in EPSG:25833, the map in EPSG:25832: it is left out."
     assert told in report.summary["remarks"]
-    short = [each for each in report.summary["remarks"] if each.startswith("Recorded were ")]
+    short = [each for each in report.summary["remarks"] if " were recorded: " in each]
     assert [each.endswith("and no usual day") for each in short] == [True]
     assert told in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
 

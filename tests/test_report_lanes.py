@@ -22,6 +22,7 @@ from gis_radar.products import make_heatmap
 from gis_radar.products.heatmap.occupancy import surest
 from gis_radar.products.report import chart
 from gis_radar.products.report.lanes import lane_table, sums_of, write_lanes
+from gis_radar.products.report.maps import with_room_for_scale
 from gis_radar.products.report.plan import place_numbers
 
 
@@ -70,6 +71,13 @@ def test_a_ring_is_one_lane():
 )
 def test_the_busiest_spot_is_not_the_one_of_which_least_is_known(share, error, top):
     assert surest(np.array(share), np.array(error)) == top
+
+
+@pytest.mark.parametrize(("places", "low"), [([5.0, 95.0], -13.0), ([5.0], 0.0), ([50.0], 0.0)])
+def test_a_map_with_road_in_both_lower_corners_has_room_for_the_scale_below(places, low):
+    road = np.array([[(x, 4.0), (x, 90.0), (x + 1.0, 90.0), (x + 1.0, 4.0)] for x in places])
+    found = with_room_for_scale((np.zeros(2), np.full(2, 100.0)), road)
+    np.testing.assert_allclose(found, [(0.0, low), (100.0, 100.0)])
 
 
 def test_names_of_lanes_are_whole_in_the_chart(tmp_path):

@@ -122,6 +122,13 @@ def test_figures_are_those_of_the_dataset(folder, page):
     assert rows[STRAIGHT]["Longest queue m"] == "\u2013"  # it has no stop line
 
 
+def test_tracks_are_those_of_the_dataset_where_there_was_no_run(page):
+    (row,) = (
+        each for each in table_of(page, ["What", "Here"]) if each["What"] == "Vehicles followed"
+    )
+    assert row["Here"] == "8 tracks, 0 of heavy vehicles"
+
+
 def test_what_is_not_visible_is_not_seen_and_not_0(page):
     row = volumes(page)[LEFT]
     assert (row["Counted vehicles"], row["Volume veh/h"]) == ("not seen", "not seen")

@@ -71,9 +71,23 @@ def test_the_command(place):
     assert result["outputs"] == []
 
 
+def test_warnings_of_the_map_are_counted_too(place, monkeypatch):
+    line = "junction.osm: 12 lanelets repaired, see layer problems"
+
+    def read_with_a_warning(path, *, reporter, **options):
+        reporter.warn(line)
+        return gr.read_map(path, **options)
+
+    monkeypatch.setattr("gis_radar.site.check.read_map", read_with_a_warning)
+    assert gr.check_site(place()).warnings == (line,)
+
+
 def test_a_site_that_can_be_run_is_told_so(place):
     done = CliRunner().invoke(group, ["check", str(site := place())])
-    assert done.stdout.splitlines()[-1] == f"the site can be run: gis-radar run {site}"
+    says, _, command = done.stdout.splitlines()[-1].partition(": gis-radar ")
+    assert (says, command) == ("the site can be run", f"run {site} -o results")
+    context = group.commands["run"].make_context("run", command.split()[1:])
+    assert context.params["site"] == site
 
 
 @pytest.mark.parametrize(

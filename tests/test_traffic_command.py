@@ -90,6 +90,12 @@ def test_all_files_are_named_and_there(written):
     assert summary["begin"] == "2023-11-14T22:00:00Z"
 
 
+def test_without_a_visible_stop_line_none_are_counted_at_one(dataset):
+    made = gr.make_traffic(dataset)
+    lanes = made.lanes.assign(queue_max_m=np.nan)
+    assert Traffic(lanes=lanes, turns=made.turns).figures()["vehicles_at_stop_lines"] is None
+
+
 def test_verbs_take_a_dataset_or_its_folder(dataset):
     folder = str(dataset.folder)
     pd.testing.assert_frame_equal(gr.make_traffic(folder).turns, gr.make_traffic(dataset).turns)
@@ -168,6 +174,25 @@ def test_numbers_of_approaches_that_meet_do_not_lie_on_each_other():
         areas.append(rotate(flat, turned, origin=(x, y)))
     assert len(areas) == 3
     assert not any(one.intersects(other) for one, other in combinations(areas, 2))
+
+
+def test_numbers_that_find_no_room_before_their_junction_are_left_out():
+    """Two lanes end in one place; a junction lies between them and the room farther back."""
+    from matplotlib.figure import Figure
+
+    lines = [LineString([(-60.0, y), (0.0, 0.0)]) for y in (0.0, 1.0)]
+    ways = [LineString([(0.0, 0.0), (10.0, y)]) for y in (0.0, -1.0)]
+    across = LineString([(-18.0, 10.0), (-18.0, -10.0)])
+    lanes = gpd.GeoDataFrame({"lane": [1, 2, 3]}, geometry=[*lines, across], crs=25832)
+    known = gpd.GeoDataFrame(
+        {"from_lane": [1, 2, 3], "to_lane": [4, 5, 6], "turn": ["straight"] * 3,
+         "volume_veh_h": [100.0] * 3, "error_veh_h": [10.0] * 3},
+        geometry=[*ways, across], crs=25832,
+    )  # fmt: skip
+    figure = Figure((10.0, 10.0), dpi=100)
+    assert len(draw_turning_diagram(figure, lanes, known).texts) == 2
+    figure = Figure((10.0, 10.0), dpi=100)
+    assert len(draw_turning_diagram(figure, lanes, known[:2]).texts) == 2
 
 
 def test_the_workbook_shows_heads_and_whole_times(written):

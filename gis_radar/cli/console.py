@@ -392,12 +392,19 @@ def run_group(group: click.Group) -> NoReturn:
     except (KeyboardInterrupt, click.Abort):
         _end_interrupted(console)
     except SystemError as error:
-        if not isinstance(error.__cause__, KeyboardInterrupt):  # in compiled code
+        if not _is_interruption(error):
             raise
         _end_interrupted(console)
     except Exception as error:  # noqa: BLE001 - a person shall see one line of any error
         _fail(console, _error_of(error))
     sys.exit(0)
+
+
+def _is_interruption(error: BaseException | None) -> bool:
+    """Return whether an interruption led to an error: compiled code raises several of its own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__
+    return error is not None
 
 
 def _error_of(error: Exception) -> GisRadarError:

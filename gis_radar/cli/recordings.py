@@ -158,17 +158,20 @@ def clocks(
 
 @command(example="gis-radar quality dataset/ --timezone Europe/Berlin -o quality.csv")
 @dataset
-@click.option("--timezone", default="UTC", show_default=True, help="Whose hours: Europe/Berlin.")
+@click.option("--timezone", help="Whose hours: Europe/Berlin; by default the dataset's.")
 @click.option(
     "-o", "--output", type=FILE, help="The table, a row a sensor and hour (CSV, Parquet)."
 )
 @csv_locale
 def quality(
-    *, folder: Path, timezone: str, output: Path | None, csv_locale: str, reporter: Reporter
+    *, folder: Path, timezone: str | None, output: Path | None, csv_locale: str, reporter: Reporter
 ) -> Result:
     """Show what a dataset rests on: frames, detections, clocks, poses, and a verdict."""
     if output is not None:
         products.require_table_name(output)
-    found = gr.measure_quality(gr.open_dataset(folder), timezone=timezone, reporter=reporter)
+    measured = gr.open_dataset(folder)
+    found = gr.measure_quality(measured, timezone=timezone, reporter=reporter)
     outputs = [] if output is None else [found.write(output, csv_locale=csv_locale)]
-    return Result(outputs=outputs, summary=found.figures(), timezone=timezone)
+    return Result(
+        outputs=outputs, summary=found.figures(), timezone=timezone or measured.timezone,
+    )  # fmt: skip

@@ -20,7 +20,7 @@ def is_table(value: Any) -> bool:
 
 def as_lines(name: str, value: Any) -> str:
     """Return a value as text, with a line for each sentence; a lane's number stays plain digits."""
-    if name.endswith("lane"):
+    if name.endswith("lane") and value is not None:
         return str(value)
     if isinstance(value, Mapping):
         if not value:

@@ -85,7 +85,7 @@ def check(*, site: Path, reporter: Reporter) -> Result:
     """
     found = gr.check_site(site, reporter=reporter)
     failure = found.failure
-    advice = "" if failure else Text("the site can be run: gis-radar run {}", site)
+    advice = "" if failure else Text("the site can be run: gis-radar run {} -o results", site)
     return Result(
         outputs=[], summary=found.figures(), timezone=found.site.timezone, advice=advice,
         failure=failure,

@@ -317,15 +317,19 @@ def _turns(
     has_hidden_exit = np.bincount(start, ~seen, size)[start] > 0
     counted = np.ma.filled(by_lane["counted"].astype(np.float64), 0.0)
     divisor = np.where(has_hidden_exit, np.maximum(counted, total), total)
+    ways_on = np.repeat(np.bincount(ways[:, 0], minlength=1)[ways[:, 0]], grid.count)
     split = np.where(counted + total > 0.0, _quotient(followed, divisor), 0.0)
+    split = np.where(ways_on == 1, 1.0, split)  # also where nobody was followed
     split = np.where(seen, split, np.nan)
+    # as that of a volume: the half vehicle that may have come unseen takes each way alike
+    error_split = (followed + 0.5 / ways_on) / (divisor + 0.5)
     volume, error = by_lane["volume"], by_lane["volume_se"]
     unknown = np.maximum(volume - followed, 0.0) * (divisor < volume)
     rows = np.flatnonzero(areas.known[start])
     columns = {
         "visible_share": share,
         "volume": volume * split,
-        "volume_se": np.sqrt(error**2 * split + unknown * split * (1.0 - split)),
+        "volume_se": np.sqrt(error**2 * error_split + unknown * split * (1.0 - split)),
     }
     return {
         "from_lane": network.lane[start[rows] // grid.count],

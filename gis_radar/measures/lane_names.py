@@ -1,9 +1,10 @@
 """Names of lanes as people use them: street, direction, number from the kerb, turn.
 
 `Ostring northbound, lane 2 (left)` has the street (by the map or the city's layer), the direction
-at the stop line, the number of the lane from the kerb (on the left where opposite lanes lie on the
-right), and its turns in the junction. Lanes of the same name are numbered as sections, in driving
-order. Names are for people; programs use the lanes' numbers.
+at the stop line or before the junction, else in the middle, the number of the lane from the kerb
+(on the left where opposite lanes lie on the right), and its turns in the junction. Lanes of the
+same name are numbered as sections, in driving order. Names are for people; programs use the lanes'
+numbers.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from gis_radar.base import Floats, Text, listed, street_label, tr, wind_of
 from gis_radar.hdmap import turn_word
 from gis_radar.measures.lane_network import LaneNetwork, Turn
 
-BEFORE_M = 5.0  # before the stop line, where direction and number of a lane are determined
+BEFORE_M = 5.0  # before stop line or junction, where direction and number of a lane are determined
 DIRECT_M = 15.0  # length of the exit in the line of a turn without connectors: a short connector's
 BESIDE_M = 5.5  # largest distance between the middles of lanes side by side
 ABREAST_M = 30.0  # width over which lanes of one direction are searched
@@ -96,8 +97,10 @@ def _places_of_lanes(
     """Return the rows of lanes, the places at which they are named, and the directions there."""
     rows = lanes.set_index("lane").loc[network.lane.tolist()]
     lines = list(rows.geometry.array)
-    stop = np.where(network.has_stop_line, network.line_m - BEFORE_M, network.line_m)
-    along_m = [float(np.clip(m, 0.0, line.length)) for m, line in zip(stop, lines, strict=True)]
+    meets = [network.connector[[*after]].any() for after in network.after]
+    end_m = np.where(network.has_stop_line, network.line_m, [line.length for line in lines])
+    named_m = np.where(network.has_stop_line | meets, end_m - BEFORE_M, network.line_m)
+    along_m = [float(np.clip(m, 0.0, line.length)) for m, line in zip(named_m, lines, strict=True)]
     points, directions = (
         np.array(each) for each in zip(*map(place_on, lines, along_m), strict=True)
     )

@@ -107,6 +107,7 @@ class Traffic:
     def figures(self) -> dict[str, Any]:
         """Return the numbers of lanes, turns and intervals, and the sums of the counts."""
         rows = self.lanes
+        at_lines = rows.loc[rows["queue_max_m"].notna(), "counted"]
         figures: dict[str, Any] = {}
         if self.sections is not None:
             figures["sections"] = int(self.sections["section"].nunique())
@@ -121,7 +122,7 @@ class Traffic:
             "intervals": int(rows["begin"].nunique()),
             "begin": iso_from_time(rows["begin"].min()),
             "end": iso_from_time(rows["end"].max()),
-            "vehicles_at_stop_lines": int(rows.loc[rows["queue_max_m"].notna(), "counted"].sum()),
+            "vehicles_at_stop_lines": None if at_lines.empty else int(at_lines.sum()),
             "rows_with_volume": int(rows["volume"].notna().sum()),
             "rows": len(rows),
         }

@@ -100,8 +100,9 @@ def draw_turning_diagram(
     box = axes.get_window_extent()
     point_m = 2.0 * half / min(box.width, box.height) * figure.dpi / 72.0
     taken: list[shapely.Polygon] = []
-    for _, rows in turns.groupby("from_lane") if labels else ():
-        taken.append(_label(axes, rows, point_m, taken))
+    for lane, rows in turns.groupby("from_lane") if labels else ():
+        others = turns.geometry[turns["from_lane"] != lane].union_all()
+        taken += _label(axes, rows, point_m, taken, others)
     return axes
 
 
@@ -109,7 +110,7 @@ _BELOW = (
     "Vehicles an hour with their standard errors, means of the intervals that are known. "
     "A line is as wide as its volume; north is up."
 )
-_UNSEEN = "Turns without a line were not seen."
+_UNSEEN = "Turns without a line were not seen; figures without room stand in the table."
 
 
 def _title(turns: pd.DataFrame) -> str:
@@ -132,11 +133,12 @@ def _draw_turn(axes: Any, line: shapely.LineString, volume: float) -> None:
 
 
 def _label(
-    axes: Any, rows: pd.DataFrame, point_m: float, taken: list[shapely.Polygon]
-) -> shapely.Polygon:
+    axes: Any, rows: pd.DataFrame, point_m: float, taken: list[shapely.Polygon], others: Any
+) -> list[shapely.Polygon]:
     """Write the volumes of an approach along its lane, and return the area of the text.
 
-    It begins before the stop line, or so far from it that it lies on no other text.
+    It begins before the stop line, or so far from it that it lies on no other text. It is left out
+    where it would then lie on turns of other approaches, as if it were theirs.
     """
     from matplotlib.textpath import TextPath  # noqa: PLC0415 - reading fonts takes time
 
@@ -154,6 +156,8 @@ def _label(
         place = start - (_BEFORE_M + number * _LETTERS * point_m) * ahead
         line = shapely.LineString([place, place - length_m * ahead])
         area = line.buffer(0.4 * _LETTERS * point_m, cap_style="flat")
+        if number and area.intersects(others):
+            return []
         if not any(area.intersects(other) for other in taken):
             break
     axes.text(
@@ -161,4 +165,4 @@ def _label(
         ha="left" if upside_down else "right",
         rotation=turned - 180.0 if upside_down else turned, rotation_mode="anchor",
     )  # fmt: skip
-    return area
+    return [area]

@@ -167,7 +167,12 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     (48, ())
     """
     site = read_site(path)
-    roads = read_map(site.map.file, crs=site.map.crs, origin=site.map.origin, reporter=reporter)
+    of_map: list[str] = []
+    roads = read_map(
+        site.map.file, crs=site.map.crs, origin=site.map.origin, reporter=_WarningCollector(of_map)
+    )  # fmt: skip
+    for line in of_map:
+        reporter.warn(line)
     _check_scans(site, roads)
     for sensor in site.sensor:
         _refuse_far_sensor(sensor, roads)
@@ -198,7 +203,7 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
         reporter.warn(line)
     return SiteCheck(
         site=site, crs=name_of(roads.crs), lanelets=len(roads.lanelets), sensors=sensor_checks,
-        findings=findings, warnings=tuple(warnings),
+        findings=findings, warnings=(*of_map, *warnings),
     )  # fmt: skip
 
 

@@ -47,7 +47,7 @@ from gis_radar.measures import (
     queue_course,
 )
 
-METHOD = 4
+METHOD = 5
 """Raised whenever the same parts would give other lane measures or turns."""
 
 _TILE_COLUMNS = ("visible_steps", "occupied_steps", "inferred_steps", "occupied_variance")

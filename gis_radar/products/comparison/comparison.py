@@ -190,7 +190,8 @@ def _compared(
     if not alike:
         raise NoAnswerError(
             "no lane was seen by the same sensors alike in both periods",
-            hint="compare periods with the same sensors at the same places",
+            hint="compare periods in which the same sensors, at the same places, recorded nine "
+            "tenths of an interval and more: a minute, of long periods a quarter of an hour",
         )
     table = compared_rows(alike)
     if table["p"].isna().all():

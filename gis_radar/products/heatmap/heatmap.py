@@ -279,16 +279,19 @@ def _write_style(tally: Tally, path: Path, *, measure: str | None = None) -> Non
 
 def _within(runs: Runs, first: int | None, after: int | None) -> Runs:
     """Return the steps of a set that lie in a span; refuse one without any."""
-    low = int(runs.first[0]) if first is None else first
-    high = int(runs.last[-1]) + 1 if after is None else after
-    if not low < high:
-        begin, end = (iso_from_step(step) for step in (low, high))
+    known = int(runs.first[0]), int(runs.last[-1]) + 1
+    low, high = known[0] if first is None else first, known[1] if after is None else after
+    begin, end, *frames = (iso_from_step(step) for step in (low, high, *known))
+    if low < high and len(inside := runs.within(low, high - 1)) > 0:
+        return inside
+    if first is not None and after is not None and not low < high:
         raise UsageError("begin and end are {} and {}, expected ascending times", begin, end)
-    inside = runs.within(low, high - 1)
-    if len(inside) == 0:
-        begin, end = (iso_from_step(step) for step in (low, high))
-        raise InputError("no sensor delivered a frame from {} to {}", begin, end)
-    return inside
+    raise InputError(
+        "no sensor delivered a frame from {} to {}",
+        Text("its begin") if first is None else begin,
+        Text("its end") if after is None else end,
+        hint=Text("there are frames from {} to {}", *frames),
+    )
 
 
 def read_heatmap(path: str | Path) -> HeatMap:

@@ -40,6 +40,7 @@ FINEST_M = 0.04  # finest pixel: finer ones show no more of tiles of 0.5 m
 # phone, too), and of uncertain ones.
 STRIPES, HATCHES = 12, 7
 OVERLAY_IN = 5.2  # width of the figure over a picture: the narrower, the larger its letters
+NOWHERE = np.empty((0, 2))
 NARROW_IN, NARROW_PIXELS = 3.1, 800  # on a phone: a page as wide as this, of so many pixels
 SENSOR_IN = 0.2  # around a sensor's place: its triangle
 BAR_IN, BAR_SHARE = 1.4, 0.27  # the longest scale bar; in the corner of a map, of its width
@@ -136,7 +137,10 @@ class MapPicture:
             Width of the figure, inches: the narrower, the larger its letters.
         """
         figure, ax = self.blank(width_in)
-        scale = add_corner_scale(figure, ax, poses)
+        row, column = np.divmod(self.cover.pixel, self.grid.width)
+        north_west = np.array([self.grid.west_m, self.grid.north_m])
+        road = north_west + self.grid.pixel_m * np.column_stack([column, -row])
+        scale = add_corner_scale(figure, ax, poses, road)
         for pose in poses:
             add_sensor(ax, pose, scale)
         return image_of_figure(figure)
@@ -280,10 +284,13 @@ def add_scale_bar(
     figure.text(tip, base + 0.27, "N", fontsize=7, fontweight="bold", **text)
 
 
-def add_corner_scale(figure: Figure, ax: Axes, poses: Sequence[Pose] = ()) -> BboxBase:
+def add_corner_scale(
+    figure: Figure, ax: Axes, poses: Sequence[Pose] = (), road: Floats = NOWHERE
+) -> BboxBase:
     """Draw scale bar and north arrow on white in a lower corner; return their box, px.
 
-    It is the right corner, unless a sensor stands there and none in the left one.
+    It is the corner without a sensor, else the one with fewer points of the road (n, 2), m, else
+    the right one.
     """
     width_in = float(figure.get_size_inches()[0])
     west, east = ax.get_xlim()
@@ -291,14 +298,17 @@ def add_corner_scale(figure: Figure, ax: Axes, poses: Sequence[Pose] = ()) -> Bb
     longest_in = min(BAR_IN, BAR_SHARE * width_in)
     room_in = round_length(longest_in / metre_in) * metre_in + 0.76
     low = np.array([west, ax.get_ylim()[0]])
-    stand = (np.array([each.position[:2] for each in poses]).reshape(-1, 2) - low) * metre_in
+    stand = np.array([each.position[:2] for each in poses]).reshape(-1, 2)
 
-    def taken(left: float) -> bool:
-        beside = (stand[:, 0] > left - SENSOR_IN) & (stand[:, 0] < left + room_in + SENSOR_IN)
-        return bool((beside & (stand[:, 1] < 0.66 + SENSOR_IN)).any())
+    def within(left: float, places: Floats, around: float) -> int:
+        along, up = ((places - low) * metre_in).T
+        beside = (along > left - around) & (along < left + room_in + around)
+        return int(np.count_nonzero(beside & (up < 0.66 + around)))
 
-    right = width_in - 0.1 - room_in
-    left = 0.1 if taken(right) and not taken(0.1) else right
+    def taken(left: float) -> tuple[bool, int]:
+        return within(left, stand, SENSOR_IN) > 0, within(left, road, 0.0)
+
+    left = min(width_in - 0.1 - room_in, 0.1, key=taken)
     add_scale_bar(figure, (left + room_in - 0.06, 0.2), metre_in, longest_in)
     ground = Rectangle(
         (left, 0.1), room_in, 0.56, transform=figure.dpi_scale_trans, facecolor="white", alpha=0.9,

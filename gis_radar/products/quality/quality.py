@@ -208,7 +208,7 @@ def require_table_name(path: str | Path) -> None:
 def measure_quality(
     dataset: Dataset | str | Path,
     *,
-    timezone: str = "UTC",
+    timezone: str | None = None,
     reporter: Reporter = QUIET,
 ) -> Quality:
     """Measure the quality of a dataset's frames by sensor and hour, and judge it.
@@ -217,8 +217,8 @@ def measure_quality(
     ----------
     dataset : Dataset, str or Path
         From :func:`gis_radar.open_dataset`, or its folder.
-    timezone : str
-        Time zone of hours, days and weekdays, such as Europe/Berlin.
+    timezone : str, optional
+        Time zone of hours, days and weekdays, such as Europe/Berlin; by default the dataset's.
     reporter : Reporter
         Receives the progress.
 
@@ -239,8 +239,9 @@ def measure_quality(
     >>> gr.measure_quality(ds)
     Quality(R1: 1 of 1 hours good)
     """
-    zone = zone_of(timezone)
     dataset = open_dataset(dataset, reporter=reporter)
+    timezone = timezone or dataset.timezone
+    zone = zone_of(timezone)
     times = frame_times(dataset)
     dropped_hours = [
         hour for hour, each in dataset.records().items() if FRAMES.name in each.dropped

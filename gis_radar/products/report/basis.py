@@ -322,7 +322,7 @@ def own_remarks(data: ReportData) -> list[Text]:
     if seconds < SHORT_S:
         span = seconds_text(seconds)
         remarks.append(
-            Text("Recorded were {} only: a few cycles of a signal, and no usual day", span)
+            Text("Only {} were recorded: a few cycles of a signal, and no usual day", span)
         )
     if data.results.dataset is not None and not data.results.warnings:  # else the run has warned
         remarks += [Text("{}", doubt) for doubt in data.results.dataset.doubts]

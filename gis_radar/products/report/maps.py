@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.figure import Figure as MplFigure
 from matplotlib.patches import Patch
 from PIL import Image
@@ -13,6 +14,7 @@ from PIL import Image
 from gis_radar.base import (
     FONTS,
     Clock,
+    Floats,
     Reporter,
     figure_text,
     name_of,
@@ -25,6 +27,7 @@ from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.heatmap.picture import (
     NARROW_IN,
+    Extent,
     MapPicture,
     for_a_phone,
     image_of_figure,
@@ -48,6 +51,7 @@ from gis_radar.scans import (
 )
 
 ASPECT = (0.55, 1.25)  # height over width: least, which the scale bar needs, and greatest
+SCALE_SHARE = (0.4, 0.13)  # width and height of the scale bar's corner, of the map's width
 MOST_FRAMES = 96  # pictures in time: a day of quarter hours
 MOST_PIXELS = 2_200_000  # of a picture
 ALL_PIXELS = 70_000_000  # of all together: a browser holds four bytes of each
@@ -62,7 +66,19 @@ def lay_out(heat: HeatMap) -> MapPicture:
     maps = len(_groups(heat)) + 1
     corners = quads(heat.tiles)
     extent = map_extent(corners, heat.shares().observed_s > 0, ASPECT)
+    extent = with_room_for_scale(extent, corners)
     return map_picture(corners, extent, min(MOST_PIXELS, ALL_PIXELS // maps))
+
+
+def with_room_for_scale(extent: Extent, corners: Floats) -> Extent:
+    """Return an extent with a strip below for the scale bar, if both lower corners hold road."""
+    low, high = extent
+    wide, tall = np.array(SCALE_SHARE) * (high - low)[0]
+    east, north = (corners.reshape(-1, 2) - low).T
+    below = (north > 0.0) & (north < tall)
+    sides = (east, (high - low)[0] - east)
+    taken = all((below & (side > 0.0) & (side < wide)).any() for side in sides)
+    return (low - np.array([0.0, tall]) if taken else low), high
 
 
 def draw_maps(results: Results, picture: MapPicture, clock: Clock, reporter: Reporter) -> MapSeries:

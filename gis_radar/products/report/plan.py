@@ -20,6 +20,7 @@ from gis_radar.products.heatmap.picture import (
     HALO,
     INK,
     NARROW_IN,
+    NOWHERE,
     PAPER,
     SOFT,
     MapPicture,
@@ -122,7 +123,7 @@ def _overlay(
         bounds = shapely.box(west, south, east, north)
         for number, placed in place_numbers(middles, point_m, bounds).items():
             _add_number(ax, number, placed)
-        add_corner_scale(figure, ax)
+        add_corner_scale(figure, ax, road=np.concatenate([NOWHERE, *lines]))
         return image_of_figure(figure).convert("RGBA")
 
 

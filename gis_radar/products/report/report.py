@@ -368,6 +368,9 @@ def _lanes(data: ReportData, *, intervals: bool) -> Table:
         notes.append(text)
     if measure == "occupancy":
         notes.append(tr("± is the standard error."))
+        if intervals:
+            text = "A highest interval is named where it lies over the mean by more than its error."
+            notes.append(tr(text))
     notes.append(tr("Where lanes cross, their tiles overlap, and a vehicle there counts on each."))
     csv_files = [(names.LANES, tr("all lanes"))]
     if intervals:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyogrio
 
 from gis_radar.base import (
@@ -99,8 +100,11 @@ class Results:
 
     @property
     def traffic(self) -> dict[str, int]:
-        """Numbers of vehicles, heavy ones and passages of the run; empty where not known."""
-        found = (each.get("figures") or {} for each in self.stages if each["name"] == "measure")
+        """Numbers of vehicles, heavy ones and passages; empty where not known."""
+        found = [each.get("figures") or {} for each in self.stages if each["name"] == "measure"]
+        if not found and self.dataset is not None and self.dataset.has_vehicles:
+            heavy = self.dataset.vehicles()["p_heavy"] >= 0.5
+            found = [self.dataset.figures() | {"heavy": np.count_nonzero(heavy)}]
         names = ("vehicles", "heavy", "passages")
         return {n: int(each[n]) for each in found for n in names if n in each}
 

@@ -368,8 +368,9 @@ def _turning_diagram(traffic: ReportedTraffic) -> Figure:
         png=png(wide), narrow=png(for_a_phone(narrow)), width=wide.width, height=wide.height,
         caption=tr(
             "Vehicles an hour with their standard errors; an arrow is as wide as its volume, north "
-            "is up. Who was not followed to an exit is shared among the turns like the others; a "
-            "turn without an arrow was not seen."
+            "is up. Vehicles that were not followed to an exit are shared among the turns like the "
+            "others; a turn without an arrow was not seen; figures without room stand in the "
+            "table."
         ),
         alt=tr("Turning diagram of the site; the table below has its figures."),
     )  # fmt: skip
@@ -479,9 +480,10 @@ def _queue_table(
         name="queues", caption=tr("The longest queues"), columns=columns,
         rows=text_rows(rows, columns),
         note=tr(
-            "A queue is who stands, from the stop line back, with no more than 10 m of visible "
-            "road free: a vehicle that was missed cuts it there, so it may be longer. 'At least' "
-            "is where it reaches as far as the radars see. Nothing follows about why vehicles wait."
+            "A queue is the vehicles that stand, from the stop line back, with no more than 10 m "
+            "of visible road free: a vehicle that was missed cuts it there, so it may be longer. "
+            "'At least' is where it reaches as far as the radars see. Nothing follows about why "
+            "vehicles wait."
         ) + level_note,
     )  # fmt: skip
 
