@@ -25,7 +25,14 @@ from gis_radar.calibration.registration.certainty import (
 from gis_radar.calibration.registration.lanes import LANE_CELL_M, Lanes, Scene, place
 from gis_radar.calibration.registration.matches import match
 from gis_radar.calibration.registration.model import MODEL, Model
-from gis_radar.calibration.registration.solver import Fit, Prior, Schedule, cost_at, solve
+from gis_radar.calibration.registration.solver import (
+    Fit,
+    Prior,
+    Schedule,
+    cost_at,
+    solve,
+    solve_likeliest,
+)
 from gis_radar.calibration.registration.state import LEVER_M, POSE, REFLECTION, SIZE, State
 from gis_radar.calibration.registration.traces import Samples
 
@@ -353,11 +360,6 @@ def _draw_samples(scene: Scene, most: int) -> Scene:
     return scene.of(samples.where(np.isin(np.arange(len(samples)), chosen)))
 
 
-def _settle_from(scene: Scene, hypothesis: Hypothesis, start: State) -> Hypothesis:
-    """Return the hypothesis fitted anew from a start, with the schedule `SETTLE`."""
-    return replace(hypothesis, fit=solve(scene, start, hypothesis.prior, schedule=SETTLE))
-
-
 def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Fit the first hypotheses to all samples, and return them the best first.
 
@@ -366,7 +368,10 @@ def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """
     part, best = rough(scene), hypotheses[0]
     contenders = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < MOST_BEHIND]
-    settled = _ranked([_settle_from(part, h, h.fit.state) for h in contenders[:FINALISTS]])
+    settled = _ranked([
+        replace(h, fit=solve(part, h.fit.state, h.prior, schedule=SETTLE))
+        for h in contenders[:FINALISTS]
+    ])  # fmt: skip
     fine = _ranked([_fit_fine(scene, h) for h in settled])
     looked_around = _improve_near_best(fine, scene, partial(look_around, scene))
     return _improve_near_best(looked_around, scene, partial(_fit_adapted, scene))
@@ -398,11 +403,11 @@ def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
         lowest = np.argwhere(costs == minimum_filter(costs, size=3))
         order = np.argsort(costs[tuple(lowest.T)])[:LOOK_PLACES]
         chosen = np.ravel_multi_index(tuple(lowest[order].T), costs.shape)
-        refitted = [_settle_from(scene, best, starts[k]) for k in chosen]
-        better = min(refitted, key=lambda h: h.fit.cost)
-        if better.fit.cost > best.fit.cost - LOOK_GAIN:
+        chosen_starts = [starts[k] for k in chosen]
+        better = solve_likeliest(scene, chosen_starts, best.prior, schedule=SETTLE)
+        if better.cost > best.fit.cost - LOOK_GAIN:
             break
-        best = better
+        best = replace(best, fit=better)
     return best
 
 
