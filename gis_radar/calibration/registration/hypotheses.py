@@ -255,9 +255,9 @@ def _mean_closeness(
     sights, rows, columns = closeness_layers.shape
     cells, per_m = closeness_layers.reshape(sights, rows * columns), 1.0 / cell_m
     total = np.zeros((len(places), len(yaws)))
-    east, north = places[:, 0].copy(), places[:, 1].copy()
-    # two loops over places, as the compiler vectorises the first one, without look-ups
-    column, row = np.empty(len(places), np.int32), np.empty(len(places), np.int32)
+    # places are whole cells apart: a point that moves with them stays at its place within a cell
+    east, north = (np.rint(places[:, 0] * per_m), np.rint(places[:, 1] * per_m))
+    offset, reach = (north * columns + east).astype(np.int64), int(np.abs(places).max() * per_m) + 1
     sums = np.empty(len(places), np.int32)
     for j in range(len(yaws)):
         cos, sin = np.cos(yaws[j]), np.sin(yaws[j])
@@ -267,12 +267,16 @@ def _mean_closeness(
             y = sin * points[k, 0] + cos * points[k, 1]
             turn = np.arctan2(y, x) / (2.0 * np.pi) + (0.0 if receding[k] else 0.5)
             layer = cells[int(np.rint(turn * sights)) % sights]
+            column, row = np.floor((x - corner[0]) * per_m), np.floor((y - corner[1]) * per_m)
+            if min(column, row, columns - 1 - column, rows - 1 - row) >= reach:
+                here = int(row) * columns + int(column)
+                for i in range(len(places)):
+                    sums[i] += layer[here + offset[i]]
+                continue
             for i in range(len(places)):
-                column[i] = np.int32((x + east[i] - corner[0]) * per_m)
-                row[i] = np.int32((y + north[i] - corner[1]) * per_m)
-            for i in range(len(places)):
-                if 0 <= column[i] < columns and 0 <= row[i] < rows:
-                    sums[i] += layer[row[i] * columns + column[i]]
+                at_row, at_column = int(row + north[i]), int(column + east[i])
+                if 0 <= at_column < columns and 0 <= at_row < rows:
+                    sums[i] += layer[at_row * columns + at_column]
         total[:, j] = sums
     return total / (255.0 * max(len(points), 1))
 
