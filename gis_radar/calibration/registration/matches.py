@@ -209,4 +209,4 @@ def _insert(  # pragma: no cover - compiled
         rows[i, at], rows[i, 0] = rows[i, 0], lane
     elif at < most:
         rows[i, at] = lane
-    return max(count, min(at + 1, most))
+    return int(max(count, min(at + 1, most)))
