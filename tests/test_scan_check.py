@@ -224,7 +224,7 @@ def test_the_surface_is_the_score_of_each_shift(look):
     alignment = alignment_of(look)
     middle = look.surface.shape[0] // 2
     for i, j in [(0, 0), (4, -7), (-20, 13), (20, 20)]:
-        direct = alignment.score((i * CELL_M, j * CELL_M, 0.0))
+        direct = alignment.offset((i * CELL_M, j * CELL_M, 0.0)).score
         assert look.surface[middle + i, middle + j] == pytest.approx(direct, abs=0.04)
     assert (
         np.abs(np.array(np.unravel_index(look.surface.argmax(), look.surface.shape)) - middle).max()

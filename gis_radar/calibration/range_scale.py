@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from gis_radar.base import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers, compiled, heading_difference
 from gis_radar.calibration.registration.traces import NONE, Moving, link_tracks, vehicles_of
 from gis_radar.calibration.unit_mistakes import SIGMAS, RangeScale
 
@@ -137,24 +137,33 @@ def _search_factor(moving: Moving) -> tuple[float, bool] | None:
 
 def _pair_ratios(time: Floats, points: Floats, rate: Floats) -> Floats:
     """Return change of range over that by range rates, of pairs that may be of one vehicle."""
-    range_m, azimuth = np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0])
     frame_times, begins = np.unique(time, return_index=True)
-    ends = np.append(begins[1:], len(time))
-    later = np.searchsorted(frame_times, frame_times + PAIR_S)
-    ratios = [np.empty(0)]
-    for first in range(0, len(frame_times), max(len(time) // MOST_PAIRED, 1)):
-        second = int(later[first])
-        if second == len(frame_times) or frame_times[second] - frame_times[first] > 1.5 * PAIR_S:
-            continue
-        a, b = (slice(begins[i], ends[i]) for i in (first, second))
-        lapse_s, stated = frame_times[second] - frame_times[first], (rate[a, None] + rate[b]) / 2.0
-        change_m = range_m[b] - range_m[a, None]
-        turn = np.abs((azimuth[b] - azimuth[a, None] + np.pi) % (2.0 * np.pi) - np.pi)
-        similar = np.abs(rate[a, None] - rate[b]) <= SIMILAR * np.abs(stated)
-        similar &= turn * range_m[a, None] <= ACROSS_M + ACROSS_MPS * lapse_s
-        similar &= np.abs(change_m) >= LEAST_MOVE_M
-        ratios.append(change_m[similar] / (stated[similar] * lapse_s))
-    return np.concatenate(ratios)
+    first = np.arange(0, len(frame_times), max(len(time) // MOST_PAIRED, 1))
+    second = np.searchsorted(frame_times, frame_times[first] + PAIR_S)
+    range_m, azimuth = np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0])
+    in_time = second < len(frame_times)
+    in_time[in_time] = frame_times[second[in_time]] - frame_times[first[in_time]] <= 1.5 * PAIR_S
+    frames = np.column_stack([first, second])[in_time]
+    return _ratios(frames, np.append(begins, len(time)), time, range_m, azimuth, rate)
+
+
+@compiled
+def _ratios(  # pragma: no cover - compiled
+    frames: Integers, begins: Integers, time: Floats, range_m: Floats, azimuth: Floats, rate: Floats
+) -> Floats:
+    """Return the ratios of pairs of detections of each two frames that may be of one vehicle."""
+    ratios = [np.nan for _ in range(0)]
+    for first, second in frames:
+        lapse_s = time[begins[second]] - time[begins[first]]
+        for i in range(begins[first], begins[first + 1]):
+            for j in range(begins[second], begins[second + 1]):
+                stated, change_m = (rate[i] + rate[j]) / 2.0, range_m[j] - range_m[i]
+                across_m = abs(heading_difference(azimuth[j], azimuth[i])) * range_m[i]
+                similar = abs(rate[i] - rate[j]) <= SIMILAR * abs(stated)
+                near = across_m <= ACROSS_M + ACROSS_MPS * lapse_s
+                if similar and near and abs(change_m) >= LEAST_MOVE_M:
+                    ratios.append(change_m / (stated * lapse_s))
+    return np.array(ratios)
 
 
 def _link_scaled(moving: Moving, factor: float) -> _Tracks:

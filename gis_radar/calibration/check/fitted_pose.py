@@ -23,7 +23,7 @@ from gis_radar.calibration.registration.certainty import (
 from gis_radar.calibration.registration.hypotheses import LOOK_SCALE_M, few_samples, prior_at
 from gis_radar.calibration.registration.lanes import Scene
 from gis_radar.calibration.registration.model import MODEL
-from gis_radar.calibration.registration.solver import Fit, Prior, cost_at, solve
+from gis_radar.calibration.registration.solver import Fit, Prior, cost_at, solve_likeliest
 from gis_radar.calibration.registration.state import POSE, SIZE, State
 from gis_radar.calibration.registration.traces import thin
 from gis_radar.poses import Pose
@@ -122,8 +122,7 @@ def _likeliest(scene: Scene, prior: Prior) -> Fit:
     level, turned = starts[: len(SIDES_M)], starts[len(SIDES_M) :]
     few = few_samples(scene)
     likeliest = min(turned, key=lambda start: cost_at(few, start, scale_m=LOOK_SCALE_M))
-    fits = [solve(scene, each, prior, schedule=WINDOW) for each in (*level, likeliest)]
-    return min(fits, key=lambda each: each.cost)
+    return solve_likeliest(scene, [*level, likeliest], prior, schedule=WINDOW)
 
 
 def mistakes_apart(seen: Measurement, centre: State) -> list[tuple[Measurement, float]]:

@@ -26,7 +26,8 @@ from gis_radar.calibration.registration.traces import SPELL_S, Samples
 # Lower edge of reflections over the road and 1 sigma of it: ground clearance is 0.12 to 0.3 m.
 EDGE_M = 0.2
 EDGE_SIGMA_M = 0.07
-NODES = 16  # of the quadrature over the gamma distribution of heights above the edge
+# Nodes of the quadrature over the gamma distribution of heights above the edge.
+NODES = gammaincinv(2.0, (np.arange(16) + 0.5) / 16)
 # Share of reflections that come from bodies, and their lowest and highest height above the edge.
 TALL_SHARE = 0.2
 TALL_M = (0.2, 2.8)
@@ -235,8 +236,7 @@ def _log_density(parameters: Floats, over: Floats, reach: Floats) -> Floats:
     """Return the log density of heights, given edge, log scale and log noise of elevations."""
     edge, scale = parameters[0], np.exp(parameters[1])
     sigma = np.hypot(NOISE_M, np.exp(parameters[2]) * reach)
-    nodes = gammaincinv(2.0, (np.arange(NODES) + 0.5) / NODES)
-    away = (over[:, None] - edge - scale * nodes) / sigma[:, None]
+    away = (over[:, None] - edge - scale * NODES) / sigma[:, None]
     low = np.exp(-0.5 * away**2).mean(axis=1) / (sigma * np.sqrt(2.0 * np.pi))
     begin, end = TALL_M
     tall = ndtr((over - edge - begin) / sigma) - ndtr((over - edge - end) / sigma)

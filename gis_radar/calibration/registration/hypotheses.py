@@ -25,7 +25,14 @@ from gis_radar.calibration.registration.certainty import (
 from gis_radar.calibration.registration.lanes import LANE_CELL_M, Lanes, Scene, place
 from gis_radar.calibration.registration.matches import match
 from gis_radar.calibration.registration.model import MODEL, Model
-from gis_radar.calibration.registration.solver import Fit, Prior, Schedule, cost_at, solve
+from gis_radar.calibration.registration.solver import (
+    Fit,
+    Prior,
+    Schedule,
+    cost_at,
+    solve,
+    solve_likeliest,
+)
 from gis_radar.calibration.registration.state import LEVER_M, POSE, REFLECTION, SIZE, State
 from gis_radar.calibration.registration.traces import Samples
 
@@ -248,9 +255,9 @@ def _mean_closeness(
     sights, rows, columns = closeness_layers.shape
     cells, per_m = closeness_layers.reshape(sights, rows * columns), 1.0 / cell_m
     total = np.zeros((len(places), len(yaws)))
-    east, north = places[:, 0].copy(), places[:, 1].copy()
-    # two loops over places, as the compiler vectorises the first one, without look-ups
-    column, row = np.empty(len(places), np.int32), np.empty(len(places), np.int32)
+    # places are whole cells apart: a point that moves with them stays at its place within a cell
+    east, north = (np.rint(places[:, 0] * per_m), np.rint(places[:, 1] * per_m))
+    offset, reach = (north * columns + east).astype(np.int64), int(np.abs(places).max() * per_m) + 1
     sums = np.empty(len(places), np.int32)
     for j in range(len(yaws)):
         cos, sin = np.cos(yaws[j]), np.sin(yaws[j])
@@ -260,12 +267,16 @@ def _mean_closeness(
             y = sin * points[k, 0] + cos * points[k, 1]
             turn = np.arctan2(y, x) / (2.0 * np.pi) + (0.0 if receding[k] else 0.5)
             layer = cells[int(np.rint(turn * sights)) % sights]
+            column, row = np.floor((x - corner[0]) * per_m), np.floor((y - corner[1]) * per_m)
+            if min(column, row, columns - 1 - column, rows - 1 - row) >= reach:
+                here = int(row) * columns + int(column)
+                for i in range(len(places)):
+                    sums[i] += layer[here + offset[i]]
+                continue
             for i in range(len(places)):
-                column[i] = np.int32((x + east[i] - corner[0]) * per_m)
-                row[i] = np.int32((y + north[i] - corner[1]) * per_m)
-            for i in range(len(places)):
-                if 0 <= column[i] < columns and 0 <= row[i] < rows:
-                    sums[i] += layer[row[i] * columns + column[i]]
+                at_row, at_column = int(row + north[i]), int(column + east[i])
+                if 0 <= at_column < columns and 0 <= at_row < rows:
+                    sums[i] += layer[at_row * columns + at_column]
         total[:, j] = sums
     return total / (255.0 * max(len(points), 1))
 
@@ -353,11 +364,6 @@ def _draw_samples(scene: Scene, most: int) -> Scene:
     return scene.of(samples.where(np.isin(np.arange(len(samples)), chosen)))
 
 
-def _settle_from(scene: Scene, hypothesis: Hypothesis, start: State) -> Hypothesis:
-    """Return the hypothesis fitted anew from a start, with the schedule `SETTLE`."""
-    return replace(hypothesis, fit=solve(scene, start, hypothesis.prior, schedule=SETTLE))
-
-
 def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Fit the first hypotheses to all samples, and return them the best first.
 
@@ -366,7 +372,10 @@ def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """
     part, best = rough(scene), hypotheses[0]
     contenders = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < MOST_BEHIND]
-    settled = _ranked([_settle_from(part, h, h.fit.state) for h in contenders[:FINALISTS]])
+    settled = _ranked([
+        replace(h, fit=solve(part, h.fit.state, h.prior, schedule=SETTLE))
+        for h in contenders[:FINALISTS]
+    ])  # fmt: skip
     fine = _ranked([_fit_fine(scene, h) for h in settled])
     looked_around = _improve_near_best(fine, scene, partial(look_around, scene))
     return _improve_near_best(looked_around, scene, partial(_fit_adapted, scene))
@@ -398,11 +407,11 @@ def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
         lowest = np.argwhere(costs == minimum_filter(costs, size=3))
         order = np.argsort(costs[tuple(lowest.T)])[:LOOK_PLACES]
         chosen = np.ravel_multi_index(tuple(lowest[order].T), costs.shape)
-        refitted = [_settle_from(scene, best, starts[k]) for k in chosen]
-        better = min(refitted, key=lambda h: h.fit.cost)
-        if better.fit.cost > best.fit.cost - LOOK_GAIN:
+        chosen_starts = [starts[k] for k in chosen]
+        better = solve_likeliest(scene, chosen_starts, best.prior, schedule=SETTLE)
+        if better.cost > best.fit.cost - LOOK_GAIN:
             break
-        best = better
+        best = replace(best, fit=better)
     return best
 
 

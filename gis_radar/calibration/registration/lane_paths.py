@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gis_radar.base import Floats, Integers, compiled
 from gis_radar.calibration.registration.lanes import LANE_STEP_M, Lanes, Placed
@@ -124,13 +125,13 @@ def _sum_forward(  # pragma: no cover - compiled
     lane_points: Floats,
     along: Floats,
     lane: Integers,
-) -> tuple[Integers, Integers]:
+) -> tuple[Integers, NDArray[np.int8]]:
     """Run the forward pass of Viterbi: add to each cost that of the cheapest path to it, in place.
 
     Returns the previous sample of each one on its track, -1 for none, and for each lane of a sample
     the column of the lane from which the cheapest path comes.
     """
-    previous, from_choice = np.full(len(cost), -1), np.zeros(cost.shape, dtype=np.int64)
+    previous, from_choice = np.full(len(cost), -1), np.zeros(cost.shape, dtype=np.int8)
     last = -1
     for i in order:
         if near[i, 0] < 0:
@@ -143,6 +144,8 @@ def _sum_forward(  # pragma: no cover - compiled
                     break
                 for n in range(cost.shape[1]):
                     total, q = cost[last, n], near[last, n]
+                    if q < 0:
+                        break
                     if total < least and lane[q] != lane[k]:
                         total += _transition_cost(q, k, lane_points, along, lane)
                     if total < least:
@@ -154,7 +157,7 @@ def _sum_forward(  # pragma: no cover - compiled
 
 @compiled
 def _trace_back(  # pragma: no cover - compiled
-    near: Integers, cost: Floats, order: Integers, previous: Integers, from_choice: Integers
+    near: Integers, cost: Floats, order: Integers, previous: Integers, from_choice: NDArray[np.int8]
 ) -> Integers:
     """Return the lane of each sample on the cheapest path of its track, -1 for none."""
     choice, lane = np.full(len(cost), -1), np.full(len(cost), -1)

@@ -71,9 +71,9 @@ class Lanes:
         Distance along the lane in the direction of travel, metres.
     corner : (2,) array
         South-west corner of the grid, local, metres.
-    nearest : (bins, rows, columns) int32 array
+    nearest : (rows, columns, bins) int32 array
         Index of the sample nearest to a cell's centre among those of a bin of direction; -1 where
-        none is within `LANE_REACH_M`.
+        none is within `LANE_REACH_M`. A cell's bins are a line of the processor's cache.
     distance : (bins, rows, columns) float32 array
         Distance to that sample, metres.
     directed : bool
@@ -263,7 +263,7 @@ def _nearest_samples(points: Floats, along: Floats) -> tuple[Floats, np.ndarray,
     corner = np.floor(points[:, :2].min(axis=0)) - LANE_REACH_M
     place = (points[:, :2] - corner) / cell_m
     columns, rows = np.floor(place.max(axis=0)).astype(np.int64) + 1 + int(reach)
-    nearest = np.full((LANE_BINS, rows, columns), -1, dtype=np.int32)
+    nearest = np.full((rows, columns, LANE_BINS), -1, dtype=np.int32)
     distance = np.full((LANE_BINS, rows, columns), np.float32(np.inf))
     _fill_cells(nearest, distance, direction_bin(along, LANE_BINS), place, reach)
     distance *= np.float32(cell_m)
@@ -279,14 +279,14 @@ def _fill_cells(  # pragma: no cover - compiled
     reach: float,
 ) -> None:
     """Fill each cell of a bin with its nearest sample, and the distance in cells, in place."""
-    _, rows, columns = nearest.shape
+    _, rows, columns = distance.shape
     for k in range(len(place)):
         b, x, y = bins[k], place[k, 0] - 0.5, place[k, 1] - 0.5  # of the cells' centres
         for i in range(max(int(y - reach), 0), min(int(y + reach) + 2, rows)):
             for j in range(max(int(x - reach), 0), min(int(x + reach) + 2, columns)):
                 gap = np.sqrt((i - y) ** 2 + (j - x) ** 2)
                 if gap < reach and gap < distance[b, i, j]:
-                    nearest[b, i, j] = k
+                    nearest[i, j, b] = k
                     distance[b, i, j] = gap
 
 

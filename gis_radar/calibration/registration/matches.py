@@ -119,7 +119,7 @@ def lanes_near(lanes: Lanes, placed: Placed, *, most: int) -> Integers:
 
 
 @compiled
-def _match_lanes(  # noqa: C901, PLR0912, PLR0917 - calls of compiled functions cost  # pragma: no cover
+def _match_lanes(  # noqa: C901, PLR0917 - calls of compiled functions cost  # pragma: no cover
     most: int,
     next_lanes: Integers,
     least_cosine: float,
@@ -134,67 +134,79 @@ def _match_lanes(  # noqa: C901, PLR0912, PLR0917 - calls of compiled functions 
     nearest: NDArray[np.int32],
 ) -> Integers:
     """Return lane samples near each point, the nearest one first; -1 for none."""
-    bins, rows, columns = nearest.shape
-    lane = np.full((len(points), most), -1)
+    rows, columns, bins = nearest.shape
+    cells, lane = nearest.reshape(rows * columns, bins), np.full((len(points), most), -1)
     for i in range(len(points)):
-        best = np.inf
+        # scalars: numba would allocate arrays, and load an array's value again after each write
+        px, py, pz, rate = points[i, 0], points[i, 1], points[i, 2], range_rate[i]
+        sight_x, sight_y = sight[i, 0], sight[i, 1]
+        level_m, count, best = LEVEL_M + LEVEL_SHARE * reach[i], 0, np.inf
+        east, north = px - corner[0], py - corner[1]
+        home = _cell(east, north, rows, columns)
         for b in range(bins):
-            east, north = points[i, 0] - corner[0], points[i, 1] - corner[1]
+            cell, before = home, -1
             # the lane nearest to the centre of the point's cell may not be the nearest to the
             # point: try the next cell in its direction, too
             for _ in range(2):
-                column, row = int(np.floor(east / LANE_CELL_M)), int(np.floor(north / LANE_CELL_M))
-                if not (0 <= column < columns and 0 <= row < rows):
+                k = cells[cell, b] if cell >= 0 else -1
+                if k < 0 or k == before:
                     break
-                k = nearest[b, row, column]
-                if k < 0:
-                    break
-                left, q = 0.0, int(k)
+                before, left = k, 0.0
                 for side in range(1 + next_lanes.shape[1]):
-                    if side > 0:
-                        q = int(next_lanes[k, side - 1])
-                        if q < 0:
-                            continue
-                    # scalars: numba would allocate arrays
-                    x = points[i, 0] - lane_points[q, 0]
-                    y = points[i, 1] - lane_points[q, 1]
-                    z = points[i, 2] - lane_points[q, 2]
+                    q = int(next_lanes[k, side - 1]) if side > 0 else int(k)
+                    if q < 0:
+                        continue
+                    x, y, z = px - lane_points[q, 0], py - lane_points[q, 1], pz - lane_points[q, 2]
                     across = y * along[q, 0] - x * along[q, 1]
                     left = left if side > 0 else across
                     # the speed along the lane that explains the range rate is neither negative nor
-                    # above the lane's top speed
-                    cosine = along[q, 0] * sight[i, 0] + along[q, 1] * sight[i, 1]
-                    forward = range_rate[i] if cosine >= 0.0 else -range_rate[i]
-                    allowed = -SLACK_MPS <= forward <= abs(cosine) * top_speed[q] + SLACK_MPS
-                    allowed = allowed and abs(cosine) >= least_cosine
-                    if not allowed or abs(z) > LEVEL_M + LEVEL_SHARE * reach[i]:  # or NaN
+                    # above the lane's top speed; `&`, as branches would be guessed wrongly
+                    cosine = along[q, 0] * sight_x + along[q, 1] * sight_y
+                    forward, top = rate if cosine >= 0.0 else -rate, abs(cosine) * top_speed[q]
+                    allowed = (forward >= -SLACK_MPS) & (forward <= top + SLACK_MPS)
+                    allowed &= (abs(cosine) >= least_cosine) & (not abs(z) > level_m)  # or NaN
+                    if not allowed:
                         if side > 0:
                             continue
                         break
                     # the distance past the end of a lane counts, too; samples are a step apart
-                    ahead = abs(x * along[q, 0] + y * along[q, 1]) - 1.5 * LANE_STEP_M
-                    gap = np.sqrt(across**2 + ahead**2) if ahead > 0.0 else abs(across)
-                    if gap < best or gap < NEXT_LANE_M:
-                        best = _insert_by_gap(lane, i, q, gap, best)
+                    ahead = max(abs(x * along[q, 0] + y * along[q, 1]) - 1.5 * LANE_STEP_M, 0.0)
+                    gap = across**2 + ahead**2
+                    if gap < best or gap < NEXT_LANE_M**2:
+                        count = _insert(lane, i, q, count, gap < best)
+                        best = min(gap, best)
                     elif side == 0:
                         break
                 if abs(left) < BORDER_M:
                     break
-                east -= np.copysign(LANE_CELL_M, left) * along[k, 1]
-                north += np.copysign(LANE_CELL_M, left) * along[k, 0]
+                step_m = np.copysign(LANE_CELL_M, left)
+                x, y = step_m * along[k, 0], step_m * along[k, 1]
+                cell = _cell(east - y, north + x, rows, columns)
     return lane
 
 
 @compiled
-def _insert_by_gap(
-    rows: Integers, i: int, lane: int, gap: float, best: float
-) -> float:  # pragma: no cover
-    """Insert a lane into row i, the nearest one first; return the least gap of the row, metres."""
-    for at in range(rows.shape[1]):
-        if rows[i, at] < 0 or rows[i, at] == lane:
-            break
-    if gap < best:
+def _cell(east: float, north: float, rows: int, columns: int) -> int:  # pragma: no cover - compiled
+    """Return the number of the cell at a place (metres from the grid's corner); -1 for none."""
+    column, row = int(np.floor(east / LANE_CELL_M)), int(np.floor(north / LANE_CELL_M))
+    return row * columns + column if 0 <= column < columns and 0 <= row < rows else -1
+
+
+@compiled
+def _insert(  # pragma: no cover - compiled
+    rows: Integers,
+    i: int,
+    lane: int,
+    count: int,
+    first: bool,  # noqa: FBT001
+) -> int:
+    """Insert a lane into row i, which holds `count`, as the first or last; return the new count."""
+    at, most = 0, rows.shape[1]
+    while at < count and rows[i, at] != lane:
+        at += 1
+    if first:
+        at = min(at, most - 1)
         rows[i, at], rows[i, 0] = rows[i, 0], lane
-    elif rows[i, at] < 0:
+    elif at < most:
         rows[i, at] = lane
-    return min(gap, best)
+    return int(max(count, min(at + 1, most)))

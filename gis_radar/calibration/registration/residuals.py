@@ -240,16 +240,13 @@ def height(compared: LaneComparison, effect: Floats) -> Residuals:
     samples, model = placed.samples, compared.model
     constants = (
         model.elevation, compared.scale_m, model.low, model.body, model.body_share, model.body_over,
-        STRAY_SHARE, STRAY_SHARE * np.sqrt(2.0 * np.pi) / STRAY_HEIGHT_M,
+        STRAY_SHARE, STRAY_SHARE * np.sqrt(2.0 * np.pi) / STRAY_HEIGHT_M, placed.state.reflection,
     )  # fmt: skip
     rows, jacobian = _height(
         np.array(constants),
-        height_over_road(lanes, placed, matches),
-        placed.state.reflection + effect.ravel()[samples.spells],
-        lanes.slope[matches.lane, None] * lanes.along[matches.lane],
-        placed.arms,
-        samples.reach,
-    )
+        height_over_road(lanes, placed, matches), effect.ravel(), samples.spells,
+        matches.lane, lanes.slope, lanes.along, placed.arms, samples.reach,
+    )  # fmt: skip
     differ = model.vehicle, model.bent, model.lasting
     if differ not in samples.kept:
         samples.kept[differ] = np.asarray(np.linalg.inv(height_covariance(samples, model)))
@@ -292,28 +289,31 @@ def height_covariance(samples: Samples, model: Model) -> Floats:
 
 
 @compiled
-def _height(
+def _height(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
     constants: Floats,
     over: Floats,
-    expected: Floats,
+    effect: Floats,
+    spell: Integers,
+    lane: Integers,
     slope: Floats,
+    along: Floats,
     arms: Floats,
     reach: Floats,
 ) -> tuple[Floats, Floats]:
     """Return value, precision, curvature and loss of each sample, (4, n), and the jacobian."""
-    elevation, scale_m, low, body, body_share, body_over, stray_share, stray = constants
+    elevation, scale_m, low, body, body_share, body_over, stray_share, stray, reflection = constants
     rows, jacobian = np.zeros((4, len(over))), np.zeros((len(over), SIZE))
     value, density, square = np.zeros(2), np.zeros(2), np.zeros(2)
     for i in range(len(over)):
-        u, v = -slope[i, 0], -slope[i, 1]
-        x, y, z = arms[i]
+        u, v = -slope[lane[i]] * along[lane[i], 0], -slope[lane[i]] * along[lane[i], 1]
+        x, y, z = arms[i, 0], arms[i, 1], arms[i, 2]
         jacobian[i, 0], jacobian[i, 1], jacobian[i, 2], jacobian[i, 6] = u, v, 1.0, -1.0
         jacobian[i, 3], jacobian[i, 4], jacobian[i, 5] = y - z * v, z * u - x, x * v - y * u
         if not np.isfinite(over[i]):
             continue
         noise = (elevation * reach[i]) ** 2 + scale_m**2
         square[0], square[1] = low**2 + noise, body**2 + noise
-        value[0] = over[i] - expected[i]
+        value[0] = over[i] - (reflection + effect[spell[i]])
         value[1] = value[0] - body_over
         for j in range(2):
             share = (body_share if j else 1.0 - body_share) * (1.0 - stray_share)
@@ -356,7 +356,7 @@ def _over_road(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover 
         if not found[i] or np.isnan(z):
             continue
         x, y = points[i, 0] - lane_points[k, 0], points[i, 1] - lane_points[k, 1]
-        drop = np.arctan2(up - z, flat[i]) - np.arctan2(up, flat[i])
+        drop = np.arctan2(z * flat[i], flat[i] ** 2 + up * (up - z))  # to the road below
         if abs(upward[i] + np.sign(upward[i]) * abs(drop)) < widest:
             over[i] = z - slope[k] * (x * along[k, 0] + y * along[k, 1])
     return over
@@ -441,8 +441,8 @@ def _inverse(stiffness: Floats, mass: Floats) -> Floats:  # pragma: no cover - c
             for j in range(size):
                 a[k, j] *= over
             for i in range(size):
-                if i != k:
-                    share = a[i, k]
+                share = a[i, k]
+                if i != k and share != 0.0:  # spells without samples have no part in others
                     a[i, k] = 0.0
                     for j in range(size):
                         a[i, j] -= share * a[k, j]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -186,6 +186,14 @@ def solve(
     return _described(*_descended(scene, start, prior, schedule, model, hold))
 
 
+def solve_likeliest(
+    scene: Scene, starts: Sequence[State], prior: Prior, *, schedule: Schedule, model: Model = MODEL
+) -> Fit:
+    """Find the pose as :func:`solve` does from each start, and return the fit of least cost."""
+    found = [_descended(scene, start, prior, schedule, model, None) for start in starts]
+    return _described(*min(found, key=lambda each: each[1].total))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rest:
     """State and cost at which a fit stopped.
@@ -328,9 +336,12 @@ class _Cost:
         families = self.families(placed, matches, point.effects)
         away = point.state.difference(self.prior.mean)
         of_paths = float(matches.path_cost.sum())
-        total = sum(
-            float(f.weight @ f.loss + 0.5 * np.einsum("ki,kij,kj", effect, f.stiffness, effect))
+        own = (  # most starts are compared without random effects
+            np.einsum("ki,kij,kj", effect, f.stiffness, effect) if effect.any() else 0.0
             for f, effect in zip(families, point.effects, strict=True)
+        )
+        total = sum(
+            float(f.weight @ f.loss + 0.5 * each) for f, each in zip(families, own, strict=True)
         )
         return _Here(
             point=point,

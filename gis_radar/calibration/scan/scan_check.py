@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 from pyproj import CRS
 
 from gis_radar.base import CELL_M, QUIET, Floats, InputError, Reporter, Text, paths_of
@@ -83,9 +84,12 @@ class Alignment:
     standing: Standing = field(repr=False)
     closeness: Floats = field(repr=False)
 
-    def closeness_at(self, offset: Sequence[float]) -> Floats:
-        """Return the closeness of each static cell at (ahead in m, left in m, turn in degrees)."""
-        ahead, left, turn = offset
+    def closeness_at(self, offset: ArrayLike) -> Floats:
+        """Return the closeness of each static cell at (ahead in m, left in m, turn in degrees).
+
+        Of (..., 3) offsets it is an array (..., cells), in one call: a call takes longer than that.
+        """
+        ahead, left, turn = np.moveaxis(np.asarray(offset, np.float64), -1, 0)[..., None]
         angle = np.radians(turn)
         cos, sin = np.cos(angle), np.sin(angle)
         x, y = self.standing.points[:, :2].T
@@ -95,15 +99,20 @@ class Alignment:
             scipy.ndimage.map_coordinates(self.closeness, place, order=1, mode="constant")
         )
 
-    def score(self, offset: Sequence[float] = HERE) -> float:
-        """Return the score at (ahead in m, left in m, turn in degrees)."""
-        return float(self.closeness_at(offset).mean())
+    def offsets(self, places: ArrayLike) -> list[PoseOffset]:
+        """Return (k, 3) rows (ahead in m, left in m, turn in degrees) as offsets with scores."""
+        rows = np.asarray(places, np.float64)
+        scores = self.closeness_at(rows).mean(axis=1).tolist()
+        return [
+            PoseOffset(
+                ahead_m=ahead, left_m=left, turn_deg=(turn + 180.0) % 360.0 - 180.0, score=score
+            )
+            for (ahead, left, turn), score in zip(rows.tolist(), scores, strict=True)
+        ]
 
     def offset(self, place: Sequence[float]) -> PoseOffset:
         """Return (ahead in m, left in m, turn in degrees) as an offset with its score."""
-        ahead, left, turn = (float(value) for value in place)
-        turn = (turn + 180.0) % 360.0 - 180.0
-        return PoseOffset(ahead_m=ahead, left_m=left, turn_deg=turn, score=self.score(place))
+        return self.offsets([place])[0]
 
     @property
     def here(self) -> PoseOffset:
@@ -136,7 +145,7 @@ class Alignment:
         for shift_m, turn_deg in CLIMBING_STEPS:
             step = np.array([shift_m, shift_m, turn_deg])
             for _ in range(30):
-                neighbours = [self.offset(best.place + move * step) for move in _MOVES]
+                neighbours = self.offsets(best.place + _MOVES * step)
                 neighbours = [o for o in neighbours if o.shift_m <= farthest_m]
                 if apart:
                     neighbours = [o for o in neighbours if o.beyond(LANE_M, ASKEW_DEG)]
@@ -160,7 +169,7 @@ class Alignment:
         turn, ahead, left = np.unravel_index(order, scores.shape)
         middle, cell_m = scores.shape[1] // 2, CELL_M * COARSE_CELLS
         places = np.column_stack([(ahead - middle) * cell_m, (left - middle) * cell_m, turns[turn]])
-        return [self.offset(place) for place in places], float(scores.mean())
+        return self.offsets(places), float(scores.mean())
 
 
 _MOVES = np.array([move for move in product((-1, 0, 1), repeat=3) if any(move)], float)

@@ -11,14 +11,14 @@ is solved by robust least squares, with a prior on d from the length of vehicles
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from gis_radar.base import Booleans, Floats, Integers, NoAnswerError
-from gis_radar.calibration.registration.lanes import UNLIMITED_MPS
+from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, ranges
 from gis_radar.calibration.timing.lane_detections import LaneDetections
 
 # Sensitivity, on the sample's two sensors (sigma 10 ms): half or twice any constant of the rough
@@ -317,19 +317,17 @@ def _pair_detections(
 ) -> _Pairs:
     """Pair detections that may be of one vehicle, given offset and drift in `values`."""
     time = other.time - values[0] - values[1] * (other.time - at)
-    begin = min(one.time.min(initial=np.inf), time.min(initial=np.inf))
-    scales = {
-        "near_m": apart_m + PAIR_S * UNLIMITED_MPS,
-        "near_s": PAIR_S,
-        "near_mps": PAIR_MPS,
-    }
-    tree = scipy.spatial.cKDTree(other.scaled(time - begin, **scales))
-    neighbours = tree.query_ball_point(
-        one.scaled(one.time - begin, **scales), 1.0, p=np.inf, return_sorted=False
-    )
-    count = np.array([len(each) for each in np.asarray(neighbours, object)], np.int64)
-    first = np.repeat(np.arange(len(one)), count)
-    second = np.concatenate([*neighbours, []]).astype(np.int64)
+    # detections of a lanelet follow each other by time, and lanelets in turn
+    number = np.unique(np.append(one.lanelet, other.lanelet), return_inverse=True)[1]
+    moment = np.append(one.time, time)
+    moment = moment - moment.min() + number * (np.ptp(moment) + 1.0)
+    key, keys = moment[: len(one)], moment[len(one) :]
+    order = np.argsort(keys, kind="stable")
+    low, high = (np.searchsorted(keys[order], key + side) for side in (-PAIR_S, PAIR_S))
+    first = np.repeat(np.arange(len(one)), high - low)
+    second = order[ranges(low, high - low)]
+    alike = np.abs(one.speed[first] - other.speed[second]) <= PAIR_MPS
+    first, second = first[alike], second[alike]
     speed = (one.speed[first] + other.speed[second]) / 2
     gap_m = other.s_m[second] - one.s_m[first] - speed * (time[second] - one.time[first])
     close = np.abs(gap_m) <= apart_m
@@ -410,8 +408,8 @@ def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float)
     """
     lags_s = offset_s + np.array([0.0, *DECOYS_S])
     one_by_other, other_by_one = (
-        np.array([_share_seen_by_both(*pair, sign * lag_s) for lag_s in lags_s])
-        for pair, sign in (((one, other), 1.0), ((other, one), -1.0))
+        np.array(list(_shares_seen_by_both(*pair)))
+        for pair in ((one, other, lags_s), (other, one, -lags_s))
     )
     share, *decoys = (one_by_other + other_by_one) / 2
     if not share >= LEAST_SHARE:
@@ -420,17 +418,17 @@ def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float)
         raise NoAnswerError("their common traffic looks alike at other lags too")
 
 
-def _share_seen_by_both(one: LaneDetections, other: LaneDetections, offset_s: float) -> float:
-    """Return the share of detections of `one`, at places and times of `other`, that both see."""
-    time = other.time - offset_s
-    within = (one.time > time[0] + NEAR_S) & (one.time < time[-1] - NEAR_S)
-    common = np.isin(one.places, other.places)
-    checked = one.take(np.flatnonzero(within & common))
-    if len(checked) < LEAST_CHECKED:
-        return np.nan
-    checked = checked.take(np.arange(0, len(checked), -(-len(checked) // MOST_CHECKED)))
+def _shares_seen_by_both(
+    one: LaneDetections, other: LaneDetections, lags_s: Floats
+) -> Iterator[float]:
+    """Yield for each lag the share of detections of `one`, where `other` sees, that both see."""
+    begin, common = other.time[0], one.take(np.isin(one.places, other.places))
     scales = {"near_m": NEAR_M, "near_s": NEAR_S, "near_mps": NEAR_MPS}
-    tree = scipy.spatial.cKDTree(other.scaled(time - checked.time[0], **scales))
-    points = checked.scaled(checked.time - checked.time[0], **scales)
-    distance, _ = tree.query(points, p=np.inf, distance_upper_bound=1.0)
-    return float(np.isfinite(distance).mean())
+    tree = scipy.spatial.cKDTree(other.scaled(other.time - begin, **scales))
+    for lag_s in lags_s:
+        time = common.time + lag_s
+        within = np.flatnonzero((time > begin + NEAR_S) & (time < other.time[-1] - NEAR_S))
+        rows = within[:: max(-(-len(within) // MOST_CHECKED), 1)]
+        points = common.take(rows).scaled(time[rows] - begin, **scales)
+        distance, _ = tree.query(points, p=np.inf, distance_upper_bound=1.0)
+        yield float(np.isfinite(distance).mean()) if len(within) >= LEAST_CHECKED else np.nan
