@@ -97,10 +97,11 @@ class _Compiled(Generic[Params, Result]):
         plain = FunctionType(self.function.__code__, globals_, self.function.__name__)
         # Numba's cache looks at the name and the date of one file: the name covers all the others.
         plain.__qualname__ = f"{self.function.__qualname__}_{self._sources_digest()}"
+        options: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True}  # no caller is C code
         try:
-            return numba.njit(cache=True, nogil=True)(plain)
+            return numba.njit(cache=True, **options)(plain)
         except RuntimeError:
-            return numba.njit(nogil=True)(plain)
+            return numba.njit(**options)(plain)
 
     def _compile_once(self, given: tuple[Any, ...]) -> None:
         """Compile for arguments of these types, or load what another process compiles just now."""
