@@ -76,7 +76,7 @@ def test_a_recording_stays_what_it_is(tmp_path_factory, seed, frames, rows):
     folder = tmp_path_factory.mktemp("table")
     rng = np.random.default_rng(seed)
     counts = rng.multinomial(rows, np.ones(frames) / frames)
-    time = np.repeat(START + np.arange(frames) * 0.05, np.maximum(counts, 1))
+    time = np.repeat(START + 0.01 + np.arange(frames) * 0.05, np.maximum(counts, 1))
     points = rng.normal(0, 50, (len(time), 3)).astype(np.float32)
     points[np.repeat(counts == 0, np.maximum(counts, 1))] = np.nan
     rate = np.where(np.isnan(points[:, 0]), np.nan, 1.5)

@@ -3,9 +3,11 @@
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from maps import Listener
 from radars import START
 from sites import EAST, NORTH, recording
 
@@ -86,6 +88,60 @@ def test_angles_in_degrees_are_refused_with_the_way_out(tmp_path, angle):
     named = re.search(r"--columns (\w+)=(\w+)", caught.value.hint)
     assert (named[1], named[2]) == (f"{angle}_deg", angle)
     gr.convert(tmp_path / "r.csv", tmp_path / "r.parquet", columns={named[1]: named[2]})
+
+
+@pytest.mark.parametrize("most_deg", [1.5, 4.0])
+def test_small_angles_in_degrees_are_refused(tmp_path, most_deg):
+    """Most elevations of a radar on a mast are under 1.57 degrees, but not all."""
+    values = np.linspace(-most_deg, 3.0, 200)
+    lines = [f"{START},20,0.1,{value},1.5" for value in values]
+    (tmp_path / "r.csv").write_text("\n".join(["time,range,azimuth,elevation,v", *lines]))
+    with pytest.raises(InputError, match=r"elevation: .*it looks like degrees"):
+        gr.convert(tmp_path / "r.csv", tmp_path / "r.parquet")
+
+
+def test_azimuths_in_radians_that_are_called_degrees_are_refused(tmp_path):
+    lines = [f"{START},20,{value},0.1,1.5" for value in np.linspace(-1.0, 1.0, 200)]
+    (tmp_path / "r.csv").write_text("\n".join(["time,range,azimuth_deg,elevation,v", *lines]))
+    with pytest.raises(InputError, match=r"azimuth_deg: .*it looks like radians"):
+        gr.convert(tmp_path / "r.csv", tmp_path / "r.parquet")
+
+
+def lost_fractions(kind):
+    time = START + 0.05 * (np.arange(2000) // 8)
+    return {"float32": time.astype(np.float32), "int64": time.astype(np.int64),
+            "six digits": np.round(time, -4)}[kind]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["float32", "int64", "six digits"])
+def test_times_without_fractions_are_refused(tmp_path, kind):
+    """Times as float32 join the frames of two minutes in one."""
+    path = written(tmp_path / "r.parquet", scene(2000))
+    pd.read_parquet(path).assign(time=lost_fractions(kind)).to_parquet(path)
+    for read in (
+        lambda: list(open_recording(path).read()),
+        lambda: list(read_raw(open_recording(path), rcs=False)),
+        lambda: gr.convert(path, tmp_path / "out.parquet"),
+    ):
+        with pytest.raises(InputError, match="whole seconds"):
+            read()
+
+
+def test_a_table_whose_positions_are_all_unusable_is_refused(tmp_path):
+    path = written(tmp_path / "r.parquet", scene() + [EAST, NORTH, 0.0])
+    with pytest.raises(InputError, match="no detection has a usable position"):
+        gr.convert(path, tmp_path / "out.parquet")
+    assert not (tmp_path / "out.parquet").exists()
+
+
+def test_two_sensors_merged_into_one_are_doubted(tmp_path):
+    paths = [recording(tmp_path / f"R{n}.parquet", START + 0.02 * n + 0.05 * np.arange(40),
+                       scene(40, n)) for n in (1, 2)]  # fmt: skip
+    heard = Listener()
+    gr.convert([paths[0], paths[0]], tmp_path / "out.parquet", reporter=heard)
+    assert not any("alternate" in str(each) for each in heard.messages)
+    gr.convert(paths, tmp_path / "out.parquet", reporter=heard)
+    assert any("are they of one sensor?" in str(each) for each in heard.messages)
 
 
 @given(st.lists(st.floats(-np.pi, np.pi), max_size=50), st.integers(0, 2))

@@ -1,6 +1,7 @@
 """Odd clocks: who is named among sensors of one view, and how many pairs are compared for it."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,6 +43,15 @@ def test_of_many_sensors_with_one_view_the_late_one_is_named(seen):
     assert list(found) == ["S05"]
     ahead = re.search(r"this one is ([\d.]+) ± [\d.]+ s ahead", found["S05"].evidence)
     assert float(ahead[1]) == pytest.approx(LATE_S, abs=0.1)
+
+
+@pytest.mark.parametrize("share", [0.4, 0.5, 0.6])
+def test_a_clock_that_is_set_on_the_way_is_named(share):
+    rng = np.random.default_rng(3)
+    right, late = drive(rng), drive(rng)
+    moment = np.quantile(late.time, share)
+    late = replace(late, time=late.time + LATE_S * (late.time > moment))
+    assert set(odd_clocks({"A": right, "B": late})) == {"A", "B"}
 
 
 def test_each_sensor_is_compared_with_some_not_with_all(seen):

@@ -54,11 +54,13 @@ def test_a_recording_in_millimetres_is_refused(tmp_path, tiles, unit):
             use()
 
 
-def test_a_few_far_detections_are_no_fault(tmp_path, tiles):
-    rows = table()
+def test_some_far_detections_are_named_and_no_fault(tmp_path, tiles):
+    """They may be in centimetres."""
+    rows, heard = table(), Listener()
     rows.loc[::5, "x"] = 50_000.0
     rows.to_parquet(tmp_path / "R1.parquet")
-    measured([tmp_path / "R1.parquet"], [POSE], tiles, tmp_path / "o")
+    measured([tmp_path / "R1.parquet"], [POSE], tiles, tmp_path / "o", reporter=heard)
+    assert "20.0% of the detections are over 1,514 m away" in str(heard.messages)
 
 
 @pytest.mark.parametrize(("x", "named"), [(16.0, False), (300.0, True)])
@@ -68,6 +70,17 @@ def test_a_recording_without_a_hit_is_named(tmp_path, tiles, x, named):
     pose = replace(POSE, easting=EAST)
     measured([path], [pose], tiles, tmp_path / "o", reporter=heard)
     assert ("no detection of R1 lies on a tile" in str(heard.messages)) is named
+
+
+@pytest.mark.parametrize(("azimuth_deg", "named"), [(120.0, False), (10.0, True)])
+def test_a_view_that_leaves_detections_out_is_named(tmp_path, tiles, azimuth_deg, named):
+    """Half an opening angle leaves out many."""
+    rows, heard = table(), Listener()
+    rows["y"] = np.where(np.arange(len(rows)) % 3, 4.0, 0.0)
+    rows.to_parquet(tmp_path / "R1.parquet")
+    pose = replace(POSE, view=replace(POSE.view or gr.View(), azimuth_deg=azimuth_deg))
+    measured([tmp_path / "R1.parquet"], [pose], tiles, tmp_path / "o", reporter=heard)
+    assert ("lie outside the view of R1 (azimuth 10" in str(heard.messages)) is named
 
 
 def test_a_heat_map_of_zeros_is_named(tmp_path, tiles):

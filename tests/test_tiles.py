@@ -241,6 +241,11 @@ def test_a_scan_elsewhere_is_refused():
         with_road_heights(bridge(np.nan), scan(370.0, 376.0) + np.array([5000, 0, 0]))
 
 
+def test_a_road_at_other_heights_is_told_from_one_elsewhere():
+    with pytest.raises(InputError, match=r"lie 50\.0 m over the map's heights"):
+        with_road_heights(bridge(370.0), scan(420.0, 420.0))
+
+
 def test_a_road_file_must_be_a_scan(tmp_path):
     (tmp_path / "road.laz").write_bytes(b"LASF but not really")
     with pytest.raises(InputError, match=r"road\.laz"):

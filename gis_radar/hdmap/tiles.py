@@ -384,7 +384,7 @@ def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame
     Raises
     ------
     InputError
-        If no tile gets a height: scan and map do not overlap.
+        If no tile gets a height: scan and map do not overlap, or lie at other heights.
     """
     map_height_m = tiles["height_m"].to_numpy(np.float64)
     road = as_points(road)
@@ -402,6 +402,13 @@ def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame
     fits = ~(np.abs(height - map_height_m[without[near]]) > SAME_LEVEL_M)
     height_m[without[near][fits]] = height[fits]
     if np.isnan(height_m).all():
+        if len(point):
+            over_m = float(np.median(road[point, 2] - map_height_m[tile]))
+            raise InputError(
+                "the road's points lie {:.1f} m over the map's heights: another vertical datum, or "
+                "feet?",
+                over_m,
+            )
         raise InputError("the road's points and the map do not overlap")
     return tiles.assign(height_m=np.where(np.isnan(height_m), map_height_m, height_m))
 

@@ -5,10 +5,12 @@ from .frames import DamagedError, Frame, ReaderContext
 from .overlaps import time_warnings
 from .raw_rows import RawRows, read_raw
 from .recording import Detections, RangeCounts, Recording, has_height
+from .units import FARTHEST_RADAR_M
 from .window import RollingWindow
 
 __all__ = [
     "AGREEING_S",
+    "FARTHEST_RADAR_M",
     "Conversion",
     "DamagedError",
     "Detections",

@@ -145,7 +145,10 @@ class Layout:
                 refuse_degrees(read, self.sources[name].removeprefix("-"), name)
             return read
         if f"{name}_deg" in self.sources:
-            return np.asarray(np.radians(_signed(self.sources[f"{name}_deg"], values)))
+            read = _signed(self.sources[f"{name}_deg"], values)
+            if name == "azimuth":
+                refuse_degrees(read, self.sources["azimuth_deg"].removeprefix("-"), "azimuth_deg")
+            return np.asarray(np.radians(read))
         return np.full(len(self._read(self._anchor, values)), np.nan, dtype=np.float32)
 
 

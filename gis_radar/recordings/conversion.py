@@ -123,6 +123,9 @@ NO_ELEVATION = Text(
     "range; height, pitch, roll and clearance cannot be had from it"
 )
 IDENTITIES_KEPT = 4 * WINDOW  # latest frames among which duplicates are found
+# Share of a sensor's frames that follow one of another input, from which on to warn that inputs are
+# of several sensors: a second recorder of one sensor only fills gaps.
+ALTERNATING = 0.1
 
 
 class _SensorFrames:
@@ -133,12 +136,13 @@ class _SensorFrames:
     ) -> None:
         self.file = file
         self.clock = FrameClock(sensor, clock, context.reporter)
-        self.duplicates = 0
+        self.duplicates = self.alternations = 0
+        self._input: int | None = None
         self._identities: OrderedDict[object, None] = OrderedDict()
         self.order = FrameOrder(sensor)
         self._counts = context.counts
 
-    def put(self, frame: Frame) -> None:
+    def put(self, frame: Frame, number: int) -> None:
         if frame.identity is not None:
             if frame.identity in self._identities:
                 self.duplicates += 1
@@ -146,6 +150,8 @@ class _SensorFrames:
             self._identities[frame.identity] = None
             if len(self._identities) > IDENTITIES_KEPT:
                 self._identities.popitem(last=False)
+        self.alternations += self._input not in {None, number}
+        self._input = number
         self._put_in_order(self.clock.feed(frame.without_unusable(self._counts)))
 
     def finish(self) -> None:
@@ -171,6 +177,12 @@ def _finished(
         )
     for sensor, sensor_frames in by_sensor.items():
         sensor_frames.finish()
+        if sensor_frames.alternations > ALTERNATING * sensor_frames.file.frames:
+            context.reporter.warn(
+                "{}: frames of several inputs alternate in time: are they of one sensor? Each "
+                "sensor needs a recording of its own",
+                sensor,
+            )
         if sensor_frames.file.left_out:
             columns = ", ".join(sorted(sensor_frames.file.left_out))
             late = Text("{}: columns that came late are left out: {}", sensor, columns)
@@ -178,6 +190,11 @@ def _finished(
         if sensor_frames.file.elevation is False:
             context.remark(Text("{}: {}", sensor, NO_ELEVATION))
     counts = Counter(context.counts)
+    if counts and not any(each.file.detections for each in by_sensor.values()):
+        raise InputError(
+            "no detection has a usable position",
+            hint=Text("left out: {}", counts_text(counts)),
+        )
     for sensor_frames in by_sensor.values():
         counts["duplicates"] += sensor_frames.duplicates
         counts["reordered_frames"] += sensor_frames.order.late
@@ -291,7 +308,7 @@ def convert(
     inputs_text = names[0] + (Text(" and {} more", len(names) - 1) if len(names) > 1 else "")
     by_sensor: dict[str, _SensorFrames] = {}
     with atomic_writes(place) as (private, places), ExitStack() as unfinished:
-        for frame in merged(opened, context):
+        for number, frame in merged(opened, context):
             if (sensor_frames := by_sensor.get(frame.sensor)) is None:
                 part = private / f"{len(by_sensor)}.parquet"
                 file = RecordingFile(part, place, context.counts, sensor=frame.sensor)
@@ -300,7 +317,7 @@ def convert(
                 )
                 unfinished.callback(file.abandon)
             try:
-                sensor_frames.put(frame)
+                sensor_frames.put(frame, number)
             except InputError as error:  # not by `placed`, which would take a tenth of the time
                 raise InputError("{}: {}", inputs_text, error.message, hint=error.hint) from error
         with placed(inputs_text):

@@ -17,8 +17,10 @@ Input = Callable[[ReaderContext], Generator[Frame]]
 Active = tuple[float, int, Frame, Iterator[Frame]]
 
 
-def merged(inputs: Sequence[Input], context: ReaderContext) -> Iterator[Frame]:
+def merged(inputs: Sequence[Input], context: ReaderContext) -> Iterator[tuple[int, Frame]]:
     """Yield the frames of several inputs, given in any order, by their time of arrival.
+
+    Each comes with the number of its input.
 
     An input is opened when its first frame is due: a day in a thousand files does not keep a
     thousand files open.
@@ -29,7 +31,7 @@ def merged(inputs: Sequence[Input], context: ReaderContext) -> Iterator[Frame]:
         If no input has a frame; one of several that has none is a warning.
     """
     if len(inputs) == 1:
-        yield from inputs[0](context)
+        yield from ((0, frame) for frame in inputs[0](context))
         return
     due = sorted(_begins(inputs, context), reverse=True)
     active: list[Active] = []
@@ -39,7 +41,7 @@ def merged(inputs: Sequence[Input], context: ReaderContext) -> Iterator[Frame]:
             _push(active, number, inputs[number](context))
         if active:
             _, number, frame, frames = heapq.heappop(active)
-            yield frame
+            yield number, frame
             _push(active, number, frames)
 
 

@@ -28,7 +28,7 @@ from gis_radar.base import (
 from gis_radar.recordings import settings
 from gis_radar.recordings.csv_table import open_csv_table, refuse_many_columns
 from gis_radar.recordings.parquet_table import first_group_of, parquet_batches, spans_of_groups
-from gis_radar.recordings.units import refuse_positions_in_other_units
+from gis_radar.recordings.units import refuse_positions_in_other_units, refuse_whole_seconds
 
 COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
 SENSOR = b"gis_radar.sensor"  # key of a file's metadata
@@ -341,6 +341,7 @@ class RowChecks:
     def accept(self, time: Floats, *, without_height: bool | None) -> None:
         """Count rows that were found sound; refuse more of one time than a frame can have."""
         self.without_height = without_height
+        refuse_whole_seconds(time, str(self.path))
         if len(time):
             self.rows_of_last = _refuse_long_frame(time, self.path, self.last, self.rows_of_last)
             self.row, self.last = self.row + len(time), float(time[-1])

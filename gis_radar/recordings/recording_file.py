@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from gis_radar.base import InputError, output_errors
 from gis_radar.recordings.frames import Column, Frame
 from gis_radar.recordings.recording import SENSOR
-from gis_radar.recordings.units import refuse_positions_in_other_units
+from gis_radar.recordings.units import refuse_positions_in_other_units, refuse_whole_seconds
 
 ROWS_IN_GROUP = 1 << 17  # held in memory until written: 4 MB of our columns
 CORE = ("x", "y", "z", "range_rate", "rcs")
@@ -88,6 +88,8 @@ class RecordingFile:
         """Write the waiting frames as row groups; the first decides columns and elevation."""
         points = np.concatenate([frame.points for _, frame in self._waiting])
         refuse_positions_in_other_units(points, str(self._place))
+        rows = [max(len(frame), 1) for _, frame in self._waiting]
+        refuse_whole_seconds(np.repeat([time for time, _ in self._waiting], rows), str(self._place))
         if self.elevation is None:
             self.elevation = _measures_elevation([frame for _, frame in self._waiting])
         self._waiting = [(time, self._with_uniform_heights(frame)) for time, frame in self._waiting]

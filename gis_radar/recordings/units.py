@@ -12,6 +12,10 @@ LEAST_MEDIAN_M = 10.0  # median range; of roadside radars 20 to 60 m. Less: a sm
 MAP_M = 1e5  # numbers beyond are no millimetres: the median range of a radar is under 100 m
 LEAST_EXTENT_M = 0.02  # positions of even one still target vary by more; 0.02 degrees are 2 km
 TURN_RAD = 2.0 * np.pi
+LEAST_ROWS = 1000  # rows whose times are checked for fractions: one frame has some hundred
+ROWS_A_SECOND = 20  # fewer rows of one time are no frames of a second joined
+FLOAT32_S = 64.0  # what all UNIX times as float32 are multiples of; six digits of text are, too
+ODD_ANGLES, MOST_ODD = 0.1, 2  # share and number of angles beyond a turn that damage may explain
 
 
 def refuse_positions_in_other_units(points: Floats, what: str) -> None:
@@ -61,28 +65,70 @@ def _likely(median: float) -> str:
     return Text("it looks like {}", Text(unit))
 
 
-def refuse_degrees(angles: Floats, field: str, name: str) -> None:
-    """Refuse angles in radians that look like degrees.
+def refuse_whole_seconds(time: Floats, what: str) -> None:
+    """Refuse times that have lost their fractions of a second.
+
+    Rounded times, and those stored as float32, join the frames of a second, or of two minutes.
 
     Parameters
     ----------
-    angles : (n,) array
-        Angles of one frame or more, radians.
-    field, name : str
-        The file's field, and what it is read as: `azimuth` or `elevation`.
+    time : (n,) array
+        UNIX seconds, ascending; fewer than `LEAST_ROWS`, or than `ROWS_A_SECOND` of each time, are
+        not checked.
+    what : str
+        Their file, for the message.
 
     Raises
     ------
     InputError
-        If half of them are over a full turn, or over a right angle for elevations.
+        If all are whole seconds.
     """
-    limit = TURN_RAD if name == "azimuth" else TURN_RAD / 4.0
-    known = np.abs(angles[np.isfinite(angles)])
-    median = float(np.median(known)) if len(known) >= 5 else 0.0
-    if median > limit:
+    if len(time) < LEAST_ROWS or np.any(time % 1.0):
+        return
+    if len(time) < ROWS_A_SECOND * np.count_nonzero(np.diff(time, prepend=np.nan)):
+        return
+    if time[0] != time[-1] or time[0] % FLOAT32_S == 0.0:  # else a large frame may be at a second
         raise InputError(
-            "{}: half of the values are over {:.3g}, expected radians: it looks like degrees",
+            "{}: all times are whole seconds: the fractions are lost",
+            what,
+            hint="write UNIX seconds as float64 (text: six decimals), not float32",
+        )
+
+
+def refuse_degrees(angles: Floats, field: str, name: str) -> None:
+    """Refuse angles in radians that look like degrees, and azimuths in degrees like radians.
+
+    Parameters
+    ----------
+    angles : (n,) array
+        Angles of one frame or more, in the unit of `name`.
+    field, name : str
+        The file's field, and what it is read as: `azimuth` or `elevation` in radians, or
+        `azimuth_deg`.
+
+    Raises
+    ------
+    InputError
+        If a tenth of them, and more than `MOST_ODD`, are over a full turn, or over a right angle
+        for elevations; if all azimuths in degrees are under pi.
+    """
+    known = np.abs(angles[np.isfinite(angles)])
+    if name == "azimuth_deg":
+        if len(known) >= LEAST_CHECKED and 0.0 < known.max() <= TURN_RAD / 2.0:
+            raise InputError(
+                "{}: no value is over {:.3g}, expected degrees: it looks like radians",
+                field,
+                known.max(),
+                hint=Text("state it: {} azimuth={}", "--columns", field),
+            )
+        return
+    limit = TURN_RAD if name == "azimuth" else TURN_RAD / 4.0
+    beyond = np.count_nonzero(known > limit)
+    if beyond > max(ODD_ANGLES * len(known), MOST_ODD):
+        raise InputError(
+            "{}: {:.0%} of the values are over {:.3g}, expected radians: it looks like degrees",
             field,
-            median,
+            beyond / len(known),
+            limit,
             hint=Text("state it: {} {}_deg={}", "--columns", name, field),
         )

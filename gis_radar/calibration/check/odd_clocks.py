@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations
 
@@ -16,6 +17,7 @@ from gis_radar.calibration.timing.lane_detections import LaneDetections
 
 # Clocks contradict each other from this offset on; a car drives its length in it.
 CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0
+LEAST_PART = 1.0 / 3.0  # of the detections: less has too few vehicles
 PARTNERS = 3  # comparisons that suffice for a sensor: two of them are the majority
 
 
@@ -75,13 +77,30 @@ def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str,
     for one, other in sorted(shared, key=lambda pair: -shared[pair]):
         if other in linked[one] and min(partners[one], partners[other]) >= PARTNERS:
             continue
-        try:
-            offsets[one, other] = measured_offset(seen[one], seen[other])
-        except NoAnswerError:  # no common view
+        found = _offset_between(seen[one], seen[other])
+        if found is None:  # no common view
             continue
+        offsets[one, other] = found
         partners.update((one, other))
         linked |= dict.fromkeys(chain := linked[one] | linked[other], chain)
     return offsets
+
+
+def _offset_between(one: LaneDetections, other: LaneDetections) -> ClockOffset | None:
+    """Return the largest offset of all times, the first third, and the last; None without any.
+
+    A clock that was set on the way contradicts the other one in a part.
+    """
+    found = list[ClockOffset]()
+    for begin, end in ((0.0, 1.0), (0.0, LEAST_PART), (1.0 - LEAST_PART, 1.0)):
+        with suppress(NoAnswerError):
+            found.append(measured_offset(_part(one, begin, end), _part(other, begin, end)))
+    return max(found, key=lambda each: abs(each.offset_s), default=None)
+
+
+def _part(seen: LaneDetections, begin: float, end: float) -> LaneDetections:
+    """Return the detections from a share of all to another one, by their time."""
+    return seen.take(np.arange(int(begin * len(seen)), int(end * len(seen))))
 
 
 def _clocks_apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:
@@ -94,5 +113,6 @@ def _clocks_apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Find
     )
     evidence = ahead if ahead_s > 0.0 else behind
     cause = Text(CLOCKS_APART, other)
-    finding = wrong(evidence, cause, Text("find the offset with gis-radar clocks"))
+    advice = Text("find the offset with gis-radar clocks, or cut the recording where it was set")
+    finding = wrong(evidence, cause, advice)
     return replace(finding, sensor=name)

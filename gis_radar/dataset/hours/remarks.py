@@ -17,7 +17,7 @@ from gis_radar.dataset.traffic.shifts import lanes_across
 from gis_radar.hdmap import TILES_LAYER
 from gis_radar.measures import PlacedRecording, RecordingCounts, SightBook, valid_steps
 from gis_radar.poses import View
-from gis_radar.recordings import RangeCounts, time_warnings
+from gis_radar.recordings import FARTHEST_RADAR_M, RangeCounts, time_warnings
 from gis_radar.scans import (
     JUDGED_FRAMES,
     MovingHits,
@@ -33,6 +33,10 @@ SLOW_CYCLE = 1.1  # least cycle to warn of, in validities: 10 % of the steps hav
 # A warning is given where RANGE_SHARE of the detections lies within REACH_SHARE of the view's range
 # (the contract).
 RANGE_SHARE, REACH_SHARE = 0.999, 0.8
+# A warning is given where OUTSIDE_SHARE of the first detections are outside the view; of eleven
+# simulated sensors at most 0.4 % are, and with half the azimuth 10 % and more.
+OUTSIDE_SHARE, LEAST_VIEWED = 0.05, 100
+FAR_SHARE = 0.001  # share of detections beyond any radar to warn of: more than ghosts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,12 +136,34 @@ def _view_warnings(examined: Examined) -> Iterator[str]:
     ranges.counts = examined.evidence.ranges
     reached_m = ranges.reached_m(RANGE_SHARE)
     view = examined.source.track.poses[0].view or View()
-    if examined.evidence.hits == 0:
+    if examined.evidence.hits == 0 and examined.evidence.rows:  # else another one holds its frames
         yield Text(
             "{}: no detection of {} lies on a tile: all reads as observed and empty; do "
             "pose, tiles and filters fit the recording, and are its positions metres?",
             file,
             sensor,
+        )
+    beyond = float(ranges.counts[int(FARTHEST_RADAR_M) :].sum() / max(ranges.counts.sum(), 1))
+    if beyond > FAR_SHARE:
+        yield Text(
+            "{}: {:.1%} of the detections are over {:,.0f} m away, beyond any radar, and count "
+            "nowhere: are some positions in another unit than metres?",
+            file,
+            beyond,
+            FARTHEST_RADAR_M,
+        )
+    rows = next(examined.source.recording.read())
+    outside = ~view.sees(rows.points[rows.present])
+    if len(outside) >= LEAST_VIEWED and (share := float(outside.mean())) > OUTSIDE_SHARE:
+        yield Text(
+            "{}: {:.0%} of the detections lie outside the view of {} (azimuth {:g}, elevation "
+            "{:g} deg, range {:g} m) and count nowhere: angles are full opening angles, in degrees",
+            file,
+            share,
+            sensor,
+            view.azimuth_deg,
+            view.elevation_deg,
+            view.max_range_m,
         )
     limit = Text("the view's max_range_m or {}", "--max-range")
     if 0 < reached_m < REACH_SHARE * view.max_range_m:
