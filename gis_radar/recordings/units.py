@@ -12,8 +12,7 @@ LEAST_MEDIAN_M = 10.0  # median range; of roadside radars 20 to 60 m. Less: a sm
 MAP_M = 1e5  # numbers beyond are no millimetres: the median range of a radar is under 100 m
 LEAST_EXTENT_M = 0.02  # positions of even one still target vary by more; 0.02 degrees are 2 km
 TURN_RAD = 2.0 * np.pi
-LEAST_ROWS = 1000  # rows whose times are checked for fractions: one frame has some hundred
-ROWS_A_SECOND = 20  # fewer rows of one time are no frames of a second joined
+MOST_ROWS = 1000  # most detections of one frame; more of one time are several frames
 FLOAT32_S = 64.0  # what all UNIX times as float32 are multiples of; six digits of text are, too
 ODD_ANGLES, MOST_ODD = 0.1, 2  # share and number of angles beyond a turn that damage may explain
 
@@ -73,8 +72,7 @@ def refuse_whole_seconds(time: Floats, what: str) -> None:
     Parameters
     ----------
     time : (n,) array
-        UNIX seconds, ascending; fewer than `LEAST_ROWS`, or than `ROWS_A_SECOND` of each time, are
-        not checked.
+        UNIX seconds, ascending; fewer than `MOST_ROWS` of each time are not checked.
     what : str
         Their file, for the message.
 
@@ -83,9 +81,7 @@ def refuse_whole_seconds(time: Floats, what: str) -> None:
     InputError
         If all are whole seconds.
     """
-    if len(time) < LEAST_ROWS or np.any(time % 1.0):
-        return
-    if len(time) < ROWS_A_SECOND * np.count_nonzero(np.diff(time, prepend=np.nan)):
+    if np.any(time % 1.0) or len(time) <= MOST_ROWS * np.count_nonzero(np.diff(time, prepend=-1.0)):
         return
     if time[0] != time[-1] or time[0] % FLOAT32_S == 0.0:  # else a large frame may be at a second
         raise InputError(
