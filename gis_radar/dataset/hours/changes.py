@@ -7,11 +7,11 @@ from datetime import date
 from pathlib import Path
 
 from gis_radar.base import QUIET, Reporter
-from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.source import DatasetFiles
 
 
 def withdraw(
-    dataset: Source, recordings: Sequence[str | Path] = (), *, sensor: str | None = None,
+    dataset: DatasetFiles, recordings: Sequence[str | Path] = (), *, sensor: str | None = None,
     day: date | str | None = None, processes: int = 1, reporter: Reporter = QUIET,
 ) -> list[str]:  # fmt: skip
     """Withdraw recordings; the hours that they reach into are made again.
@@ -49,7 +49,7 @@ def withdraw(
     return withdraw(dataset, recordings, sensor, day, processes, reporter)
 
 
-def keep(dataset: Source, days: float, *, reporter: Reporter = QUIET) -> list[str]:
+def keep(dataset: DatasetFiles, days: float, *, reporter: Reporter = QUIET) -> list[str]:
     """Delete the exact tables of old hours, so that room stays for new ones.
 
     Tile counts, lane measures, turns, vehicles and passages stay; they are brought up to date
@@ -80,7 +80,7 @@ def keep(dataset: Source, days: float, *, reporter: Reporter = QUIET) -> list[st
     return keep(dataset.folder, days, dataset.manifest.fingerprint, reporter=reporter)
 
 
-def relink(dataset: Source, search: str | Path, *, reporter: Reporter = QUIET) -> int:
+def relink(dataset: DatasetFiles, search: str | Path, *, reporter: Reporter = QUIET) -> int:
     """Find recordings whose files were moved, by their contents, and return how many.
 
     Parameters

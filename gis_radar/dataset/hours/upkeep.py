@@ -16,12 +16,8 @@ from gis_radar.dataset.days.lane_measures import day_makers
 from gis_radar.dataset.files.manifest import Manifest
 from gis_radar.dataset.files.parts import days_of, digest_of, hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord, read_hours, write_record
-from gis_radar.dataset.files.registry import (
-    RecordingEntry,
-    Registry,
-    touched_hours,
-)
-from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.registry import RecordingEntry, Registry, touched_hours
+from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.files.tables import FRAMES, HITS, OBSERVED, OCCUPIED, TABLES, TRACKS, VISIBLE
 from gis_radar.dataset.hours.making import locked_for_writing, update_dataset
 from gis_radar.dataset.hours.registered import measure_settings_of, site_of
@@ -75,8 +71,8 @@ def _recordings_of_sensor(registry: Registry, sensor: str | None) -> list[Record
 
 
 def withdraw(
-    dataset: Source, recordings: Sequence[str | Path], sensor: str | None, day: date | str | None,
-    processes: int, reporter: Reporter,
+    dataset: DatasetFiles, recordings: Sequence[str | Path], sensor: str | None,
+    day: date | str | None, processes: int, reporter: Reporter,
 ) -> list[str]:  # fmt: skip
     """Withdraw recordings from a dataset; see :meth:`gis_radar.Dataset.withdraw`."""
     if bool(recordings) == (sensor is not None or day is not None):

@@ -29,7 +29,7 @@ from gis_radar.base import (
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
 from gis_radar.dataset.files.records import Span
-from gis_radar.dataset.files.source import Moment, Source, require_vehicles
+from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.files.tables import TRACKS
 from gis_radar.dataset.traffic.reader import interval_edges
 from gis_radar.hdmap import LANES_LAYER
@@ -49,7 +49,7 @@ _HEADWAYS = ("headway_mean_s", "headway_se_s", "headway_median_s", "gap_mean_s",
 
 
 def add_headways(
-    dataset: Source, lanes: gpd.GeoDataFrame, interval: str, span: Span | None
+    dataset: DatasetFiles, lanes: gpd.GeoDataFrame, interval: str, span: Span | None
 ) -> gpd.GeoDataFrame:
     """Add headways and gaps to the traffic of lanes; see :meth:`gis_radar.Dataset.traffic`."""
     steps = interval_steps(interval)
@@ -95,7 +95,7 @@ def _by_interval(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def signal_cycles(
-    dataset: Source, *, signals: str | Path | None = None, begin: Moment = None,
+    dataset: DatasetFiles, *, signals: str | Path | None = None, begin: Moment = None,
     end: Moment = None, language: str | None = None,
 ) -> pd.DataFrame:  # fmt: skip
     """Return the cycles of signals at stop lines, as the traffic shows them.
@@ -155,7 +155,9 @@ def _utc_times(steps: pd.Series) -> pd.Series:
     return pd.to_datetime(steps.astype(np.int64) * STEP_US, unit="us", utc=True)
 
 
-def _exact_hours(dataset: Source, span: Span | None) -> tuple[LaneNetwork, Iterator[TrackedLanes]]:
+def _exact_hours(
+    dataset: DatasetFiles, span: Span | None
+) -> tuple[LaneNetwork, Iterator[TrackedLanes]]:
     """Return the network, and the lanes of each hour with all vehicles on them."""
     traffic = LaneTraffic.of(dataset)
     records = [each for each in dataset.records(span).values() if TRACKS.name in each.parts]

@@ -32,7 +32,7 @@ from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
 from gis_radar.dataset.files.parts import hour_text
 from gis_radar.dataset.files.records import HourRecord, Span
 from gis_radar.dataset.files.schema import TableSchema
-from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.files.tables import LANE_MEASURES, TRACKS, TURNS
 from gis_radar.dataset.traffic.shifts import MISSED_ACROSS, OtherLanes, lanes_across, shifts_of
 from gis_radar.dataset.traffic.stated_lanes import delays
@@ -50,7 +50,7 @@ class TrafficReader:
 
     Parameters
     ----------
-    dataset : Source
+    dataset : DatasetFiles
         The dataset, of which complete hours are read.
     interval : str
         Length of the intervals: `1min`, `5min`, `15min`, `1h`, `24h`. They follow the clocks of the
@@ -67,7 +67,7 @@ class TrafficReader:
         Whether all intervals are one, as for :meth:`gis_radar.Dataset.traffic`.
     """
 
-    dataset: Source
+    dataset: DatasetFiles
     interval: str = "15min"
     span: Span | None = None
     language: str | None = None
