@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
+from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, quotient
 from gis_radar.measures.lane_fronts import Crossings, StepGrid, TrackedLanes, driven
 from gis_radar.measures.lane_network import LaneNetwork
 from gis_radar.measures.queues import QUEUE_EVERY_STEPS, queue_backs
@@ -91,7 +91,7 @@ def measure_lanes(lanes: TrackedLanes, tiles: TileSteps) -> Measured:
     looks = share * grid.steps / QUEUE_EVERY_STEPS
     stop = np.repeat(network.has_stop_line, grid.count) & (share > 0.0)
     columns["queue_max_m"] = np.where(stop, most_m, np.nan)
-    columns["queue_mean_m"] = np.where(stop, _quotient(sum_m, looks), np.nan)
+    columns["queue_mean_m"] = np.where(stop, quotient(sum_m, looks), np.nan)
     columns["stops"] = _masked(_stops(lanes), areas.visible_steps == 0.0)
     rows = np.flatnonzero(areas.known)
     table: dict[str, Any] = {
@@ -119,7 +119,7 @@ def _areas(lanes: TrackedLanes, tiles: TileSteps) -> _Areas:
     order = np.argsort(network.tile_id, kind="stable")
     tile = order[np.searchsorted(network.tile_id, tiles.tile_id, sorter=order)]
     cell = network.tile_lane[tile] * lanes.grid.count + tiles.interval
-    share = _quotient(tiles.occupied, tiles.visible)
+    share = quotient(tiles.occupied, tiles.visible)
     hidden = (COUNTING_INFERRED * tiles.inferred) ** 2 * np.nan_to_num(share * (1 - share))
     least = LEAST_OCCUPIED_S * STEPS_PER_SECOND
     error = np.where(tiles.visible > 0, np.maximum(np.sqrt(tiles.variance + hidden), least), 0.0)
@@ -190,9 +190,9 @@ def _volumes(counts: _Counts, share: Floats) -> dict[str, Any]:
 
 def _speeds(counts: _Counts, seconds: Floats, metres: Floats, share: Floats) -> dict[str, Any]:
     """Return space-mean and time-mean speed, m/s."""
-    mean = _quotient(counts.speed, counts.counted)
+    mean = quotient(counts.speed, counts.counted)
     return {
-        "speed_mean": np.maximum(_quotient(metres, seconds), 0.0),
+        "speed_mean": np.maximum(quotient(metres, seconds), 0.0),
         "speed_time_mean": np.where(share > 0.0, mean, np.nan),
     }
 
@@ -200,8 +200,8 @@ def _speeds(counts: _Counts, seconds: Floats, metres: Floats, share: Floats) -> 
 def _occupancies(areas: _Areas) -> dict[str, Any]:
     """Return the mean occupancy of tiles; their errors are added as fully correlated."""
     return {
-        "occupancy": _quotient(areas.occupied_steps, areas.visible_steps),
-        "occupancy_se": _quotient(areas.error_steps, areas.visible_steps),
+        "occupancy": quotient(areas.occupied_steps, areas.visible_steps),
+        "occupancy_se": quotient(areas.error_steps, areas.visible_steps),
     }
 
 
@@ -212,10 +212,10 @@ def _flows(
     length, free = (np.repeat(each, grid.count) for each in (network.length_m, network.free_speed))
     whole_km_h = length * grid.steps / STEPS_PER_SECOND / 3.6e6
     enough = areas.visible_km_h >= LEAST_SHARE * whole_km_h
-    pace = np.where(enough & (metres > 0.0), _quotient(seconds, metres), np.nan)
+    pace = np.where(enough & (metres > 0.0), quotient(seconds, metres), np.nan)
     return {
-        "density": _quotient(seconds / 3600.0, areas.visible_km_h),
-        "flow": np.maximum(_quotient(metres / 1000.0, areas.visible_km_h), 0.0),
+        "density": quotient(seconds / 3600.0, areas.visible_km_h),
+        "flow": np.maximum(quotient(metres / 1000.0, areas.visible_km_h), 0.0),
         "travel_time_s": pace * length,
         "delay_s": np.maximum(pace * length - length / free, 0.0),
     }
@@ -258,7 +258,7 @@ def _turns(
     has_hidden_exit = np.bincount(start, ~seen, size)[start] > 0
     counted = np.ma.filled(by_lane["counted"].astype(np.float64), 0.0)
     divisor = np.where(has_hidden_exit, np.maximum(counted, total), total)
-    split = np.where(counted + total > 0.0, _quotient(followed, divisor), 0.0)
+    split = np.where(counted + total > 0.0, quotient(followed, divisor), 0.0)
     split = np.where(seen, split, np.nan)
     volume, error = by_lane["volume"], by_lane["volume_se"]
     unknown = np.maximum(volume - followed, 0.0) * (divisor < volume)
@@ -325,12 +325,6 @@ def _known_turns(lanes: TrackedLanes, crossed: Crossings, ways: Integers) -> Flo
     pairs = pairs.drop_duplicates(["vehicle", "start"])
     cell = (pairs["way"] * grid.count + pairs["interval"]).to_numpy(np.int64)
     return np.bincount(cell, minlength=len(ways) * grid.count).astype(np.float64)
-
-
-def _quotient(part: Floats, whole: Floats) -> Floats:
-    """Return quotients, NaN where the divisor is not positive."""
-    quotients: Floats = np.full(len(whole), np.nan)
-    return np.divide(part, whole, out=quotients, where=whole > 0.0)
 
 
 def _masked(values: Floats, missing: Booleans) -> Any:
