@@ -11,14 +11,7 @@ from typing import Any, Self
 
 import geopandas as gpd
 
-from gis_radar.base import (
-    InputError,
-    Text,
-    output_errors,
-    read_json,
-    restored,
-    with_texts,
-)
+from gis_radar.base import InputError, Text, output_errors, read_json, restored, with_texts
 from gis_radar.calibration import Finding, is_record
 from gis_radar.dataset.files.parts import replacing, write_single_file
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
