@@ -20,7 +20,7 @@ from gis_radar.dataset.files.parts import hour_begin, hour_text
 from gis_radar.dataset.files.records import Span, hour_bounds, read_hour, read_rows
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import DatasetFiles, Moment
-from gis_radar.dataset.hours import changes
+from gis_radar.dataset.hours import upkeep
 from gis_radar.dataset.questions import profiles
 from gis_radar.dataset.questions.sql import SqlQueries
 from gis_radar.dataset.traffic import headways_cycles, sections
@@ -50,9 +50,9 @@ class Dataset(DatasetFiles, SqlQueries):
     lane_months = profiles.lane_months
     tile_months = profiles.tile_months
     profile = profiles.profile
-    withdraw = changes.withdraw
-    keep = changes.keep
-    relink = changes.relink
+    withdraw = upkeep.withdraw
+    keep = upkeep.keep
+    relink = upkeep.relink
     frame_steps = frame_times.frame_steps
     traffic = traffic_tables.traffic
     turns = traffic_tables.turns
