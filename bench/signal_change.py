@@ -37,6 +37,7 @@ from gis_radar.measures import (  # noqa: E402
     LaneNetwork,
     StepGrid,
     TileSteps,
+    TrackedLanes,
     VehicleTable,
     VisibleRuns,
     cycles,
@@ -97,11 +98,16 @@ class SignalHour:
             inferred=np.zeros(size), variance=np.zeros(size),
         )  # fmt: skip
 
+    def tracked(self, grid: StepGrid) -> TrackedLanes:
+        """Return the lanes over intervals of the hour."""
+        return TrackedLanes(
+            network=self.network, grid=grid, states=self.states, vehicles=self.vehicles,
+            visible=self.visible,
+        )  # fmt: skip
+
     def traffic(self, grid: StepGrid = MINUTES) -> gpd.GeoDataFrame:
         """Return rows of lanes and intervals, as a dataset does."""
-        found = measure_lanes(
-            self.network, grid, self.states, self.vehicles, self.visible, self.tiles(grid)
-        )
+        found = measure_lanes(self.tracked(grid), self.tiles(grid))
         rows = pd.DataFrame(
             {name: values for name, values in found.lanes.items() if name != "speed_counts"}
         )
@@ -227,10 +233,7 @@ def cycles_told(hour: SignalHour, cycle_s: int) -> list[tuple[bool, bool]]:
     found = []
     for k in range(3):
         grid = StepGrid(begin=BEGIN + k * PART_STEPS, steps=PART_STEPS, count=1)
-        told_by = {
-            each.lane: each
-            for each in cycles(hour.network, grid, hour.states, hour.vehicles, hour.visible)
-        }
+        told_by = {each.lane: each for each in cycles(hour.tracked(grid))}
         found += [
             (np.isfinite(each.cycle_s), abs(each.cycle_s - cycle_s) <= RIGHT_S)
             for each in told_by.values()

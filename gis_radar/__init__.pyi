@@ -7,37 +7,14 @@ from .base import (
     UsageError,
     yaw_from_compass,
 )
-from .calibration import (
-    check_against_scan,
-    localize,
-    measure_clocks,
-    read_clocks,
-    track,
-)
+from .calibration import check_against_scan, localize, measure_clocks, read_clocks, track
 from .city import City, CityRun, fleet_health, open_city, run_city, write_month_page
-from .dataset import (
-    Dataset,
-    match_lanes,
-    measure,
-    open_dataset,
-)
+from .dataset import Dataset, match_lanes, measure, open_dataset
 from .demo import run_demo
-from .hdmap import (
-    LaneletMap,
-    make_tiles,
-    read_map,
-    read_tiles,
-    write_tiles,
-)
+from .hdmap import LaneletMap, make_tiles, read_map, read_tiles, write_tiles
 from .live import run_edge, run_fusion
 from .measures import Filters
-from .poses import (
-    Pose,
-    PoseTrack,
-    View,
-    read_pose,
-    read_track,
-)
+from .poses import Pose, PoseTrack, View, read_pose, read_track
 from .products import (
     MapLabels,
     compare,
@@ -53,11 +30,7 @@ from .products import (
 )
 from .recordings import convert, open_recording
 from .sample import sample_folder
-from .scans import (
-    find_sight,
-    mask_road,
-    read_road,
-)
+from .scans import find_sight, mask_road, read_road
 from .site import Site, check_site, read_site, run_site
 
 __all__ = [

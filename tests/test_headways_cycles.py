@@ -26,6 +26,7 @@ from gis_radar.measures import (
     FrontStates,
     LaneNetwork,
     StepGrid,
+    TrackedLanes,
     VehicleTable,
     VisibleRuns,
     cycles,
@@ -94,8 +95,14 @@ def visible(*hidden):
 
 
 def told(fronts, *hidden, what=cycles):
-    given = (states_of(fronts), vehicles_of(len(fronts)), visible(*hidden))
-    return what(NETWORK, GRID, *given)
+    return what(tracked(fronts, visible(*hidden)))
+
+
+def tracked(fronts, runs):
+    return TrackedLanes(
+        network=NETWORK, grid=GRID, states=states_of(fronts), vehicles=vehicles_of(len(fronts)),
+        visible=runs,
+    )  # fmt: skip
 
 
 def never(_time):
@@ -181,9 +188,8 @@ def test_the_queue_at_the_end_of_green_goes_on_over_road_that_is_not_visible():
     unseen = np.where((to_line > 21.0 - LENGTH_M) & (to_line < 65.0), np.nan, fronts)
     shown = np.isin(runs.tile_id, np.flatnonzero((far <= 21.0) | (far >= 65.0)))
     part = VisibleRuns(tile_id=runs.tile_id[shown], first=runs.first[shown], last=runs.last[shown])
-    known = vehicles_of(len(fronts))
     whole = [each for each in told(fronts) if not each.reason]
-    found = cycles(NETWORK, GRID, states_of(unseen), known, part)
+    found = cycles(tracked(unseen, part))
     longer = [each.queue_end_m > 80.0 for each in whole]
     assert sum(longer) >= 3
     assert [each.first for each in found] == [each.first for each in whole]

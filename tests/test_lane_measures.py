@@ -20,13 +20,13 @@ from gis_radar.measures import (
     LaneNetwork,
     StepGrid,
     TileSteps,
+    TrackedLanes,
     VehicleTable,
     VisibleRuns,
     lane_names,
     measure_lanes,
 )
 from gis_radar.measures.lane_network import Turn
-from gis_radar.measures.queues import standing_states
 
 BEGIN, QUARTER = 34_000_020_000, 1_200
 BEGIN -= BEGIN % 4
@@ -60,6 +60,12 @@ def vehicles_of(cars, length=4.5, heavy=0.25):
     )  # fmt: skip
 
 
+def tracked(network, grid, states, vehicles, visible):
+    return TrackedLanes(
+        network=network, grid=grid, states=states, vehicles=vehicles, visible=visible
+    )
+
+
 def seen_all(grid, tiles=TILES, share=1.0):
     """Say that all tiles are visible, in the first part of each interval."""
     ids, long = tiles["tile_id"].to_numpy(), round(grid.steps * share)
@@ -79,7 +85,9 @@ def seen_all(grid, tiles=TILES, share=1.0):
 def measured(cars, grid, share=1.0, counts=None):
     """Measure cars; give lanes and turns as tables."""
     runs, steps = seen_all(grid, share=share)
-    found = measure_lanes(NETWORK, grid, states_of(cars), vehicles_of(cars), runs, counts or steps)
+    found = measure_lanes(
+        tracked(NETWORK, grid, states_of(cars), vehicles_of(cars), runs), counts or steps
+    )
     lanes = {k: np.ma.filled(v.astype(float), np.nan) if np.ma.isMA(v) else v
              for k, v in found.lanes.items()}  # fmt: skip
     lanes["speed_counts"] = found.lanes["speed_counts"].to_pylist()
@@ -262,7 +270,7 @@ def test_doubt_of_existence_adds_to_the_error():
     cars = [(STRAIGHT, BEGIN, np.arange(50.0, 90.0, 2.0))]
     runs, counts = seen_all(GRID)
     doubted = VehicleTable(**{**vars(vehicles_of(cars)), "p_exists": np.array([0.6])})
-    found = measure_lanes(NETWORK, GRID, states_of(cars), doubted, runs, counts)
+    found = measure_lanes(tracked(NETWORK, GRID, states_of(cars), doubted, runs), counts)
     at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((APPROACH, 0))
     assert found.lanes["volume_se"][at] == pytest.approx(math.sqrt(0.045 + 0.24))
 
@@ -308,7 +316,7 @@ def test_a_queue_goes_on_over_road_that_is_not_visible(hidden, back_m):
     shown = (lane != APPROACH) | (middle < hidden[0]) | (middle > hidden[1])
     part = VisibleRuns(tile_id=runs.tile_id[shown], first=runs.first[shown], last=runs.last[shown])
     cars = queue([59.0, 51.0, 38.0, 20.0])
-    found = measure_lanes(NETWORK, GRID, states_of(cars), vehicles_of(cars), part, counts)
+    found = measure_lanes(tracked(NETWORK, GRID, states_of(cars), vehicles_of(cars), part), counts)
     at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((APPROACH, 0))
     assert found.lanes["queue_max_m"][at] == pytest.approx(back_m)
 
@@ -357,7 +365,7 @@ def test_queues_beyond_a_merge_are_each_lane_s_own(on_one, on_two, hidden, back_
     runs, counts = seen_all(GRID, tiles)
     shown = ~np.isin(runs.tile_id, tiles.loc[tiles["lanelet_id"].isin(hidden), "tile_id"])
     part = VisibleRuns(tile_id=runs.tile_id[shown], first=runs.first[shown], last=runs.last[shown])
-    found = measure_lanes(network, GRID, states, vehicles_of(places), part, counts)
+    found = measure_lanes(tracked(network, GRID, states, vehicles_of(places), part), counts)
     at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((3, 0))
     assert found.lanes["queue_max_m"][at] == pytest.approx(back_m)
 
@@ -404,7 +412,7 @@ def test_who_stood_when_first_found_has_not_stopped_and_slow_for_less_than_1_s_i
     assert lanes.loc[(APPROACH, 0), "stops"] == 0.0
     assert lanes.loc[(APPROACH, 0), "queue_max_m"] == pytest.approx(14.5)
     brief = states_of([(STRAIGHT, BEGIN, np.array([0, 2, 4, 4, 4, 4, 6, 8], float))])
-    assert not standing_states(brief)[0].any()
+    assert not brief.standing()[0].any()
 
 
 def test_a_front_that_wavers_over_the_line_counts_once():
@@ -433,7 +441,7 @@ def test_exits_that_are_not_visible_keep_what_may_have_taken_them(tiles_hidden):
         name: short.get(name, getattr(states, name))
         for name in ("vehicle", "step", "lane", "along_m", "speed", "seen")
     })  # fmt: skip
-    found = measure_lanes(NETWORK, GRID, states, vehicles_of(cars), runs, hidden)
+    found = measure_lanes(tracked(NETWORK, GRID, states, vehicles_of(cars), runs), hidden)
     turns = pd.DataFrame(found.turns).set_index(["from_lane", "to_lane", "interval"])
     assert turns.loc[(APPROACH, STRAIGHT, 0), "volume"] == pytest.approx(1.0)
     assert np.isnan(turns.loc[(APPROACH, LEFT, 0), "volume"])
@@ -517,7 +525,7 @@ def test_who_passes_the_middle_of_a_connector_has_turned_where_the_exit_is_not_v
         lane=np.searchsorted(network.lane, lane), along_m=np.array(along),
         speed=np.full(7, 10.0), seen=np.ones(7, np.bool_),
     )  # fmt: skip
-    found = measure_lanes(network, GRID, states, vehicles_of([0, 0]), runs, counts)
+    found = measure_lanes(tracked(network, GRID, states, vehicles_of([0, 0]), runs), counts)
     turns = pd.DataFrame(found.turns).set_index(["from_lane", "to_lane", "interval"])["volume"]
     assert turns.loc[[(1, 5, 0), (1, 6, 0)]].tolist() == pytest.approx(volumes, nan_ok=True)
 

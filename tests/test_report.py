@@ -81,7 +81,7 @@ def test_numbers_of_numpy_are_numbers_of_a_spreadsheet(tmp_path):
     cells = [1.5, np.float32(2.5), np.float64(3.5), np.int64(4), np.float32("nan"), math.nan, "a.b",
              True, np.False_]  # fmt: skip
     with csv_for("de"):
-        write_csv(tmp_path / "a.csv", ["n"] * len(cells), [cells])
+        write_csv(tmp_path / "a.csv", pd.DataFrame([cells], dtype=object))
     line = (tmp_path / "a.csv").read_text(encoding="utf-8-sig").splitlines()[1]
     assert line == "1,5;2,5;3,5;4;;;a.b;WAHR;FALSCH"
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from gis_radar.base import InputError, Text, in_language, tr
-from gis_radar.site import error_in_site_words
-from gis_radar.site.messages import KEYS, in_site_words
+from gis_radar.site.messages import KEYS, error_in_site_words, in_site_words
 from tools.catalogue import PACKAGE, told, trees
 
 KEYS_OF = PACKAGE / "site" / "messages.py"

@@ -8,6 +8,7 @@ from .arrays import (
     give_back_memory,
     heading_difference,
     nearest,
+    quotient,
     ranges,
 )
 from .crs import (
@@ -256,6 +257,7 @@ __all__ = [
     "placed",
     "plural",
     "plus_minus",
+    "quotient",
     "ranges",
     "read_json",
     "read_only",

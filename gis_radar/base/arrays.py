@@ -24,6 +24,13 @@ def ranges(first: Integers, count: Integers) -> Integers:
     return np.arange(count.sum()) + np.repeat(first + count - np.cumsum(count), count)
 
 
+def quotient(part: Any, whole: Any) -> Floats:
+    """Return quotients, NaN where the divisor is not positive."""
+    quotients: Floats = np.full(len(whole), np.nan)
+    np.divide(part, whole, out=quotients, where=whole > 0)
+    return quotients
+
+
 def nearest(known: Floats, wanted: Floats) -> Integers:
     """Return the index of the nearest element of `known`, which is non-empty and unsorted."""
     order = np.argsort(known, kind="stable")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from numbers import Number
@@ -52,16 +52,17 @@ def csv_for(locale: str) -> Iterator[None]:
         _csv_locale.reset(token)
 
 
-def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a table as CSV in UTF-8, with commas and points.
+def write_csv(path: Path, table: pd.DataFrame) -> None:
+    """Write a table as CSV in UTF-8, with commas and points; what is missing is empty.
 
     Within `csv_for("de")` it has semicolons, decimal commas, WAHR and FALSCH, and a byte order
     mark, by which Excel recognises UTF-8.
     """
     german = _csv_locale.get() == "de"
+    rows = table.astype(object).where(table.notna(), None).itertuples(index=False, name=None)
     with path.open("w", encoding="utf-8-sig" if german else "utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\r\n", delimiter=";" if german else ",")
-        writer.writerow([safe(name) for name in header])
+        writer.writerow([safe(name) for name in table.columns])
         writer.writerows([_localised(safe(cell), german=german) for cell in row] for row in rows)
 
 

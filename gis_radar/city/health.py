@@ -17,14 +17,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from gis_radar.base import (
-    STEP_S,
-    Floats,
-    Text,
-    figure_text,
-    seconds_text,
-    tr,
-)
+from gis_radar.base import STEP_S, Floats, Text, figure_text, seconds_text, tr
 from gis_radar.calibration import FITS, SENSOR_STATES, WRONG
 from gis_radar.city.city import RESULTS, City, open_city
 from gis_radar.city.month import CityMonth, month_of

@@ -193,7 +193,7 @@ def run_city(
         run.update(run.make_hours(run.register()))
         _write_record(run)
         run.write_page()  # last: it states failures from the record
-    return CityRun(city=city, root=Path(root), sites=sites)
+    return CityRun(city=city, root=root, sites=sites)
 
 
 def _line(name: str, failure: Failure) -> Text:
@@ -210,12 +210,9 @@ def _task(root: Path, city: CityFile, name: str) -> SiteTask:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CitySteps:
+class CitySteps(CityRun):
     """A run at work."""
 
-    city: CityFile
-    root: Path
-    sites: dict[str, SiteOutcome]
     workers: Workers
     reporter: Reporter
 

@@ -172,7 +172,8 @@ def _lanes(dataset: Dataset, month: CityMonth, network: LaneNetwork) -> pd.DataF
     lanes = dataset.traffic(begin=begin, end=end, whole=True)
     days = dataset.traffic("24h", begin=begin, end=end).groupby("lane")
     at = np.searchsorted(network.lane, lanes["lane"].to_numpy(np.int64))
-    entry = network.has_stop_line if network.has_stop_line.any() else _is_first(network)
+    is_first = np.array([not each for each in network.before], np.bool_)
+    entry = network.has_stop_line if network.has_stop_line.any() else is_first
     found: gpd.GeoDataFrame = lanes.assign(
         level=service_levels(lanes, "hcm"), length_m=network.length_m[at],
         is_inside=network.connector[at], is_entry=entry[at],
@@ -180,10 +181,6 @@ def _lanes(dataset: Dataset, month: CityMonth, network: LaneNetwork) -> pd.DataF
            for name, of in (("delay_se", "delay_s"), ("queue_se", "queue_mean_m"))},
     )  # fmt: skip
     return pd.DataFrame(found.drop(columns="geometry"))
-
-
-def _is_first(network: LaneNetwork) -> Any:
-    return np.array([not each for each in network.before], np.bool_)
 
 
 def _error_over_days(days: Any) -> pd.Series:

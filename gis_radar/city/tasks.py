@@ -19,7 +19,6 @@ from gis_radar import products
 from gis_radar.base import (
     GisRadarError,
     InputError,
-    NoAnswerError,
     Reporter,
     atomic_write,
     json_text,
@@ -33,10 +32,12 @@ from gis_radar.site import (
     Sensor,
     Site,
     convert_stage,
-    error_in_site_words,
+    heatmap_stage,
     measure_stage,
+    paths_named_by,
     prepare_site,
     read_site,
+    refusals_of,
     stages_of,
 )
 
@@ -249,15 +250,17 @@ def register_checked(site: Site, task: SiteTask) -> None:
             refused = _register(site.model_copy(update={"sensor": tuple(pending.values())}), task)
             again = {name: pending[name] for name in refused}
         except InputError as error:
-            refused = {name: error for name, each in pending.items() if _damaged(each, error)}
+            refused = {name: error for name, each in pending.items()
+                       if paths_named_by(error, each.recordings)}  # fmt: skip
             again = pending
             if not refused:
                 raise
         task.failures += refused.items()
         pending = {}
         for name, sensor in again.items():
-            damaged = _damaged(sensor, refused[name]) if name in refused else []
-            paths = tuple(path for path in sensor.recordings if path not in damaged)
+            paths = sensor.recordings
+            damaged = paths_named_by(refused[name], paths) if name in refused else []
+            paths = tuple(path for path in paths if path not in damaged)
             if paths and (damaged or name not in refused):
                 pending[name] = sensor.model_copy(update={"recordings": paths})
 
@@ -268,20 +271,7 @@ def _register(site: Site, task: SiteTask) -> dict[str, GisRadarError]:
     figures = measure_stage(
         **stage.arguments, outputs=[task.dataset], reporter=task, only=False, before_hour=0
     )
-    refused = dict[str, GisRadarError]()
-    for name, message in figures["refused"].items():
-        kind = NoAnswerError if name in figures["implausible"] else InputError
-        error = kind("{}", message, hint=figures["hints"][name])
-        refused[name] = error_in_site_words(error, site.timezone)
-    return refused
-
-
-def _damaged(sensor: Sensor, error: GisRadarError) -> list[Path]:
-    """Return the recordings of a sensor that an error names."""
-    return [
-        path for path in sensor.recordings
-        if error.message.startswith((f"{path}:", f"{path.resolve()}:"))
-    ]  # fmt: skip
+    return refusals_of(figures, site.timezone)
 
 
 def make_site_hour(dataset: Path, hour: int, processes: int) -> int:
@@ -314,20 +304,15 @@ def update_site(task: SiteTask, city: CityFile) -> SiteTask:
 
 def _report(task: SiteTask, timezone: str) -> None:
     """Write heat map and report of the local month of the last measured hour."""
-    dataset, site = open_dataset(task.dataset), read_site(task.file)
-    hours = dataset.records()
+    site, hours = read_site(task.file), open_dataset(task.dataset).records()
     if not hours:
         return
     last = pd.Timestamp(max(hours) * 3600, unit="s", tz="UTC").tz_convert(timezone)
     begin = last.normalize().replace(day=1)
-    labels = products.MapLabels(
-        title=site.title, timezone=site.timezone, language=site.language, sources=site.credits
-    )
-    heat = products.make_heatmap(
-        dataset, begin=begin, end=begin + pd.DateOffset(months=1),
-        timezone=None if site.timezone == "UTC" else site.timezone, labels=labels, reporter=task,
+    heatmap_stage(
+        dataset=task.dataset, outputs=[task.results / "heatmap"], reporter=task,
+        labels=site.labels, begin=begin, end=begin + pd.DateOffset(months=1),
     )  # fmt: skip
-    heat.write(task.results / "heatmap", reporter=task)
     products.write_report(
         task.results, dataset=task.dataset, csv_locale=site.csv_locale, reporter=task
     )

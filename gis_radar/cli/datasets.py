@@ -12,14 +12,7 @@ from gis_radar import base, products
 from gis_radar import dataset as dataset_room
 from gis_radar.base import Reporter, Text, UsageError, placed
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import (
-    DURATION,
-    FILE,
-    begin_end,
-    csv_locale,
-    language,
-    output,
-)
+from gis_radar.cli.options import DURATION, FILE, begin_end, csv_locale, language, output
 from gis_radar.cli.options import dataset as dataset_argument
 
 TOO_SHORT = Text(
@@ -206,7 +199,7 @@ def profile(
     summary, names = {"total": len(found)}, list(map(str, found))
     if output is not None:
         with base.csv_for(csv_locale), base.atomic_write(output) as part:
-            base.write_csv(part, names, found.itertuples(index=False))
+            base.write_csv(part, found)
         return Result(outputs=[output], summary=summary)
     values = found.astype(object).where(found.notna(), None).to_numpy().tolist()
     rows = [dict(zip(names, each, strict=True)) for each in values]

@@ -4,12 +4,7 @@ from .days.lane_measures import LaneTraffic
 from .days.rollups import RollUps
 from .days.tables import STEPS_PER_QUARTER
 from .days.tile_counts import TileCounts, count_spans, run_variance
-from .files.manifest import (
-    Manifest,
-    create_dataset,
-    require_same_settings,
-    require_same_site,
-)
+from .files.manifest import Manifest, create_dataset, require_same_settings, require_same_site
 from .files.parts import (
     Origin,
     clear_unfinished,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,57 +11,27 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyogrio
 
-from gis_radar.base import (
-    QUIET,
-    InputError,
-    Integers,
-    Reporter,
-    Text,
-    UsageError,
-    card,
-    opened_package,
-    step_at,
-    zone_of,
-)
+from gis_radar.base import QUIET, Integers, Reporter, Text, UsageError, card
 from gis_radar.dataset.days.lane_measures import day_makers, maker_of
 from gis_radar.dataset.files import frame_times, tables
-from gis_radar.dataset.files.manifest import TILES, Manifest
-from gis_radar.dataset.files.parts import (
-    MEASURE_AGAIN,
-    hour_begin,
-    hour_of_step,
-    hour_text,
-    single_file,
-)
-from gis_radar.dataset.files.records import (
-    HourRecord,
-    Span,
-    hour_bounds,
-    read_hour,
-    read_hours,
-    read_rows,
-)
+from gis_radar.dataset.files.manifest import Manifest
+from gis_radar.dataset.files.parts import hour_begin, hour_text
+from gis_radar.dataset.files.records import Span, hour_bounds, read_hour, read_rows
 from gis_radar.dataset.files.schema import TableSchema
-from gis_radar.dataset.files.source import Moment
-from gis_radar.dataset.files.units import convert_units
-from gis_radar.dataset.hours import changes
+from gis_radar.dataset.files.source import DatasetFiles, Moment
+from gis_radar.dataset.hours import upkeep
 from gis_radar.dataset.questions import profiles
 from gis_radar.dataset.questions.sql import SqlQueries
 from gis_radar.dataset.traffic import headways_cycles, sections
 from gis_radar.dataset.traffic import tables as traffic_tables
 from gis_radar.dataset.traffic.stated_lanes import stated_lanes
 from gis_radar.dataset.vehicles import footprints, trajectories
-from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER, fingerprint, read_tiles
-
-_LAST_STEP = 1 << 62  # of a span without an end
-# Steps of 1985 to 2128; UNIX seconds, given in place of steps, are smaller numbers.
-_STEPS_TODAY = range(10_000_000_000, 100_000_000_000)
+from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Dataset(SqlQueries):
+class Dataset(DatasetFiles, SqlQueries):
     """Dataset of a site: tables by hour, read when they are asked for.
 
     Tables come in metres, degrees, m/s and UTC timestamps; `begin` is included, `end` is not.
@@ -77,17 +47,12 @@ class Dataset(SqlQueries):
         Results that several questions need, by key; filled by them.
     """
 
-    folder: Path
-    manifest: Manifest
-    cache: dict[Any, Any] = field(default_factory=dict, repr=False)
-    _layers: dict[str, gpd.GeoDataFrame] = field(default_factory=dict, repr=False)
-
     lane_months = profiles.lane_months
     tile_months = profiles.tile_months
     profile = profiles.profile
-    withdraw = changes.withdraw
-    keep = changes.keep
-    relink = changes.relink
+    withdraw = upkeep.withdraw
+    keep = upkeep.keep
+    relink = upkeep.relink
     frame_steps = frame_times.frame_steps
     traffic = traffic_tables.traffic
     turns = traffic_tables.turns
@@ -97,21 +62,6 @@ class Dataset(SqlQueries):
     track_points = trajectories.track_points
     to_trajectories = trajectories.to_trajectories
     write_footprints = footprints.write_footprints
-
-    @property
-    def crs(self) -> str:
-        """Coordinate system of the map frame."""
-        return self.manifest.crs
-
-    @property
-    def timezone(self) -> str:
-        """Time zone of the site."""
-        return self.manifest.timezone
-
-    @property
-    def has_vehicles(self) -> bool:
-        """Whether vehicles were looked for, so that there are tracks and occupancy."""
-        return bool(self.manifest.settings.get("vehicles"))
 
     @property
     def sensors(self) -> list[str]:
@@ -132,42 +82,6 @@ class Dataset(SqlQueries):
     def queried_sites(self) -> tuple[Path, Mapping[str, Dataset]]:
         """Return the folder, and the dataset under an empty name."""
         return self.folder, {"": self}
-
-    def records(self, span: Span | None = None) -> dict[int, HourRecord]:
-        """Read the records of the complete hours, all or those with steps of a span.
-
-        Raises
-        ------
-        InputError
-            If an hour was made from other tiles.
-        """
-        first, last = (None, None) if span is None else map(hour_of_step, span)
-        records = read_hours(self.folder, first, last)
-        for record in records.values():
-            if record.origin.fingerprint != self.manifest.fingerprint:
-                raise InputError(
-                    "{}: {} was made from other tiles",
-                    self.folder,
-                    hour_text(record.hour),
-                    hint=MEASURE_AGAIN,
-                )
-        return records
-
-    def span(self, begin: Moment = None, end: Moment = None) -> Span | None:
-        """Return the first and the last step from `begin` up to `end`; None for all.
-
-        Raises
-        ------
-        UsageError
-            If one is not a time, or the end is not after the begin.
-        """
-        if begin is None and end is None:
-            return None
-        first, after = (self._step(each, what) for each, what in ((begin, "begin"), (end, "end")))
-        span = (0 if first is None else first, (_LAST_STEP if after is None else after) - 1)
-        if span[0] > span[1]:
-            raise UsageError("end {} is not after begin {}", end, begin)
-        return span
 
     def batches(
         self, table: TableSchema, span: Span | None = None, columns: Sequence[str] | None = None
@@ -212,16 +126,6 @@ class Dataset(SqlQueries):
     def recordings(self) -> pd.DataFrame:
         """Read the table of recordings from which it was made."""
         return self._read_single(tables.RECORDINGS)
-
-    def poses(self) -> gpd.GeoDataFrame:
-        """Read the poses of the sensors."""
-        table = self._read_single(tables.POSES)
-        places = gpd.points_from_xy(table["easting"], table["northing"], table["height"])
-        return gpd.GeoDataFrame(table, geometry=places, crs=self.crs)
-
-    def sights(self) -> pd.DataFrame:
-        """Read the tiles in sight of each pose."""
-        return self._read_single(tables.SIGHTS)
 
     def sight_of(self, sensor: str) -> Integers:
         """Return the ids of the tiles in sight of the last pose of a sensor."""
@@ -268,10 +172,6 @@ class Dataset(SqlQueries):
     def vehicles(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the vehicles."""
         return self._read(tables.VEHICLES, begin, end)
-
-    def continued(self) -> pd.DataFrame:
-        """Read the pairs of numbers of one vehicle on either side of an hour's begin."""
-        return self._read(tables.CONTINUED, None, None)
 
     def passages(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the passages of vehicles over the middles of lanelets."""
@@ -348,13 +248,6 @@ class Dataset(SqlQueries):
     def _repr_html_(self) -> str:
         return card("Dataset", {"folder": str(self.folder), **self.figures()})
 
-    def layer(self, name: str) -> gpd.GeoDataFrame:
-        """Read a layer of the tiles: `tiles`, `lanes` or `stop_lines`; each is read once."""
-        if name not in self._layers:
-            tiles = self._tiles()  # refuses a file with other tiles
-            self._layers[name] = tiles if name == TILES_LAYER else self._other_layer(name)
-        return self._layers[name].copy()
-
     def with_lanes(
         self, lanes: Sequence[Mapping[str, Any]], speed_kmh: float | None = None
     ) -> Dataset:
@@ -377,44 +270,6 @@ class Dataset(SqlQueries):
             return self
         layer = stated_lanes(self.layer(LANES_LAYER), lanes, speed_kmh, self.folder)
         return replace(self, cache={}, _layers={**self._layers, LANES_LAYER: layer})
-
-    def _tiles(self) -> gpd.GeoDataFrame:
-        tiles = read_tiles(self.folder / TILES)
-        if (got := fingerprint(tiles)) != self.manifest.fingerprint:
-            raise InputError(
-                "{}: has tiles {}, the dataset is of {}",
-                self.folder / TILES,
-                got,
-                self.manifest.fingerprint,
-                hint="bring back the file that measure wrote",
-            )
-        return tiles
-
-    def _other_layer(self, name: str) -> gpd.GeoDataFrame:
-        with opened_package(self.folder / TILES, what="the tiles of a dataset") as place:
-            return pyogrio.read_dataframe(place, layer=name, use_arrow=True)
-
-    def _read(self, table: TableSchema, begin: Moment, end: Moment) -> pd.DataFrame:
-        parts = list(self.batches(table, self.span(begin, end)))
-        rows = pa.concat_tables(parts) if parts else table.empty()
-        return convert_units(rows, self.manifest.origin)
-
-    def _read_single(self, table: TableSchema) -> pd.DataFrame:
-        return convert_units(self.single_table(table), self.manifest.origin)
-
-    def single_table(self, table: TableSchema) -> pa.Table:
-        """Read a table that is one file, with its columns: recordings, poses or sights."""
-        return single_file(table, self.folder, self.manifest.fingerprint).read()
-
-    def _step(self, value: Moment, what: str) -> int | None:
-        if isinstance(value, int) and value not in _STEPS_TODAY:
-            raise UsageError(
-                "{} is {}, which is no step of 50 ms since 1970", what, value,
-                hint="give a time such as 2026-11-20 09:00",
-            )  # fmt: skip
-        if value is None or isinstance(value, int):
-            return value
-        return step_at(value, zone_of(self.manifest.timezone), what=what)
 
 
 def open_dataset(path: str | Path | Dataset, *, reporter: Reporter = QUIET) -> Dataset:

@@ -120,9 +120,8 @@ def match_lanes(
 
 def write_lane_matches(table: pd.DataFrame, path: Path) -> None:
     """Write the table of :func:`match_lanes` as CSV."""
-    shown = table.astype(object).where(table.notna(), None)
     with atomic_write(path) as part:
-        write_csv(part, [*COLUMNS], shown.itertuples(index=False, name=None))
+        write_csv(part, table)
 
 
 def _lanes(source: Any) -> gpd.GeoDataFrame:

@@ -37,6 +37,7 @@ from gis_radar.dataset.dataset import Dataset, open_dataset
 from gis_radar.dataset.files.manifest import (
     Manifest,
     create_dataset,
+    locked_for_writing,
     remove_dataset,
     require_same_settings,
 )
@@ -51,7 +52,7 @@ from gis_radar.dataset.files.registry import (
 )
 from gis_radar.dataset.hours import remarks
 from gis_radar.dataset.hours.job import HourSite, MadeHour, MeasureSettings
-from gis_radar.dataset.hours.making import locked_for_writing, update_dataset
+from gis_radar.dataset.hours.making import update_dataset
 from gis_radar.hdmap import LaneGraph, LaneletMap, fingerprint, lane_graph, require_tiles
 from gis_radar.measures import Filters, PlacedRecording, RecordingCounts, SightBook, validity_of
 from gis_radar.poses import Pose, PoseTrack, as_tracks

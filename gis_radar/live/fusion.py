@@ -26,6 +26,7 @@ from gis_radar.base import (
     interval_steps,
     only_writer,
     output_errors,
+    quotient,
 )
 from gis_radar.hdmap import lane_graph, read_tiles
 from gis_radar.live.alerts import Alerts, Webhook
@@ -33,7 +34,7 @@ from gis_radar.live.background import in_background
 from gis_radar.live.health import prometheus_text
 from gis_radar.live.hours.hour_work import MeasuredSite, refuse_other_settings
 from gis_radar.live.hours.jobs import HourJobs
-from gis_radar.live.hours.quarters import Quarters, share_of
+from gis_radar.live.hours.quarters import Quarters
 from gis_radar.live.hours.recent import RecentCounts
 from gis_radar.live.hours.spool import Spool, SpoolFile, spool_files
 from gis_radar.live.intake import Intake, SensorState
@@ -355,7 +356,7 @@ class Fusion:
         table = self.tiles[["tile_id", "lanelet_id", "geometry"]].assign(
             time=state.time, hit=state.hit.astype(np.int8),
             observed=state.observed.astype(np.int8), hit_s=hit_s,
-            observed_s=observed_s, hit_share=share_of(hit_s, observed_s),
+            observed_s=observed_s, hit_share=quotient(hit_s, observed_s),
         )  # fmt: skip
         if (quarter := self.quarters.newest()) is not None:
             table = table.assign(

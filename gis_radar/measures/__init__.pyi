@@ -7,14 +7,13 @@ from .headways import Headways, headways
 from .hit_counter import FrameCounter
 from .hour import LONGEST_VALID_STEPS, MARGIN_STEPS, HourWindow
 from .hour_hits import ValidFrames, frame_columns, observed_runs, sorted_hits, valid_runs
-from .lane_fronts import FrontStates, StepGrid, VisibleRuns
+from .lane_fronts import FrontStates, StepGrid, TrackedLanes, VehicleTable, VisibleRuns
 from .lane_measures import (
     LEAST_SHARE,
     SPEED_CLASS_KMH,
     SPEED_CLASSES,
     Measured,
     TileSteps,
-    VehicleTable,
     measure_lanes,
 )
 from .lane_names import TURN_WORDS, bound_name, lane_directions, lane_names, place_on, turn_lines
@@ -67,6 +66,7 @@ __all__ = [
     "SightBook",
     "StepGrid",
     "TileSteps",
+    "TrackedLanes",
     "ValidFrames",
     "VehicleTable",
     "VisibleRuns",

@@ -9,6 +9,7 @@ demand, are not taken for cycles.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -16,22 +17,13 @@ import numpy as np
 import scipy
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, Booleans, Floats, Integers, Text
-from gis_radar.measures.lane_fronts import (
-    Crossings,
-    FrontStates,
-    StepGrid,
-    VisibleRuns,
-    crossings,
-)
-from gis_radar.measures.lane_measures import VehicleTable
-from gis_radar.measures.lane_network import LaneNetwork
+from gis_radar.measures.lane_fronts import Crossings, StepGrid, TrackedLanes
 from gis_radar.measures.queues import (
     JOINED_M,
     OVER_LINE_M,
     QueueCourse,
     joins,
     queue_course,
-    standing_states,
     to_stop_line,
 )
 
@@ -156,24 +148,23 @@ def _fitted_cycles(begins_s: Floats, length_s: float) -> tuple[float, float, Per
     return chance, float(is_on.mean()), period
 
 
-def cycles(
-    network: LaneNetwork, grid: StepGrid, states: FrontStates, vehicles: VehicleTable,
-    visible: VisibleRuns, known: Mapping[int, Greens] | None = None,
-) -> list[Cycle]:  # fmt: skip
+def cycles(lanes: TrackedLanes, known: Mapping[int, Greens] | None = None) -> list[Cycle]:
     """Return the cycles at each stop line between the first and the last begin of green of a grid.
 
     Parameters
     ----------
-    network, grid, states, vehicles, visible
-        As for :func:`gis_radar.measures.measure_lanes`.
+    lanes : TrackedLanes
+        The lanes and all vehicles on them.
     known : mapping, optional
         Green times, by position of the lane; elsewhere cycles are inferred from the traffic.
     """
-    crossed, greens = crossings(states, states.moves(network), network, grid), known or {}
-    stands = standing_states(states)[0]
-    length_m = vehicles.length_m[vehicles.of(states.vehicle)]
+    crossed, grid, greens = lanes.crossings, lanes.grid, known or {}
+    seconds = (grid.end - grid.begin) // STEPS_PER_SECOND
+    second_by_second = replace(
+        lanes, grid=StepGrid(begin=grid.begin, steps=STEPS_PER_SECOND, count=seconds)
+    )
     filled: list[Cycle] = []
-    for lane in np.flatnonzero(network.has_stop_line).tolist():
+    for lane in np.flatnonzero(lanes.network.has_stop_line).tolist():
         crossings_here = crossed.take(crossed.lane == lane)
         crossings_here = crossings_here.take(
             np.asarray(np.argsort(crossings_here.step, kind="stable"), np.int64)
@@ -181,24 +172,19 @@ def cycles(
         if (stated := greens.get(lane)) is not None:
             of_lane = _stated_cycles(lane, stated, grid)
         else:
-            of_lane = _inferred_cycles(
-                lane, _seen_begins(lane, crossings_here, states, stands, network, grid), grid
-            )
+            of_lane = _inferred_cycles(lane, _seen_begins(lane, crossings_here, lanes), grid)
         if of_lane[0].reason:
             filled += of_lane
             continue
-        seconds = (grid.end - grid.begin) // STEPS_PER_SECOND
-        by_second = StepGrid(begin=grid.begin, steps=STEPS_PER_SECOND, count=seconds)
-        course = queue_course(lane, states, length_m, network, visible, by_second)
-        queue_states = _QueueStates.at(lane, states, stands, length_m, network)
-        line = network.tile_id[network.tile_at(np.array([lane]), network.line_m[[lane]])]
+        course, queue_states = queue_course(lane, second_by_second), _QueueStates.at(lane, lanes)
+        line = lanes.line_tile_id[[lane]]
         ends = {} if stated is None else dict(zip(*(n.tolist() for n in stated), strict=True))
         for each in of_lane:
-            if visible.throughout(line, np.array([each.first]), np.array([each.after - 1]))[0]:
+            edges = np.array([each.first]), np.array([each.after - 1])
+            if lanes.visible.throughout(line, *edges)[0]:
                 end = ends.get(each.first, -1)
-                filled.append(
-                    _with_figures(each, crossings_here, course, queue_states, end, network, visible)
-                )
+                figures = _with_figures(each, crossings_here, course, queue_states, end, lanes)
+                filled.append(figures)
             else:
                 filled.append(each._replace(reason=HIDDEN))
     return filled
@@ -221,15 +207,13 @@ def _stated_cycles(lane: int, greens: Greens, grid: StepGrid) -> list[Cycle]:
     return known or [Cycle(lane, grid.begin, grid.end, reason=UNSTATED)]
 
 
-def _seen_begins(
-    lane: int, crossed: Crossings, states: FrontStates, stands: Booleans, network: LaneNetwork,
-    grid: StepGrid,
-) -> Integers:  # fmt: skip
+def _seen_begins(lane: int, crossed: Crossings, lanes: TrackedLanes) -> Integers:
     """Return the steps of the begins of green that are seen, of crossings in order of time."""
-    standing = np.flatnonzero(stands & (states.lane == lane))
-    to_line = network.line_m[lane] - states.along_m[standing]
+    states = lanes.states
+    standing = np.flatnonzero(lanes.standing[0] & (states.lane == lane))
+    to_line = lanes.network.line_m[lane] - states.along_m[standing]
     standing = standing[(to_line >= -OVER_LINE_M) & (to_line <= JOINED_M)]
-    before_s = np.diff(crossed.step, prepend=grid.begin) * STEP_S
+    before_s = np.diff(crossed.step, prepend=lanes.grid.begin) * STEP_S
     first = np.isin(crossed.vehicle, states.vehicle[standing]) & (before_s >= LEAST_RED_S)
     return crossed.step[first]
 
@@ -265,24 +249,22 @@ class _QueueStates(NamedTuple):
     stands: Booleans
 
     @classmethod
-    def at(
-        cls, stop: int, states: FrontStates, stands: Booleans, length_m: Floats,
-        network: LaneNetwork,
-    ) -> _QueueStates:  # fmt: skip
+    def at(cls, stop: int, lanes: TrackedLanes) -> _QueueStates:
         """Return those at the stop line of a lane."""
+        states, network = lanes.states, lanes.network
         strips, strip_of = network.queue_strips, np.full(len(network.lane) + 1, -1)
         mine = strips.of_stop(stop)
         strip_of[strips.lane[mine]] = mine
-        to_line = to_stop_line(stop, states, network)
+        to_line = to_stop_line(stop, lanes)
         row = np.flatnonzero(to_line >= -OVER_LINE_M)  # NaN elsewhere
         row = row[np.lexsort((to_line[row], states.step[row]))]
         return cls(
             states.vehicle[row], states.step[row], strip_of[states.lane[row]], to_line[row],
-            length_m[row], stands[row],
+            lanes.length_m[row], lanes.standing[0][row],
         )  # fmt: skip
 
     def farthest_left_over(
-        self, departed: Integers, first: int, end: int, network: LaneNetwork, visible: VisibleRuns
+        self, departed: Integers, first: int, end: int, lanes: TrackedLanes
     ) -> float:
         """Return how far back, m, those reach at `end` that queued since `first` and did not leave.
 
@@ -294,10 +276,10 @@ class _QueueStates(NamedTuple):
         reached, queued = dict[int, float](), set[int]()
         for row in (low + np.flatnonzero(self.stands[in_cycle])).tolist():
             strip, vehicle = int(self.strip[row]), int(self.vehicle[row])
-            path = network.queue_strips.path_to(strip).tolist()
+            path = lanes.network.queue_strips.path_to(strip).tolist()
             reach = max(reached.get(each, 0.0) for each in path)
             place = self.step[[row]], np.array([reach]), self.to_line_m[[row]]
-            if vehicle in queued or joins(strip, *place, network, visible)[0]:
+            if vehicle in queued or joins(strip, *place, lanes)[0]:
                 queued.add(vehicle)
                 reached[strip] = max(reach, float(self.to_line_m[row] + self.length_m[row]))
         staying = np.setdiff1d(np.array(sorted(queued), np.int64), departed)
@@ -311,7 +293,7 @@ class _QueueStates(NamedTuple):
 
 def _with_figures(
     cycle: Cycle, crossed: Crossings, course: QueueCourse, queue_states: _QueueStates, end: int,
-    network: LaneNetwork, visible: VisibleRuns,
+    lanes: TrackedLanes,
 ) -> Cycle:  # fmt: skip
     """Return a cycle with its figures; an `end` of green that is -1 is when the last one leaves."""
     leaving = crossed.step[(crossed.step >= cycle.first) & (crossed.step < cycle.after)]
@@ -321,5 +303,5 @@ def _with_figures(
     return cycle._replace(
         counted=len(leaving), queue_max_m=float(np.nanmax(back_m)),
         queue_mean_m=float(np.nanmean(back_m)),
-        queue_end_m=queue_states.farthest_left_over(departed, cycle.first, end, network, visible),
+        queue_end_m=queue_states.farthest_left_over(departed, cycle.first, end, lanes),
     )  # fmt: skip

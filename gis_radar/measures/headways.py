@@ -13,10 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gis_radar.base import STEP_S, Floats, Integers
-from gis_radar.measures.lane_fronts import FrontStates, StepGrid, VisibleRuns, crossings
-from gis_radar.measures.lane_measures import COUNTING_INFERRED, COUNTING_SEEN, VehicleTable
-from gis_radar.measures.lane_network import LaneNetwork
-from gis_radar.measures.queues import SLOW_MPS
+from gis_radar.measures.lane_fronts import SLOW_MPS, TrackedLanes
+from gis_radar.measures.lane_measures import COUNTING_INFERRED, COUNTING_SEEN
 
 
 class Headways(NamedTuple):
@@ -41,27 +39,16 @@ class Headways(NamedTuple):
     variance: Floats
 
 
-def headways(
-    network: LaneNetwork, grid: StepGrid, states: FrontStates, vehicles: VehicleTable,
-    visible: VisibleRuns,
-) -> Headways:  # fmt: skip
-    """Return the headways within a grid, of pairs between which the line is visible throughout.
-
-    Parameters
-    ----------
-    network, grid, states, vehicles, visible
-        As for :func:`gis_radar.measures.measure_lanes`.
-    """
-    crossed = crossings(states, states.moves(network), network, grid)
-    line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
-    crossed = crossed.take(visible.at(line[crossed.lane], crossed.step))
+def headways(lanes: TrackedLanes) -> Headways:
+    """Return the headways within a grid, of pairs between which the line is visible throughout."""
+    crossed, line = lanes.visible_crossings, lanes.line_tile_id
     crossed = crossed.take(np.asarray(np.lexsort((crossed.step, crossed.lane)), np.int64))
     leader, follower = (crossed.take(each) for each in (slice(None, -1), slice(1, None)))
     pairs = leader.lane == follower.lane
-    pairs &= visible.throughout(line[follower.lane], leader.step, follower.step)
+    pairs &= lanes.visible.throughout(line[follower.lane], leader.step, follower.step)
     leader, follower = leader.take(pairs), follower.take(pairs)
     headway = np.asarray((follower.step - leader.step) * STEP_S, np.float64)
-    length = vehicles.length_m[vehicles.of(leader.vehicle)]
+    length = lanes.vehicles.length_m[lanes.vehicles.of(leader.vehicle)]
     passing_s = np.where(
         leader.speed >= SLOW_MPS, length / np.maximum(leader.speed, SLOW_MPS), np.nan
     )

@@ -15,11 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gis_radar.base import STEP_S, Booleans, Floats, Integers
+from gis_radar.base import STEP_S, STEPS_PER_SECOND, Booleans, Floats, Integers
 from gis_radar.measures.lane_network import LaneNetwork
 
 # By how much the rest of a lane, or the place on the next one, may exceed the distance driven.
 FOLLOWS_M = 2.0
+SLOW_MPS = 5.0 / 3.6  # a vehicle stands when it is slower (HCM, ch. 31, for stops) ...
+SLOW_STEPS = STEPS_PER_SECOND  # ... for this time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,6 +109,28 @@ class VisibleRuns:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class VehicleTable:
+    """Lengths and probabilities of vehicles.
+
+    Parameters
+    ----------
+    vehicle : (n,) int64 array
+        Numbers of vehicles, ascending; all vehicles of the states are among them.
+    length_m, p_heavy, p_exists : (n,) arrays
+        Length; probabilities that it is heavy, and that it exists (NaN: unknown).
+    """
+
+    vehicle: Integers
+    length_m: Floats
+    p_heavy: Floats
+    p_exists: Floats
+
+    def of(self, vehicle: Integers) -> Integers:
+        """Return the rows of vehicles."""
+        return np.asarray(np.searchsorted(self.vehicle, vehicle), np.int64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class FrontStates:
     """States of the fronts of vehicles, by vehicle and step.
 
@@ -148,6 +172,28 @@ class FrontStates:
             follows &= (left <= driven + FOLLOWS_M) & (self.along_m[j] <= driven + FOLLOWS_M)
         before = np.where(same, self.along_m[i], self.along_m[j] - driven)
         return Moves(same, follows, np.where(follows, -left, before), left, driven)
+
+    def standing(self) -> tuple[Booleans, Booleans]:
+        """Return the states in which vehicles stand, and those in which they stop.
+
+        Returns
+        -------
+        stands : (n,) bool array
+            Whether the vehicle stands in the state: it has been slow for 1 s.
+        stops : (n,) bool array
+            Whether it begins to stand in the state; a vehicle that is slow from its first state on
+            does not stop.
+        """
+        slow = self.speed < SLOW_MPS
+        new = np.ones(len(slow), np.bool_)
+        new[1:] = np.diff(self.vehicle) != 0
+        begins = new.copy()
+        begins[1:] |= slow[1:] != slow[:-1]
+        run = np.maximum.accumulate(np.where(begins, np.arange(len(slow)), 0))
+        stands = slow & (self.step - self.step[run] >= SLOW_STEPS)
+        stops = stands & ~new[run]
+        stops[1:] &= ~stands[:-1] | new[1:]
+        return stands, stops
 
 
 class Moves(NamedTuple):
@@ -200,16 +246,89 @@ class Crossings(NamedTuple):
         return Crossings._make(each[which] for each in self)
 
 
-def crossings(states: FrontStates, moves: Moves, network: LaneNetwork, grid: StepGrid) -> Crossings:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackedLanes:
+    """Lanes, the vehicles on them, and the tiles that were visible, over a grid of intervals.
+
+    Parameters
+    ----------
+    network : LaneNetwork
+        The lanes.
+    grid : StepGrid
+        The intervals; those of one hour for a dataset.
+    states : FrontStates
+        States of all vehicles in the intervals; earlier states of the same vehicles may precede.
+    vehicles : VehicleTable
+        The vehicles.
+    visible : VisibleRuns
+        Runs of all tiles in the grid.
+    """
+
+    network: LaneNetwork
+    grid: StepGrid
+    states: FrontStates
+    vehicles: VehicleTable
+    visible: VisibleRuns
+
+    @property
+    def cells(self) -> int:
+        """Number of pairs of a lane and an interval; sums are in this order."""
+        return len(self.network.lane) * self.grid.count
+
+    @cached_property
+    def line_tile_id(self) -> Integers:
+        """Ids of the tiles at the lanes' lines."""
+        every = np.arange(len(self.network.lane))
+        return self.network.tile_id[self.network.tile_at(every, self.network.line_m)]
+
+    @cached_property
+    def length_m(self) -> Floats:
+        """Length of the vehicle of each state, metres."""
+        return self.vehicles.length_m[self.vehicles.of(self.states.vehicle)]
+
+    @cached_property
+    def in_grid(self) -> Booleans:
+        """Whether each state is in the grid."""
+        return (self.states.step >= self.grid.begin) & (self.states.step < self.grid.end)
+
+    @cached_property
+    def standing(self) -> tuple[Booleans, Booleans]:
+        """Whether each vehicle stands in its states, and whether it stops."""
+        return self.states.standing()
+
+    @cached_property
+    def moves(self) -> Moves:
+        """Moves of the vehicles between their states."""
+        return self.states.moves(self.network)
+
+    @cached_property
+    def crossings(self) -> Crossings:
+        """Crossings of the lanes' lines within the grid, visible or not."""
+        return _crossings(self)
+
+    @property
+    def visible_crossings(self) -> Crossings:
+        """Those of them at which the line is visible."""
+        crossed = self.crossings
+        at_line = self.visible.at(self.line_tile_id[crossed.lane], crossed.step)
+        return crossed.take(at_line)
+
+    def cell_of(self, lane: Integers, step: Integers) -> Integers:
+        """Return the cell of each pair of a lane and a step in the grid."""
+        return lane * self.grid.count + self.grid.of(step)
+
+
+def _crossings(lanes: TrackedLanes) -> Crossings:
     """Find the fronts that cross the line of a lane within the grid.
 
     A vehicle that changes lanes while it crosses counts on the lane that it reaches. Vehicles that
     have crossed by their states before the grid do not count again; a crossing between the last of
     these states and the grid's first step counts in that step.
     """
-    i = states.pairs
+    states, moves, grid = lanes.states, lanes.moves, lanes.grid
+    i, line_m = states.pairs, lanes.network.line_m
     lane_before, lane_after = states.lane[i], states.lane[i + 1]
-    line_before, line_after = network.line_m[lane_before], network.line_m[lane_after]
+    line_before, line_after = line_m[lane_before], line_m[lane_after]
     reached = states.along_m[i + 1]
     with np.errstate(invalid="ignore"):
         crosses_before = moves.follows & (states.along_m[i] < line_before)
@@ -233,9 +352,7 @@ def crossings(states: FrontStates, moves: Moves, network: LaneNetwork, grid: Ste
     return all_crossings.take(new & (last >= grid.begin) & (step < grid.end))
 
 
-def driven(
-    states: FrontStates, moves: Moves, network: LaneNetwork, visible: VisibleRuns, grid: StepGrid
-) -> tuple[Floats, Floats]:
+def driven(lanes: TrackedLanes) -> tuple[Floats, Floats]:
     """Sum the times and distances of all vehicles, for Edie's definitions.
 
     The distance between two states belongs to the lane of the first; where the vehicle drives on to
@@ -246,12 +363,13 @@ def driven(
     seconds, metres : (lanes * intervals,) arrays
         Sums over all vehicles, while their fronts are on visible tiles, by lane and interval.
     """
+    states, grid, network = lanes.states, lanes.grid, lanes.network
     last = np.ones(len(states.step), np.bool_)
     last[states.pairs] = False
     last[states.pairs] |= states.step[states.pairs + 1] >= grid.end
     i, end = states.pairs, np.flatnonzero(last)
     goes_on = ~last[i]
-    i, moves = i[goes_on], Moves._make(each[goes_on] for each in moves)
+    i, moves = i[goes_on], Moves._make(each[goes_on] for each in lanes.moves)
     share = moves.left_m / np.maximum(moves.left_m + states.along_m[i + 1], 1e-9)
     share = np.where(moves.follows, np.nan_to_num(share), 1.0)
     steps = (states.step[i + 1] - states.step[i]).astype(np.float64)
@@ -267,8 +385,7 @@ def driven(
     lane, along, step, duration, distance = (
         each[in_grid] for each in (lane, along, step, duration, distance)
     )
-    tile = network.tile_at(lane, along)
-    seen = visible.at(network.tile_id[tile], step)
-    cell, size = (lane * grid.count + grid.of(step))[seen], len(network.lane) * grid.count
+    seen = lanes.visible.at(network.tile_id[network.tile_at(lane, along)], step)
+    cell, size = lanes.cell_of(lane, step)[seen], lanes.cells
     seconds = np.bincount(cell, duration[seen] * STEP_S, size).astype(np.float64)
     return seconds, np.bincount(cell, distance[seen], size).astype(np.float64)

@@ -23,17 +23,10 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
-from gis_radar.measures.lane_fronts import (
-    Crossings,
-    FrontStates,
-    StepGrid,
-    VisibleRuns,
-    crossings,
-    driven,
-)
+from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, quotient
+from gis_radar.measures.lane_fronts import Crossings, StepGrid, TrackedLanes, driven
 from gis_radar.measures.lane_network import LaneNetwork
-from gis_radar.measures.queues import QUEUE_EVERY_STEPS, queue_backs, standing_states
+from gis_radar.measures.queues import QUEUE_EVERY_STEPS, queue_backs
 
 SPEED_CLASS_KMH = 5.0  # width of a class of speeds
 SPEED_CLASSES = 40  # up to 200 km/h; the last one is open
@@ -68,28 +61,6 @@ class TileSteps:
     variance: Floats
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class VehicleTable:
-    """Lengths and probabilities of vehicles.
-
-    Parameters
-    ----------
-    vehicle : (n,) int64 array
-        Numbers of vehicles, ascending; all vehicles of the states are among them.
-    length_m, p_heavy, p_exists : (n,) arrays
-        Length; probabilities that it is heavy, and that it exists (NaN: unknown).
-    """
-
-    vehicle: Integers
-    length_m: Floats
-    p_heavy: Floats
-    p_exists: Floats
-
-    def of(self, vehicle: Integers) -> Integers:
-        """Return the rows of vehicles."""
-        return np.asarray(np.searchsorted(self.vehicle, vehicle), np.int64)
-
-
 class Measured(NamedTuple):
     """Columns of `lane_measures` and of `turns`, `interval` as a number of the grid."""
 
@@ -97,42 +68,22 @@ class Measured(NamedTuple):
     turns: dict[str, Any]
 
 
-def measure_lanes(
-    network: LaneNetwork,
-    grid: StepGrid,
-    states: FrontStates,
-    vehicles: VehicleTable,
-    visible: VisibleRuns,
-    tiles: TileSteps,
-) -> Measured:
+def measure_lanes(lanes: TrackedLanes, tiles: TileSteps) -> Measured:
     """Measure lanes and turns.
 
     Parameters
     ----------
-    network : LaneNetwork
-        The lanes.
-    grid : StepGrid
-        The intervals; those of one hour for a dataset.
-    states : FrontStates
-        States of all vehicles in the intervals; earlier states of the same vehicles may precede.
-    vehicles : VehicleTable
-        The vehicles.
-    visible : VisibleRuns
-        Runs of all tiles in the grid.
+    lanes : TrackedLanes
+        The lanes and all vehicles on them.
     tiles : TileSteps
         Steps of tiles; a lane gets a row for each interval in which one of its tiles has one.
     """
-    moves = states.moves(network)
-    crossed = crossings(states, moves, network, grid)
-    line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
-    crossed = crossed.take(visible.at(line[crossed.lane], crossed.step))
-    areas = _areas(network, grid, tiles)
-    share = _share_at(line, grid, tiles)
-    counts = _Counts.of(crossed, vehicles, network, grid)
-    seconds, metres = driven(states, moves, network, visible, grid)
-    stands, stops = standing_states(states)
-    length_m = vehicles.length_m[vehicles.of(states.vehicle)]
-    most_m, sum_m = queue_backs(states, stands, length_m, network, visible, grid)
+    network, grid, crossed = lanes.network, lanes.grid, lanes.visible_crossings
+    areas = _areas(lanes, tiles)
+    share = _share_at(lanes.line_tile_id, grid, tiles)
+    counts = _Counts.of(crossed, lanes)
+    seconds, metres = driven(lanes)
+    most_m, sum_m = queue_backs(lanes)
     columns: dict[str, Any] = _volumes(counts, share)
     columns |= _speeds(counts, seconds, metres, share)
     columns |= _occupancies(areas)
@@ -140,21 +91,17 @@ def measure_lanes(
     looks = share * grid.steps / QUEUE_EVERY_STEPS
     stop = np.repeat(network.has_stop_line, grid.count) & (share > 0.0)
     columns["queue_max_m"] = np.where(stop, most_m, np.nan)
-    columns["queue_mean_m"] = np.where(stop, _quotient(sum_m, looks), np.nan)
-    stopped = stops & (states.step >= grid.begin) & (states.step < grid.end)
-    columns["stops"] = _masked(
-        _stops(states, stopped, network, visible, grid), areas.visible_steps == 0.0
-    )
+    columns["queue_mean_m"] = np.where(stop, quotient(sum_m, looks), np.nan)
+    columns["stops"] = _masked(_stops(lanes), areas.visible_steps == 0.0)
     rows = np.flatnonzero(areas.known)
-    lanes: dict[str, Any] = {
+    table: dict[str, Any] = {
         "lane": network.lane[rows // grid.count],
         "interval": rows % grid.count,
     }
-    lanes |= {name: values[rows] for name, values in columns.items()}
-    lanes["speed_counts"] = _lists(counts.speeds[rows], columns["counted"].mask[rows])
-    lanes["visible_km_h"] = areas.visible_km_h[rows]
-    turns = _turns(network, grid, states, crossed, columns, areas, tiles)
-    return Measured(lanes, turns)
+    table |= {name: values[rows] for name, values in columns.items()}
+    table["speed_counts"] = _lists(counts.speeds[rows], columns["counted"].mask[rows])
+    table["visible_km_h"] = areas.visible_km_h[rows]
+    return Measured(table, _turns(lanes, crossed, columns, areas, tiles))
 
 
 class _Areas(NamedTuple):
@@ -167,14 +114,12 @@ class _Areas(NamedTuple):
     visible_km_h: Floats
 
 
-def _areas(network: LaneNetwork, grid: StepGrid, tiles: TileSteps) -> _Areas:
+def _areas(lanes: TrackedLanes, tiles: TileSteps) -> _Areas:
+    network, size = lanes.network, lanes.cells
     order = np.argsort(network.tile_id, kind="stable")
     tile = order[np.searchsorted(network.tile_id, tiles.tile_id, sorter=order)]
-    cell, size = (
-        network.tile_lane[tile] * grid.count + tiles.interval,
-        len(network.lane) * grid.count,
-    )
-    share = _quotient(tiles.occupied, tiles.visible)
+    cell = network.tile_lane[tile] * lanes.grid.count + tiles.interval
+    share = quotient(tiles.occupied, tiles.visible)
     hidden = (COUNTING_INFERRED * tiles.inferred) ** 2 * np.nan_to_num(share * (1 - share))
     least = LEAST_OCCUPIED_S * STEPS_PER_SECOND
     error = np.where(tiles.visible > 0, np.maximum(np.sqrt(tiles.variance + hidden), least), 0.0)
@@ -209,11 +154,9 @@ class _Counts:
     speeds: Integers
 
     @classmethod
-    def of(
-        cls, crossed: Crossings, vehicles: VehicleTable, network: LaneNetwork, grid: StepGrid
-    ) -> _Counts:
-        size, row = len(network.lane) * grid.count, vehicles.of(crossed.vehicle)
-        cell = crossed.lane * grid.count + grid.of(crossed.step)
+    def of(cls, crossed: Crossings, lanes: TrackedLanes) -> _Counts:
+        vehicles = lanes.vehicles
+        row, cell = vehicles.of(crossed.vehicle), lanes.cell_of(crossed.lane, crossed.step)
         error = np.where(crossed.seen, COUNTING_SEEN, COUNTING_INFERRED)
         exists = vehicles.p_exists[row]
         known = 0.5 * error**2 + exists * (1.0 - exists)  # half is for missing vehicles
@@ -221,13 +164,13 @@ class _Counts:
         kmh = np.maximum(crossed.speed, 0.0) * 3.6
         group = np.minimum((kmh // SPEED_CLASS_KMH).astype(np.int64), SPEED_CLASSES - 1)
         counted, heavy, spread, speed = (
-            np.bincount(cell, values, size).astype(np.float64)
-            for values in (np.ones(len(cell)), vehicles.p_heavy[row], variance, crossed.speed)
+            np.bincount(cell, values, lanes.cells).astype(np.float64)
+            for values in (None, vehicles.p_heavy[row], variance, crossed.speed)
         )
-        speeds = np.bincount(cell * SPEED_CLASSES + group, minlength=size * SPEED_CLASSES)
+        speeds = np.bincount(cell * SPEED_CLASSES + group, minlength=lanes.cells * SPEED_CLASSES)
         return cls(
             counted=counted, heavy=heavy, variance=spread, speed=speed,
-            speeds=speeds.reshape(size, SPEED_CLASSES),
+            speeds=speeds.reshape(lanes.cells, SPEED_CLASSES),
         )  # fmt: skip
 
 
@@ -247,9 +190,9 @@ def _volumes(counts: _Counts, share: Floats) -> dict[str, Any]:
 
 def _speeds(counts: _Counts, seconds: Floats, metres: Floats, share: Floats) -> dict[str, Any]:
     """Return space-mean and time-mean speed, m/s."""
-    mean = _quotient(counts.speed, counts.counted)
+    mean = quotient(counts.speed, counts.counted)
     return {
-        "speed_mean": np.maximum(_quotient(metres, seconds), 0.0),
+        "speed_mean": np.maximum(quotient(metres, seconds), 0.0),
         "speed_time_mean": np.where(share > 0.0, mean, np.nan),
     }
 
@@ -257,8 +200,8 @@ def _speeds(counts: _Counts, seconds: Floats, metres: Floats, share: Floats) -> 
 def _occupancies(areas: _Areas) -> dict[str, Any]:
     """Return the mean occupancy of tiles; their errors are added as fully correlated."""
     return {
-        "occupancy": _quotient(areas.occupied_steps, areas.visible_steps),
-        "occupancy_se": _quotient(areas.error_steps, areas.visible_steps),
+        "occupancy": quotient(areas.occupied_steps, areas.visible_steps),
+        "occupancy_se": quotient(areas.error_steps, areas.visible_steps),
     }
 
 
@@ -269,42 +212,40 @@ def _flows(
     length, free = (np.repeat(each, grid.count) for each in (network.length_m, network.free_speed))
     whole_km_h = length * grid.steps / STEPS_PER_SECOND / 3.6e6
     enough = areas.visible_km_h >= LEAST_SHARE * whole_km_h
-    pace = np.where(enough & (metres > 0.0), _quotient(seconds, metres), np.nan)
+    pace = np.where(enough & (metres > 0.0), quotient(seconds, metres), np.nan)
     return {
-        "density": _quotient(seconds / 3600.0, areas.visible_km_h),
-        "flow": np.maximum(_quotient(metres / 1000.0, areas.visible_km_h), 0.0),
+        "density": quotient(seconds / 3600.0, areas.visible_km_h),
+        "flow": np.maximum(quotient(metres / 1000.0, areas.visible_km_h), 0.0),
         "travel_time_s": pace * length,
         "delay_s": np.maximum(pace * length - length / free, 0.0),
     }
 
 
-def _stops(
-    states: FrontStates, stopped: Booleans, network: LaneNetwork, visible: VisibleRuns,
-    grid: StepGrid,
-) -> Floats:  # fmt: skip
+def _stops(lanes: TrackedLanes) -> Floats:
     """Return the number of vehicles that stop on visible tiles, by lane and interval."""
-    row = np.flatnonzero(stopped & (states.lane >= 0))
-    size = len(network.lane) * grid.count
+    states, network = lanes.states, lanes.network
+    row = np.flatnonzero(lanes.standing[1] & lanes.in_grid & (states.lane >= 0))
     tile = network.tile_id[network.tile_at(states.lane[row], states.along_m[row])]
-    row = row[visible.at(tile, states.step[row])]
-    cell = states.lane[row] * grid.count + grid.of(states.step[row])
-    return np.bincount(cell, minlength=size).astype(np.float64)
+    row = row[lanes.visible.at(tile, states.step[row])]
+    cell = lanes.cell_of(states.lane[row], states.step[row])
+    return np.bincount(cell, minlength=lanes.cells).astype(np.float64)
 
 
 def _turns(
-    network: LaneNetwork, grid: StepGrid, states: FrontStates, crossed: Crossings,
-    lanes: Mapping[str, Any], areas: _Areas, tiles: TileSteps,
+    lanes: TrackedLanes, crossed: Crossings, measured: Mapping[str, Any], areas: _Areas,
+    tiles: TileSteps,
 ) -> dict[str, Any]:  # fmt: skip
     """Return turns: the volume of each approach, divided by the exits of vehicles where known.
 
     Vehicles without a known exit may have taken one that is not visible: then the other exits only
     get the share of the volume that is known for them.
     """
+    network, grid = lanes.network, lanes.grid
     ways = _turn_rows(network)
-    followed = _known_turns(states, crossed, ways, grid, len(network.lane))
-    by_lane = {n: lanes[n].reshape(-1, grid.count)[ways[:, 0]].ravel() for n in _OF_APPROACH}
+    followed = _known_turns(lanes, crossed, ways)
+    by_lane = {n: measured[n].reshape(-1, grid.count)[ways[:, 0]].ravel() for n in _OF_APPROACH}
     exits = network.tile_id[np.searchsorted(network.tile_lane, ways[:, 1])]
-    lines = network.tile_id[network.tile_at(ways[:, 2], network.line_m[ways[:, 2]])]
+    lines = lanes.line_tile_id[ways[:, 2]]
     visible, line_share = _share_at(exits, grid, tiles), _share_at(lines, grid, tiles)
     connects = np.repeat(ways[:, 2] >= 0, grid.count)
     visible = np.where(connects, np.maximum(visible, line_share), visible)
@@ -312,13 +253,13 @@ def _turns(
     start = np.repeat(ways[:, 0], grid.count) * grid.count + np.tile(
         np.arange(grid.count), len(ways)
     )
-    size, seen = len(network.lane) * grid.count, share >= LEAST_SHARE
+    size, seen = lanes.cells, share >= LEAST_SHARE
     total = np.bincount(start, followed * seen, size)[start]
     has_hidden_exit = np.bincount(start, ~seen, size)[start] > 0
     counted = np.ma.filled(by_lane["counted"].astype(np.float64), 0.0)
     divisor = np.where(has_hidden_exit, np.maximum(counted, total), total)
     ways_on = np.repeat(np.bincount(ways[:, 0], minlength=1)[ways[:, 0]], grid.count)
-    split = np.where(counted + total > 0.0, _quotient(followed, divisor), 0.0)
+    split = np.where(counted + total > 0.0, quotient(followed, divisor), 0.0)
     split = np.where(ways_on == 1, 1.0, split)  # also where nobody was followed
     split = np.where(seen, split, np.nan)
     # as that of a volume: the half vehicle that may have come unseen takes each way alike
@@ -352,21 +293,20 @@ def _turn_rows(network: LaneNetwork) -> Integers:
     return np.array(rows, np.int64).reshape(-1, 3)
 
 
-def _known_turns(
-    states: FrontStates, crossed: Crossings, ways: Integers, grid: StepGrid, lanes: int
-) -> Floats:
+def _known_turns(lanes: TrackedLanes, crossed: Crossings, ways: Integers) -> Floats:
     """Return the number of vehicles from an approach's line to an exit, by way and interval.
 
     Each vehicle counts for the first exit of its approach that it reaches, else for the connector
     whose middle it passes.
     """
+    states, grid, count = lanes.states, lanes.grid, len(lanes.network.lane)
     changes = np.flatnonzero(np.diff(states.lane, prepend=-2) != 0)
     ends = pd.DataFrame(
         {
             "vehicle": np.append(states.vehicle[changes], crossed.vehicle),
             "row": np.append(changes, crossed.row),
             # lanes that are reached, then those whose lines are crossed
-            "end": np.append(states.lane[changes], lanes + crossed.lane),
+            "end": np.append(states.lane[changes], count + crossed.lane),
         }
     )
     starts = pd.DataFrame(
@@ -379,7 +319,7 @@ def _known_turns(
     exits = pd.concat(
         pd.DataFrame({"start": start, "end": reached, "only_passed": passed})
         .rename_axis("way").reset_index()[connector >= (0 if passed else -1)]
-        for reached, passed in ((end, False), (lanes + connector, True))
+        for reached, passed in ((end, False), (count + connector, True))
     )  # fmt: skip
     pairs = starts.merge(ends, on="vehicle", suffixes=("", "_end")).merge(
         exits, on=["start", "end"]
@@ -389,12 +329,6 @@ def _known_turns(
     pairs = pairs.drop_duplicates(["vehicle", "start"])
     cell = (pairs["way"] * grid.count + pairs["interval"]).to_numpy(np.int64)
     return np.bincount(cell, minlength=len(ways) * grid.count).astype(np.float64)
-
-
-def _quotient(part: Floats, whole: Floats) -> Floats:
-    """Return quotients, NaN where the divisor is not positive."""
-    quotients: Floats = np.full(len(whole), np.nan)
-    return np.divide(part, whole, out=quotients, where=whole > 0.0)
 
 
 def _masked(values: Floats, missing: Booleans) -> Any:

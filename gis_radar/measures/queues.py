@@ -7,57 +7,18 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, ranges
-from gis_radar.measures.lane_fronts import FrontStates, StepGrid, VisibleRuns
+from gis_radar.base import Booleans, Floats, Integers, ranges
+from gis_radar.measures.lane_fronts import StepGrid, TrackedLanes
 from gis_radar.measures.lane_network import LaneNetwork
 
-SLOW_MPS = 5.0 / 3.6  # a vehicle stands when it is slower (HCM, ch. 31, for stops) ...
-SLOW_STEPS = STEPS_PER_SECOND  # ... for this time
 JOINED_M = 10.0  # most visible road to the vehicle ahead, or to the line: two cars
 OVER_LINE_M = 2.0  # how far the front of a waiting vehicle may be over the line
 # Queues are measured at steps divisible by this: all tracks have a state there.
 QUEUE_EVERY_STEPS = 4
 
 
-def standing_states(states: FrontStates) -> tuple[Booleans, Booleans]:
-    """Return the states in which vehicles stand, and those in which they stop.
-
-    Returns
-    -------
-    stands : (n,) bool array
-        Whether the vehicle stands in the state: it has been slow for 1 s.
-    stops : (n,) bool array
-        Whether it begins to stand in the state; a vehicle that is slow from its first state on does
-        not stop.
-    """
-    slow = states.speed < SLOW_MPS
-    new = np.ones(len(slow), np.bool_)
-    new[1:] = np.diff(states.vehicle) != 0
-    begins = new.copy()
-    begins[1:] |= slow[1:] != slow[:-1]
-    run = np.maximum.accumulate(np.where(begins, np.arange(len(slow)), 0))
-    stands = slow & (states.step - states.step[run] >= SLOW_STEPS)
-    stops = stands & ~new[run]
-    stops[1:] &= ~stands[:-1] | new[1:]
-    return stands, stops
-
-
-def queue_backs(
-    states: FrontStates, stands: Booleans, length_m: Floats, network: LaneNetwork,
-    visible: VisibleRuns, grid: StepGrid,
-) -> tuple[Floats, Floats]:  # fmt: skip
+def queue_backs(lanes: TrackedLanes) -> tuple[Floats, Floats]:
     """Find the queues at stop lines: standing vehicles, from the line back, up to a visible gap.
-
-    Parameters
-    ----------
-    states : FrontStates
-        All states.
-    stands : (n,) bool array
-        Whether the vehicle stands in each state.
-    length_m : (n,) array
-        Length of the vehicle of each state, m.
-    network, visible, grid
-        As for :func:`gis_radar.measures.lane_fronts.driven`.
 
     Returns
     -------
@@ -66,12 +27,13 @@ def queue_backs(
     sum_m : (cells,) array
         Sum of the lengths, m, over the steps of :func:`queue_steps` with a visible stop line.
     """
-    standing, step = StandingFronts.of(states, stands, length_m, grid), queue_steps(grid)
-    most, total = np.zeros((2, len(network.lane), grid.count))
-    for stop in np.flatnonzero(network.has_stop_line).tolist():
-        back_m = queue_back(stop, standing, network, visible, grid)
-        np.maximum.at(most[stop], grid.of(step), back_m)
-        total[stop] = np.bincount(grid.of(step), back_m, grid.count)
+    standing, grid = StandingFronts.of(lanes), lanes.grid
+    interval = grid.of(queue_steps(grid))
+    most, total = np.zeros((2, len(lanes.network.lane), grid.count))
+    for stop in np.flatnonzero(lanes.network.has_stop_line).tolist():
+        back_m = queue_back(stop, standing, lanes)
+        np.maximum.at(most[stop], interval, back_m)
+        total[stop] = np.bincount(interval, back_m, grid.count)
     return most.ravel(), total.ravel()
 
 
@@ -99,19 +61,16 @@ class StandingFronts(NamedTuple):
     length_m: Floats
 
     @classmethod
-    def of(
-        cls, states: FrontStates, stands: Booleans, length_m: Floats, grid: StepGrid
-    ) -> StandingFronts:
-        """Return the standing states on lanes within a grid."""
-        is_standing = stands & (states.lane >= 0) & (states.step % QUEUE_EVERY_STEPS == 0)
-        row = np.flatnonzero(is_standing & (states.step >= grid.begin) & (states.step < grid.end))
+    def of(cls, lanes: TrackedLanes) -> StandingFronts:
+        """Return the standing states on lanes within the grid."""
+        states = lanes.states
+        is_measured = (states.lane >= 0) & (states.step % QUEUE_EVERY_STEPS == 0)
+        row = np.flatnonzero(lanes.standing[0] & is_measured & lanes.in_grid)
         row = row[np.lexsort((-states.along_m[row], states.step[row], states.lane[row]))]
-        return cls(states.lane[row], states.step[row], states.along_m[row], length_m[row])
+        return cls(states.lane[row], states.step[row], states.along_m[row], lanes.length_m[row])
 
 
-def queue_back(
-    stop: int, standing: StandingFronts, network: LaneNetwork, visible: VisibleRuns, grid: StepGrid
-) -> Floats:
+def queue_back(stop: int, standing: StandingFronts, lanes: TrackedLanes) -> Floats:
     """Return how far back from a stop line a queue reaches, m, at the steps of :func:`queue_steps`.
 
     Where lanes merge before the line, each has its own queue upstream: vehicles on one of them do
@@ -123,10 +82,10 @@ def queue_back(
         Position of its lane.
     standing : StandingFronts
         The standing vehicles of the grid.
-    network, visible, grid
-        As for :func:`queue_backs`.
+    lanes : TrackedLanes
+        All vehicles.
     """
-    strips, look_steps = network.queue_strips, queue_steps(grid)
+    strips, look_steps = lanes.network.queue_strips, queue_steps(lanes.grid)
     # by strip: how far back the queue reaches, and whether no gap has ended it
     reached = {-1: (np.zeros(len(look_steps)), np.ones(len(look_steps), np.bool_))}
     for strip in strips.of_stop(stop):
@@ -144,20 +103,19 @@ def queue_back(
         index, new = np.searchsorted(look_steps, step), np.diff(step, prepend=-1) != 0
         farthest = _running_maximum(rear, new)  # a lorry may end farther back than the car behind
         ahead = np.maximum(reach[index], np.where(new, 0.0, np.append(0.0, farthest[:-1])))
-        may_join = joins(strip, step, ahead, front, network, visible) & is_open[index]
+        may_join = joins(strip, step, ahead, front, lanes) & is_open[index]
         joined = _unbroken(may_join, new)
         reach, is_open = reached[strip] = reach.copy(), is_open.copy()
         np.maximum.at(reach, index[joined], rear[joined])
         is_open[index[~joined]] = False
     back = np.max([reach for reach, _ in reached.values()], axis=0)
-    line = network.tile_id[network.tile_at(np.array([stop]), network.line_m[[stop]])]
-    return np.where(visible.at(np.repeat(line, len(look_steps)), look_steps), back, 0.0)
+    line = np.repeat(lanes.line_tile_id[stop], len(look_steps))
+    return np.where(lanes.visible.at(line, look_steps), back, 0.0)
 
 
 def joins(
-    strip: int, step: Integers, reach_m: Floats, front_m: Floats, network: LaneNetwork,
-    visible: VisibleRuns,
-) -> Booleans:  # fmt: skip
+    strip: int, step: Integers, reach_m: Floats, front_m: Floats, lanes: TrackedLanes
+) -> Booleans:
     """Return which standing vehicles join a queue: no visible gap over `JOINED_M` lies between.
 
     Parameters
@@ -168,22 +126,21 @@ def joins(
         Steps.
     reach_m, front_m : (n,) arrays
         Metres to the line: how far back the queue reaches, and the front of the vehicle.
-    network, visible
-        As for :func:`gis_radar.measures.lane_fronts.driven`.
+    lanes : TrackedLanes
+        All vehicles.
     """
     gap = front_m - reach_m
     wide = np.flatnonzero(gap > JOINED_M)
     if len(wide):
-        near_m, far_m = reach_m[wide], front_m[wide]
-        gap[wide] = _visible_m(strip, step[wide], near_m, far_m, network, visible)
+        gap[wide] = _visible_m(strip, step[wide], reach_m[wide], front_m[wide], lanes)
     return np.asarray(gap <= JOINED_M, np.bool_)
 
 
 def _visible_m(
-    strip: int, step: Integers, near_m: Floats, far_m: Floats, network: LaneNetwork,
-    visible: VisibleRuns,
-) -> Floats:  # fmt: skip
+    strip: int, step: Integers, near_m: Floats, far_m: Floats, lanes: TrackedLanes
+) -> Floats:
     """Return the visible metres on the way from a strip to the line, between two distances."""
+    network = lanes.network
     path = network.queue_strips.path_to(strip)
     lane, to_line = network.queue_strips.lane[path], network.queue_strips.to_line_m[path]
     count = np.ceil(far_m - near_m).astype(np.int64)
@@ -192,7 +149,7 @@ def _visible_m(
     metre = np.minimum(metre, far_m[row])  # beyond it the lanes may end
     at = np.minimum(np.searchsorted(to_line, metre), len(lane) - 1)
     tile = network.tile_id[network.tile_at(lane[at], to_line[at] - metre)]
-    seen = visible.at(tile, step[row])
+    seen = lanes.visible.at(tile, step[row])
     return np.bincount(row, seen, len(step)).astype(np.float64)
 
 
@@ -218,29 +175,24 @@ class QueueCourse(NamedTuple):
     seen: Floats
 
 
-def queue_course(
-    stop: int, states: FrontStates, length_m: Floats, network: LaneNetwork,
-    visible: VisibleRuns, grid: StepGrid,
-) -> QueueCourse:  # fmt: skip
-    """Follow the queue at one stop line over the intervals of a grid.
+def queue_course(stop: int, lanes: TrackedLanes) -> QueueCourse:
+    """Follow the queue at one stop line over the intervals of the grid.
 
     Parameters
     ----------
     stop : int
         Position of its lane.
-    states, length_m, network, visible, grid
-        As for :func:`queue_backs`.
+    lanes : TrackedLanes
+        All vehicles.
     """
-    to_line, to_stop = _lanes_to_line_m(stop, network), to_stop_line(stop, states, network)
-    inside = (states.step >= grid.begin) & (states.step < grid.end)
-    row = np.flatnonzero(inside & np.isfinite(to_stop))
-    standing = StandingFronts.of(states, standing_states(states)[0], length_m, grid)
+    network, grid, states, visible = lanes.network, lanes.grid, lanes.states, lanes.visible
+    to_line, to_stop = _lanes_to_line_m(stop, network), to_stop_line(stop, lanes)
+    row = np.flatnonzero(lanes.in_grid & np.isfinite(to_stop))
     back_m = np.zeros(grid.count)
-    at_steps = queue_back(stop, standing, network, visible, grid)
+    at_steps = queue_back(stop, StandingFronts.of(lanes), lanes)
     np.maximum.at(back_m, grid.of(queue_steps(grid)), at_steps)
     begin = grid.begin + np.arange(grid.count) * grid.steps
-    line = network.tile_id[network.tile_at(np.array([stop]), network.line_m[[stop]])]
-    line_visible = visible.at(np.repeat(line, grid.count), begin)
+    line_visible = visible.at(np.repeat(lanes.line_tile_id[stop], grid.count), begin)
     place = pd.Series(np.arange(len(network.tile_id)), network.tile_id)
     tile = place.reindex(visible.tile_id).to_numpy()
     run = np.flatnonzero(np.isfinite(to_line[network.tile_lane[tile]]))
@@ -254,10 +206,11 @@ def queue_course(
     )  # fmt: skip
 
 
-def to_stop_line(stop: int, states: FrontStates, network: LaneNetwork) -> Floats:
+def to_stop_line(stop: int, lanes: TrackedLanes) -> Floats:
     """Return the metres from fronts to the stop line of a lane; NaN where no queue at it stands."""
-    to_line = np.append(_lanes_to_line_m(stop, network), np.nan)  # the last for -1, off the lanes
-    return np.asarray(to_line[states.lane] - states.along_m, np.float64)
+    to_line = _lanes_to_line_m(stop, lanes.network)
+    to_line = np.append(to_line, np.nan)  # the last for -1, off the lanes
+    return np.asarray(to_line[lanes.states.lane] - lanes.states.along_m, np.float64)
 
 
 def _lanes_to_line_m(stop: int, network: LaneNetwork) -> Floats:

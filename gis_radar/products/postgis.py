@@ -21,15 +21,7 @@ import pandas as pd
 import shapely
 from pyproj import CRS
 
-from gis_radar.base import (
-    QUIET,
-    CrsError,
-    GisRadarError,
-    OutputError,
-    Reporter,
-    Text,
-    UsageError,
-)
+from gis_radar.base import QUIET, CrsError, GisRadarError, OutputError, Reporter, Text, UsageError
 from gis_radar.dataset import TILE_COUNTS, Dataset, LaneTraffic, open_dataset
 from gis_radar.hdmap import TILE_FIELDS
 from gis_radar.measures import lane_names
@@ -76,23 +68,15 @@ _SUMS = """
     CREATE TABLE {schema}.tile_sums (tile_id bigint PRIMARY KEY, intervals bigint NOT NULL,
         occupied_steps bigint NOT NULL, visible_steps bigint NOT NULL)
 """
+# With 1 the counts of a time are added to the sums, with -1 subtracted.
 _ADD_SUMS = """
     INSERT INTO {schema}.tile_sums AS s
-    SELECT tile_id, count(*), sum(occupied_steps), sum(visible_steps) FROM {schema}.tile_counts
+    SELECT tile_id, sum(sign), sum(sign * occupied_steps), sum(sign * visible_steps)
+    FROM {schema}.tile_counts, (SELECT %s::int AS sign) signs
     WHERE begin_time >= %s AND begin_time < %s GROUP BY tile_id
     ON CONFLICT (tile_id) DO UPDATE SET intervals = s.intervals + excluded.intervals,
         occupied_steps = s.occupied_steps + excluded.occupied_steps,
         visible_steps = s.visible_steps + excluded.visible_steps
-"""
-_SUBTRACT_SUMS = """
-    UPDATE {schema}.tile_sums s SET intervals = s.intervals - c.intervals,
-        occupied_steps = s.occupied_steps - c.occupied_steps,
-        visible_steps = s.visible_steps - c.visible_steps
-    FROM (
-        SELECT tile_id, count(*) AS intervals, sum(occupied_steps) AS occupied_steps,
-            sum(visible_steps) AS visible_steps
-        FROM {schema}.tile_counts WHERE begin_time >= %s AND begin_time < %s GROUP BY tile_id
-    ) c WHERE c.tile_id = s.tile_id
 """
 _LATEST = """
     CREATE OR REPLACE VIEW {schema}.latest_traffic AS
@@ -356,7 +340,7 @@ class Session:
         for day in days:
             begin = datetime.combine(day, datetime.min.time(), UTC)
             if self.is_there("tile_counts"):
-                self.run(_SUBTRACT_SUMS, begin, begin + timedelta(days=1))
+                self.run(_ADD_SUMS, -1, begin, begin + timedelta(days=1))
             for table in filter(self.is_there, _BY_DAY):
                 self.run(
                     "DELETE FROM {schema}.{table} WHERE begin_time >= %s AND begin_time < %s",
@@ -398,7 +382,7 @@ class Session:
         for name, table in tables.items():
             self._create(name, table)
             self._copy(name, table)
-        self.run(_ADD_SUMS, begin, end)
+        self.run(_ADD_SUMS, 1, begin, end)
         self.run("INSERT INTO {schema}.publication VALUES (%s, %s)", day, digest)
 
     def make_views(self) -> None:

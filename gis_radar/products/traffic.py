@@ -346,8 +346,7 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
     shown = _readable_table(table)
     for name in _TIMES:
         shown[name] = [each.isoformat() for each in shown[name]]
-    rows = shown.astype(object).where(shown.notna(), None).itertuples(index=False)
-    write_csv(path, [*shown.columns], rows)
+    write_csv(path, shown)
 
 
 HANDBOOKS = {

@@ -1,12 +1,11 @@
 from .check import SiteCheck, check_site
 from .execution import RunState
 from .live_table import BrokerTable, Duration, LiveTable, PageTable, SensorThingsTable, TopicWord
-from .messages import error_in_site_words
 from .plan import Stage, stages_of
-from .recipes import mask_scans, measure_recordings, split_map, write_sights_of
+from .recipes import mask_scans, measure_recordings, paths_named_by, split_map, write_sights_of
 from .run import SiteRun, prepare_site, run_site
 from .settings import MapTable, Sensor, Site, ViewTable, read_site, site_template
-from .stages import convert_stage, measure_stage
+from .stages import convert_stage, heatmap_stage, measure_stage, refusals_of
 from .toml_file import LARGEST_FILE, read_toml, toml_template
 from .values import (
     File,
@@ -55,15 +54,17 @@ __all__ = [
     "Zone",
     "check_site",
     "convert_stage",
-    "error_in_site_words",
+    "heatmap_stage",
     "key",
     "mask_scans",
     "measure_recordings",
     "measure_stage",
+    "paths_named_by",
     "prepare_site",
     "process_pool",
     "read_site",
     "read_toml",
+    "refusals_of",
     "run_site",
     "site_template",
     "software",

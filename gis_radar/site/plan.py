@@ -385,10 +385,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
             inputs={"dataset": dataset},
             options={
                 "interval": interval,
-                "labels": {
-                    "title": site.title, "timezone": site.timezone,
-                    "language": site.language, "sources": site.credits,
-                },
+                "labels": site.labels,
             },
             outputs=(folder / f"heatmap{end}",),
             phases=4,

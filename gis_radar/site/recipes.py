@@ -106,9 +106,7 @@ def measure_site(
                 refused[each.sensor] = each.refusal
                 del remaining[each.sensor]
         except InputError as error:
-            failed = [
-                n for n, (paths, _) in remaining.items() if _begins_with_file(error.message, paths)
-            ]
+            failed = [n for n, (paths, _) in remaining.items() if paths_named_by(error, paths)]
             if not failed or len(remaining) == 1:
                 raise
             reporter.warn("{} is left out: {}", failed[0], error.message)
@@ -118,9 +116,9 @@ def measure_site(
             return measured, refused
 
 
-def _begins_with_file(message: str, paths: Sequence[Path]) -> bool:
-    """Return whether a message begins with the name of one of some files."""
-    return any(message.startswith(f"{name}:") for path in paths for name in (path, path.resolve()))
+def paths_named_by(error: GisRadarError, paths: Sequence[Path]) -> list[Path]:
+    """Return those files with whose name the message of an error begins."""
+    return [each for each in paths if error.message.startswith((f"{each}:", f"{each.resolve()}:"))]
 
 
 def measure_recordings(

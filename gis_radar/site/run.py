@@ -34,7 +34,6 @@ from gis_radar.base import (
 )
 from gis_radar.site import stages as work
 from gis_radar.site.execution import Execution, RunState, discard
-from gis_radar.site.messages import error_in_site_words
 from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
 from gis_radar.site.settings import Site, read_site
 from gis_radar.site.stages import STATE
@@ -124,7 +123,7 @@ class SiteRun:
                 if k in {"vehicles", "heavy", "passages"}
             },
             **({"not_known_to_fit": [*doubts.values()]} if doubts else {}),
-            "warnings": len(warnings_of(self.outcomes)),
+            "warnings": len(warnings_once({e.stage.name: list(e.warnings) for e in self.outcomes})),
             "stages": len(self.outcomes),
             "stages_done_before": sum(each.state == "kept" for each in self.outcomes),
         }
@@ -368,14 +367,7 @@ def refused_sensors(outcomes: Sequence[Outcome], timezone: str) -> dict[str, Gis
     """Return the error of each sensor whose recordings are not in the dataset."""
     measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
     return {
-        name: error_in_site_words(
-            (NoAnswerError if name in each.get("implausible", ()) else InputError)(
-                why, hint=each.get("hints", {}).get(name, "")
-            ),
-            timezone,
-        )
-        for each in measured
-        for name, why in each.get("refused", {}).items()
+        name: error for each in measured for name, error in work.refusals_of(each, timezone).items()
     }
 
 
@@ -403,8 +395,3 @@ def sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, A
     for name, doubt in doubts_of(outcomes).items():
         found[name]["state"] = Text(doubt).removeprefix(f"{name}: ")
     return {name: {"state": "ok"} | facts for name, facts in found.items()}
-
-
-def warnings_of(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return the warnings of all stages, each once."""
-    return warnings_once({each.stage.name: list(each.warnings) for each in outcomes})

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
@@ -323,6 +323,12 @@ class Site(TomlTable):
         """The sources of map and scan and whom to name, each once."""
         named = (self.map.source, self.scan.source if self.scan else None, *self.attribution)
         return list(dict.fromkeys(str(each) for each in named if each))
+
+    @property
+    def labels(self) -> dict[str, Any]:
+        """Labels of its heat maps, as :class:`gis_radar.MapLabels` takes them."""
+        return {"title": self.title, "timezone": self.timezone, "language": self.language,
+                "sources": self.credits}  # fmt: skip
 
     @property
     def inputs(self) -> tuple[Path, ...]:

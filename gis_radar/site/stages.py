@@ -27,6 +27,7 @@ from gis_radar.base import (
     scratch_folder,
 )
 from gis_radar.poses import COMPONENTS, Pose, PoseTrack, View, read_track
+from gis_radar.site.messages import error_in_site_words
 from gis_radar.site.recipes import mask_scans, measure_site, split_map
 from gis_radar.site.together import (
     RECORDING_FILE,
@@ -221,6 +222,16 @@ def measure_stage(
     }  # fmt: skip
 
 
+def refusals_of(figures: Mapping[str, Any], timezone: str) -> dict[str, GisRadarError]:
+    """Return the error of each sensor that :func:`measure_stage` has left out, by its figures."""
+    refusals = dict[str, GisRadarError]()
+    for name, why in figures.get("refused", {}).items():
+        kind = NoAnswerError if name in figures.get("implausible", ()) else InputError
+        error = kind(why, hint=figures.get("hints", {}).get(name, ""))
+        refusals[name] = error_in_site_words(error, timezone)
+    return refusals
+
+
 def _findings(made: dataset_room.Dataset, refused: Mapping[str, GisRadarError]) -> Figures:
     """Return the findings of the plausibility check by sensor, also of those left out."""
     left_out = (each for each in refused.values() if isinstance(each, calibration.ImplausibleError))
@@ -231,14 +242,13 @@ def _findings(made: dataset_room.Dataset, refused: Mapping[str, GisRadarError]) 
 
 
 def heatmap_stage(
-    *, dataset: Path, outputs: Paths, reporter: Reporter, interval: str | None,
-    labels: dict[str, Any],
-) -> Figures:  # fmt: skip
+    *, dataset: Path, outputs: Paths, reporter: Reporter, labels: dict[str, Any], **options: Any
+) -> Figures:
     """Make a heat map of the dataset."""
     zone = None if labels["timezone"] == "UTC" else labels["timezone"]
     heat = products.make_heatmap(
-        dataset_room.open_dataset(dataset), interval=interval, timezone=zone,
-        labels=products.MapLabels(**labels), reporter=reporter,
+        dataset_room.open_dataset(dataset), timezone=zone, labels=products.MapLabels(**labels),
+        reporter=reporter, **options,
     )  # fmt: skip
     heat.write(outputs[0], reporter=reporter)
     return heat.figures()

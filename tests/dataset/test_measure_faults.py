@@ -16,7 +16,7 @@ from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
 import gis_radar as gr
 from gis_radar.base import QUIET
 from gis_radar.dataset import read_hours
-from gis_radar.dataset.hours.making import locked_for_writing
+from gis_radar.dataset.files.manifest import locked_for_writing
 
 
 @pytest.fixture(scope="module")

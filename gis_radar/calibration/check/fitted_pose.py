@@ -14,12 +14,7 @@ from gis_radar.calibration.check.excerpt import Excerpt
 from gis_radar.calibration.check.rivals import REFLECTION_M, LaneMap
 from gis_radar.calibration.monitoring.kalman_filter import Measurement
 from gis_radar.calibration.monitoring.windows import NEAR, WINDOW, data_alone
-from gis_radar.calibration.registration.certainty import (
-    MAP_SIGMA_M,
-    PLACE,
-    PLANE,
-    along_valley,
-)
+from gis_radar.calibration.registration.certainty import MAP_SIGMA_M, PLACE, PLANE, along_valley
 from gis_radar.calibration.registration.hypotheses import LOOK_SCALE_M, few_samples, prior_at
 from gis_radar.calibration.registration.lanes import Scene
 from gis_radar.calibration.registration.model import MODEL

@@ -19,12 +19,7 @@ from gis_radar.calibration.check.offsets import (
     fits_if,
     hidden,
 )
-from gis_radar.calibration.check.rivals import (
-    LaneMap,
-    Rival,
-    score,
-    search_poses,
-)
+from gis_radar.calibration.check.rivals import LaneMap, Rival, score, search_poses
 from gis_radar.calibration.findings import (
     FITS,
     ONE_PLACE,

@@ -24,13 +24,7 @@ from gis_radar.calibration.check.excerpt import (
 from gis_radar.calibration.check.explanations import compare_explanations, least_share
 from gis_radar.calibration.check.nearly_right import judge_offset
 from gis_radar.calibration.check.odd_clocks import odd_clocks
-from gis_radar.calibration.check.rivals import (
-    AGAINST,
-    LaneMap,
-    on_lanes,
-    score,
-    signs_lost,
-)
+from gis_radar.calibration.check.rivals import AGAINST, LaneMap, on_lanes, score, signs_lost
 from gis_radar.calibration.findings import (
     FITS,
     RECORD_MORE,

@@ -10,11 +10,7 @@ import numpy as np
 
 from gis_radar.base import Booleans, Floats
 from gis_radar.calibration.registration.lane_paths import match_paths
-from gis_radar.calibration.registration.lanes import (
-    Placed,
-    Scene,
-    place,
-)
+from gis_radar.calibration.registration.lanes import Placed, Scene, place
 from gis_radar.calibration.registration.matches import Matches, match
 from gis_radar.calibration.registration.model import MODEL, Model
 from gis_radar.calibration.registration.residuals import (

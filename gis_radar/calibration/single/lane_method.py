@@ -8,13 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gis_radar.base import InputError, NoAnswerError, Reporter, Text
-from gis_radar.calibration.registration.certainty import (
-    CLEAR,
-    PLANE,
-    advantage,
-    certainty,
-    stated,
-)
+from gis_radar.calibration.registration.certainty import CLEAR, PLANE, advantage, certainty, stated
 from gis_radar.calibration.registration.hypotheses import (
     GUESS_M,
     HEADING_TOLERANCE,

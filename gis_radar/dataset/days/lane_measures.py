@@ -41,6 +41,7 @@ from gis_radar.measures import (
     QueueCourse,
     StepGrid,
     TileSteps,
+    TrackedLanes,
     VehicleTable,
     VisibleRuns,
     measure_lanes,
@@ -183,13 +184,11 @@ class LaneTraffic(DayTables):
         grid = StepGrid(
             begin=first, steps=STEPS_PER_SECOND, count=max((after - first) // STEPS_PER_SECOND, 1)
         )
-        states, vehicles = self._states(record), self._vehicles(record)
-        length_m = vehicles.length_m[vehicles.of(states.vehicle)]
         stop = int(np.searchsorted(self.network.lane, lane))
-        return queue_course(stop, states, length_m, self.network, self._visible(record), grid)
+        return queue_course(stop, self._lanes(record, grid))
 
-    def exact(self, record: HourRecord) -> tuple[FrontStates, VehicleTable, VisibleRuns]:
-        """Return states, vehicles and visible runs of an hour.
+    def exact(self, record: HourRecord) -> TrackedLanes:
+        """Return the lanes of an hour, as one interval, with all vehicles on them.
 
         Raises
         ------
@@ -203,35 +202,32 @@ class LaneTraffic(DayTables):
                 hour_text(record.hour),
                 hint="ask for a later time",
             )
-        return self._states(record), self._vehicles(record), self._visible(record)
+        return self._lanes(record, _parts_of(record, STEPS_PER_HOUR))
 
     def _measure(
         self, record: HourRecord, steps: int, tile: Integers, interval: Integers,
         counts: Sequence[Any],
     ) -> Measured:  # fmt: skip
-        begin = record.hour * STEPS_PER_HOUR
         visible, occupied, inferred, variance = (each.astype(np.float64) for each in counts)
         return measure_lanes(
-            self.network,
-            StepGrid(begin=begin, steps=steps, count=STEPS_PER_HOUR // steps),
-            self._states(record),
-            self._vehicles(record),
-            self._visible(record),
+            self._lanes(record, _parts_of(record, steps)),
             TileSteps(
                 tile_id=tile, interval=interval.astype(np.int64), visible=visible,
                 occupied=occupied, inferred=inferred, variance=variance,
             ),
         )  # fmt: skip
 
-    def _vehicles(self, record: HourRecord) -> VehicleTable:
+    def _lanes(self, record: HourRecord, grid: StepGrid) -> TrackedLanes:
+        """Return the lanes over intervals of an hour, with all vehicles on them."""
         rows = record.read(self.folder, VEHICLES, ["vehicle", "length_m", "p_heavy", "p_exists"])
-        return VehicleTable(**{name: rows[name].to_numpy() for name in rows.column_names})
-
-    def _visible(self, record: HourRecord) -> VisibleRuns:
         runs = record.read(self.folder, VISIBLE, ["tile_id", "first_step", "last_step"])
-        return VisibleRuns(
-            tile_id=runs["tile_id"].to_numpy(), first=runs["first_step"].to_numpy(),
-            last=runs["last_step"].to_numpy(),
+        return TrackedLanes(
+            network=self.network, grid=grid, states=self._states(record),
+            vehicles=VehicleTable(**{name: rows[name].to_numpy() for name in rows.column_names}),
+            visible=VisibleRuns(
+                tile_id=runs["tile_id"].to_numpy(), first=runs["first_step"].to_numpy(),
+                last=runs["last_step"].to_numpy(),
+            ),
         )  # fmt: skip
 
     def _states(self, record: HourRecord) -> FrontStates:
@@ -260,6 +256,12 @@ class LaneTraffic(DayTables):
 
 def _with_tracks(records: Mapping[int, HourRecord]) -> dict[int, HourRecord]:
     return {hour: each for hour, each in records.items() if TRACKS.name in each.parts}
+
+
+def _parts_of(record: HourRecord, steps: int) -> StepGrid:
+    """Return an hour in intervals of a number of steps."""
+    begin = record.hour * STEPS_PER_HOUR
+    return StepGrid(begin=begin, steps=steps, count=STEPS_PER_HOUR // steps)
 
 
 def _arrow_tables(found: Measured, first: int) -> tuple[pa.Table, pa.Table]:

@@ -26,13 +26,7 @@ from gis_radar.dataset.days.asked_time import QUARTER_S, AskedTime, month_edges
 from gis_radar.dataset.days.lane_measures import METHOD, LaneTraffic
 from gis_radar.dataset.days.tables import QUARTERS
 from gis_radar.dataset.days.tile_counts import TileCounts, count_keys
-from gis_radar.dataset.files.parts import (
-    HOURS_PER_DAY,
-    Keys,
-    TableFile,
-    common_metadata,
-    days_of,
-)
+from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys, TableFile, common_metadata, days_of
 from gis_radar.dataset.files.records import HourRecord, read_hours, record_path
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import (

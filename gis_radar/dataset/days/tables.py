@@ -28,7 +28,7 @@ from gis_radar.dataset.files.parts import (
 )
 from gis_radar.dataset.files.records import HourRecord, Span, read_hours
 from gis_radar.dataset.files.schema import TableSchema
-from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.source import DatasetFiles
 
 QUARTERS = 4  # of an hour
 STEPS_PER_QUARTER = STEPS_PER_HOUR // QUARTERS
@@ -56,7 +56,7 @@ class DayTables:
     fingerprint: str
 
     @classmethod
-    def of(cls, dataset: Source) -> Self:
+    def of(cls, dataset: DatasetFiles) -> Self:
         """Return the maker and reader of a dataset."""
         return cls(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
 

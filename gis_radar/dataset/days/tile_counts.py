@@ -22,13 +22,7 @@ from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, DayTables
 from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys
 from gis_radar.dataset.files.records import HourRecord
 from gis_radar.dataset.files.schema import TableSchema
-from gis_radar.dataset.files.tables import (
-    HITS,
-    OBSERVED,
-    OCCUPIED,
-    TILE_COUNTS,
-    VISIBLE,
-)
+from gis_radar.dataset.files.tables import HITS, OBSERVED, OCCUPIED, TILE_COUNTS, VISIBLE
 
 # Error of a run of occupied steps by the ends of its vehicle, as a share of the run's length (both
 # ends of a car of 4.5 m are known to 0.5 m), and at most (of a vehicle that stops, at 1.5 m/s).

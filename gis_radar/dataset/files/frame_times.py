@@ -10,12 +10,12 @@ import pyarrow.compute as pc
 from gis_radar.base import STEPS_PER_HOUR, InputError, step_of
 from gis_radar.dataset.files.parts import MEASURE_AGAIN
 from gis_radar.dataset.files.records import HourRecord, read_rows
-from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.files.tables import FRAMES, RECORDINGS
 from gis_radar.measures import LONGEST_VALID_STEPS, Runs, union_of_runs, valid_steps
 
 
-def frame_steps(dataset: Source, sensor: str | None = None, *, valid: bool = True) -> Runs:
+def frame_steps(dataset: DatasetFiles, sensor: str | None = None, *, valid: bool = True) -> Runs:
     """Return the steps in which a frame is valid, or into which one falls.
 
     Hours whose frames were deleted are taken as recorded without a gap, from the first to the
@@ -49,7 +49,7 @@ def frame_steps(dataset: Source, sensor: str | None = None, *, valid: bool = Tru
 
 
 def _stored(
-    dataset: Source, records: Mapping[int, HourRecord], sensor: str | None, *, valid: bool
+    dataset: DatasetFiles, records: Mapping[int, HourRecord], sensor: str | None, *, valid: bool
 ) -> Iterator[Runs]:
     """Yield the steps of the frames of some hours."""
     columns = ["sensor", "first_step", "last_step"]
@@ -65,7 +65,7 @@ def _stored(
 
 
 def _recorded(
-    dataset: Source, hours: Iterable[int], sensor: str | None, *, valid: bool
+    dataset: DatasetFiles, hours: Iterable[int], sensor: str | None, *, valid: bool
 ) -> Iterator[Runs]:
     """Yield the steps of recordings in hours without frames: from their first to their last."""
     rows = dataset.single_table(RECORDINGS)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -13,18 +14,25 @@ import geopandas as gpd
 
 from gis_radar.base import (
     InputError,
+    Reporter,
     Text,
+    only_writer,
     output_errors,
     read_json,
+    refuse_foreign,
+    require_folder,
     restored,
     with_texts,
 )
 from gis_radar.calibration import Finding, is_record
-from gis_radar.dataset.files.parts import replacing, write_single_file
+from gis_radar.dataset.files.parts import clear_unfinished, replacing, write_single_file
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
 from gis_radar.hdmap import write_tiles
 
 MANIFEST, TILES, MAP = "dataset.json", "tiles.gpkg", "map.osm"
+OWNED = (  # begins of the names of files that a killed run may have left
+    MAP, TILES, "recordings.parquet", "poses.parquet", "sights.parquet", ".",
+)  # fmt: skip
 MAKE_ONE = Text("a folder that gis-radar measure wrote is needed")
 
 
@@ -231,3 +239,21 @@ def _difference(name: str, was: Any, now: Any) -> str:
         found = (_difference(f"{name}.{key}", was.get(key), now.get(key)) for key in keys)
         return next(filter(None, found), "")
     return Text("{} was {}, is {}", name, json.dumps(was), json.dumps(now)) if was != now else ""
+
+
+@contextmanager
+def locked_for_writing(folder: Path, reporter: Reporter) -> Iterator[None]:
+    """Lock a dataset for writing, and remove files that a killed run left.
+
+    Raises
+    ------
+    OutputError
+        If another run is writing it, its parent folder is missing, or the folder holds other files.
+    """
+    place = folder.absolute()
+    require_folder(place)
+    if place.exists() and not Manifest.is_there(place):
+        refuse_foreign(place, OWNED)
+    with output_errors(place), only_writer(place, reporter=reporter):
+        clear_unfinished(place)
+        yield

@@ -42,11 +42,7 @@ from gis_radar.measures import (
     valid_steps,
 )
 from gis_radar.scans import SightTiles
-from gis_radar.tracking import (
-    MARGIN_STEPS,
-    HourVehicles,
-    vehicles_of_hour,
-)
+from gis_radar.tracking import MARGIN_STEPS, HourVehicles, vehicles_of_hour
 
 METHOD = 16
 """Raised whenever the same inputs would give other parts."""

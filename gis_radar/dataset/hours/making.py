@@ -19,17 +19,14 @@ from gis_radar.base import (
     InputError,
     Reporter,
     Text,
-    only_writer,
     output_errors,
-    refuse_foreign,
-    require_folder,
     watch_parent,
     worker_pool,
 )
 from gis_radar.dataset.days.lane_measures import day_makers
 from gis_radar.dataset.days.rollups import RollUps
-from gis_radar.dataset.files.manifest import Manifest
-from gis_radar.dataset.files.parts import clear_unfinished, days_of, digest_of, hour_text, part_path
+from gis_radar.dataset.files.manifest import Manifest, locked_for_writing
+from gis_radar.dataset.files.parts import days_of, digest_of, hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord, read_hour, read_hours, remove_record
 from gis_radar.dataset.files.registry import (
     Placing,
@@ -50,32 +47,11 @@ from gis_radar.dataset.hours.registered import (
 )
 from gis_radar.measures import HourWindow
 
-OWNED = (  # begins of the names of files that a killed run may have left
-    "map.osm", "tiles.gpkg", "recordings.parquet", "poses.parquet", "sights.parquet", ".",
-)  # fmt: skip
 STAGE = "measuring"
 REGISTRY_EVERY_S = 2.0  # between writes of the registry, which is large for a year's recordings
 RELINK = Text(
     "gis-radar dataset DATASET --relink FOLDER finds what was moved, --withdraw takes it out"
 )
-
-
-@contextmanager
-def locked_for_writing(folder: Path, reporter: Reporter) -> Iterator[None]:
-    """Lock a dataset for writing, and remove files that a killed run left.
-
-    Raises
-    ------
-    OutputError
-        If another run is writing it, its parent folder is missing, or the folder holds other files.
-    """
-    place = folder.absolute()
-    require_folder(place)
-    if place.exists() and not Manifest.is_there(place):
-        refuse_foreign(place, OWNED)
-    with output_errors(place), only_writer(place, reporter=reporter):
-        clear_unfinished(place)
-        yield
 
 
 def update_dataset(

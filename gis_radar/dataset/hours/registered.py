@@ -15,12 +15,7 @@ from gis_radar.base import QUIET, InputError
 from gis_radar.dataset.files.manifest import MANIFEST, MAP, TILES, Manifest
 from gis_radar.dataset.files.parts import part_path
 from gis_radar.dataset.files.records import HourRecord
-from gis_radar.dataset.files.registry import (
-    Registry,
-    source_of,
-    touched_hours,
-    validity_by_sensor,
-)
+from gis_radar.dataset.files.registry import Registry, source_of, touched_hours, validity_by_sensor
 from gis_radar.dataset.files.tables import TABLES
 from gis_radar.dataset.hours.job import METHOD, HourSite, MadeHour, MeasureSettings, make_hour
 from gis_radar.hdmap import lane_graph, read_tiles

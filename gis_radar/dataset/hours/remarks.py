@@ -12,7 +12,7 @@ import pandas as pd
 from gis_radar.base import CLOCK_SET_S, STEP_US, Reporter, Text, iso_from_step
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.files.registry import RecordingEntry
-from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.traffic.shifts import lanes_across
 from gis_radar.hdmap import TILES_LAYER
 from gis_radar.measures import PlacedRecording, RecordingCounts, SightBook, valid_steps
@@ -99,7 +99,7 @@ def remark_on_vehicles(count: int, on_lanes: Sequence[pd.DataFrame], reporter: R
         reporter.warn(line)
 
 
-def remark_on_counting_lines(dataset: Source, reporter: Reporter) -> None:
+def remark_on_counting_lines(dataset: DatasetFiles, reporter: Reporter) -> None:
     """Warn of lanes over whose counting lines all sensors look straight across."""
     network = LaneTraffic.of(dataset).network
     tiles = dataset.layer(TILES_LAYER).sort_values("tile_id", ignore_index=True)

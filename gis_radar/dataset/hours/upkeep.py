@@ -1,4 +1,4 @@
-"""Withdraw recordings from a dataset, find moved ones, delete old exact tables."""
+"""Changes, methods of a dataset: recordings withdrawn or found again, exact tables deleted."""
 
 from __future__ import annotations
 
@@ -11,20 +11,14 @@ from pathlib import Path
 from time import time as clock
 from zoneinfo import ZoneInfo
 
-from gis_radar.base import InputError, Reporter, Text, UsageError, output_errors, zone_of
+from gis_radar.base import QUIET, InputError, Reporter, Text, UsageError, output_errors, zone_of
 from gis_radar.dataset.days.lane_measures import day_makers
-from gis_radar.dataset.files.manifest import Manifest
+from gis_radar.dataset.files.manifest import Manifest, locked_for_writing
 from gis_radar.dataset.files.parts import days_of, digest_of, hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord, read_hours, write_record
-from gis_radar.dataset.files.registry import (
-    RecordingEntry,
-    Registry,
-    touched_hours,
-)
-from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.registry import RecordingEntry, Registry, touched_hours
+from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.files.tables import FRAMES, HITS, OBSERVED, OCCUPIED, TABLES, TRACKS, VISIBLE
-from gis_radar.dataset.hours.making import locked_for_writing, update_dataset
-from gis_radar.dataset.hours.registered import measure_settings_of, site_of
 
 EXACT = (FRAMES, HITS, OBSERVED, VISIBLE, OCCUPIED, TRACKS)
 """Tables that :func:`keep` deletes: they hold single steps, and take nearly all of the space."""
@@ -75,10 +69,42 @@ def _recordings_of_sensor(registry: Registry, sensor: str | None) -> list[Record
 
 
 def withdraw(
-    dataset: Source, recordings: Sequence[str | Path], sensor: str | None, day: date | str | None,
-    processes: int, reporter: Reporter,
+    dataset: DatasetFiles, recordings: Sequence[str | Path] = (), *, sensor: str | None = None,
+    day: date | str | None = None, processes: int = 1, reporter: Reporter = QUIET,
 ) -> list[str]:  # fmt: skip
-    """Withdraw recordings from a dataset; see :meth:`gis_radar.Dataset.withdraw`."""
+    """Withdraw recordings; the hours that they reach into are made again.
+
+    Parameters
+    ----------
+    recordings : sequence of paths
+        Paths, or file names where these are unique. The files may be gone; those of all other
+        recordings of the same hours must be there.
+    sensor : str, optional
+        In place of `recordings`: all those of a sensor.
+    day : date or str, optional
+        In place of `recordings`: all those of a day by the clocks of the site, such as
+        2026-10-05; with `sensor`, only that sensor's. They must lie in the day, to a second.
+    processes : int
+        Number of hours, or of blocks of an hour, made in parallel.
+    reporter : Reporter
+        Receives progress.
+
+    Returns
+    -------
+    list of str
+        Paths of the recordings that were withdrawn.
+
+    Raises
+    ------
+    UsageError
+        If nothing is named, or recordings and a sensor or day.
+    InputError
+        If there is no such recording, one reaches out of the day, another needed one is missing
+        or changed, or exact tables of their hours were deleted.
+    """
+    from gis_radar.dataset.hours.making import update_dataset  # noqa: PLC0415 - the tracker, 0.6 s
+    from gis_radar.dataset.hours.registered import measure_settings_of, site_of  # noqa: PLC0415
+
     if bool(recordings) == (sensor is not None or day is not None):
         raise UsageError("name either recordings to withdraw, or a sensor, a day or both")
     try:
@@ -123,12 +149,26 @@ def _refuse_dropped(folder: Path, hours: Sequence[int]) -> None:
             )
 
 
-def relink(folder: Path, search: str | Path, fingerprint: str, reporter: Reporter) -> int:
-    """Find recordings that were moved; see :meth:`gis_radar.Dataset.relink`."""
+def relink(dataset: DatasetFiles, search: str | Path, *, reporter: Reporter = QUIET) -> int:
+    """Find recordings whose files were moved, by their contents, and return how many.
+
+    Parameters
+    ----------
+    search : str or Path
+        A folder; in it and in the folders below, all files with the suffix of a missing
+        recording are compared.
+    reporter : Reporter
+        Receives progress, and a warning for each recording that is not found.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder.
+    """
     if not Path(search).is_dir():
         raise InputError("{}: is no folder", search, hint="name one to look for recordings in")
-    with locked_for_writing(folder, reporter):
-        registry = Registry.read(folder, fingerprint)
+    with locked_for_writing(dataset.folder, reporter):
+        registry = Registry.read(dataset.folder, dataset.manifest.fingerprint)
         lost = {each.digest: each for each in registry.entries if not _is_there(each)}
         new_paths: dict[str, Path] = {}
         endings = {Path(each.path).suffix.lower() for each in lost.values()}
@@ -175,10 +215,37 @@ def _recording_named(registry: Registry, recording: str | Path) -> RecordingEntr
     )
 
 
-def keep(folder: Path, days: float, fingerprint: str, *, reporter: Reporter) -> list[str]:
-    """Delete the exact tables of old hours; see :meth:`gis_radar.Dataset.keep`."""
+def keep(dataset: DatasetFiles, days: float, *, reporter: Reporter = QUIET) -> list[str]:
+    """Delete the exact tables of old hours, so that room stays for new ones.
+
+    Tile counts, lane measures, turns, vehicles and passages stay; they are brought up to date
+    before. The hours take no recordings any more.
+
+    Parameters
+    ----------
+    days : float
+        Hours that ended longer ago lose `frames`, `hits`, `observed`, `visible`, `occupied` and
+        `tracks`; the last of them keeps its own, from which vehicles go on in the next hour.
+    reporter : Reporter
+        Receives progress.
+
+    Returns
+    -------
+    list of str
+        Begins of the hours, ISO 8601.
+
+    Raises
+    ------
+    UsageError
+        If `days` is negative or no number.
+    InputError
+        If counts of these hours cannot be made or read; then nothing is deleted.
+    """
+    from gis_radar.dataset.hours.registered import measure_settings_of  # noqa: PLC0415 - 0.6 s
+
     if not 0.0 <= days < math.inf:
         raise UsageError("{} days are no time to keep exact tables", days)
+    folder, fingerprint = dataset.folder, dataset.manifest.fingerprint
     with locked_for_writing(folder, reporter):
         settings = measure_settings_of(Manifest.read(folder), folder)
         unmade = set(Registry.read(folder, fingerprint).missing_hours(settings.margin))

@@ -14,7 +14,7 @@ from gis_radar.dataset.days.rollups import RollUps, with_month
 from gis_radar.dataset.files.parts import hour_of_step
 from gis_radar.dataset.files.records import Span, hour_bounds
 from gis_radar.dataset.files.schema import TableSchema
-from gis_radar.dataset.files.source import Moment, Source, require_vehicles
+from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.files.tables import LANE_MONTHS, TILE_MONTHS
 from gis_radar.dataset.files.units import convert_units
 from gis_radar.dataset.questions.street_profile import SUMMED, By, StreetLanes, street_profile
@@ -25,7 +25,7 @@ class NotMeasuredError(InputError):
     """A time of which a dataset has no complete hour, or only days that do not count."""
 
 
-def lane_months(dataset: Source, *, month: str | None = None) -> pd.DataFrame:
+def lane_months(dataset: DatasetFiles, *, month: str | None = None) -> pd.DataFrame:
     """Read the sums of lane measures by month, weekday and hour, by the clocks of the site.
 
     Parameters
@@ -41,13 +41,13 @@ def lane_months(dataset: Source, *, month: str | None = None) -> pd.DataFrame:
     return _read_months(dataset, LANE_MONTHS, month)
 
 
-def tile_months(dataset: Source, *, month: str | None = None) -> pd.DataFrame:
+def tile_months(dataset: DatasetFiles, *, month: str | None = None) -> pd.DataFrame:
     """Read the sums of tile counts by month and hour of the day; as :meth:`lane_months`."""
     return _read_months(dataset, TILE_MONTHS, month)
 
 
 def profile(
-    dataset: Source, street: str | None = None, *, by: By = "hour", days: str | None = None,
+    dataset: DatasetFiles, street: str | None = None, *, by: By = "hour", days: str | None = None,
     begin: Moment = None, end: Moment = None, month: str | None = None,
     without: Holidays = None, language: str | None = None,
 ) -> pd.DataFrame:  # fmt: skip
@@ -113,7 +113,7 @@ def profile(
 
 
 def _street_lanes(
-    dataset: Source, rolled: RollUps, street: str | None, language: str | None
+    dataset: DatasetFiles, rolled: RollUps, street: str | None, language: str | None
 ) -> StreetLanes:
     """Return the lanes of a street, which are found once."""
     key = ("street", street, language or current_language())
@@ -126,7 +126,7 @@ def _street_lanes(
 
 
 def _asked_span(
-    dataset: Source, begin: Moment, end: Moment, month: str | None
+    dataset: DatasetFiles, begin: Moment, end: Moment, month: str | None
 ) -> tuple[Span, Span]:
     """Return the first and the last step of a time, and of all that was measured.
 
@@ -145,7 +145,7 @@ def _asked_span(
     return (first, last), measured
 
 
-def _measured(dataset: Source, span: Span | None) -> Span:
+def _measured(dataset: DatasetFiles, span: Span | None) -> Span:
     """Return the first and the last step of the complete hours that a span touches."""
     hours = (None, None) if span is None else map(hour_of_step, span)
     if (bounds := hour_bounds(dataset.folder, *hours)) is None:
@@ -156,7 +156,7 @@ def _measured(dataset: Source, span: Span | None) -> Span:
     return bounds[0] * STEPS_PER_HOUR, (bounds[1] + 1) * STEPS_PER_HOUR - 1
 
 
-def measured_span(dataset: Source, month: str) -> Span:
+def measured_span(dataset: DatasetFiles, month: str) -> Span:
     """Return the first and the last step of a month in complete hours.
 
     Raises
@@ -171,7 +171,7 @@ def measured_span(dataset: Source, month: str) -> Span:
     return (max(measured[0], span[0]), min(measured[1], span[1])) if span else measured
 
 
-def roll_ups(dataset: Source) -> RollUps:
+def roll_ups(dataset: DatasetFiles) -> RollUps:
     """Return the maker and reader of the roll-ups of a dataset."""
     return RollUps(
         folder=dataset.folder, fingerprint=dataset.manifest.fingerprint, timezone=dataset.timezone,
@@ -179,7 +179,7 @@ def roll_ups(dataset: Source) -> RollUps:
     )  # fmt: skip
 
 
-def _read_months(dataset: Source, table: TableSchema, month: str | None) -> pd.DataFrame:
+def _read_months(dataset: DatasetFiles, table: TableSchema, month: str | None) -> pd.DataFrame:
     rolled, bounds = roll_ups(dataset), hour_bounds(dataset.folder)
     asked = [] if bounds is None else rolled.months(range(bounds[0], bounds[1] + 1))
     if month is not None:

@@ -16,7 +16,7 @@ import pyarrow as pa
 from gis_radar.base import QUIET, InputError, Reporter, UsageError, first_line
 from gis_radar.dataset.files.parts import MEASURE_AGAIN
 from gis_radar.dataset.files.records import HOURS
-from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.questions.statement import ASK_ONE, tables_of
 from gis_radar.dataset.questions.views import quoted, views_of_sites
 
@@ -36,7 +36,7 @@ _CONFIG = {
 @contextmanager
 def run_query(
     folder: Path,
-    sites: Mapping[str, Source],
+    sites: Mapping[str, DatasetFiles],
     sql: str,
     *,
     timeout_s: float,

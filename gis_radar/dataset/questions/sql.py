@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow as pa
 
 from gis_radar.base import QUIET, Reporter
-from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.source import DatasetFiles
 
 TIMEOUT_S, MEMORY = 60.0, "2GB"  # default limits of a query
 
@@ -19,7 +19,7 @@ TIMEOUT_S, MEMORY = 60.0, "2GB"  # default limits of a query
 class SqlQueries:
     """Methods that answer SQL queries over one dataset or several."""
 
-    def queried_sites(self) -> tuple[Path, Mapping[str, Source]]:
+    def queried_sites(self) -> tuple[Path, Mapping[str, DatasetFiles]]:
         """Return the folder, and the datasets that are asked, each with the name of its site."""
         raise NotImplementedError
 
@@ -90,7 +90,7 @@ class SqlQueries:
 
 
 def _answer(
-    folder: Path, sites: Mapping[str, Source], sql: str, timeout_s: float, memory: str,
+    folder: Path, sites: Mapping[str, DatasetFiles], sql: str, timeout_s: float, memory: str,
     reporter: Reporter,
 ) -> AbstractContextManager[tuple[pa.Schema, Iterator[pa.RecordBatch]]]:  # fmt: skip
     from gis_radar.dataset.questions.queries import run_query  # noqa: PLC0415 - DuckDB, 0.2 s

@@ -15,7 +15,7 @@ from gis_radar.dataset.days.tables import STEPS_PER_QUARTER, records_of
 from gis_radar.dataset.files.parts import days_of, hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord
 from gis_radar.dataset.files.schema import TableSchema
-from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.files.tables import (
     DAY_TABLES,
     HOUR_TABLES,
@@ -33,7 +33,7 @@ _BEGIN = f"epoch(date)::BIGINT * {STEPS_PER_SECOND} + interval * {STEPS_PER_QUAR
 
 
 def views_of_sites(
-    sites: Mapping[str, Source], connection: duckdb.DuckDBPyConnection, names: set[str],
+    sites: Mapping[str, DatasetFiles], connection: duckdb.DuckDBPyConnection, names: set[str],
     reporter: Reporter,
 ) -> list[Path]:  # fmt: skip
     """Make the views of some tables over several sites, with a first column `site`.
@@ -65,14 +65,14 @@ def views_of_sites(
 
 
 def make_views(
-    dataset: Source, connection: duckdb.DuckDBPyConnection, names: set[str], reporter: Reporter, *,
-    prefix: str = "",
+    dataset: DatasetFiles, connection: duckdb.DuckDBPyConnection, names: set[str],
+    reporter: Reporter, *, prefix: str = "",
 ) -> list[Path]:  # fmt: skip
     """Make the views of some tables.
 
     Parameters
     ----------
-    dataset : Source
+    dataset : DatasetFiles
         The dataset, of which complete hours are read.
     connection : duckdb.DuckDBPyConnection
         Connection in which the views are made.
@@ -139,7 +139,7 @@ class _Views:
     """Maker of views of tables."""
 
     def __init__(
-        self, dataset: Source, connection: duckdb.DuckDBPyConnection, prefix: str,
+        self, dataset: DatasetFiles, connection: duckdb.DuckDBPyConnection, prefix: str,
         reporter: Reporter,
     ) -> None:  # fmt: skip
         self._dataset, self._connection, self._prefix = dataset, connection, prefix

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 from zoneinfo import ZoneInfo
 
 import geopandas as gpd
@@ -13,7 +13,6 @@ import pandas as pd
 
 from gis_radar.base import (
     STEP_US,
-    STEPS_PER_HOUR,
     STEPS_PER_SECOND,
     InputError,
     Text,
@@ -30,36 +29,32 @@ from gis_radar.base import (
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
 from gis_radar.dataset.files.records import Span
-from gis_radar.dataset.files.source import Moment, Source, require_vehicles
+from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.files.tables import TRACKS
 from gis_radar.dataset.traffic.reader import interval_edges
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import (
     Cycle,
-    FrontStates,
     Greens,
     Headways,
     LaneNetwork,
-    StepGrid,
-    VehicleTable,
-    VisibleRuns,
+    TrackedLanes,
     cycles,
     headways,
     lane_names,
 )
 
-_Hour: TypeAlias = tuple[StepGrid, FrontStates, VehicleTable, VisibleRuns]
 _LENGTHS = ("cycle_s", "cycle_se_s", "queue_max_m", "queue_mean_m", "queue_end_m")
 _HEADWAYS = ("headway_mean_s", "headway_se_s", "headway_median_s", "gap_mean_s", "gap_se_s")
 
 
 def add_headways(
-    dataset: Source, lanes: gpd.GeoDataFrame, interval: str, span: Span | None
+    dataset: DatasetFiles, lanes: gpd.GeoDataFrame, interval: str, span: Span | None
 ) -> gpd.GeoDataFrame:
     """Add headways and gaps to the traffic of lanes; see :meth:`gis_radar.Dataset.traffic`."""
     steps = interval_steps(interval)
     network, hours = _exact_hours(dataset, span)
-    parts = [headways(network, *each) for each in hours]
+    parts = list(map(headways, hours))
     pairs = Headways._make(map(np.concatenate, zip(*parts, strict=True))) if parts else None
     table = pd.DataFrame(pairs._asdict() if pairs else {name: [] for name in Headways._fields})
     part = min(steps, STEPS_PER_QUARTER)
@@ -100,7 +95,7 @@ def _by_interval(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def signal_cycles(
-    dataset: Source, *, signals: str | Path | None = None, begin: Moment = None,
+    dataset: DatasetFiles, *, signals: str | Path | None = None, begin: Moment = None,
     end: Moment = None, language: str | None = None,
 ) -> pd.DataFrame:  # fmt: skip
     """Return the cycles of signals at stop lines, as the traffic shows them.
@@ -140,7 +135,7 @@ def signal_cycles(
         raise InputError(
             "{}: lane {} has no stop line", signals, int(network.lane[without_line[0]])
         )
-    rows = [each for hour in hours for each in cycles(network, *hour, known=known)]
+    rows = [each for hour in hours for each in cycles(hour, known)]
     with in_language(language):
         reason = [tr(each.reason) if each.reason else "" for each in rows]
     table = pd.DataFrame(rows, columns=list(Cycle._fields))
@@ -160,16 +155,13 @@ def _utc_times(steps: pd.Series) -> pd.Series:
     return pd.to_datetime(steps.astype(np.int64) * STEP_US, unit="us", utc=True)
 
 
-def _exact_hours(dataset: Source, span: Span | None) -> tuple[LaneNetwork, Iterator[_Hour]]:
-    """Return the network, and of each hour its grid, states, vehicles and visible runs."""
+def _exact_hours(
+    dataset: DatasetFiles, span: Span | None
+) -> tuple[LaneNetwork, Iterator[TrackedLanes]]:
+    """Return the network, and the lanes of each hour with all vehicles on them."""
     traffic = LaneTraffic.of(dataset)
     records = [each for each in dataset.records(span).values() if TRACKS.name in each.parts]
-    hours = (
-        (StepGrid(begin=each.hour * STEPS_PER_HOUR, steps=STEPS_PER_HOUR, count=1),
-         *traffic.exact(each))
-        for each in records
-    )  # fmt: skip
-    return traffic.network, hours
+    return traffic.network, map(traffic.exact, records)
 
 
 _NEEDED = ("lane", "green_begin")

@@ -32,7 +32,7 @@ from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
 from gis_radar.dataset.files.parts import hour_text
 from gis_radar.dataset.files.records import HourRecord, Span
 from gis_radar.dataset.files.schema import TableSchema
-from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.files.tables import LANE_MEASURES, TRACKS, TURNS
 from gis_radar.dataset.traffic.shifts import MISSED_ACROSS, OtherLanes, lanes_across, shifts_of
 from gis_radar.dataset.traffic.stated_lanes import delays
@@ -42,6 +42,16 @@ from gis_radar.measures import LEAST_SHARE, SPEED_CLASS_KMH, LaneNetwork, lane_n
 LEAST_STEPS = 60 * STEPS_PER_SECOND  # least length of an interval: shorter ones have no volume
 _DAY_STEPS = 24 * STEPS_PER_HOUR
 _WITH_LANE, _WITH_TURN = ["lane"], ["from_lane", "to_lane"]
+_LANE_COLUMNS = (
+    "lane", "name", "begin", "end", "visible_share", "counted", "volume", "volume_se",
+    "volume_veh_h", "heavy", "speed_kmh", "speed_time_mean_kmh", "speed_85_kmh", "occupancy",
+    "occupancy_se", "density_veh_km", "flow_veh_h", "travel_time_s", "delay_s", "queue_max_m",
+    "queue_mean_m", "sight_m", "stops",
+)  # fmt: skip
+_TURN_COLUMNS = (
+    *_WITH_TURN, "from_name", "to_name", "turn", "begin", "end", "visible_share", "volume",
+    "volume_se", "volume_veh_h",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +60,7 @@ class TrafficReader:
 
     Parameters
     ----------
-    dataset : Source
+    dataset : DatasetFiles
         The dataset, of which complete hours are read.
     interval : str
         Length of the intervals: `1min`, `5min`, `15min`, `1h`, `24h`. They follow the clocks of the
@@ -67,7 +77,7 @@ class TrafficReader:
         Whether all intervals are one, as for :meth:`gis_radar.Dataset.traffic`.
     """
 
-    dataset: Source
+    dataset: DatasetFiles
     interval: str = "15min"
     span: Span | None = None
     language: str | None = None
@@ -91,19 +101,14 @@ class TrafficReader:
             names = lane_names(layer, network)
         place = np.searchsorted(network.lane, table["lane"].to_numpy(np.int64))
         lines = layer.set_index("lane").geometry.loc[network.lane.tolist()].array[place]
-        shown = pd.DataFrame({"lane": table["lane"], "name": np.array(names, object)[place]})
-        shown = shown.join(table[["begin", "end", "visible_share", "counted"]])
-        shown = shown.join(table[["volume", "volume_se"]])
-        shown["volume_veh_h"] = table["volume"] / table["hours"]
-        shown["heavy"] = table["heavy"]
-        for name, column in (("speed", "speed_mean"), ("speed_time_mean", "speed_time_mean")):
-            shown[f"{name}_kmh"] = table[column] * 3.6
-        shown["speed_85_kmh"] = _speed_85_kmh(table["speed_counts"])
-        shown = shown.join(table[["occupancy", "occupancy_se"]])
-        shown["density_veh_km"], shown["flow_veh_h"] = table["density"], table["flow"]
-        shown = shown.join(table[["travel_time_s", "delay_s", "queue_max_m", "queue_mean_m"]])
-        shown["sight_m"] = network.sight_m(self.dataset.sights()["tile_id"].unique())[place]
-        shown["stops"] = table["stops"]
+        shown = table.assign(
+            name=np.array(names, object)[place], volume_veh_h=table["volume"] / table["hours"],
+            speed_kmh=table["speed_mean"] * 3.6,
+            speed_time_mean_kmh=table["speed_time_mean"] * 3.6,
+            speed_85_kmh=_speed_85_kmh(table["speed_counts"]),
+            density_veh_km=table["density"], flow_veh_h=table["flow"],
+            sight_m=network.sight_m(self.dataset.sights()["tile_id"].unique())[place],
+        )[[*_LANE_COLUMNS]]  # fmt: skip
         return gpd.GeoDataFrame(shown, geometry=lines, crs=self.dataset.manifest.crs)
 
     def turns(self) -> gpd.GeoDataFrame:
@@ -132,10 +137,10 @@ class TrafficReader:
             self._lasting_variance(table, "from_lane", "volume")
         )
         table["volume_se"] = np.hypot(table["volume_se"], left_open)
-        shown = table[_WITH_TURN].assign(from_name=names[start], to_name=names[end])
-        shown["turn"] = np.array(words, object)[turn_row]
-        shown = shown.join(table[["begin", "end", "visible_share", "volume", "volume_se"]])
-        shown["volume_veh_h"] = table["volume"] / table["hours"]
+        shown = table.assign(
+            from_name=names[start], to_name=names[end], turn=np.array(words, object)[turn_row],
+            volume_veh_h=table["volume"] / table["hours"],
+        )[[*_TURN_COLUMNS]]  # fmt: skip
         lines_at = gpd.GeoSeries(lines, crs=self.dataset.manifest.crs).array[turn_row]
         return gpd.GeoDataFrame(shown, geometry=lines_at, crs=self.dataset.manifest.crs)
 

@@ -14,16 +14,9 @@ import pandas as pd
 import shapely
 import shapely.ops
 
-from gis_radar.base import (
-    Floats,
-    InputError,
-    in_language,
-    metric_crs,
-    one_line,
-    read_vector,
-)
+from gis_radar.base import Floats, InputError, in_language, metric_crs, one_line, read_vector
 from gis_radar.dataset.days.lane_measures import LaneTraffic
-from gis_radar.dataset.files.source import Moment, Source, require_vehicles
+from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.traffic.reader import TrafficReader
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork, bound_name, place_on
@@ -60,7 +53,7 @@ class _Crossing:
 
 
 def count_sections(
-    dataset: Source, sections: gpd.GeoDataFrame | str | Path, interval: str = "15min", *,
+    dataset: DatasetFiles, sections: gpd.GeoDataFrame | str | Path, interval: str = "15min", *,
     begin: Moment = None, end: Moment = None, language: str | None = None,
 ) -> gpd.GeoDataFrame:  # fmt: skip
     """Count vehicles by direction at sections: lines across a road.

@@ -5,13 +5,13 @@ from __future__ import annotations
 import geopandas as gpd
 
 from gis_radar.base import UsageError
-from gis_radar.dataset.files.source import Moment, Source, require_vehicles
+from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.traffic.headways_cycles import add_headways
 from gis_radar.dataset.traffic.reader import TrafficReader
 
 
 def traffic(
-    dataset: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
+    dataset: DatasetFiles, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
     language: str | None = None, whole: bool = False, headways: bool = False,
 ) -> gpd.GeoDataFrame:  # fmt: skip
     """Return the traffic of lanes, a row for each lane and interval.
@@ -62,7 +62,7 @@ def traffic(
 
 
 def turns(
-    dataset: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
+    dataset: DatasetFiles, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
     language: str | None = None, whole: bool = False,
 ) -> gpd.GeoDataFrame:  # fmt: skip
     """Return the volumes of turns, a row for each turn and interval; as :meth:`traffic`.
@@ -78,7 +78,7 @@ def turns(
 
 
 def queues(
-    dataset: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
+    dataset: DatasetFiles, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
     language: str | None = None,
 ) -> gpd.GeoDataFrame:  # fmt: skip
     """Return the queues at stop lines: rows of :meth:`traffic`, of lanes with a stop line.
@@ -99,7 +99,7 @@ def queues(
 
 
 def _reader(
-    dataset: Source, interval: str, begin: Moment, end: Moment, language: str | None, *,
+    dataset: DatasetFiles, interval: str, begin: Moment, end: Moment, language: str | None, *,
     whole: bool = False,
 ) -> TrafficReader:  # fmt: skip
     require_vehicles(dataset)

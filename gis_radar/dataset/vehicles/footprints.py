@@ -27,7 +27,7 @@ from gis_radar.base import (
     style_layers,
     write_stream,
 )
-from gis_radar.dataset.files.source import Source, require_vehicles
+from gis_radar.dataset.files.source import DatasetFiles, require_vehicles
 from gis_radar.dataset.vehicles.states import states_of
 from gis_radar.tracking import HEAVY, Footprints, PathBook, footprints_of
 
@@ -55,7 +55,7 @@ SHOWN_S = EVERY_STEPS * STEP_S  # how long a row is shown
 STANDING_KMH = 5.0  # a slower vehicle is standing: as traffic engineering counts stops
 
 
-def write_footprints(dataset: Source, path: str | Path, *, reporter: Reporter = QUIET) -> int:
+def write_footprints(dataset: DatasetFiles, path: str | Path, *, reporter: Reporter = QUIET) -> int:
     """Write the footprints of vehicles as a layer, a row for each vehicle and half second.
 
     Memory holds one hour.
@@ -106,7 +106,7 @@ def footprint_style() -> str:
 class _Rows:
     """Rows of the layer in batches, made while the tracks are read; iterable once."""
 
-    def __init__(self, dataset: Source, reporter: Reporter) -> None:
+    def __init__(self, dataset: DatasetFiles, reporter: Reporter) -> None:
         self._dataset, self._reporter = dataset, reporter
         self.count = 0
 

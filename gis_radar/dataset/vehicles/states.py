@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from gis_radar.base import TRACK_EVERY_STEPS, Floats, Integers, ranges
 from gis_radar.dataset.files.records import Span
-from gis_radar.dataset.files.source import Source
+from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.files.tables import TRACKS, VEHICLES
 
 CM = 0.01  # metres
@@ -19,7 +19,7 @@ VehicleStates = tuple[pd.DataFrame, pd.DataFrame]
 
 
 def states_of(
-    dataset: Source, *, every: int = 1, span: Span | None = None
+    dataset: DatasetFiles, *, every: int = 1, span: Span | None = None
 ) -> Iterator[VehicleStates]:
     """Yield the vehicles of each hour with their states at regular steps.
 

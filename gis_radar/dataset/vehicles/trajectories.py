@@ -9,13 +9,8 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import (
-    INSTALL_TRAJECTORIES,
-    STEP_US,
-    InputError,
-    interval_steps,
-)
-from gis_radar.dataset.files.source import Moment, Source, require_vehicles
+from gis_radar.base import INSTALL_TRAJECTORIES, STEP_US, InputError, interval_steps
+from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.vehicles.states import no_states, states_of
 
 if TYPE_CHECKING:
@@ -26,7 +21,7 @@ _OF_VEHICLE = ("length_m", "width_m", "p_heavy")
 
 
 def track_points(
-    dataset: Source, *, every: str = EVERY, begin: Moment = None, end: Moment = None
+    dataset: DatasetFiles, *, every: str = EVERY, begin: Moment = None, end: Moment = None
 ) -> gpd.GeoDataFrame:
     """Return the states of vehicles as points, a row for each vehicle and moment.
 
@@ -70,7 +65,7 @@ def track_points(
 
 
 def to_trajectories(
-    dataset: Source, *, every: str = EVERY, begin: Moment = None, end: Moment = None
+    dataset: DatasetFiles, *, every: str = EVERY, begin: Moment = None, end: Moment = None
 ) -> movingpandas.TrajectoryCollection:
     """Return vehicles as a MovingPandas TrajectoryCollection (extra `trajectories`).
 

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from gis_radar.base import STEP_S, Floats, Integers, step_begin
+from gis_radar.base import STEP_S, Floats, Integers, quotient, step_begin
 from gis_radar.dataset import STEPS_PER_QUARTER, TILE_COUNTS, Dataset
 from gis_radar.products import lane_totals, lanes_with_tiles
 
@@ -23,13 +21,6 @@ TRAFFIC = (
     "visible_share", "counted", "volume", "volume_se", "speed_kmh", "occupancy", "queue_max_m",
 )  # fmt: skip
 """Columns of the traffic of a lane, as in :meth:`gis_radar.Dataset.traffic`."""
-
-
-def share_of(part: NDArray[Any], whole: NDArray[Any]) -> Floats:
-    """Return the share that each part is of its whole, NaN where the whole is 0."""
-    share = np.full(len(whole), np.nan)
-    np.divide(part, whole, out=share, where=whole > 0)
-    return share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +44,7 @@ class QuarterMeasures:
 
     def occupancy(self) -> Floats:
         """Return the occupancy of each tile, NaN where it was not visible."""
-        return share_of(self.occupied, self.visible)
+        return quotient(self.occupied, self.visible)
 
 
 class Quarters:

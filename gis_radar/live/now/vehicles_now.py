@@ -13,13 +13,7 @@ import geopandas as gpd
 import numpy as np
 import shapely
 
-from gis_radar.base import (
-    QUIET,
-    GisRadarError,
-    Reporter,
-    stop_pool,
-    watch_parent,
-)
+from gis_radar.base import QUIET, GisRadarError, Reporter, stop_pool, watch_parent
 from gis_radar.hdmap import LaneGraph, lane_graph, make_tiles, read_map
 from gis_radar.live.now.now_filter import NowFilter, VehiclesNow
 from gis_radar.live.wire.detections import DetectionSelector, pack_detections, unpack_detections

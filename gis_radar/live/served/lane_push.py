@@ -21,10 +21,11 @@ from gis_radar.base import (
     Text,
     atomic_write,
     interval_steps,
+    quotient,
 )
 from gis_radar.dataset import STEPS_PER_QUARTER
 from gis_radar.live.background import in_background
-from gis_radar.live.hours.quarters import QUARTERS_KEPT, QuarterMeasures, share_of
+from gis_radar.live.hours.quarters import QUARTERS_KEPT, QuarterMeasures
 from gis_radar.live.served.sensorthings import HITS, MEASURES, LaneMeasure, LaneServer, Service
 from gis_radar.live.served.snapshot import Place
 from gis_radar.site import SensorThingsTable
@@ -125,7 +126,7 @@ class LanePush:
     def _measures(self, number: int, counts: Integers) -> list[LaneMeasure]:
         """Return the hit share of each observed lane in an interval."""
         place, begin = self._place, number * self._steps
-        percent = 100.0 * share_of(*(place.totals_by_lane(each) for each in counts))
+        percent = 100.0 * quotient(*(place.totals_by_lane(each) for each in counts))
         observed_s = STEP_S * place.means_by_lane(counts[1])
         return [
             LaneMeasure(

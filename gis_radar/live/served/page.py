@@ -34,14 +34,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from gis_radar.base import (
-    LANGUAGES,
-    InputError,
-    class_label,
-    in_language,
-    step_begin,
-    tr,
-)
+from gis_radar.base import LANGUAGES, InputError, class_label, in_language, step_begin, tr
 from gis_radar.live.health import ALARMS, METRICS_TYPE
 from gis_radar.live.served.features import feature_routes, refusal
 from gis_radar.live.served.snapshot import (

@@ -24,13 +24,14 @@ from gis_radar.base import (
     Floats,
     InputError,
     Integers,
+    quotient,
     step_begin,
     transformer,
     zone_of,
 )
 from gis_radar.dataset import stated_lanes
 from gis_radar.hdmap import fingerprint, read_map
-from gis_radar.live.hours.quarters import QuarterMeasures, Quarters, share_of
+from gis_radar.live.hours.quarters import QuarterMeasures, Quarters
 from gis_radar.live.hours.recent import QUARTER, RecentCounts
 from gis_radar.live.intake import SensorState
 from gis_radar.live.now.map_of_now import MapState
@@ -209,7 +210,7 @@ class Snapshot:
 
     def hit_share(self) -> Floats:
         """Return the hit share of each tile over the last 15 minutes, NaN where not observed."""
-        return share_of(self.hit, self.observed)
+        return quotient(self.hit, self.observed)
 
     def classes(self) -> Integers:
         """Return each tile's class of hit share: 0 never hit, then as the legend, -1 unobserved."""
@@ -224,7 +225,7 @@ class Snapshot:
     def by_lane(self, place: Place) -> Floats:
         """Return the hit share of each lane over the last 15 minutes, NaN where not observed."""
         observed = place.totals_by_lane(self.observed)
-        return share_of(place.totals_by_lane(self.hit), observed)
+        return quotient(place.totals_by_lane(self.hit), observed)
 
 
 def classes_of(share: Floats) -> Integers:

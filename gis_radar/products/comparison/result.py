@@ -129,7 +129,7 @@ class Comparison:
             If the folder cannot be written, or holds other files.
         """
         writers: dict[str, Callable[[Path], object]] = {
-            "compare.csv": partial(_write_table, self.table),
+            "compare.csv": lambda path: write_csv(path, self.table.drop(columns="geometry")),
             "compare.gpkg": partial(_write_layer, self.table),
             "compare.png": partial(draw_changes, self),
             "compare.html": partial(_write_page, self),
@@ -138,12 +138,6 @@ class Comparison:
             folder, writers, name="compare", stage="writing the comparison", language=language,
             reporter=reporter,
         )  # fmt: skip
-
-
-def _write_table(table: gpd.GeoDataFrame, path: Path) -> None:
-    shown = pd.DataFrame(table.drop(columns="geometry")).astype({"lane": "string"})
-    rows = shown.astype(object).where(shown.notna(), None).itertuples(index=False)
-    write_csv(path, [*shown.columns], rows)
 
 
 def wide_table(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:

@@ -9,7 +9,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import Floats, Integers
+from gis_radar.base import Floats, Integers, quotient
 from gis_radar.hdmap import LANE_COLUMN, Lane, lanes_of
 from gis_radar.products.heatmap.counting import Tally
 from gis_radar.products.heatmap.intervals import When
@@ -105,18 +105,13 @@ def _table_of_interval(
         columns |= {
             "visible_s": visible_s / count,
             "occupied_s": np.where(visible_s > 0, occupied_s / count, np.nan),
-            "occupancy": _share(occupied_s, visible_s),
-            "occupancy_se": _share(error_s, visible_s),
+            "occupancy": quotient(occupied_s, visible_s),
+            "occupancy_se": quotient(error_s, visible_s),
         }
     observed_s, hit_s = total(hits.observed_s), total(hits.hit_s)
     columns |= {
         "observed_s": observed_s / count,
         "hit_s": np.where(observed_s > 0, hit_s / count, np.nan),
-        "hit_share": _share(hit_s, observed_s),
+        "hit_share": quotient(hit_s, observed_s),
     }
     return pd.DataFrame(columns, index=index)
-
-
-def _share(part: Floats, whole: Floats) -> Floats:
-    share: Floats = np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)
-    return share

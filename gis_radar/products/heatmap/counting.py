@@ -31,11 +31,7 @@ from gis_radar.base import (
     iso_from_step,
     zone_of,
 )
-from gis_radar.dataset import (
-    TILE_COUNTS,
-    Dataset,
-    shifts_of,
-)
+from gis_radar.dataset import TILE_COUNTS, Dataset, shifts_of
 from gis_radar.hdmap import own_columns
 from gis_radar.products.heatmap.intervals import MOST_BANDS, MapLabels, Timeline, When, intervals_at
 from gis_radar.products.heatmap.occupancy import (

@@ -213,7 +213,8 @@ def make_heatmap(
     ids = np.sort(dataset.tiles()["tile_id"].to_numpy(np.int64))
     chosen = None if tile_ids is None else _chosen(ids, tile_ids)
     if month is not None:
-        whole = timeline = _month(dataset, month)
+        first, last = measured_span(dataset, month)
+        whole = timeline = Timeline(begin=np.array([first]), end=np.array([last + 1]))
     else:
         whole = timeline = whole_of(_within(dataset.frame_steps(), *span), at)
     if interval is not None:
@@ -263,12 +264,6 @@ def joint_layer(maps: Mapping[str, HeatMap], crs: Any = None) -> gpd.GeoDataFram
         table.insert(0, "site", name)
         tables.append(table)
     return gpd.GeoDataFrame(pd.concat(tables, ignore_index=True))
-
-
-def _month(dataset: Dataset, month: str) -> Timeline:
-    """Return the measured hours of a month, as one interval."""
-    first, last = measured_span(dataset, month)
-    return Timeline(begin=np.array([first]), end=np.array([last + 1]))
 
 
 def _write_style(tally: Tally, path: Path, *, measure: str | None = None) -> None:

@@ -214,11 +214,6 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _A_MONDAY = date(1970, 1, 5)
 
 
-def follows_utc(steps: int) -> bool:
-    """Return whether intervals begin alike in every zone: zones differ by whole quarter hours."""
-    return QUARTER % steps == 0
-
-
 def local_intervals(first: int, last: int, steps: int, zone: ZoneInfo) -> Timeline:
     """Return all intervals from that of step `first` to that of step `last`.
 
@@ -297,7 +292,7 @@ def intervals_of(
     """Return the intervals; where most are empty, or there are many, only those with a frame."""
     steps = interval_steps(interval)
     first, last = int(runs.first[0]), int(runs.last[-1])
-    if zone is None or follows_utc(steps):
+    if zone is None or QUARTER % steps == 0:  # zones differ by whole quarters of an hour
         local, every, filled = None, last // steps - first // steps + 1, intervals_with(runs, steps)
     else:
         local = local_intervals(first, last, steps, zone)

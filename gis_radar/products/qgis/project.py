@@ -134,7 +134,7 @@ def write_qgis_project(
         time_range = time_range and time_range._replace(step_s=SHOWN_S)
     time_range = time_range and time_range._replace(timezone=timezone)
     with in_language(language):
-        time = _local_time(*_recorded_span(package, time_range), timezone) if time_range else ""
+        time = _recorded_time(package, time_range, timezone) if time_range else ""
     content = ProjectContent(
         title=title or path.stem, time=time,
         source=source, crs=crs, box=box, layers=layers, played=time_range, measure=measure,
@@ -267,15 +267,11 @@ def _time_range(package: Path) -> TimeRange | None:
     return TimeRange(begin, end, round(length_s, 3))
 
 
-def _recorded_span(package: Path, played: TimeRange) -> tuple[str, str]:
-    """Return begin and end of the recorded time, as the last interval may end later."""
+def _recorded_time(package: Path, played: TimeRange, timezone: str) -> str:
+    """Return the recorded time by the site's clock; the last interval may end later."""
     metadata = pyogrio.read_info(package, layer=WIDE)["layer_metadata"] or {}
-    return metadata.get("begin", played.begin), metadata.get("end", played.end)
-
-
-def _local_time(since: str, until: str, timezone: str) -> str:
-    """Return a span of time by the site's clock, with its zone and offset."""
-    begin, end = (datetime.fromisoformat(text) for text in (since, until))
+    begin = datetime.fromisoformat(metadata.get("begin", played.begin))
+    end = datetime.fromisoformat(metadata.get("end", played.end))
     return long_span(begin, end, zone_of(timezone))
 
 

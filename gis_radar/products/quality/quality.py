@@ -186,8 +186,7 @@ class Quality:
     def write_rows(self, path: Path) -> None:
         """Write the table as CSV in the format of a report's tables."""
         times = {name: self.table[name].map(iso_from_time) for name in ("begin", "end")}
-        table = self.table.assign(**times)
-        write_csv(path, list(table.columns), table.itertuples(index=False, name=None))
+        write_csv(path, self.table.assign(**times))
 
     def _repr_html_(self) -> str:
         columns = ["sensor", "date", "hour", "frames", "frames_expected", "verdict"]

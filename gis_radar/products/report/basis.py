@@ -106,13 +106,14 @@ def totals_of(data: ReportData) -> dict[str, Any]:
 def facts_of(data: ReportData) -> list[Fact]:
     """Return the figures at the top, each with what it rests on."""
     total, measure = totals_of(data), data.results.heat.measure
+    begin, end = data.results.heat.whole.span()
     base = "visible" if measure == "occupancy" else "observed"
     sensors, recorded = data.results.sensors, total["recorded_s"]
     length, all_m = total[f"lane_length_{base}_m"], total["lane_length_m"]
     names = listed(sensors) if len(sensors) < 5 else ""
     facts = [
         Fact(tr("Recorded"), tr(NOT_KNOWN) if recorded is None else seconds_text(recorded),
-             _span_text(data)),
+             tr("in {time} from begin to end", time=seconds_text((end - begin).total_seconds()))),
         Fact(tr("Sensors"), str(len(sensors)) if sensors else tr(NOT_KNOWN), names),
         Fact(
             tr("Lane length visible" if measure == "occupancy" else "Lane length observed"),
@@ -128,12 +129,6 @@ def facts_of(data: ReportData) -> list[Fact]:
     mean = percent(total["mean_occupancy"], error=total["mean_occupancy_se"])
     facts.append(Fact(tr("Mean occupancy"), mean, tr("of all road that was visible")))
     return [*facts, _highest(data)]
-
-
-def _span_text(data: ReportData) -> str:
-    """Return how long the time is from begin to end."""
-    begin, end = data.results.heat.whole.span()
-    return tr("in {time} from begin to end", time=seconds_text((end - begin).total_seconds()))
 
 
 def _highest(data: ReportData) -> Fact:

@@ -260,7 +260,5 @@ def write_lane_intervals(
 def _write(path: Path, table: pd.DataFrame, columns: Mapping[str, tuple[str, int]]) -> None:
     """Write columns of a table under their names, rounded."""
     digits = {name: number for name, (_, number) in columns.items() if number}
-    shown = table[[*columns]].round(digits)
-    write_csv(
-        path, [name or of for of, (name, _) in columns.items()], shown.itertuples(index=False)
-    )
+    names = [name or of for of, (name, _) in columns.items()]
+    write_csv(path, table[[*columns]].round(digits).set_axis(names, axis=1))

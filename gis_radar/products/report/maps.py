@@ -11,16 +11,7 @@ from matplotlib.figure import Figure as MplFigure
 from matplotlib.patches import Patch
 from PIL import Image
 
-from gis_radar.base import (
-    FONTS,
-    Clock,
-    Floats,
-    Reporter,
-    figure_text,
-    name_of,
-    percent,
-    tr,
-)
+from gis_radar.base import FONTS, Clock, Floats, Reporter, figure_text, name_of, percent, tr
 from gis_radar.hdmap import quads
 from gis_radar.measures import sight_of_tiles
 from gis_radar.products.heatmap.heatmap import HeatMap

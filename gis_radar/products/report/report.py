@@ -77,11 +77,7 @@ from gis_radar.products.report.lanes import (
 from gis_radar.products.report.maps import draw_maps, draw_sights, lay_out
 from gis_radar.products.report.pages import page_of, write_pdf
 from gis_radar.products.report.plan import draw_plan
-from gis_radar.products.report.results import (
-    Results,
-    read_results,
-    sensor_table,
-)
+from gis_radar.products.report.results import Results, read_results, sensor_table
 from gis_radar.products.report.sources import made_by, settings_of, sources_of
 from gis_radar.products.report.traffic import (
     traffic_chapters,
@@ -179,14 +175,13 @@ def write_report(
     heat = results.heat
     spoken = language or str(results.site.get("language") or heat.labels.language)
     with csv_for(csv_locale), in_language(known_language(spoken)):
-        data = _gather(results, title or _default_title(results, folder), timezone, reporter)
+        title = title or str(
+            results.site.get("title") or heat.labels.title or folder.resolve().name
+        )
+        data = _gather(results, title, timezone, reporter)
         content = _content(data, reporter, ways=ways)
         outputs = _write(folder if output is None else Path(output), data, content, reporter)
         return Report(outputs=outputs, summary=_summary(data, content))
-
-
-def _default_title(results: Results, folder: Path) -> str:
-    return str(results.site.get("title") or results.heat.labels.title or folder.resolve().name)
 
 
 def _gather(results: Results, title: str, timezone: str | None, reporter: Reporter) -> ReportData:

@@ -39,7 +39,7 @@ def sources_of(results: Results) -> Table:
     rows += [
         [
             tr("Recording of {sensor}", sensor=each.sensor),
-            f"{Path(each.path).name}, {_detections_text(int(each.rows))}",
+            f"{Path(each.path).name}, " + plural(int(each.rows), "{n} detection", "{n} detections"),
         ]
         for each in _recordings(results)
     ]
@@ -49,10 +49,6 @@ def sources_of(results: Results) -> Table:
         rows = [[tr("Heat map"), text]]
     columns = text_columns(tr("What"), tr("Data"))
     return Table(name="sources", caption=tr("Data sources"), columns=columns, rows=rows)
-
-
-def _detections_text(amount: int) -> str:
-    return plural(amount, "{n} detection", "{n} detections")
 
 
 def made_by() -> str:

@@ -77,12 +77,7 @@ def typestore(connection: Any) -> Any:
         Holds the topic's type and all types in it.
     """
     from rosbags.interfaces import MessageDefinitionFormat as DefinitionFormat  # noqa: PLC0415
-    from rosbags.typesys import (  # noqa: PLC0415
-        Stores,
-        get_types_from_idl,
-        get_types_from_msg,
-        get_typestore,
-    )
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore  # noqa: PLC0415
 
     definition = connection.msgdef
     if definition.format == DefinitionFormat.NONE:

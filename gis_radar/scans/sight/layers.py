@@ -23,13 +23,7 @@ from gis_radar.base import (
     style_layers,
 )
 from gis_radar.hdmap import fingerprint
-from gis_radar.scans.sight.sight import (
-    HIDERS,
-    OUT_OF_VIEW,
-    STATES,
-    Sight,
-    SightScan,
-)
+from gis_radar.scans.sight.sight import HIDERS, OUT_OF_VIEW, STATES, Sight, SightScan
 from gis_radar.scans.sight.tiles import SightTiles
 
 SIGHT_LAYER = "sight"

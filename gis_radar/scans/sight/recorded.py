@@ -18,12 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers, Reporter, Text
-from gis_radar.scans.sight.sight import (
-    HIDDEN,
-    IN_SIGHT,
-    OUT_OF_VIEW,
-    Sight,
-)
+from gis_radar.scans.sight.sight import HIDDEN, IN_SIGHT, OUT_OF_VIEW, Sight
 from gis_radar.scans.sight.tiles import SightTiles
 
 NO_MOVEMENT, MOVEMENT = "nothing moves in sight", "moves where hidden"

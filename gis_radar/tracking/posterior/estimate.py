@@ -12,23 +12,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gis_radar.base import (
-    STEPS_PER_SECOND,
-    Booleans,
-    Floats,
-    Integers,
-    give_back_memory,
-    ranges,
-)
+from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, give_back_memory, ranges
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.background import Background
-from gis_radar.tracking.posterior.frames import (
-    SPEED,
-    Frames,
-    States,
-    motion_states,
-)
+from gis_radar.tracking.posterior.frames import SPEED, Frames, States, motion_states
 from gis_radar.tracking.posterior.likelihood import (
     CELL_M,
     CLASSES,
