@@ -268,4 +268,4 @@ def read_live_site(path: str | Path) -> LiveSite:
 
 def edge_template() -> str:
     """Return a commented file of a sensor to fill in."""
-    return toml_template(EdgeFile, _HEAD)
+    return toml_template(EdgeFile, _HEAD, given=[("source", "address")])
