@@ -229,9 +229,10 @@ class DayDrawer:
                 spans = spans if since < end and begin < until else [(begin, end)]
             for first, last in spans:
                 path = f"{DRAWN}/{each.sensor}_{first:%Y%m%dT%H%M}Z.parquet"
+                of_site = f"{self.dataset.manifest.fingerprint} {path}"
                 found.append(
                     replace(
-                        each, path=path, digest=hashlib.sha256(path.encode()).hexdigest(),
+                        each, path=path, digest=hashlib.sha256(of_site.encode()).hexdigest(),
                         first_time=first.timestamp(), last_time=last.timestamp() - STEP_S,
                         rows=0, hours=frozenset(),
                     )
