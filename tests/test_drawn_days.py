@@ -25,6 +25,6 @@ def test_sites_of_a_drawn_city_are_no_copies_of_each_other(registry):
     for fingerprint in ("tiles of one", "tiles of another"):
         dataset = Mock(**{"manifest.fingerprint": fingerprint})
         drawer = DayDrawer(dataset=dataset, parts={}, demands=[])
-        entries = drawer._entries(registry, DAY, DAY + timedelta(days=1))  # noqa: SLF001
+        entries = drawer.entries(registry, DAY, DAY + timedelta(days=1))
         digests |= {each.digest for each in entries}
     assert len(digests) == 2
