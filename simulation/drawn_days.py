@@ -146,7 +146,7 @@ class DayDrawer:
             drawn = [hour for hours in pool.map(self.draw_day, days) for hour in hours]
         margin = MeasureSettings.from_dict(manifest.settings).margin
         registry = Registry.read(folder, manifest.fingerprint)
-        entries = [entry for day in days for entry in self._entries(registry, *day)]
+        entries = [entry for day in days for entry in self.entries(registry, *day)]
         known = replace(registry, entries=(*registry.entries, *entries))
         records = self.dataset.records()
         known.with_hours(records, margin).write_recordings()
@@ -217,7 +217,7 @@ class DayDrawer:
         none = PartDigest(rows=0, size=0, sha256=hashlib.sha256(b"").hexdigest())
         return HourRecord(hour=hour, origin=origin, parts=dict.fromkeys(names, none), dropped=names)
 
-    def _entries(self, registry: Registry, begin: datetime, end: datetime) -> list[RecordingEntry]:
+    def entries(self, registry: Registry, begin: datetime, end: datetime) -> list[RecordingEntry]:
         """Return the recordings of a day that there would be: one a sensor, two where it failed."""
         found = list[RecordingEntry]()
         for each in {entry.sensor: entry for entry in registry.entries}.values():
@@ -229,9 +229,10 @@ class DayDrawer:
                 spans = spans if since < end and begin < until else [(begin, end)]
             for first, last in spans:
                 path = f"{DRAWN}/{each.sensor}_{first:%Y%m%dT%H%M}Z.parquet"
+                of_site = f"{self.dataset.manifest.fingerprint} {path}"
                 found.append(
                     replace(
-                        each, path=path, digest=hashlib.sha256(path.encode()).hexdigest(),
+                        each, path=path, digest=hashlib.sha256(of_site.encode()).hexdigest(),
                         first_time=first.timestamp(), last_time=last.timestamp() - STEP_S,
                         rows=0, hours=frozenset(),
                     )

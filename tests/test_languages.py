@@ -54,6 +54,12 @@ def test_no_text_is_finished_where_a_user_is_told_it():
     assert [each for each in finished if re.search("[A-Za-z]{2} ", each.partition(": ")[2])] == []
 
 
+def test_columns_of_layers_have_their_german():
+    styles = "".join(each.read_text() for each in tool.PACKAGE.rglob("*.qml"))
+    names = set(re.findall(r'<alias .*name="(.*?)"', styles))
+    assert {"Lane", "Tile", "Yaw (deg)"} <= names <= set(catalogue("de"))
+
+
 def test_the_catalogue_is_as_the_tool_writes_it():
     """And read without Babel as Babel reads it."""
     before = tool.GERMAN.read_text(encoding="utf-8")

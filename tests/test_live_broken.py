@@ -317,6 +317,7 @@ def test_noise_and_replays_at_the_broker_change_nothing(tmp_path, once):
     assert health.counts["damaged"] >= 3
     work.end()
     middle.end()
+    assert said.told("stopping: records what came")  # that may take minutes
     for each in (listener, stranger):
         each.link.close()
     assert_all_recorded(site, ["R1"])

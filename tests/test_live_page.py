@@ -454,6 +454,23 @@ def test_a_little_traffic_does_not_read_as_none(live):
     assert {each[0] for each in whole_event(live.place, snapshot)["traffic"].values()} == {0}
 
 
+def test_before_the_first_quarter_the_page_says_why_all_is_grey(
+    live, address, chromium, monkeypatch
+):
+    live.at, live.silent = live.first + 1200, set()
+    with monkeypatch.context() as patch:
+        patch.setattr(live, "quarter", lambda _: None)
+        chromium.get(f"{address}/?lang=de")
+        wait_for(lambda: chromium.execute_script("return document.body.dataset.drawn"))
+        side = chromium.find_element(By.ID, "side")
+        assert "Noch ist keine Viertelstunde gemessen." not in side.text
+        chromium.find_element(By.CSS_SELECTOR, "input[value=occupancy]").click()
+        assert "Noch ist keine Viertelstunde gemessen." in side.text
+        cells = chromium.find_elements(By.CSS_SELECTOR, "#sensor-rows tr:first-child td")
+        assert [each.text for each in cells[1:3]] == ["20,0", "0,04"]
+    wait_for(lambda: "Noch ist keine Viertelstunde gemessen." not in side.text)
+
+
 def test_the_page_shows_occupancy_and_tells_vehicles(live, address, chromium):
     live.at, live.silent = live.first + 1200, set()
     wide(chromium, 1280)

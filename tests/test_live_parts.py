@@ -6,6 +6,7 @@ from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -38,8 +39,10 @@ from gis_radar.live import (
     unpack_message,
 )
 from gis_radar.live.health import ALARMS
+from gis_radar.live.intake import SensorState
 from gis_radar.live.now.map_of_now import SensorReport
 from gis_radar.live.served.page import read_token
+from gis_radar.live.served.snapshot import ShownMap
 from gis_radar.live.wire.broker import parts_of
 from gis_radar.live.wire.buffer import FullError
 from gis_radar.live.wire.detections import FARTHEST, UNKNOWN_Z
@@ -364,6 +367,19 @@ def test_alarms_keep_their_last_words_and_end():
     health.heard_s = now + 1_000.0
     health.check(now + 1_000.0)
     assert health.alarms == {}
+
+
+def test_who_asks_once_gets_the_lag_of_a_sensor_that_sends():
+    sensor, none = SensorState(health=SensorHealth(name="R1")), np.zeros(1)
+    for at in np.arange(0.0, 1.0, 0.05):
+        sensor.health.heard(at + 0.02, at, live=True)
+    fusion = Mock(sensors={"R1": sensor}, vehicles=None)
+    fusion.counts.last_minutes.return_value = none, none
+    fusion.state.return_value = Mock(step=0, hit=none, observed=none)
+    shown = ShownMap(fusion, Mock())
+    assert shown.snapshot().sensors[0].lag_s == pytest.approx(0.02)
+    sensor.health.alarm("silent", "for 6 s")
+    assert np.isnan(shown.snapshot().sensors[0].lag_s)
 
 
 def test_every_alarm_has_its_german():

@@ -10,7 +10,7 @@ from sites import UTM
 from streets import Street, errors
 
 import gis_radar as gr
-from gis_radar.base import yaw_from_compass
+from gis_radar.base import tr, yaw_from_compass
 from gis_radar.calibration.single import localization as localizing
 from gis_radar.cli import group
 from gis_radar.poses import read_pose
@@ -86,6 +86,19 @@ def test_options_reach_their_arguments(files, monkeypatch, option, name, value):
             group, words(folder, *guess, *option), catch_exceptions=False, standalone_mode=False
         )
     assert heard[name] == value
+
+
+def test_the_figure_speaks_the_users_language(files, monkeypatch):
+    _, folder = files
+    monkeypatch.setenv("GIS_RADAR_LANGUAGE", "de")
+
+    def listen(*_, **_options):
+        raise gr.NoAnswerError(tr("scanned road"))
+
+    monkeypatch.setattr(gr, "localize", listen)
+    call = words(folder, "--guess", "690000,5336000", "--figure", str(folder / "figure.png"))
+    with pytest.raises(gr.NoAnswerError, match="gescannte Straße"):
+        CliRunner().invoke(group, call, catch_exceptions=False, standalone_mode=False)
 
 
 def test_a_compass_becomes_a_heading(files, monkeypatch):

@@ -13,8 +13,11 @@ from pydantic import TypeAdapter
 
 import gis_radar as gr
 from gis_radar.base import InputError
+from gis_radar.live import edge_template, read_edge_file
+from gis_radar.live.wire.settings import EdgeFile
 from gis_radar.site import Name, Site, site_template
 from gis_radar.site.settings import site_reference
+from gis_radar.site.toml_file import toml_reference
 from gis_radar.site.values import lines_of, table_of
 
 ROOT = Path(__file__).parents[1]
@@ -212,6 +215,18 @@ def test_the_document_is_that_of_the_models():
     document = (ROOT / "docs" / "site-file.md").read_text(encoding="utf-8")
     assert "default True" not in document  # TOML writes true
     assert document.endswith(site_reference()), "docs/site-file.md: put site_reference() at its end"
+    document = (ROOT / "docs" / "live.md").read_text(encoding="utf-8")
+    assert document.endswith(toml_reference(EdgeFile)), "docs/live.md: put that at its end"
+
+
+def test_the_template_of_a_sensor_needs_its_uncommented_lines_only(tmp_path):
+    path = tmp_path / "R1.toml"
+    path.write_text(edge_template())
+    for name in ("tiles.gpkg", "R1.json"):
+        (tmp_path / name).touch()
+    read = read_edge_file(path)
+    assert read.map is None
+    assert read.source.address == "udp://224.0.2.2:42102"
 
 
 def test_the_examples_of_the_document_and_the_sample_can_be_read(read, tmp_path):

@@ -11,7 +11,16 @@ import gis_radar as gr
 from gis_radar import calibration, site
 from gis_radar import poses as pose_room
 from gis_radar import scans as scan_room
-from gis_radar.base import OutputError, Reporter, Text, UsageError, refuse_inputs, require_folder
+from gis_radar.base import (
+    OutputError,
+    Reporter,
+    Text,
+    UsageError,
+    in_language,
+    refuse_inputs,
+    require_folder,
+    users_language,
+)
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import (
     BEARING,
@@ -108,11 +117,12 @@ def localize(
                 hint=Text("{} takes several sensors", "--together"),
             )
     _check_outputs(output, figure, *recordings, map_path, road, *scans)
-    found = gr.localize(
-        recordings[0], map_path, road, guess=guesses[0], heading=next(iter(headings), None),
-        compass=next(iter(compasses), None), scans=scans, figure=figure, reporter=reporter,
-        **options,
-    )  # fmt: skip
+    with in_language(users_language()):  # of the figure
+        found = gr.localize(
+            recordings[0], map_path, road, guess=guesses[0], heading=next(iter(headings), None),
+            compass=next(iter(compasses), None), scans=scans, figure=figure, reporter=reporter,
+            **options,
+        )  # fmt: skip
     found.pose.write(output)
     outputs = [output] if figure is None else [output, figure]
     return Result(outputs=outputs, summary=found.figures())
@@ -152,7 +162,8 @@ def track(
     followed = gr.track(recording, roads, points, start, reporter=reporter)
     outputs = [output]
     if figure is not None:
-        followed.draw(figure)
+        with in_language(users_language()):
+            followed.draw(figure)
         outputs.append(figure)
     followed.poses.write(output)
     return Result(outputs=outputs, summary=followed.figures())

@@ -38,7 +38,7 @@
            50 degrees north, as is their @map_scale: the areas of the extent in both tell by how much. -->
       <rule key="long" description="long" filter="with_variable('mm', coalesce(@map_scale, 1000) / 1000 * if(@map_crs = 'EPSG:3857', coalesce(try(sqrt(area(transform(@map_extent, @map_crs, @layer_crs)) / area(@map_extent))), 1), 1), @mm &gt; 5 or with_variable('seen', try(intersection($geometry, if(@map_crs = @layer_crs, @map_extent, transform(@map_extent, @map_crs, @layer_crs)))), length(if(is_empty_or_null(@seen), $geometry, @seen)) &gt; @mm * (6 + 6 * length(to_string(&quot;lane&quot;)))))">
         <settings>
-          <text-style fieldName="lane" isExpression="0" fontSize="7.5" fontSizeUnit="Point" fontFamily="Open Sans" fontWeight="75" namedStyle="Bold" textColor="17,24,39,255" textOpacity="1">
+          <text-style fieldName="'&#8194;' || &quot;lane&quot; || '&#8194;'" isExpression="1" fontSize="7.5" fontSizeUnit="Point" fontFamily="Open Sans" fontWeight="75" namedStyle="Bold" textColor="17,24,39,255" textOpacity="1">
             <text-buffer bufferDraw="1" bufferSize="0.7" bufferSizeUnits="MM" bufferColor="255,255,255,255" bufferOpacity="0.92" bufferJoinStyle="128" />
           </text-style>
           <placement placement="2" placementFlags="9" dist="0" distUnits="MM" overrunDistance="8" overrunDistanceUnit="MM" lineAnchorPercent="0.5" lineAnchorType="0" lineAnchorClipping="0" priority="9" overlapHandling="AllowOverlapIfRequired" allowDegraded="1" />
@@ -48,7 +48,7 @@
       <!-- Else as near its middle as others leave room, on a spiral from there, with a line to it. -->
       <rule key="short" description="short" filter="ELSE">
         <settings calloutType="simple">
-          <text-style fieldName="lane" isExpression="0" fontSize="7.5" fontSizeUnit="Point" fontFamily="Open Sans" fontWeight="75" namedStyle="Bold" textColor="17,24,39,255" textOpacity="1">
+          <text-style fieldName="'&#8194;' || &quot;lane&quot; || '&#8194;'" isExpression="1" fontSize="7.5" fontSizeUnit="Point" fontFamily="Open Sans" fontWeight="75" namedStyle="Bold" textColor="17,24,39,255" textOpacity="1">
             <text-buffer bufferDraw="1" bufferSize="0.7" bufferSizeUnits="MM" bufferColor="255,255,255,255" bufferOpacity="0.92" bufferJoinStyle="128" />
           </text-style>
           <placement placement="4" placementFlags="9" dist="0" distUnits="MM" lineAnchorPercent="0" lineAnchorType="0" lineAnchorClipping="0" priority="9" overlapHandling="AllowOverlapIfRequired" allowDegraded="1" geometryGeneratorEnabled="1" geometryGeneratorType="LineGeometry" geometryGenerator="with_variable('mm', coalesce(@map_scale, 1000) / 1000 * if(@map_crs = 'EPSG:3857', coalesce(try(sqrt(area(transform(@map_extent, @map_crs, @layer_crs)) / area(@map_extent))), 1), 1), with_variable('seen', try(intersection($geometry, if(@map_crs = @layer_crs, @map_extent, transform(@map_extent, @map_crs, @layer_crs)))), with_variable('lane', if(is_empty_or_null(@seen), $geometry, @seen), with_variable('at', closest_point(@lane, centroid(@lane)), make_line(array_foreach(generate_series(0, 35), make_point(x(@at) + 0.4 * @element * @mm * cos(0.7 * @element), y(@at) + 0.32 * @element * @mm * sin(0.7 * @element))))))))" />

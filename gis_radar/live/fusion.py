@@ -204,6 +204,10 @@ class Fusion:
                 self.advance(int(time.time() * 1e6))
                 self._take(link)
                 self._do_due_work()
+            self._reporter.log(
+                Text("stopping: records what came, and measures hours that are over; a second "
+                     "Ctrl-C leaves that to the next start")
+            )  # fmt: skip
             self._finish()
         finally:
             gc.unfreeze()

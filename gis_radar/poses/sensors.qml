@@ -59,5 +59,30 @@
       </dd_properties>
     </settings>
   </labeling>
+  <aliases>
+    <alias index="0" field="sensor" name="Sensor" />
+    <alias index="1" field="easting" name="Easting (m)" />
+    <alias index="2" field="northing" name="Northing (m)" />
+    <alias index="3" field="height" name="Height (m)" />
+    <alias index="4" field="yaw" name="Yaw (deg)" />
+    <alias index="5" field="pitch" name="Pitch (deg)" />
+    <alias index="6" field="roll" name="Roll (deg)" />
+    <alias index="7" field="sigma_easting" name="Easting, standard error (m)" />
+    <alias index="8" field="sigma_northing" name="Northing, standard error (m)" />
+    <alias index="9" field="sigma_height" name="Height, standard error (m)" />
+    <alias index="10" field="sigma_yaw" name="Yaw, standard error (deg)" />
+    <alias index="11" field="sigma_pitch" name="Pitch, standard error (deg)" />
+    <alias index="12" field="sigma_roll" name="Roll, standard error (deg)" />
+    <alias index="13" field="fitness" name="Fitness" />
+    <alias index="14" field="converged" name="Converged" />
+    <alias index="15" field="observable" name="Observable" />
+    <alias index="16" field="method" name="Method" />
+    <alias index="17" field="time" name="Time (UTC)" />
+    <alias index="18" field="frames" name="Frames" />
+    <alias index="19" field="azimuth_deg" name="Azimuth (deg)" />
+    <alias index="20" field="elevation_deg" name="Elevation (deg)" />
+    <alias index="21" field="min_range_m" name="Least range (m)" />
+    <alias index="22" field="max_range_m" name="Greatest range (m)" />
+  </aliases>
   <layerGeometryType>0</layerGeometryType>
 </qgis>

@@ -14,5 +14,10 @@
       </symbol>
     </symbols>
   </renderer-v2>
+  <aliases>
+    <alias index="0" field="sensor" name="Sensor" />
+    <alias index="1" field="sigma_easting" name="Easting, standard error (m)" />
+    <alias index="2" field="sigma_northing" name="Northing, standard error (m)" />
+  </aliases>
   <layerGeometryType>2</layerGeometryType>
 </qgis>

@@ -15,5 +15,12 @@
       </symbol>
     </symbols>
   </renderer-v2>
+  <aliases>
+    <alias index="0" field="sensor" name="Sensor" />
+    <alias index="1" field="azimuth_deg" name="Azimuth (deg)" />
+    <alias index="2" field="elevation_deg" name="Elevation (deg)" />
+    <alias index="3" field="min_range_m" name="Least range (m)" />
+    <alias index="4" field="max_range_m" name="Greatest range (m)" />
+  </aliases>
   <layerGeometryType>2</layerGeometryType>
 </qgis>

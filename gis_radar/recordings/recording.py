@@ -130,6 +130,9 @@ class Recording:
         them; None where the file does not state them.
     sensor : str
         Name of the sensor, as `convert` wrote it into the file; empty if missing.
+    selected : bool
+        Whether it has a column `pose`, as those of the live system, whose sensors send only
+        detections near the road.
     """
 
     path: Path
@@ -140,6 +143,7 @@ class Recording:
     )
     time_spans: Callable[[], list[tuple[float, float]] | None] | None = None
     sensor: str = ""
+    selected: bool = False
 
     def __repr__(self) -> str:
         rows = "" if self.rows is None else f", {self.rows} rows"
@@ -249,6 +253,7 @@ def _open_parquet(path: Path) -> Recording:
             _require_numbers(file.schema_arrow.field(name).type, name, path)
         rows = file.metadata.num_rows
         sensor = (file.schema_arrow.metadata or {}).get(SENSOR, b"").decode(errors="replace")
+        selected = "pose" in file.schema_arrow.names
 
     def batches_from(begin: float, columns: Sequence[str]) -> tuple[int, Iterator[pa.RecordBatch]]:
         group, before = first_group_of(path, "time", begin)
@@ -256,7 +261,7 @@ def _open_parquet(path: Path) -> Recording:
 
     return Recording(
         path=path, rows=rows, batches=partial(parquet_batches, path), batches_from=batches_from,
-        time_spans=partial(spans_of_groups, path, "time"), sensor=sensor,
+        time_spans=partial(spans_of_groups, path, "time"), sensor=sensor, selected=selected,
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ Root = TypeVar("Root", bound=TomlTable)
 LARGEST_FILE = 1 << 22  # bytes; names of ten thousand recordings take half of it
 MOST_SENSORS = 200  # of a site: more than any town has at its junctions
 _WIDTH = 96  # characters of a line of the template
-OPTIONAL = ("live", "lane")  # tables that a template comments out, as few files have them
+OPTIONAL = ("live", "lane", "map")  # tables that a template comments out where not required
 
 
 def read_toml(path: Path, root: type[Root], *, of_site: bool, hint: str) -> Root:
@@ -183,7 +183,8 @@ def _template(
         yield f"{comment if needed else '# '}{name} = {(field.examples or [''])[0]}"
     yield ""
     for inner_path, field, inner in subtables:
-        inner_comment = "# " if inner_path in OPTIONAL else comment
+        optional = inner_path in OPTIONAL and not field.is_required()
+        inner_comment = "# " if optional else comment
         header_comment = "# " if inner_path.startswith("sensor.") else inner_comment
         yield f"{header_comment}{_header(inner_path, field)}  # {field.description}"
         yield from _template(inner, inner_path, given, comment=inner_comment)

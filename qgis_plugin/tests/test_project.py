@@ -253,6 +253,11 @@ def shape_on(way, feature):
     return shape
 
 
+def spaced(lane):
+    """Return its label: two numbers beside each other must not read as one."""
+    return f"\u2002{lane['lane']}\u2002"
+
+
 @pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:3857"])  # the layer's, and that of web tiles
 def test_every_lane_shows_its_number_and_no_two_collide(qgis_new_project, project, crs):
     shown = QgsProject.instance()
@@ -271,7 +276,7 @@ def test_every_lane_shows_its_number_and_no_two_collide(qgis_new_project, projec
         settings.setExtent(box)
         _, labels = labels_of(settings, layer)
         seen = QgsGeometry.fromRect(settings.visibleExtent())
-        there = {str(each["lane"]) for each in layer.getFeatures()
+        there = {spaced(each) for each in layer.getFeatures()
                  if shape_on(way, each).intersects(seen)}  # fmt: skip
         assert {label.labelText for label in labels} == there
         shapes = [label.labelGeometry for label in labels]
@@ -305,7 +310,7 @@ def test_numbers_of_many_short_lanes_side_by_side_do_not_collide(qgis_new_projec
     found, labels = labels_of(settings, layer)
     stretched = 1.0 if crs == "EPSG:25832" else 1.52  # 1 / cos(48.75 degrees)
     assert settings.scale() == pytest.approx(3000 * stretched, rel=0.05)
-    assert {label.labelText for label in labels} == {str(row["lane"]) for row in rows}
+    assert {label.labelText for label in labels} == {spaced(row) for row in rows}
     shapes = [label.labelGeometry for label in labels]
     assert not any(a.intersects(b) for k, a in enumerate(shapes) for b in shapes[k + 1 :])
     lines = found.calloutsWithinRectangle(settings.visibleExtent())

@@ -204,3 +204,18 @@ def test_a_recording_without_range_rates_gives_hits_only(tmp_path):
 def test_the_map_stays_with_the_dataset(halves, tmp_path):
     measured(tmp_path / "site", ("R1", halves["R1"]), hits_only=True)
     assert (tmp_path / "site" / "map.osm").read_bytes() == MAP.read_bytes()
+
+
+@pytest.mark.parametrize("of_live", [False, True])
+def test_detections_that_end_before_the_view_are_named_unless_the_sensor_chose(tmp_path, of_live):
+    """A sensor of the live system sends those near the road only: they say nothing of its range."""
+
+    def near(table):
+        table = table[np.hypot(table["x"], table["y"]) < 100.0]
+        return table.assign(pose="0123") if of_live else table
+
+    path = cut(tmp_path / "R1.parquet", "R1", 0.0, 10.0, edge_s=20.0, change=near)
+    notes = Listener()
+    measured(tmp_path / "site", ("R1", path), reporter=notes, hits_only=True)
+    named = [line for _, line in notes.messages if "of the detections lie within" in line]
+    assert bool(named) != of_live

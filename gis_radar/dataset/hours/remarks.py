@@ -166,7 +166,8 @@ def _view_warnings(examined: Examined) -> Iterator[str]:
             view.max_range_m,
         )
     limit = Text("the view's max_range_m or {}", "--max-range")
-    if 0 < reached_m < REACH_SHARE * view.max_range_m:
+    whole = not examined.source.recording.selected
+    if whole and 0 < reached_m < REACH_SHARE * view.max_range_m:
         yield Text(
             "{}: {:g} % of the detections lie within {:.0f} m, but the view of {} "
             "reaches {:g} m: what lies beyond reads as observed and empty; set {}",

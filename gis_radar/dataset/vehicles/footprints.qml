@@ -225,5 +225,18 @@
       </symbol>
     </symbols>
   </renderer-v2>
+  <aliases>
+    <alias index="0" field="vehicle" name="Vehicle" />
+    <alias index="1" field="begin" name="Begin (UTC)" />
+    <alias index="2" field="end" name="End (UTC)" />
+    <alias index="3" field="kind" name="Kind" />
+    <alias index="4" field="state" name="State" />
+    <alias index="5" field="speed_kmh" name="Speed (km/h)" />
+    <alias index="6" field="heading" name="Heading (deg)" />
+    <alias index="7" field="length_m" name="Length (m)" />
+    <alias index="8" field="width_m" name="Width (m)" />
+    <alias index="9" field="lanelet_id" name="Lanelet" />
+    <alias index="10" field="seen" name="Seen" />
+  </aliases>
   <layerGeometryType>2</layerGeometryType>
 </qgis>

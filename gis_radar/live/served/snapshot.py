@@ -323,7 +323,7 @@ class ShownMap:
             online="offline" not in alarms and bool(sensor.stream),
             alarms={kind: text for kind, text in alarms.items() if kind != "offline"},
             pose=sensor.pose,
-            lag_s=health.lag_s if rate > 0.0 else float("nan"),  # else it is of long ago
+            lag_s=float("nan") if "silent" in alarms else health.lag_s,  # it is of long ago then
             frames_per_s=rate,
             lost=health.counts["lost"],
         )

@@ -3,6 +3,7 @@ const words = JSON.parse(document.body.dataset.words);
 const colours = JSON.parse(document.body.dataset.colours);
 const language = document.documentElement.lang;
 const tenths = new Intl.NumberFormat(language, { minimumFractionDigits: 1, maximumFractionDigits: 1 });
+const hundredths = new Intl.NumberFormat(language, { minimumFractionDigits: 2, maximumFractionDigits: 2 });
 const figure = new Intl.NumberFormat(language, { maximumFractionDigits: 2 });
 const byId = (name) => document.getElementById(name);
 const SUMMARY_MS = 15000; // a screen reader reads it aloud: not more often
@@ -38,6 +39,7 @@ function take(event) {
     Object.assign(state[name], event[name]);
   }
   for (const tile of [...Object.keys(event.classes), ...Object.keys(event.occupancy)]) touched.add(Number(tile));
+  byId("unmeasured")?.toggleAttribute("hidden", Object.keys(state.traffic).length > 0);
   vehicles = event.vehicles;
   showVehicles();
   byId("clock").textContent = event.clock;
@@ -111,9 +113,9 @@ function row(cells, numbers) {
 
 function showSensors() {
   const lines = Object.entries(state.sensors).map(([name, each]) => {
-    const lag = each.lag_s === null ? "–" : figure.format(each.lag_s);
+    const lag = each.lag_s === null ? "–" : hundredths.format(each.lag_s);
     const said = problem(each) || (each.online ? words.online : words.offline);
-    const line = row([name, said, figure.format(each.frames_per_s), lag, figure.format(each.lost)], [2, 3, 4]);
+    const line = row([name, said, tenths.format(each.frames_per_s), lag, figure.format(each.lost)], [2, 3, 4]);
     if (problem(each) || !each.online) line.children[1].classList.add("bad");
     return line;
   });

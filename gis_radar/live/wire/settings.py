@@ -48,7 +48,7 @@ class SourceTable(TomlTable):
     speed: Annotated[float, Meaning("0 or more"), within(0.0)] = key(1.0)
     """Of the replay: 1 as recorded, 0 as fast as can be."""
     loop: Duration | None = key('"100s"', None, "once")
-    """The recording comes again each so often, at the times of now."""
+    """It comes again each so often, at the times of now; replays of one period keep step."""
 
     @model_validator(mode="after")
     def _has_one_source(self) -> Self:
@@ -268,4 +268,4 @@ def read_live_site(path: str | Path) -> LiveSite:
 
 def edge_template() -> str:
     """Return a commented file of a sensor to fill in."""
-    return toml_template(EdgeFile, _HEAD)
+    return toml_template(EdgeFile, _HEAD, given=[("source", "address")])

@@ -26,5 +26,14 @@
       </symbol>
     </symbols>
   </renderer-v2>
+  <aliases>
+    <alias index="0" field="sensor" name="Sensor" />
+    <alias index="1" field="pose" name="Pose" />
+    <alias index="2" field="tile_id" name="Tile" />
+    <alias index="3" field="state" name="State" />
+    <alias index="4" field="hidden_by" name="Hidden by" />
+    <alias index="5" field="hidden_at_m" name="Hidden at (m)" />
+    <alias index="6" field="covered" name="Covered by the scan" />
+  </aliases>
   <layerGeometryType>2</layerGeometryType>
 </qgis>
