@@ -45,11 +45,12 @@ def _once(motions: Any, detections: Any, graph: Any) -> Any:
     if not motions:
         return []
     posterior = estimate.Posterior(detections, motions)
-    posterior.learn(moves._sized_and_cut(posterior))  # noqa: SLF001
+    posterior.learn(moves._sized_and_cut(posterior, split=True))  # noqa: SLF001
     posterior.set_vehicles(moves.lengthen(posterior, graph))
     posterior.motions = moves.reassociate(posterior)
     posterior.set_vehicles(moves.refit(posterior))
-    return moves.with_undetected_ends(posterior, moves._sized_and_cut(posterior), graph)  # noqa: SLF001
+    found = moves._sized_and_cut(posterior, split=False)  # noqa: SLF001
+    return moves.with_undetected_ends(posterior, found, graph)
 
 
 def _without_heights(motions: Any, detections: Any, *rest: Any) -> Any:
@@ -121,7 +122,7 @@ PARTS: dict[str, Part] = {
     "no-partly": _off((cuts, "PARTLY_COST", 0.0)),
     "no-overlap": _off((cuts, "PARTLY_COST", 0.0), (cuts, "MOSTLY_COST", 0.0)),
     "one-sweep": _off((cuts, "SWEEPS", 1)),
-    "told-whole": _off((neighbours, "EVIDENCE_SHARE", 1.0)),
+    "untempered": _off((neighbours, "EVIDENCE_SHARE", 1.0)),
     "no-gap-prior": _off((neighbours, "_log_gap_prior", lambda *_: 0.0)),
     "no-length-prior": _off(
         (sizes, "log_prior", lambda _: 0.0), (sizes, "_LOG_PRIORS", [0.0] * 11)
@@ -146,7 +147,7 @@ PARTS: dict[str, Part] = {
     "no-links": _off(
         (track_management, "chains", lambda parts, *_: [[k] for k in range(len(parts))])
     ),
-    "no-due": _off((Detectability, "expected", lambda *_: 0.0)),
+    "no-expected": _off((Detectability, "expected", lambda *_: 0.0)),
     "no-passes": _off((passes.Passes, "after", lambda *_: np.inf)),
     "no-drove": _off((track_management, "_drove", lambda *_: True)),
 }
