@@ -187,6 +187,13 @@ def test_a_damaged_file_of_several_is_left_out(tmp_path, damage):
         gr.convert(bad, tmp_path / "other.parquet")
 
 
+def test_an_empty_road_is_not_refused_for_a_damaged_file(tmp_path):
+    write_pcd(tmp_path / f"{START:.1f}.pcd", rows_of(count=0))
+    write_pcd(tmp_path / f"{START + 1:.1f}.pcd", rows_of()).write_bytes(b"")
+    result = gr.convert(tmp_path, tmp_path / "r.parquet")
+    assert result.recordings[0].empty_frames == 1
+
+
 def test_a_cloud_without_positions_lists_its_fields(tmp_path):
     rows = np.zeros(2, dtype=[("a", "f4"), ("b", "f4")])
     write_pcd(tmp_path / f"{START:.1f}.pcd", rows)

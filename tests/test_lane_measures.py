@@ -249,7 +249,7 @@ def test_who_has_one_way_on_takes_it_though_followed_to_the_line_only():
         lane=np.searchsorted(network.lane, lane), along_m=np.array(along),
         speed=np.full(2, 10.0), seen=np.ones(2, np.bool_),
     )  # fmt: skip
-    found = measure_lanes(network, GRID, states, vehicles_of([0]), runs, counts)
+    found = measure_lanes(tracked(network, GRID, states, vehicles_of([0]), runs), counts)
     lanes, turns = (pd.DataFrame(dict(each)) for each in (
         {name: found.lanes[name] for name in ("lane", "interval", "volume", "volume_se")},
         found.turns,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gis_radar.calibration.check.odd_clocks import clock_offsets_between, odd_clocks
+from gis_radar.calibration.timing.clock_offsets import ClockOffset
 from gis_radar.calibration.timing.lane_detections import LaneDetections
 
 SENSORS, LATE_S = 9, 1.0
@@ -52,6 +53,21 @@ def test_a_clock_that_is_set_on_the_way_is_named(share):
     moment = np.quantile(late.time, share)
     late = replace(late, time=late.time + LATE_S * (late.time > moment))
     assert set(odd_clocks({"A": right, "B": late})) == {"A", "B"}
+
+
+def test_a_certain_offset_is_not_hidden_by_a_larger_one_that_is_uncertain(monkeypatch):
+    """By few vehicles in a part, the offset may be larger, with an error as large as it."""
+
+    def measured(one, _):
+        whole = len(one) == len(right)
+        offset_s, sigma_s = (LATE_S, 0.01) if whole else (1.2 * LATE_S, 0.25)
+        return ClockOffset(
+            offset_s=offset_s, sigma_s=sigma_s, drift=0.0, drift_sigma=1e-4, at=1e9, vehicles=8
+        )
+
+    right = drive(np.random.default_rng(4))
+    monkeypatch.setattr("gis_radar.calibration.check.odd_clocks.measured_offset", measured)
+    assert set(odd_clocks({"A": right, "B": right})) == {"A", "B"}
 
 
 def test_each_sensor_is_compared_with_some_not_with_all(seen):

@@ -123,8 +123,8 @@ NO_ELEVATION = Text(
     "range; height, pitch, roll and clearance cannot be had from it"
 )
 IDENTITIES_KEPT = 4 * WINDOW  # latest frames among which duplicates are found
-# Share of a sensor's frames that follow one of another input, from which on to warn that inputs are
-# of several sensors: a second recorder of one sensor only fills gaps.
+# Share of a sensor's frames at which an earlier input goes on after another one, from which on to
+# warn that inputs are of several sensors: a second recorder of one sensor only fills gaps.
 ALTERNATING = 0.1
 
 
@@ -138,6 +138,7 @@ class _SensorFrames:
         self.clock = FrameClock(sensor, clock, context.reporter)
         self.duplicates = self.alternations = 0
         self._input: int | None = None
+        self._inputs = set[int]()
         self._identities: OrderedDict[object, None] = OrderedDict()
         self.order = FrameOrder(sensor)
         self._counts = context.counts
@@ -150,8 +151,9 @@ class _SensorFrames:
             self._identities[frame.identity] = None
             if len(self._identities) > IDENTITIES_KEPT:
                 self._identities.popitem(last=False)
-        self.alternations += self._input not in {None, number}
+        self.alternations += number != self._input and number in self._inputs
         self._input = number
+        self._inputs.add(number)
         self._put_in_order(self.clock.feed(frame.without_unusable(self._counts)))
 
     def finish(self) -> None:
@@ -190,7 +192,8 @@ def _finished(
         if sensor_frames.file.elevation is False:
             context.remark(Text("{}: {}", sensor, NO_ELEVATION))
     counts = Counter(context.counts)
-    if counts and not any(each.file.detections for each in by_sensor.values()):
+    left_out = counts["invalid_detections"] + counts["absurd_detections"]
+    if left_out and not any(each.file.detections for each in by_sensor.values()):
         raise InputError(
             "no detection has a usable position",
             hint=Text("left out: {}", counts_text(counts)),

@@ -13,7 +13,7 @@ MAP_M = 1e5  # numbers beyond are no millimetres: the median range of a radar is
 LEAST_EXTENT_M = 0.02  # positions of even one still target vary by more; 0.02 degrees are 2 km
 TURN_RAD = 2.0 * np.pi
 MOST_ROWS = 1000  # most detections of one frame; more of one time are several frames
-FLOAT32_S = 64.0  # what all UNIX times as float32 are multiples of; six digits of text are, too
+LOST_S = (64.0, 1e4)  # UNIX times as float32, and as text of six digits, are multiples of these
 ODD_ANGLES, MOST_ODD = 0.1, 2  # share and number of angles beyond a turn that damage may explain
 
 
@@ -83,7 +83,8 @@ def refuse_whole_seconds(time: Floats, what: str) -> None:
     """
     if np.any(time % 1.0) or len(time) <= MOST_ROWS * np.count_nonzero(np.diff(time, prepend=-1.0)):
         return
-    if time[0] != time[-1] or time[0] % FLOAT32_S == 0.0:  # else a large frame may be at a second
+    # a single large frame may be at a whole second
+    if time[0] != time[-1] or any(time[0] % each == 0.0 for each in LOST_S):
         raise InputError(
             "{}: all times are whole seconds: the fractions are lost",
             what,

@@ -34,7 +34,7 @@ def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
     """
     contradictions: dict[str, list[tuple[str, float, float]]] = {}
     for (one, other), offset in clock_offsets_between(seen).items():
-        if abs(offset.offset_s) > max(CLOCK_S, CLOCK_SIGMAS * offset.sigma_s):
+        if _excess(offset) > 1.0:
             contradictions.setdefault(one, []).append((other, -offset.offset_s, offset.sigma_s))
             contradictions.setdefault(other, []).append((one, offset.offset_s, offset.sigma_s))
     findings = dict[str, Finding]()
@@ -87,7 +87,7 @@ def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str,
 
 
 def _offset_between(one: LaneDetections, other: LaneDetections) -> ClockOffset | None:
-    """Return the largest offset of all times, the first third, and the last; None without any.
+    """Return the surest offset of all times, the first third, and the last; None without any.
 
     A clock that was set on the way contradicts the other one in a part.
     """
@@ -95,7 +95,12 @@ def _offset_between(one: LaneDetections, other: LaneDetections) -> ClockOffset |
     for begin, end in ((0.0, 1.0), (0.0, LEAST_PART), (1.0 - LEAST_PART, 1.0)):
         with suppress(NoAnswerError):
             found.append(measured_offset(_part(one, begin, end), _part(other, begin, end)))
-    return max(found, key=lambda each: abs(each.offset_s), default=None)
+    return max(found, key=_excess, default=None)
+
+
+def _excess(offset: ClockOffset) -> float:
+    """Return an offset as a multiple of the least one that contradicts, given its error."""
+    return abs(offset.offset_s) / max(CLOCK_S, CLOCK_SIGMAS * offset.sigma_s)
 
 
 def _part(seen: LaneDetections, begin: float, end: float) -> LaneDetections:
