@@ -56,7 +56,7 @@ def test_times_may_repeat_but_not_go_back(tmp_path):
 
 def test_time_going_back_between_batches_is_seen(tmp_path):
     rows = ROWS_AT_ONCE + 5
-    time = np.full(rows, START)
+    time = np.full(rows, START + 0.5)
     time[ROWS_AT_ONCE:] -= 1.0
     path = recording(tmp_path / "r.parquet", time, np.ones((rows, 3)))
     with pytest.raises(InputError, match=f"time goes back in row {ROWS_AT_ONCE + 1}"):

@@ -108,7 +108,7 @@ def test_azimuths_in_radians_that_are_called_degrees_are_refused(tmp_path):
 
 
 def lost_fractions(kind):
-    time = START + 0.05 * (np.arange(8000) // 80)
+    time = START + 0.05 * (np.arange(12000) // 80)
     return {"float32": time.astype(np.float32), "int64": time.astype(np.int64),
             "six digits": np.round(time + 3e4, -4)}[kind]  # fmt: skip
 
@@ -116,7 +116,7 @@ def lost_fractions(kind):
 @pytest.mark.parametrize("kind", ["float32", "int64", "six digits"])
 def test_times_without_fractions_are_refused(tmp_path, kind):
     """Times as float32 join the frames of two minutes in one."""
-    path = written(tmp_path / "r.parquet", scene(8000))
+    path = written(tmp_path / "r.parquet", scene(12000))
     pd.read_parquet(path).assign(time=lost_fractions(kind)).to_parquet(path)
     for read in (
         lambda: list(open_recording(path).read()),

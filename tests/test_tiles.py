@@ -242,7 +242,7 @@ def test_a_scan_elsewhere_is_refused():
 
 
 def test_a_road_at_other_heights_is_told_from_one_elsewhere():
-    with pytest.raises(InputError, match=r"lie 50\.0 m over the map's heights"):
+    with pytest.raises(InputError, match=r"differ by 50\.0 m: another vertical"):
         with_road_heights(bridge(370.0), scan(420.0, 420.0))
 
 

@@ -403,11 +403,11 @@ def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame
     height_m[without[near][fits]] = height[fits]
     if np.isnan(height_m).all():
         if len(point):
-            over_m = float(np.median(road[point, 2] - map_height_m[tile]))
+            apart_m = float(np.median(np.abs(road[point, 2] - map_height_m[tile])))
             raise InputError(
-                "the road's points lie {:.1f} m over the map's heights: another vertical datum, or "
-                "feet?",
-                over_m,
+                "heights of the road's points and of the map differ by {:.1f} m: another vertical "
+                "datum, or feet?",
+                apart_m,
             )
         raise InputError("the road's points and the map do not overlap")
     return tiles.assign(height_m=np.where(np.isnan(height_m), map_height_m, height_m))

@@ -168,6 +168,22 @@ class _SensorFrames:
                 self.file.add(*ready)
 
 
+def _remark(sensor: str, frames: _SensorFrames, context: ReaderContext) -> None:
+    """Warn of what is odd in the frames of a sensor."""
+    if frames.alternations > ALTERNATING * frames.file.frames:
+        context.reporter.warn(
+            "{}: frames of several inputs alternate in time: are they of one sensor? Each "
+            "sensor needs a recording of its own",
+            sensor,
+        )
+    if frames.file.left_out:
+        columns = ", ".join(sorted(frames.file.left_out))
+        late = Text("{}: columns that came late are left out: {}", sensor, columns)
+        context.reporter.warn(late)
+    if frames.file.elevation is False:
+        context.remark(Text("{}: {}", sensor, NO_ELEVATION))
+
+
 def _finished(
     by_sensor: Mapping[str, _SensorFrames], place: Path, context: ReaderContext
 ) -> Conversion:
@@ -179,18 +195,7 @@ def _finished(
         )
     for sensor, sensor_frames in by_sensor.items():
         sensor_frames.finish()
-        if sensor_frames.alternations > ALTERNATING * sensor_frames.file.frames:
-            context.reporter.warn(
-                "{}: frames of several inputs alternate in time: are they of one sensor? Each "
-                "sensor needs a recording of its own",
-                sensor,
-            )
-        if sensor_frames.file.left_out:
-            columns = ", ".join(sorted(sensor_frames.file.left_out))
-            late = Text("{}: columns that came late are left out: {}", sensor, columns)
-            context.reporter.warn(late)
-        if sensor_frames.file.elevation is False:
-            context.remark(Text("{}: {}", sensor, NO_ELEVATION))
+        _remark(sensor, sensor_frames, context)
     counts = Counter(context.counts)
     left_out = counts["invalid_detections"] + counts["absurd_detections"]
     if left_out and not any(each.file.detections for each in by_sensor.values()):

@@ -12,8 +12,9 @@ LEAST_MEDIAN_M = 10.0  # median range; of roadside radars 20 to 60 m. Less: a sm
 MAP_M = 1e5  # numbers beyond are no millimetres: the median range of a radar is under 100 m
 LEAST_EXTENT_M = 0.02  # positions of even one still target vary by more; 0.02 degrees are 2 km
 TURN_RAD = 2.0 * np.pi
-MOST_ROWS = 1000  # most detections of one frame; more of one time are several frames
-LOST_S = (64.0, 1e4)  # UNIX times as float32, and as text of six digits, are multiples of these
+# Most detections of one frame: radars have some 500; more of each time are several frames. Fewer
+# than those of LEAST_FRAMES are not checked.
+MOST_ROWS, LEAST_FRAMES = 1000, 10
 ODD_ANGLES, MOST_ODD = 0.1, 2  # share and number of angles beyond a turn that damage may explain
 
 
@@ -72,19 +73,17 @@ def refuse_whole_seconds(time: Floats, what: str) -> None:
     Parameters
     ----------
     time : (n,) array
-        UNIX seconds, ascending; fewer than `MOST_ROWS` of each time are not checked.
+        UNIX seconds, ascending.
     what : str
         Their file, for the message.
 
     Raises
     ------
     InputError
-        If all are whole seconds.
+        If all are whole seconds, each of more detections than a frame has.
     """
-    if np.any(time % 1.0) or len(time) <= MOST_ROWS * np.count_nonzero(np.diff(time, prepend=-1.0)):
-        return
-    # a single large frame may be at a whole second
-    if time[0] != time[-1] or any(time[0] % each == 0.0 for each in LOST_S):
+    frames = max(int(np.count_nonzero(np.diff(time, prepend=-1.0))), LEAST_FRAMES)
+    if len(time) > MOST_ROWS * frames and not np.any(time % 1.0):
         raise InputError(
             "{}: all times are whole seconds: the fractions are lost",
             what,
@@ -107,11 +106,11 @@ def refuse_degrees(angles: Floats, field: str, name: str) -> None:
     ------
     InputError
         If a tenth of them, and more than `MOST_ODD`, are over a full turn, or over a right angle
-        for elevations; if all azimuths in degrees are under pi.
+        for elevations; if no azimuth in degrees is over a right angle in radians, 1.57.
     """
     known = np.abs(angles[np.isfinite(angles)])
     if name == "azimuth_deg":
-        if len(known) >= LEAST_CHECKED and 0.0 < known.max() <= TURN_RAD / 2.0:
+        if len(known) >= LEAST_CHECKED and 0.0 < known.max() <= TURN_RAD / 4.0:  # radars look ahead
             raise InputError(
                 "{}: no value is over {:.3g}, expected degrees: it looks like radians",
                 field,
