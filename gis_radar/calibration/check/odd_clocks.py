@@ -87,9 +87,9 @@ def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str,
 
 
 def _offset_between(one: LaneDetections, other: LaneDetections) -> ClockOffset | None:
-    """Return the surest offset of all times, the first third, and the last; None without any.
+    """Return the offset that contradicts most: of all times, of the first third, or of the last.
 
-    A clock that was set on the way contradicts the other one in a part.
+    A clock that was set on the way contradicts the other one in a part. None without any offset.
     """
     found = list[ClockOffset]()
     for begin, end in ((0.0, 1.0), (0.0, LEAST_PART), (1.0 - LEAST_PART, 1.0)):
