@@ -110,7 +110,7 @@ def test_heads_and_numbers_of_lanes_are_not_broken(tmp_path):
 def test_what_a_figure_rests_on_stands_in_its_field(tmp_path):
     rests = "19 Spuren, 61 % der Länge; der erste von 3 Fahrstreifen mit Rang"
     facts = [Fact("Aufgezeichnet", "40 s", "in 40 s"), Fact("Sensoren", "3", "R1"),
-             Fact("Höchster Fahrstreifen", "17863: 28 %", rests), Fact("Vierte", "4")]  # fmt: skip
+             Fact("Am stärksten belegter", "28 %", rests), Fact("Vierte", "4")]  # fmt: skip
     places = places_on(pages_of(tmp_path, content_of(facts=facts))[0])
     assert bound_percents(rests) not in places  # on one line it would be too small to read
     last = max(top for text, (_, top) in places.items() if text in bound_percents(rests))

@@ -31,7 +31,7 @@ from gis_radar.products.report import names
 from gis_radar.products.report.content import Column, Fact, Table, text_columns, text_rows
 from gis_radar.products.report.lanes import part_and_base
 from gis_radar.products.report.results import NOT_KNOWN, Results
-from gis_radar.products.report.traffic import ReportedTraffic
+from gis_radar.products.report.traffic import ReportedTraffic, lanes_counted, volume_text
 from gis_radar.scans import VIEW_ONLY
 
 SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
@@ -123,7 +123,11 @@ def facts_of(data: ReportData) -> list[Fact]:
     ]  # fmt: skip
     if "mean_occupancy" not in total:
         return facts
-    if "vehicles" in total:
+    if data.traffic and len(counted := lanes_counted(data.traffic)):
+        top = counted.iloc[int(counted["volume"].argmax())]
+        volume = tr("{n} veh/h", n=volume_text(top))
+        facts.append(Fact(tr("Busiest lane"), volume, _lane_name(data, int(top["lane"]))))
+    elif "vehicles" in total:
         heavy = tr("{n} of them heavy; no count of vehicles", n=figure_text(total["heavy"]))
         facts.append(Fact(tr("Tracks of vehicles"), figure_text(total["vehicles"]), heavy))
     mean = percent(total["mean_occupancy"], error=total["mean_occupancy_se"])
@@ -133,18 +137,23 @@ def facts_of(data: ReportData) -> list[Fact]:
 
 def _highest(data: ReportData) -> Fact:
     """Return the lane of the highest occupancy, where one may be named."""
-    name, top = tr("Highest lane"), data.table.iloc[0]
+    title, top = tr("Fullest lane"), data.table.iloc[0]
     if top["rank"] != 1:
-        return Fact(name, tr("none to be named"), tr("see: Lanes"))
+        return Fact(title, tr("none to be named"), tr("see: Lanes"))
     ranked = int((data.table["rank"] > 0).sum())
     rests = tr(
-        "{tracks}, {share} of its length; first of {lanes}",
-        tracks=plural(int(top["tracks"]), "{n} track", "{n} tracks"),
+        "{lane}; first of {lanes}",
+        lane=_lane_name(data, int(top["lane"])),
         lanes=plural(ranked, "{n} ranked lane", "{n} ranked lanes"),
-        share=percent(top["base_m"] / top["length_m"], 0),
     )
-    share = percent(top["share"], error=top["share_se"])
-    return Fact(name, f"{int(top['lane'])}: {share}", rests)
+    return Fact(title, percent(top["share"], error=top["share_se"]), rests)
+
+
+def _lane_name(data: ReportData, lane: int) -> str:
+    """Return the name of a lane, where its traffic is known, and its number on the plan."""
+    lanes = data.traffic.by_lane if data.traffic else pd.DataFrame(columns=["lane", "name"])
+    named = lanes.loc[lanes["lane"] == lane, "name"]
+    return f"{named.iloc[0]} ({lane})" if len(named) else str(lane)
 
 
 def as_high_as(table: pd.DataFrame) -> list[str]:

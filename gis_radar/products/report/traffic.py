@@ -192,8 +192,7 @@ def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> l
 
 
 def _lanes_with_stop_lines(traffic: ReportedTraffic) -> set[int]:
-    network = traffic.network
-    return set(network.lane[network.has_stop_line].tolist())
+    return set(traffic.network.lane[traffic.network.has_stop_line].tolist())
 
 
 def _lanes_by_name(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
@@ -205,12 +204,20 @@ def _lanes_by_name(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
     inside = set(network.lane[network.connector].tolist())
     rows = traffic.by_lane[~traffic.by_lane["lane"].isin(inside)]
     later = ~rows["lane"].isin(_lanes_with_stop_lines(traffic))
-    rows = rows.assign(later=later, order=rows["name"].map(by_number))
+    rows = rows.assign(later=later, order=rows["name"].map(by_number), hours=traffic.hours)
     return rows.sort_values(["later", "order"], ignore_index=True)
 
 
-def _volume_text(row: pd.Series) -> str:
-    """Return a volume an hour with its standard error, or why there is none."""
+def lanes_counted(traffic: ReportedTraffic) -> pd.DataFrame:
+    """Return lanes with a volume: those with stop lines, or all where none of them has one."""
+    rows = _lanes_by_name(traffic)
+    rows = rows[rows["volume"].notna()]
+    before = rows["lane"].isin(_lanes_with_stop_lines(traffic))
+    return pd.DataFrame(rows[before] if before.any() else rows)
+
+
+def volume_text(row: pd.Series) -> str:
+    """Return the volume an hour of a lane with its standard error, or why there is none."""
     if pd.isna(row["volume"]):
         return tr(TOO_LITTLE if row["visible_share"] > 0.0 else NOT_SEEN)
     return with_error(row["volume"] / row["hours"], row["volume_se"] / row["hours"])
@@ -218,8 +225,7 @@ def _volume_text(row: pd.Series) -> str:
 
 def _volume_table(traffic: ReportedTraffic) -> Table:
     """Return volumes, speeds and queues, a row a lane."""
-    rows = _lanes_by_name(traffic).assign(hours=traffic.hours)
-    shown = rows.head(MOST_LANES)
+    shown = (rows := _lanes_by_name(traffic)).head(MOST_LANES)
     columns = _volume_columns(_lanes_with_stop_lines(traffic))
     return Table(
         name="volumes", caption=tr("Traffic of lanes over the whole time"), columns=columns,
@@ -246,7 +252,7 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
         Column(tr("Lane"), "", lambda row: str(row["name"]), False),
         Column(tr("No."), tr("on the plan"), lambda row: str(row["lane"])),
         Column(tr("Counted"), tr("vehicles"), counted),
-        Column(tr("Volume"), tr("veh/h"), _volume_text),
+        Column(tr("Volume"), tr("veh/h"), volume_text),
         Column(tr("Heavy"), tr("of those counted"), heavy),
         Column(tr("Mean speed"), tr("km/h, waiting included"),
                lambda row: figure_text(row["speed_kmh"])),
@@ -290,11 +296,8 @@ def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> l
 
 
 def _volume_charts(traffic: ReportedTraffic, clock: Clock) -> list[Chart]:
-    """Draw the volume of lanes before stop lines by interval, of others where there are none."""
-    rows = _lanes_by_name(traffic)
-    rows = rows[rows["volume"].notna()]
-    before = rows["lane"].isin(_lanes_with_stop_lines(traffic))
-    return _charts(traffic, rows[before] if before.any() else rows, _VOLUMES, clock)
+    """Draw the volume of lanes by interval."""
+    return _charts(traffic, lanes_counted(traffic), _VOLUMES, clock)
 
 
 class _Profile(NamedTuple):
