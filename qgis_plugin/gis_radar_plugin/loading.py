@@ -148,6 +148,7 @@ def as_ground(layer: QgsVectorLayer) -> None:
     """Show all tiles in one grey, below a heat map: it remains where nothing was observed."""
     # Not loadNamedStyle: that prefers the style in the layer's GeoPackage.
     symbology = QgsMapLayer.StyleCategory.Symbology
+    layer.loadDefaultStyle()  # for the titles of its columns
     layer.importNamedStyle(shared_document("products/heatmap/ground.qml"), symbology)
     _translate_columns(layer)
     layer.triggerRepaint()
