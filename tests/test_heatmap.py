@@ -72,6 +72,8 @@ def test_the_map_of_one_moment():
     heatmap = make_heatmap(site.dataset, at="2023-11-14T22:13:21.02Z")
     assert_like_oracle(site, heatmap)
     assert (int(heatmap.whole.begin[0]), int(heatmap.whole.end[0])) == (T0 + 20, T0 + 21)
+    local = make_heatmap(site.dataset, at="2023-11-14 23:13:21.02", timezone="Europe/Berlin")
+    assert local.whole.begin == heatmap.whole.begin
     assert set(heatmap.wide()["hit_s"].dropna()) == {0.0, 0.05}
     assert len(heatmap.long()) == len(site.tiles)
 

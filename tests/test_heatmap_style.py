@@ -99,7 +99,8 @@ def rgba(colour):
 
 
 def test_the_ground_has_the_colour_of_what_is_not_observed_and_its_stripes():
-    fill, hatch = ET.fromstring(style.ground_qml()).findall(".//symbols/symbol/layer")  # noqa: S314
+    qml = style.ground_qml(style.vector_qml())
+    fill, hatch = ET.fromstring(qml).findall(".//symbols/symbol/layer")  # noqa: S314
     colours = [
         {one.get("value") for one in each.iter("Option") if str(one.get("name")).endswith("color")}
         for each in (fill, hatch)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 from maps import SHARED, Listener, needs_shared_maps, write_osm
@@ -12,6 +13,7 @@ import gis_radar as gr
 from gis_radar.base import QUIET
 from gis_radar.hdmap import chain_lanelets, lanes_of
 from gis_radar.hdmap.streets import name_streets
+from gis_radar.measures import LaneNetwork, lane_names
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +49,17 @@ def numbered_by_the_rule(roads):
     }
     assert mine == by_the_rule(roads)
     assert lanes["lane"].is_monotonic_increasing
+
+
+def test_a_lane_leads_where_its_name_says(junction):
+    """Behind its stop line, in the junction, a lane may already turn to another wind."""
+    lanes = junction.lanes().set_index("lane", drop=False)
+    stop_m = lanes["stop_line_m"].dropna().to_dict()
+    network = LaneNetwork.of(gr.make_tiles(junction), stop_m)
+    names = pd.Series(lane_names(lanes, network), network.lane)
+    assert len(stop_m) > 5
+    for lane in stop_m:
+        assert names[lane].startswith(f"Road {lanes['direction'][lane]}bound, ")
 
 
 def test_tiles_carry_the_number_and_the_same_lanes(junction):

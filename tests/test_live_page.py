@@ -481,6 +481,10 @@ def test_the_page_shows_occupancy_and_tells_vehicles(live, address, chromium):
     count = len(live.snapshot().vehicles)
     told = chromium.find_element(By.ID, "summary").text
     assert told.startswith(f"{count} vehicles now, 1 of them heavy")
+    live.silent = {"R2"}
+    wait_for(lambda: "offline" in chromium.find_element(By.ID, "sensor-rows").text)
+    assert "R2: offline" in chromium.find_element(By.ID, "summary").text  # with the table
+    live.silent = set()
     first = chromium.find_element(By.CSS_SELECTOR, "#lane-rows tr").find_elements(By.TAG_NAME, "td")
     assert first[1].text == "10.0 %"
     rows = {

@@ -1,5 +1,6 @@
 """Sensors as layers, and QGIS projects; that QGIS opens them is tested in qgis_plugin/tests."""
 
+import re
 import shutil
 import sqlite3
 import zipfile
@@ -327,12 +328,24 @@ def test_a_project_in_german(results, tmp_path):
 def test_occupancy_and_hit_share_are_two_fields(tmp_path):
     """Layers are renamed to the measure they show, fields keep their names."""
     dataset = fork_dataset(tmp_path / "dataset", [through(0, HOUR * STEPS_PER_HOUR + 200, LEFT)])
-    gr.make_heatmap(dataset).write(tmp_path / "heatmap")
+    gr.make_heatmap(dataset, interval="5s").write(tmp_path / "heatmap")
     gr.write_qgis_project(tmp_path / "site.qgz", heatmap=tmp_path / "heatmap", language="de")
-    for layer in read_project(tmp_path / "site.qgz").iter("maplayer"):
-        fields = {each.get("field"): each.get("name") for each in layer.iter("alias")}
-        if "occupancy" in fields:
-            assert (fields["occupancy"], fields["hit_share"]) == ("Belegungsgrad", "Trefferanteil")
+    layers = {
+        layer.findtext("layername"): {
+            each.get("field"): each.get("name") for each in layer.iter("alias")
+        }
+        for layer in read_project(tmp_path / "site.qgz").iter("maplayer")
+    }
+    whole, ground = layers["Belegungsgrad, gesamter Zeitraum"], layers["Straße, nicht beobachtet"]
+    assert (whole["occupancy"], whole["hit_share"]) == ("Belegungsgrad", "Trefferanteil")
+    assert ground == whole
+    assert layers["Belegungsgrad je Intervall"]["hit_share"] == "Trefferanteil"
+    parts = {field: name for field, name in whole.items() if re.match(r"(hit|occ)_\d", field)}
+    assert len(parts) == 4
+    for field, name in parts.items():
+        title, _, begin = name.rpartition(" ")
+        assert title == whole["occupied_s" if field.startswith("occ") else "hit_s"]
+        assert re.sub("[-:Z]", "", begin) == field[4:]
 
 
 def test_the_map_clock_is_the_sites_over_a_change_of_clocks():

@@ -201,7 +201,9 @@ def test_written_tables_are_in_utc(tmp_path):
     assert "2023-11-14T22:00:00Z,2023-11-14T23:00:00Z,2023-11-14,23,Tuesday" in text[1]
     quality.write(tmp_path / "german.csv", csv_locale="de")
     german = pd.read_csv(tmp_path / "german.csv", sep=";", decimal=",", encoding="utf-8-sig")
-    pd.testing.assert_frame_equal(german, pd.read_csv(tmp_path / "q.csv"))
+    assert german.loc[0, ["weekday", "verdict"]].tolist() == ["Dienstag", "in Ordnung"]
+    english = pd.read_csv(tmp_path / "q.csv").drop(columns=["weekday", "verdict"])
+    pd.testing.assert_frame_equal(german[english.columns], english)
     assert (tmp_path / "german.csv").read_bytes().startswith(b"\xef\xbb\xbf")
     quality.write(tmp_path / "q.parquet")
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "q.parquet"), quality.table)

@@ -183,12 +183,16 @@ def test_the_course_of_a_queue_is_that_of_its_cars(folder):
     assert short.back_step.tolist() == [BEGIN]
 
 
-def test_tables_lie_beside_the_page_alike_in_all_languages(folder):
+def test_tables_lie_beside_the_page_with_names_as_it_has_them(folder):
     dataset = open_dataset(folder / "dataset")
     for name, known in (("traffic", dataset.traffic("1min")), ("turns", dataset.turns("1min"))):
         path = folder / "en" / f"{name}.csv"
-        assert path.read_bytes() == (folder / "de" / f"{name}.csv").read_bytes()
-        rows = pd.read_csv(path)
+        rows, german = pd.read_csv(path), pd.read_csv(folder / "de" / f"{name}.csv")
+        names = [each for each in rows if each.endswith("name")]
+        pd.testing.assert_frame_equal(rows.drop(columns=names), german.drop(columns=names))
+        for column in names:
+            assert rows[column].str.contains("bound, ").all()
+            assert german[column].str.contains(" nach ").all()
         assert rows.columns.tolist() == [each for each in known if each != "geometry"]
         np.testing.assert_allclose(rows["volume"], known["volume"].astype(float), atol=1e-4)
         assert f'href="{name}.csv"' in (folder / "en" / "report.html").read_text(encoding="utf-8")

@@ -66,7 +66,11 @@ def test_what_a_check_finds(place):
 def test_the_command(place):
     done = CliRunner().invoke(group, ["check", str(place()), "--json"])
     assert done.exit_code == 0
-    result = json.loads(done.stdout.splitlines()[-1])
+    *events, result = [json.loads(line) for line in done.stdout.splitlines()]
+    bars = [(each["stage"], each["total"]) for each in events if each["event"] == "progress"]
+    assert list(dict.fromkeys(bars)) == [  # nothing reads long without one, none is of nothing
+        ("reading lanelets", 48), ("reading recordings", 2), ("checking poses and recordings", 2),
+    ]  # fmt: skip
     assert result["summary"]["sensors"]["R2"]["begin"] == "2025-06-12T07:30:00Z"
     assert result["outputs"] == []
 

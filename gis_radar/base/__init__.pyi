@@ -70,7 +70,7 @@ from .geopackage import (
 )
 from .grid import CELL_M, Grid
 from .json_documents import json_text, parsed_json, read_json
-from .languages import LANGUAGES, class_label, translated, users_language
+from .languages import LANGUAGES, class_label, column_title, translated, users_language
 from .notebooks import (
     FONTS,
     axes_or_new,
@@ -207,6 +207,7 @@ __all__ = [
     "card",
     "checked",
     "class_label",
+    "column_title",
     "compiled",
     "content_digest",
     "contiguous",

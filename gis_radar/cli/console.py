@@ -133,8 +133,9 @@ class JsonConsole(Console):
         outputs = [str(path) for path in result.outputs]
         rows = {} if result.rows is None else {"rows": result.rows}
         with in_language(self.language):
-            summary = _translated(result.summary)
-        self._write(event="result", outputs=outputs, summary={**summary, **rows})
+            summary, local = _translated(result.summary), _translated(_by_local_clocks(result))
+        shown = {} if local == summary else {"local": local}  # for people, as on the terminal
+        self._write(event="result", outputs=outputs, summary={**summary, **rows}, **shown)
 
     def error(self, error: GisRadarError) -> None:
         """Write what went wrong; the code is the exit code."""

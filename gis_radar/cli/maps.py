@@ -88,7 +88,7 @@ def mask(
     multiple=True,
     help="Where the data come from, to stand under the picture.",
 )
-@click.option("--at", help="Map of the one 50 ms step at this time (ISO 8601 with Z).")
+@click.option("--at", help="Map of the one 50 ms step at this time: '2025-06-12 07:30:05'.")
 @click.option(
     "--map-of",
     "further",

@@ -191,7 +191,10 @@ def make_lanes(
             "lanelets": chains,
             "subtype": [table.at[chain[0], "subtype"] for chain in chains],
             STREET: [_tagged_street(table, chain) for chain in chains],
-            "direction": [wind_of(*_exit_vector(line)) for line in lines],
+            "direction": [
+                wind_of(*_exit_vector(line, stop_m.get(min(chain), line.length)))
+                for chain, line in zip(chains, lines, strict=True)
+            ],
             "turn": turns,
             "stop_line_m": [float(stop_m.get(min(chain), math.nan)) for chain in chains],
             "length_m": [float(line.length) for line in lines],
@@ -215,12 +218,9 @@ def _centre_line(parts: list[shapely.LineString]) -> shapely.LineString:
     return shapely.simplify(line, SHAPE_M)
 
 
-def _exit_vector(line: shapely.LineString) -> tuple[float, float]:
-    """Return the vector (east, north), metres, of the last `LANE_EXIT_M` of a line."""
-    end, before = (
-        line.interpolate(line.length),
-        line.interpolate(max(line.length - LANE_EXIT_M, 0.0)),
-    )
+def _exit_vector(line: shapely.LineString, end_m: float) -> tuple[float, float]:
+    """Return the vector (east, north), metres, of the last `LANE_EXIT_M` of a line to `end_m`."""
+    end, before = line.interpolate(end_m), line.interpolate(max(end_m - LANE_EXIT_M, 0.0))
     return end.x - before.x, end.y - before.y
 
 

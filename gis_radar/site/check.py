@@ -169,7 +169,8 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     site = read_site(path)
     of_map: list[str] = []
     roads = read_map(
-        site.map.file, crs=site.map.crs, origin=site.map.origin, reporter=_WarningCollector(of_map)
+        site.map.file, crs=site.map.crs, origin=site.map.origin,
+        reporter=_WarningCollector(of_map, reporter),
     )  # fmt: skip
     for line in of_map:
         reporter.warn(line)
@@ -281,9 +282,10 @@ def _check_poses(
     masked = site.scan and site.scan.road
     road = read_road(masked, roads.crs) if masked else np.empty((0, 3))
     lanes = LaneMap(lanelets=roads.lanelets, road=road)
-    findings = check_plausibility(given, lanes, reporter=reporter)
-    without_pose_findings = check_recordings(without_pose, reporter=reporter)
-    return tuple(sorted((*findings, *without_pose_findings), key=lambda each: each.sensor))
+    findings = check_plausibility(given, lanes, reporter=reporter) if given else ()
+    if without_pose:
+        findings = (*findings, *check_recordings(without_pose, reporter=reporter))
+    return tuple(sorted(findings, key=lambda each: each.sensor))
 
 
 def _zone_warning(site: Site, roads: LaneletMap) -> Iterator[str]:
@@ -327,10 +329,14 @@ def _sensor_check(
 
 
 class _WarningCollector(Reporter):
-    """A receiver that adds warnings to a list."""
+    """A receiver that adds warnings to a list, and hands progress on."""
 
-    def __init__(self, lines: list[str]) -> None:
-        self._lines = lines
+    def __init__(self, lines: list[str], shown: Reporter = QUIET) -> None:
+        self._lines, self._shown = lines, shown
+
+    def progress(self, stage: str, done: int, total: int | None) -> None:
+        """Hand on progress."""
+        self._shown.progress(stage, done, total)
 
     def log(self, message: str, level: Level = "info") -> None:
         """Keep a warning; drop a remark, which the run makes again."""

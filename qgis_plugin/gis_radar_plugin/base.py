@@ -254,7 +254,7 @@ class WorkerAlgorithm(Algorithm):
         with one_sentence():
             make_folders(outputs)
             answer = run_worker(python, words, WorkerFeedback(feedback))
-        for line in summary_lines(answer.summary):
+        for line in summary_lines(answer.local or answer.summary):
             feedback.pushInfo(line)
         return answer
 

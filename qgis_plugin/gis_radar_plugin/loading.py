@@ -136,6 +136,7 @@ def dress_only(layer: QgsMapLayer) -> None:
     layer.loadDefaultStyle()
     if isinstance(layer, QgsVectorLayer):
         translate_legend(layer)
+        _translate_columns(layer)
         switch_time_on(layer)
     elif isinstance(layer, QgsRasterLayer):
         _translate_raster(layer)
@@ -147,7 +148,9 @@ def as_ground(layer: QgsVectorLayer) -> None:
     """Show all tiles in one grey, below a heat map: it remains where nothing was observed."""
     # Not loadNamedStyle: that prefers the style in the layer's GeoPackage.
     symbology = QgsMapLayer.StyleCategory.Symbology
+    layer.loadDefaultStyle()  # for the titles of its columns
     layer.importNamedStyle(shared_document("products/heatmap/ground.qml"), symbology)
+    _translate_columns(layer)
     layer.triggerRepaint()
 
 
@@ -163,6 +166,14 @@ def translate_legend(layer: QgsVectorLayer) -> None:
     for place, step in enumerate(renderer.ranges()):
         renderer.updateRangeLabel(place, legend_words(step.label()))
     layer.emitStyleChanged()
+
+
+def _translate_columns(layer: QgsVectorLayer) -> None:
+    """Put the columns' titles in the user's language; those of intervals end in a time."""
+    for place, field in enumerate(layer.fields()):
+        title, _, time = field.alias().rpartition(" ")
+        known = f"{tr(title)} {time}" if time.endswith("Z") else tr(field.alias())
+        layer.setFieldAlias(place, known.strip())
 
 
 def _translate_raster(layer: QgsRasterLayer) -> None:

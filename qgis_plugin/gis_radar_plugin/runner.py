@@ -72,11 +72,13 @@ class CancelledError(Exception):
 class Answer:
     """What the worker did.
 
-    `outputs` are the files and folders it wrote, `summary` its figures by name.
+    `outputs` are the files and folders it wrote, `summary` its figures by name, `local` these with
+    times by the clocks of the site, where they differ.
     """
 
     outputs: list[str]
     summary: dict[str, Any] = field(default_factory=dict)
+    local: dict[str, Any] = field(default_factory=dict)
 
 
 class Listener:
@@ -147,7 +149,8 @@ def run_worker(
         raise error
     if code != 0 or not end:
         raise WorkerError(_unexpected_end(code, last_errors))
-    return Answer(list(end[-1].get("outputs", [])), dict(end[-1].get("summary", {})))
+    figures = (dict(end[-1].get(name, {})) for name in ("summary", "local"))
+    return Answer(list(end[-1].get("outputs", [])), *figures)
 
 
 def run_command(

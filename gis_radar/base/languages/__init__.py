@@ -47,6 +47,12 @@ def translated(text: str, language: str) -> str:
     return catalogue(language).get(text, text)
 
 
+def column_title(title: str, language: str) -> str:
+    """Return the title of a column in a language; `Hit (s) 2025-06-12T07:30Z` ends in a time."""
+    words, _, time = title.rpartition(" ") if title.endswith("Z") else (title, "", "")
+    return f"{translated(words, language)} {time}".strip()
+
+
 def class_label(label: str, language: str) -> str:
     """Return the label of a class of a legend in a language: `2 to 5 %` has words in it."""
     if label in catalogue(language):

@@ -6,7 +6,7 @@ const tenths = new Intl.NumberFormat(language, { minimumFractionDigits: 1, maxim
 const hundredths = new Intl.NumberFormat(language, { minimumFractionDigits: 2, maximumFractionDigits: 2 });
 const figure = new Intl.NumberFormat(language, { maximumFractionDigits: 2 });
 const byId = (name) => document.getElementById(name);
-const SUMMARY_MS = 15000; // a screen reader reads it aloud: not more often
+const SPOKEN_MS = 15000; // a screen reader is told the summary: not more often
 const CLOSE = 17.5; // zoom from which vehicles are large enough for an outline
 const VEHICLES_MS = 900; // between two drawings of vehicles: a phone takes its time for each
 const NEAR = 14; // zoom from which tiles are drawn, not lanes: a tile is a twentieth of a pixel there
@@ -15,7 +15,7 @@ const SILENT_MS = 5000; // without an event the connection counts as broken
 
 const state = { hit: new Set(), unobserved: new Set(), classes: {}, lanes: {}, sensors: {}, occupancy: {}, traffic: {} };
 let vehicles = null, drawnVehicles = "", drawnAt = 0;
-let site, map, last = Date.now(), told = 0, opened = 0;
+let site, map, last = Date.now(), spoken = 0, opened = 0;
 
 function problem(each) {
   return Object.entries(each.alarms).map(([kind, told]) => `${words.alarms[kind]}: ${told[language]}`).join("; ");
@@ -47,18 +47,20 @@ function take(event) {
   if (Object.keys(event.sensors).length) showSensors();
   if (Object.keys(event.lanes).length || Object.keys(event.traffic).length) showLanes();
   colourLanes(event.lanes, event.traffic);
-  if (Date.now() - told > SUMMARY_MS) summarise();
+  summarise();
 }
 
 function summarise() {
-  told = Date.now();
   const sensors = Object.entries(state.sensors).map(
     ([name, each]) => `${name}: ${problem(each) || (each.online ? words.online : words.offline)}`);
   const heavy = (vehicles ?? []).filter((each) => each[7]).length;
   const now = vehicles === null ? [] :
     [words.vehicles.replace("{n}", figure.format(vehicles.length)).replace("{heavy}", figure.format(heavy))];
-  byId("summary").textContent =
-    [...now, words.hit.replace("{n}", figure.format(state.hit.size)), ...sensors].join(". ") + ".";
+  const text = [...now, words.hit.replace("{n}", figure.format(state.hit.size)), ...sensors].join(". ") + ".";
+  byId("summary").textContent = text;
+  if (Date.now() - spoken < SPOKEN_MS) return;
+  spoken = Date.now();
+  byId("spoken").textContent = text;
 }
 
 function colour(tiles) {

@@ -133,7 +133,7 @@ def make_heatmap(
     dataset: Dataset | str | Path,
     *,
     interval: str | None = None,
-    at: str | None = None,
+    at: Any = None,
     begin: Any = None,
     end: Any = None,
     month: str | None = None,
@@ -154,8 +154,8 @@ def make_heatmap(
         From :func:`gis_radar.open_dataset`, or its folder.
     interval : str, optional
         Length of intervals such as `15min`; they begin at multiples of it since the UNIX epoch.
-    at : str, optional
-        ISO 8601 time: the map of the one step that contains it, instead of the whole time.
+    at : str or datetime, optional
+        The map of the one step that contains this time, given as `begin`, in place of the whole.
     begin, end : str or datetime, optional
         Begin and end of the whole time, such as `2025-06-12 07:30`; without an offset they are by
         the clocks of `timezone`. Intervals are cut at both.
@@ -206,8 +206,9 @@ def make_heatmap(
     dataset = open_dataset(dataset, reporter=reporter)
     labels = labels or MapLabels(timezone=timezone or dataset.timezone)
     zone = None if timezone is None else zone_of(timezone)
+    clocks = zone_of(labels.timezone)
     span = [
-        None if time is None else step_at(time, zone_of(labels.timezone), what=what)
+        None if time is None else step_at(time, clocks, what=what)
         for time, what in ((begin, "begin"), (end, "end"))
     ]
     ids = np.sort(dataset.tiles()["tile_id"].to_numpy(np.int64))
@@ -216,7 +217,7 @@ def make_heatmap(
         first, last = measured_span(dataset, month)
         whole = timeline = Timeline(begin=np.array([first]), end=np.array([last + 1]))
     else:
-        whole = timeline = whole_of(_within(dataset.frame_steps(), *span), at)
+        whole = timeline = whole_of(_within(dataset.frame_steps(), *span), at, clocks)
     if interval is not None:
         counted = len(ids if chosen is None else chosen)
         frames = _within(dataset.frame_steps(valid=False), *span)

@@ -25,7 +25,6 @@ from gis_radar.base import (
     moment_in,
     ranges,
     require_kinds,
-    seconds_from_iso,
     step_at,
     step_begin,
     step_of,
@@ -266,14 +265,11 @@ def _step_of(day: date, at: time, zone: ZoneInfo) -> int:
     return round((moment - _EPOCH).total_seconds() * STEPS_PER_SECOND)
 
 
-def whole_of(runs: Runs, at: str | None) -> Timeline:
+def whole_of(runs: Runs, at: str | datetime | None, zone: ZoneInfo) -> Timeline:
     """Return the whole time, or the step that contains `at`, as one interval."""
     first, last = int(runs.first[0]), int(runs.last[-1])
     if at is not None:
-        try:
-            moment = seconds_from_iso(at, what="at")
-        except InputError as error:
-            raise UsageError(error.message, hint=error.hint) from error
+        moment = moment_in(at, zone, what="at").timestamp()
         first = last = int(step_of(np.array([moment]))[0])
         nearest = runs.nearest(first)
         if nearest != first:

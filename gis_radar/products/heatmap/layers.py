@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -130,13 +130,13 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
     length_s = float(tally.timeline.end[0] - tally.timeline.begin[0]) / STEPS_PER_SECOND
     measure, notes = tally.measure, _notes_of(tally)
     least_s = {layer: tally.least_visible_s(part) for layer, part in ((WIDE, None), (LONG, 0))}
-    styles = own_styles(measure, length_s, least_s)
     about = f"fixed classes of {measure}, so that maps compare"
     with closing(sqlite3.connect(path)) as database, database:
         write_wide(database, tally)
         write_steps(database, tally, reporter)
         list_tiles_last(database)
         describe_layers(database, notes)
+        styles = own_styles(measure, length_s, least_s, _columns_of(database))
         add_styles(database, styles, name=measure, about=about)
 
 
@@ -175,17 +175,27 @@ def read_own_styles(path: Path, measure: str, length_s: float) -> dict[str, str]
         Length of its intervals, seconds.
     """
     longest_s = dict.fromkeys((WIDE, LONG), 0.0)
-    if measure == "occupancy":
-        with read_only(path) as database:
-            for layer in longest_s:
-                query = f'SELECT max("visible_s") FROM "{layer}"'  # noqa: S608 - our own names
-                longest_s[layer] = float(database.execute(query).fetchone()[0] or 0.0)
+    with read_only(path) as database:
+        columns = _columns_of(database)
+        for layer in longest_s if measure == "occupancy" else ():
+            query = f'SELECT max("visible_s") FROM "{layer}"'  # noqa: S608 - our own names
+            longest_s[layer] = float(database.execute(query).fetchone()[0] or 0.0)
     least_s = {layer: style.UNCERTAIN_SEEN * each for layer, each in longest_s.items()}
-    return own_styles(measure, length_s, least_s)
+    return own_styles(measure, length_s, least_s, columns)
 
 
-def own_styles(measure: str, length_s: float, least_s: Mapping[str, float]) -> dict[str, str]:
-    """Return the QGIS styles of both layers; tiles visible for under `least_s` are uncertain."""
+def _columns_of(database: sqlite3.Connection) -> list[str]:
+    """Return the names of the columns of the layer of the whole time."""
+    return [str(row[1]) for row in database.execute(f'PRAGMA table_xinfo("{WIDE}")')]
+
+
+def own_styles(
+    measure: str, length_s: float, least_s: Mapping[str, float], columns: Iterable[str] = ()
+) -> dict[str, str]:
+    """Return the QGIS styles of both layers; tiles visible for under `least_s` are uncertain.
+
+    `columns` are those of the layer of the whole time, of which those of intervals get titles.
+    """
     measured = {
         name: title for name, title in _TITLES.items()
         if measure == "occupancy" or name in _OF_HITS
@@ -196,12 +206,26 @@ def own_styles(measure: str, length_s: float, least_s: Mapping[str, float]) -> d
             interval_s=shown_s, measure=measure, least_s=least_s[layer],
             titles=titles | more | measured,
         )
-        for layer, shown_s, more in ((WIDE, None, {}), (LONG, length_s, _TIMES))
+        for layer, shown_s, more in (
+            (WIDE, None, dict(_interval_titles(columns))), (LONG, length_s, _TIMES),
+        )
     }  # fmt: skip
+
+
+def _interval_titles(columns: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """Yield the columns of intervals with titles such as `Occupied (s) 2025-06-12T07:30Z`."""
+    for name in columns:
+        prefix, _, stamp = name.partition("_")
+        if prefix in _OF_INTERVALS and stamp[:8].isdigit():
+            day, clock = stamp.split("T")
+            day, time = f"{day[:4]}-{day[4:6]}-{day[6:]}", f"{clock[:2]}:{clock[2:4]}"
+            time += f":{clock[4:6]}" * (len(clock) > 4) + f".{clock[6:]}" * (len(clock) > 6)
+            yield name, f"{_TITLES[_OF_INTERVALS[prefix]]} {day}T{time}Z"
 
 
 _TIMES = {BEGIN: "Begin (UTC)", END: "End (UTC)"}
 _OF_HITS = ("hit_s", "observed_s", "hit_share")
+_OF_INTERVALS = {"hit": "hit_s", "occ": "occupied_s"}
 _TITLES = {
     "hit_s": "Hit (s)",
     "observed_s": "Observed (s)",

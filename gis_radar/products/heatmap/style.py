@@ -156,13 +156,15 @@ def sidecar_qml(measure: str = "hit_share", least_s: float = 0.0) -> str:
     return _filled(measure, least_s, layer=False, shown_ms=None, titles={})
 
 
-def ground_qml() -> str:
+def ground_qml(map_qml: str) -> str:
     """Return the QGIS style of all tiles as the ground below a heat map, in one colour and hatched.
 
     Where nothing is drawn above it, nothing was observed; on grey paper the hatch tells it from
-    classes as light as it is.
+    classes as light as it is. Titles of columns are those of `map_qml`, the map's own style.
     """
-    return (_HERE / "ground.qml").read_text(encoding="utf-8")
+    titles = map_qml[map_qml.index("  <aliases") : map_qml.index("  <mapTip")]
+    qml = (_HERE / "ground.qml").read_text(encoding="utf-8")
+    return qml.replace("  <layerGeometryType>", titles + "  <layerGeometryType>")
 
 
 def _filled(measure: str, least_s: float, **more: Any) -> str:

@@ -302,7 +302,7 @@ def _heatmap_layers(folder: Path, measure: str, step_s: float) -> dict[str, Laye
     layers = {
         "by_interval": LayerSource(package, qml[LONG], LONG),
         "heatmap": LayerSource(package, qml[WIDE], WIDE),
-        "ground": LayerSource(package, style.ground_qml(), WIDE),
+        "ground": LayerSource(package, style.ground_qml(qml[WIDE]), WIDE),
     }
     if raster.is_file():
         layers["raster"] = LayerSource(raster, style.sidecar_qml(measure))

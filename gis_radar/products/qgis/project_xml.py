@@ -15,7 +15,15 @@ from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostr
 
 from pyproj import CRS
 
-from gis_radar.base import Box, class_label, name_of, translated, utc_offsets, zone_of
+from gis_radar.base import (
+    Box,
+    class_label,
+    column_title,
+    name_of,
+    translated,
+    utc_offsets,
+    zone_of,
+)
 from gis_radar.products.heatmap import style
 
 _FRAMES_A_SECOND = "2"  # steps of 0.5 s: vehicles move in real time
@@ -105,7 +113,7 @@ def _translate(root: Element, language: str) -> None:
         elif element.tag == "layername":
             element.text = translated(element.text or "", language)
         elif element.tag == "alias":
-            element.set("name", translated(element.get("name", ""), language))
+            element.set("name", column_title(element.get("name", ""), language))
         elif element.tag in _LABELLED and element.get("label"):
             element.set("label", class_label(element.attrib["label"], language))
         elif element.tag == "text-style" and "format_number" in element.get("fieldName", ""):

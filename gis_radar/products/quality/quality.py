@@ -26,9 +26,11 @@ from gis_radar.base import (
     UsageError,
     atomic_write,
     csv_for,
+    in_language,
     iso_from_time,
     seconds_from_iso,
     table_card,
+    tr,
     write_csv,
     zone_of,
 )
@@ -36,6 +38,10 @@ from gis_radar.dataset import FRAMES, Dataset, hour_text, open_dataset
 from gis_radar.products.quality.counting import HIGH, HOUR_S, count_frames, frame_times
 
 GOOD = "good"
+DAYS = (
+    Text("Monday"), Text("Tuesday"), Text("Wednesday"), Text("Thursday"), Text("Friday"),
+    Text("Saturday"), Text("Sunday"),
+)  # fmt: skip
 NO_DATA = "no data"
 
 # Limits beyond which the hour of a sensor has a fault, after those of loop detectors (PeMS, Chen et
@@ -164,8 +170,8 @@ class Quality:
         path : str or Path
             The file.
         csv_locale : str
-            `de` writes CSV for German spreadsheets: semicolons, decimal commas, and the byte order
-            mark of UTF-8.
+            `de` writes CSV for German spreadsheets: semicolons, decimal commas, the byte order mark
+            of UTF-8, and weekday and verdict in German.
 
         Raises
         ------
@@ -176,7 +182,8 @@ class Quality:
         """
         path = Path(path)
         require_table_name(path)
-        with csv_for(csv_locale), atomic_write(path) as part:
+        language = "de" if csv_locale == "de" else None
+        with csv_for(csv_locale), in_language(language), atomic_write(path) as part:
             if path.suffix.lower() == ".csv":
                 self.write_rows(part)
             else:
@@ -184,9 +191,11 @@ class Quality:
         return path
 
     def write_rows(self, path: Path) -> None:
-        """Write the table as CSV in the format of a report's tables."""
-        times = {name: self.table[name].map(iso_from_time) for name in ("begin", "end")}
-        write_csv(path, self.table.assign(**times))
+        """Write the table as CSV in the format of a report's tables, its words in its language."""
+        shown = {name: self.table[name].map(iso_from_time) for name in ("begin", "end")}
+        shown["weekday"] = self.table["weekday"].map(tr)
+        shown["verdict"] = self.table["verdict"].map(lambda text: tr(self.verdict(text)))
+        write_csv(path, self.table.assign(**shown))
 
     def _repr_html_(self) -> str:
         columns = ["sensor", "date", "hour", "frames", "frames_expected", "verdict"]
@@ -320,7 +329,7 @@ def _row(
         "end": pd.Timestamp(count.hour + HOUR_S, unit="s", tz=UTC),
         "date": f"{local:%Y-%m-%d}",
         "hour": local.hour,
-        "weekday": f"{local:%A}",
+        "weekday": DAYS[local.weekday()],
         "frames_expected": count.frames - count.doubled + count.dropped,
         "frames": count.frames,
         "dropped": count.dropped,

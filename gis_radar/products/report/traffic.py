@@ -24,7 +24,6 @@ from gis_radar.base import (
     Text,
     by_number,
     figure_text,
-    in_language,
     interval_steps,
     percent,
     plural,
@@ -33,8 +32,7 @@ from gis_radar.base import (
     with_error,
 )
 from gis_radar.dataset import Dataset, LaneTraffic
-from gis_radar.hdmap import LANES_LAYER
-from gis_radar.measures import JOINED_M, LEAST_SHARE, TURN_WORDS, LaneNetwork, lane_names
+from gis_radar.measures import JOINED_M, LEAST_SHARE, TURN_WORDS, LaneNetwork
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.picture import NARROW_IN, for_a_phone, image_of_figure, png
 from gis_radar.products.report import names
@@ -149,21 +147,12 @@ def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None
 
 def write_lane_traffic(path: Path, traffic: ReportedTraffic) -> None:
     """Write the traffic of lanes by interval, with the columns of `gis-radar traffic`."""
-    write_table(traffic.lanes.assign(name=_english_names(traffic, traffic.lanes["lane"])), path)
+    write_table(traffic.lanes, path)
 
 
 def write_turn_traffic(path: Path, traffic: ReportedTraffic) -> None:
     """Write the volumes of turns by interval, with the columns of `gis-radar traffic`."""
-    ends = {f"{end}_name": _english_names(traffic, traffic.turns[f"{end}_lane"])
-            for end in ("from", "to")}  # fmt: skip
-    write_table(traffic.turns.assign(**ends), path)
-
-
-def _english_names(traffic: ReportedTraffic, lanes: pd.Series) -> pd.Series:
-    """Return the names of lanes in English, as all tables are."""
-    with in_language("en"):
-        named = lane_names(traffic.dataset.layer(LANES_LAYER), traffic.network)
-    return lanes.map(dict(zip(traffic.network.lane.tolist(), named, strict=True)))
+    write_table(traffic.turns, path)
 
 
 def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Chapter]:

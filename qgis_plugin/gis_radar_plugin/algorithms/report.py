@@ -69,7 +69,7 @@ class ExportReport(WorkerAlgorithm):
     GROUP = RESULTS
     HELP = (
         "Prints a heat map as sheets: map, legend, scale bar, north arrow, title, source and time, "
-        "one page for each junction and each interval.\n"
+        "a page for each junction, and if you wish for each interval.\n"
         "Junctions are found where lanes cross; the first pages show the whole map, and where the "
         "others lie. In their place a layer of points or polygons with a name will do, such as "
         "places drawn by hand.\n"
