@@ -46,8 +46,8 @@ WIDE_M = 40.0  # width from which on a lanelet is doubtful: squares and turning 
 WIDEST_M = 500.0  # width from which on a node must be in the wrong place
 STRAY_M = 100_000.0  # from the middle of the map: no site is so large
 
-# Lanelets, and their share, that lead against how they are drawn in a mirrored map: 37 to 100 % where
-# latitudes and longitudes are swapped, at most 13 % in eight maps as they are.
+# Lanelets, and their share, that lead against how they are drawn in a mirrored map: 37 to 100 %
+# where latitudes and longitudes are swapped, at most 13 % in eight maps as they are.
 LEAST_AGAINST, LEAST_AGAINST_SHARE = 10, 0.25
 
 
