@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
@@ -89,7 +90,7 @@ def read_shifted(
         Only roads within `NEAR_M` of this place, metres.
     """
     roads = roads_of_map(roads) if isinstance(roads, LaneletMap) else roads
-    area = roads.area
+    area: Any = roads.area
     if near is not None:
         area = shapely.intersection(area, shapely.Point(near).buffer(NEAR_M))
     box = box_with_margin(area.bounds, REACH_M + AROUND_M)
