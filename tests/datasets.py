@@ -201,6 +201,7 @@ def recordings_of(sensors):
             "has_rates": True,
             "has_elevation": True,
             "hours": [],
+            "sights": None,
         }
         for name in sorted(sensors)
     ]

@@ -381,6 +381,7 @@ def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path)
             "two greens begin within a second",
         ),
         (GREEN.replace("\n10;", "\n20;", 1), "lane 20 has no stop line"),
+        (GREEN.replace("11-14", "11-15"), "none of its greens begins in the time that was meas"),
         (GREEN.partition("\n")[0], "holds no green times"),
         (GREEN + GREEN.partition("\n")[2], "a green of the lane begins then already"),
     ],

@@ -25,6 +25,7 @@ from gis_radar.calibration import (
     check_plausibility,
     refuse_implausible,
 )
+from gis_radar.calibration.check.rivals import other_pose
 from gis_radar.calibration.findings import wrong
 from gis_radar.poses import PoseTrack, as_track
 
@@ -375,3 +376,16 @@ def test_a_pitch_that_the_traffic_does_not_show_is_not_said_to_fit(tmp_path, min
     (found,) = check_plausibility({"R1": recorded}, lanes)
     hidden = re.search(r"off by up to .*?([\d.]+) deg of pitch", found.evidence)
     assert float(hidden[1]) > 3.0
+
+
+@pytest.mark.parametrize(
+    ("there", "named"),
+    [
+        ({"roll": -90.0, "yaw": 0.2}, "is tilted by 90 deg"),
+        ({"yaw": 20.0, "pitch": 40.0}, "turned 20.0 deg anticlockwise, seen from above, tilted by"),
+        ({"yaw": 5.0, "roll": 1.0}, "is turned 5.0 deg anticlockwise, seen from above"),
+    ],
+)
+def test_a_pose_that_is_tilted_is_said_to_be(there, named):
+    pose = replace(gr.read_pose(gr.sample_folder() / "R1.json"), yaw=0.0, pitch=3.0, roll=0.0)
+    assert named in other_pose(pose, replace(pose, **there)).cause

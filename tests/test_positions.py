@@ -1,6 +1,7 @@
 """Where a map lies: its zone, local metres against degrees, heights."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from maps import (
     LEFT,
     NORTH,
     RIGHT,
+    SHARED,
     UTM,
     Listener,
     degrees,
@@ -21,8 +23,11 @@ from maps import (
     write_road,
 )
 
+from gis_radar import sample_folder
 from gis_radar.base import CrsError, UsageError
 from gis_radar.hdmap import make_tiles, read_map
+
+MAPS = SHARED / "maps"
 
 
 def test_a_map_across_zones_gets_one_zone(tmp_path):
@@ -239,3 +244,20 @@ def test_local_metres_keep_their_scale_whatever_the_crs_and_say_so(tmp_path):
     line = metres(road.lanelets["left"][0])
     np.testing.assert_allclose(line[1] - line[0], [3000.0, 1500.0], rtol=1e-6)
     assert "1.519 m for each metre" in str(road.remarks)
+
+
+@pytest.mark.parametrize("file", ["junction.osm", "karlsruhe_mapping_example.osm"])
+def test_swapped_latitudes_and_longitudes_are_named(tmp_path, file):
+    """The swapped map is a mirror image, whose lanelets lead the other way."""
+    path = sample_folder() / file
+    if not path.exists():
+        path = MAPS / file
+        if not path.exists():
+            pytest.skip("no maps beside the project")
+    text = path.read_text(encoding="utf-8")
+    assert not any("swapped" in each for each in read_map(path).remarks)
+    for name, other in (("lat", "LAT"), ("lon", "lat"), ("LAT", "lon")):
+        text = re.sub(rf"\b{name}=(?=[\"'])", f"{other}=", text)
+    (tmp_path / "swapped.osm").write_text(text, encoding="utf-8")
+    assert any("longitudes, or local_x and local_y, swapped?" in each
+               for each in read_map(tmp_path / "swapped.osm").remarks)  # fmt: skip

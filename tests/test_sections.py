@@ -228,6 +228,10 @@ def test_a_section_without_a_line_is_refused(dataset):
             "section,direction,begin,end,volume\nlate,upward,2023-11-14 22:00,2023-11-14 22:05,3\n",
             "line 2: direction is 'upward', expected one of eastbound",
         ),
+        (
+            "section,begin,end,volume\nlate,2023-11-15 22:00,2023-11-15 22:05,3\n",
+            "none of its counts is of the time that was measured, 2023-11-14 2",
+        ),
         ("section,begin,end,volume\n", "holds no counts"),
         ("", "lacks the columns begin, end and volume"),
         (

@@ -1,3 +1,4 @@
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -401,3 +402,15 @@ def test_tiles_that_another_program_has_locked_are_named_and_stay(tmp_path):
     assert "\n" not in str(caught.value)
     assert path.read_bytes() == before
     assert len(read_tiles(path)) > 0
+
+
+def test_a_line_break_in_a_name_is_named(tmp_path):
+    """GDAL drops it, and would write or read another file."""
+    for place in (tmp_path / "a\nb.gpkg", tmp_path / "c\nd" / "tiles.gpkg"):
+        place.parent.mkdir(exist_ok=True)
+        with pytest.raises((OSError, OutputError), match="holds a line break"):
+            write_tiles(crossing(), place)
+        write_tiles(crossing(), tmp_path / "tiles.gpkg")
+        shutil.copy(tmp_path / "tiles.gpkg", place)
+        with pytest.raises(InputError, match="holds a line break"):
+            read_tiles(place)

@@ -43,6 +43,7 @@ DAMAGE = (
 _LOCKED = "database is locked"  # in SQLite's message
 _HELD_HINT = "end editing it there, or close it, and try again; nothing is lost"
 LOCK_WAIT_S = 2.0  # wait for a program that is about to end its writing
+_LINE_BREAK = Text("its name, or its folder's, holds a line break: rename it")
 # Errors for another layer, table or format than asked for: the file itself is not damaged.
 _WRONG_CONTENT = (*DAMAGE[:2], sqlite3.OperationalError)
 
@@ -127,6 +128,8 @@ def plain_place(path: str | Path) -> Path:
         If its name makes pyogrio or GDAL open a file within it, or another one.
     """
     place = Path(path).resolve()
+    if not str(place).isprintable() and _is_in_archive(place):
+        raise InputError("{}: {}", repr(str(path)), _LINE_BREAK)
     if _is_in_archive(place) or place.suffix.lower() == ".zip":
         raise InputError(
             "{}: cannot be read under this name, which stands for a file in an archive",
@@ -429,6 +432,8 @@ def add_layer(table: gpd.GeoDataFrame, path: Path, layer: str, **options: Any) -
 
 def _refuse_archive(path: Path) -> None:
     """Raise where GDAL would write elsewhere, or not at all."""
+    if not str(path.resolve()).isprintable() and _is_in_archive(path.resolve()):
+        raise OSError(_LINE_BREAK)
     if _is_in_archive(path.resolve()):
         raise OSError(
             "its name, or its folder's, stands for a file in an archive: no ! and no .zip"

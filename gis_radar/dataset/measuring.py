@@ -37,6 +37,7 @@ from gis_radar.dataset.dataset import Dataset, open_dataset
 from gis_radar.dataset.files.manifest import (
     Manifest,
     create_dataset,
+    heights_digest,
     locked_for_writing,
     remove_dataset,
     require_same_settings,
@@ -245,11 +246,10 @@ def _checked_inputs(
     poses, entries = PoseBook(), list[RecordingEntry]()
     placed = dict[str, PlacedRecording]()
     for source in sources:
-        sensor, name = source.track.sensor, source.track_name
+        name = source.track_name
         poses.tracks[name], poses.sights[name] = source.track, source.sights
-        entry = entry_of(source.recording, sensor, name, source.clock, validity_s[sensor])
-        entries.append(entry)
-        placed[entry.path] = source
+        entries.append(entry_of(source, validity_s[source.track.sensor]))
+        placed[entries[-1].path] = source
     entries = _without_duplicates(entries, reporter)
     _refuse_clearance(settings.filters, book.road, entries)
     graph, settings = _lane_graph(roads, settings, entries, reporter)
@@ -297,7 +297,7 @@ def manifest_of(
     west, south = np.floor(tiles.total_bounds[:2]).astype(int).tolist()
     return Manifest(
         map=digest, fingerprint=fingerprint(tiles), crs=name_of(tiles.crs),
-        origin=(west, south), timezone=timezone,
+        origin=(west, south), timezone=timezone, heights=heights_digest(tiles),
         settings={"sight": scan.describe() if scan else VIEW_ONLY, **settings.as_dict()},
     )  # fmt: skip
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -84,6 +84,15 @@ class PoseSight:
             name=name, pose=sight.pose, tile_id=np.sort(sight.seen),
             road_m=road_near(sight, road),
         )  # fmt: skip
+
+
+def digest_of_sights(sights: Iterable[PoseSight]) -> str:
+    """Return the digest of what the poses of a track see; poses may share a sight."""
+    digest = hashlib.blake2b(digest_size=16)
+    for name, sight in sorted({each.name: each for each in sights}.items()):
+        digest.update(f"{name} {sight.road_m!r} {len(sight.tile_id)} ".encode())
+        digest.update(np.ascontiguousarray(sight.tile_id, "<i8").tobytes())
+    return digest.hexdigest()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -64,6 +64,8 @@ class RecordingCounts:
         was moved last.
     frames : dict
         Number of all frames, by the same name.
+    repeated : int
+        Number of frames that are equal to an earlier one of the sensor in the hour's window.
     """
 
     rows: int = 0
@@ -73,6 +75,7 @@ class RecordingCounts:
     lacks_elevation: bool = False
     movement: dict[str, Integers] = field(default_factory=dict)
     frames: dict[str, int] = field(default_factory=dict)
+    repeated: int = 0
 
     def add(self, counts: RecordingCounts) -> None:
         """Add the counts of another hour."""
@@ -80,6 +83,7 @@ class RecordingCounts:
         self.times.join(counts.times)
         self.ranges = self.ranges + counts.ranges
         self.lacks_elevation |= counts.lacks_elevation
+        self.repeated += counts.repeated
         for sight, count in counts.movement.items():
             self.movement[sight] = self.movement.get(sight, 0) + count
         for sight, frames in counts.frames.items():

@@ -74,7 +74,15 @@ def beside_hand_counts(
                 abs(volume - by_hand) <= AGREE * np.sqrt(spread + by_hand_se**2)
             ),
         })  # fmt: skip
-    return pd.DataFrame(compared)
+    table = pd.DataFrame(compared)
+    first, after = lanes["begin"].min(), lanes["end"].max()
+    if not ((table["begin"] < after) & (table["end"] > first)).any():
+        raise InputError(
+            "{}: none of its counts is of the time that was measured, {} to {}",
+            path, *(each.tz_convert(zone).isoformat(" ", "minutes") for each in (first, after)),
+            hint="are they of another day, or by clocks of another time zone?",
+        )  # fmt: skip
+    return table
 
 
 def _read(path: str | Path) -> list[tuple[int, dict[str, str]]]:

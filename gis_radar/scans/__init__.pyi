@@ -3,6 +3,7 @@ from .mask import RoadMask, mask_road, require_road_name
 from .pdal import find_pdal
 from .roads import Roads, read_roads
 from .scan import box_with_margin, open_scan, read_road, road_crs
+from .shift import read_shifted
 from .sight.gaps import find_gaps, gap_warning
 from .sight.layers import SIGHT_LAYER, open_sight, write_sights
 from .sight.picture import SIGHT_COLOURS, SIGHT_NAMES, draw_sight
@@ -63,6 +64,7 @@ __all__ = [
     "read_columns",
     "read_road",
     "read_roads",
+    "read_shifted",
     "report_contradictions",
     "report_uncovered",
     "require_road_name",

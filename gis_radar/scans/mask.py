@@ -36,6 +36,7 @@ from gis_radar.scans.point_store import PointStore, cut_into_blocks
 from gis_radar.scans.roads import Roads, read_roads, roads_of_map
 from gis_radar.scans.scan import Days, Scan, open_scan, write_road
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
+from gis_radar.scans.shift import read_shifted
 
 SIDE_FILE_ENDINGS = (".roads.gpkg", ".pipeline.json")
 BARE_M2 = 20.0  # a square without a point and with so much road is outside the scans
@@ -379,6 +380,7 @@ def _report(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
             covered,
             bare,
         )
+    read_shifted(mask.pipeline.scans, mask.roads, reporter)
     offset = mask.cells.offset_m
     if abs(offset) > WARN_OFFSET_M:
         text = Text(

@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from maps import Listener
@@ -435,3 +436,34 @@ def test_a_clearance_over_a_road_without_heights(files, tmp_path):
             [files["R1"]], [sample_pose("R1")], unknown, MAP, tmp_path / "site",
             filters=CLEARANCE, hits_only=True,
         )  # fmt: skip
+
+
+def said_of(tmp_path, change):
+    """Measure R1 as changed, over 3 s, and return what is said of it."""
+    listener = Listener()
+    path = cut(tmp_path / "odd.parquet", "R1", 10.0, 13.0, edge_s=-300.0, change=change)
+    hits_of(tmp_path / "site", ("R1", path), reporter=listener)
+    return "\n".join(map(str, listener.lines))
+
+
+@pytest.mark.parametrize("grid_s", [0.05, 0.1, 1.0])
+def test_rounded_times_are_named(tmp_path, grid_s):
+    """At 0.1 s two frames become one, and over half as many hits more."""
+
+    def rounded(rows):
+        since = rows["time"] - rows["time"].iloc[0]
+        since = since * (1.0 if grid_s < 1.0 else 8.0)  # over 20 s
+        return rows.assign(time=np.floor((rows["time"].iloc[0] + since) / grid_s) * grid_s)
+
+    named = f"all times are multiples of {grid_s:g} s" in said_of(tmp_path, rounded)
+    assert named == (grid_s > 0.05)
+
+
+@pytest.mark.parametrize("later_s", [0.0, 5.0])
+def test_a_recording_joined_with_a_later_copy_of_itself_is_named(tmp_path, later_s):
+    def joined(rows):
+        copy = rows.assign(time=rows["time"] + later_s)
+        return pd.concat([rows, copy]) if later_s else rows
+
+    said = said_of(tmp_path, joined)
+    assert ("frames are equal to earlier ones" in said) == (later_s > 0.0)

@@ -326,3 +326,21 @@ def test_a_recording_that_comes_too_late_for_its_hour_is_not_registered(files, t
     with pytest.raises(gr.InputError, match=r"R2-2025-06-12\.parquet: .* takes no recordings any"):
         measured(tmp_path / "site", late, hits_only=True, timezone=MIDNIGHT, before_hour=0)
     assert contents(tmp_path / "site") == before
+
+
+def test_what_a_killed_run_withdrew_is_completed(files, two_days, tmp_path, monkeypatch):
+    """The next run finds the recording gone already, and makes the hours that were left."""
+    site_of(tmp_path / "never", *pairs(files, ("R1", EVE), ("R2", EVE), ("R2", DAY)))
+    dataset = gr.open_dataset(shutil.copytree(two_days.folder, tmp_path / "site"))
+
+    def killed(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("gis_radar.dataset.hours.making.make_hour", killed)
+        with pytest.raises(KeyboardInterrupt):
+            dataset.withdraw([files["R1", DAY]])
+    assert contents(tmp_path / "site") != contents(tmp_path / "never")
+    with pytest.raises(gr.InputError, match="has no recording"):
+        dataset.withdraw([files["R1", DAY]])
+    assert contents(tmp_path / "site") == contents(tmp_path / "never")

@@ -42,6 +42,7 @@ MOST_CACHED = 4  # places whose lanes are held in memory, 25 MB each
 SAME_PLACE_M, SAME_DEG, TURNS = 2.0, (2.0, 3.0, 5.0), ("yaw", "pitch", "roll")
 # A pose with a single mistake has either place or yaw right, up to these errors of the search.
 ONE_MISTAKE_M, ONE_MISTAKE_DEG = 3.0, 3.0
+TILTED_DEG = 2.0  # of roll or pitch: more than the search is off
 SEARCHED = 3  # number of likeliest poses taken from a search
 STEP_DEG, NEAR_DEG = 10.0, 20.0  # of tried yaws: step, and least distance from the given yaw
 
@@ -420,8 +421,12 @@ def other_pose(pose: Pose, there: Pose) -> Rival:
     away = Text("{:.1f} m to the {}", off_m, to)
     turned = Text("turned {:.1f} deg {}, seen from above", abs(turn), sense(turn))
     parts = [away, turned]
-    if off_m <= ONE_MISTAKE_M or abs(turn) <= ONE_MISTAKE_DEG:
-        parts = [away] if off_m > ONE_MISTAKE_M else [turned]
+    is_away, is_turned = off_m > ONE_MISTAKE_M, abs(turn) > ONE_MISTAKE_DEG
+    if not (is_away and is_turned):
+        parts = [away] if is_away else [turned]
+    tilt = max(abs(there.pitch - pose.pitch), abs((there.roll - pose.roll + 180.0) % 360.0 - 180.0))
+    if tilt > TILTED_DEG:
+        parts = [*(parts if is_away or is_turned else []), Text("tilted by {:.0f} deg", tilt)]
     cause = Text("its pose is off: compared with it, the sensor is {}", Text(", ").join(parts))
     return Rival(
         cause=cause,

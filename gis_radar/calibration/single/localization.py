@@ -45,7 +45,16 @@ from gis_radar.calibration.unit_mistakes import NOT_FITTED
 from gis_radar.hdmap import LaneletMap, make_tiles, read_map
 from gis_radar.poses import Pose, View
 from gis_radar.recordings import open_recording
-from gis_radar.scans import Sight, SightScan, SightTiles, find_sight, read_road, road_crs
+from gis_radar.scans import (
+    Sight,
+    SightScan,
+    SightTiles,
+    find_sight,
+    open_scan,
+    read_road,
+    read_shifted,
+    road_crs,
+)
 
 FIGURE_TILE_M = 2.0  # length of the tiles in the figure of a sensor's sight
 MOST_RECORDINGS = 5  # most recordings that are tried for a pose: enough for a quiet day or two
@@ -213,6 +222,9 @@ def localize(
     if check is not None:
         answer = answer.with_scan_check(check)
     warn_unobservable([answer], scanned=check is not None, reporter=reporter)
+    if scans:
+        opened = [open_scan(each, crs=scan_crs) for each in scans]
+        read_shifted(opened, roads, reporter, near=pose.position[:2])
     if figure is not None:
         seen = _sight(answer.pose, roads, points, scans, scan_crs, reporter) if scans else None
         answer.draw(figure, roads, points, look=check, seen=seen)

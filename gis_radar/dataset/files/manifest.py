@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Iterator, Mapping
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import geopandas as gpd
+import numpy as np
 
 from gis_radar.base import (
     InputError,
@@ -27,12 +29,13 @@ from gis_radar.base import (
 from gis_radar.calibration import Finding, is_record
 from gis_radar.dataset.files.parts import clear_unfinished, replacing, write_single_file
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
-from gis_radar.hdmap import write_tiles
+from gis_radar.hdmap import fingerprint, read_tiles, write_tiles
 
 MANIFEST, TILES, MAP = "dataset.json", "tiles.gpkg", "map.osm"
 OWNED = (  # begins of the names of files that a killed run may have left
     MAP, TILES, "recordings.parquet", "poses.parquet", "sights.parquet", ".",
 )  # fmt: skip
+BRING_BACK = Text("bring back the file that measure wrote")
 MAKE_ONE = Text("a folder that gis-radar measure wrote is needed")
 
 
@@ -59,6 +62,8 @@ class Manifest:
         :attr:`gis_radar.calibration.Finding.record`; hours do not follow from it.
     schema : int
         Number of the schema of the tables.
+    heights : str
+        Digest of the tiles' road heights; empty where an earlier version has made it.
     """
 
     map: str
@@ -69,6 +74,7 @@ class Manifest:
     settings: dict[str, Any] = field(default_factory=dict)
     checks: dict[str, dict[str, str]] = field(default_factory=dict, compare=False)
     schema: int = SCHEMA
+    heights: str = ""
 
     @property
     def findings(self) -> dict[str, Finding]:
@@ -119,7 +125,7 @@ class Manifest:
             manifest = cls(**{**restored(document), "origin": (easting, northing)})
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=MAKE_ONE) from error
-        for name in ("map", "fingerprint", "crs", "timezone"):
+        for name in ("map", "fingerprint", "crs", "timezone", "heights"):
             if not isinstance(getattr(manifest, name), str):
                 raise InputError("{}: damaged: {} is no text", path, name, hint=MAKE_ONE)
         for name in ("settings", "checks"):
@@ -173,6 +179,34 @@ def create_dataset(
     manifest.write(folder)
 
 
+def heights_digest(tiles: gpd.GeoDataFrame) -> str:
+    """Return the digest of the road heights of tiles."""
+    heights = tiles.sort_values("tile_id")["height_m"].to_numpy(np.float64)
+    return hashlib.blake2b(heights.tobytes(), digest_size=16).hexdigest()
+
+
+def tiles_of_dataset(folder: Path, manifest: Manifest) -> gpd.GeoDataFrame:
+    """Read the tiles of a dataset, ascending by `tile_id`.
+
+    Raises
+    ------
+    InputError
+        If they are not those that it was made from.
+    """
+    tiles = read_tiles(folder / TILES)
+    if (got := fingerprint(tiles)) != manifest.fingerprint:
+        raise InputError(
+            "{}: has tiles {}, the dataset is of {}",
+            folder / TILES,
+            got,
+            manifest.fingerprint,
+            hint=BRING_BACK,
+        )
+    if manifest.heights not in {"", heights_digest(tiles)}:
+        raise InputError("{}: has road heights of another run", folder / TILES, hint=BRING_BACK)
+    return tiles
+
+
 def remove_dataset(folder: Path) -> None:
     """Remove a dataset, whole or not at all."""
     aside = folder.with_name(f".{folder.name}.before")
@@ -183,8 +217,9 @@ def remove_dataset(folder: Path) -> None:
 
 
 def require_same_site(
-    folder: Path, present: Manifest, *, map_digest: str, fingerprint: str, crs: str
-) -> None:
+    folder: Path, present: Manifest, *, map_digest: str, fingerprint: str, crs: str,
+    heights: str = "",
+) -> None:  # fmt: skip
     """Refuse to add to a dataset with other tiles, another map or coordinate system.
 
     Raises
@@ -196,6 +231,7 @@ def require_same_site(
         ("coordinate system", present.crs, crs),
         ("map", present.map, map_digest),
         ("tiles", present.fingerprint, fingerprint),
+        ("heights of the road", present.heights or heights, heights or present.heights),
     )
     for what, own, given in pairs:
         if own != given:
@@ -218,8 +254,9 @@ def require_same_settings(folder: Path, present: Manifest, wanted: Manifest) -> 
         If they differ.
     """
     require_same_site(
-        folder, present, map_digest=wanted.map, fingerprint=wanted.fingerprint, crs=wanted.crs
-    )
+        folder, present, map_digest=wanted.map, fingerprint=wanted.fingerprint, crs=wanted.crs,
+        heights=wanted.heights,
+    )  # fmt: skip
     for name in wanted.settings:
         if differs := _difference(name, present.settings.get(name), wanted.settings[name]):
             raise InputError(

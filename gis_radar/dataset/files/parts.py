@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from gis_radar.base import (
@@ -31,6 +32,7 @@ from gis_radar.dataset.files.tables import SCHEMA
 HOURS_PER_DAY = 24
 ROWS_IN_GROUP = 131_072  # rows of a row group (the contract)
 MEASURE_AGAIN = Text("remove its hour's file in hours/ and measure again; the hour is made anew")
+_DIGESTS = b"digests"  # entry of the metadata: digests of the columns
 Values: TypeAlias = Mapping[str, Any] | pd.DataFrame | pa.Table
 """Arrays by column."""
 Keys: TypeAlias = Mapping[int, list[str | int]]
@@ -310,7 +312,17 @@ class TableFile:
     def read(self, columns: Sequence[str] | None = None) -> pa.Table:
         """Read columns, by default all; errors are those of :func:`opened_part`."""
         with self.opened() as file:
-            return file.read(columns=list(columns or self.table.names))
+            rows = file.read(columns=list(columns or self.table.names))
+            stated = json.loads((file.metadata.metadata or {}).get(_DIGESTS, b"{}"))
+        for name in rows.column_names:
+            if stated.get(name, digest := column_digest(rows[name])) != digest:
+                raise InputError(
+                    "{}: column {} was changed after it was written",
+                    self.path,
+                    name,
+                    hint=_remedy(self.table),
+                )
+        return rows
 
     def keys(self) -> Keys:
         """Read the keys, by hours or dates since 1970; none if it is damaged."""
@@ -330,10 +342,28 @@ class TableFile:
         return {int(number): key for number, key in known.items()}
 
     def write(self, rows: Values, keys: Keys | None = None) -> None:
-        """Replace the file by rows, and state the keys that they were made from."""
-        stated = {} if keys is None else {self.keyed: json.dumps(dict(sorted(keys.items())))}
+        """Replace the file by rows; state the digests of columns, and the keys of the rows."""
+        rows = self.table.to_arrow(rows)
+        digests = {name: column_digest(rows[name]) for name in rows.column_names}
+        stated = {_DIGESTS.decode(): json.dumps(digests)}
+        if keys is not None:
+            stated[self.keyed] = json.dumps(dict(sorted(keys.items())))
         write_part(self.table, self.path, rows, self.metadata | stated)
         move_to_place(self.path)
+
+
+def column_digest(column: pa.ChunkedArray) -> str:
+    """Return the digest of the values of a column, however a file stores them."""
+    digest = hashlib.blake2b(column.is_valid().to_numpy().tobytes(), digest_size=16)
+    values = column.drop_null()
+    if pa.types.is_list(column.type):
+        digest.update(pc.list_value_length(values).to_numpy().tobytes())
+        values = pc.list_flatten(values)
+    if pa.types.is_string(values.type):
+        digest.update(json.dumps(values.to_pylist()).encode())
+    else:
+        digest.update(values.to_numpy().tobytes())
+    return digest.hexdigest()
 
 
 def single_file(table: TableSchema, folder: Path, fingerprint: str) -> TableFile:
@@ -433,7 +463,7 @@ def _check_columns(table: TableSchema, path: Path, file: pq.ParquetFile) -> None
     schema, hint = file.schema_arrow, _remedy(table)
     for column in table.columns:
         if column.name not in schema.names:
-            if table.period == "day" and column.nullable:
+            if table.period != "hour" and column.nullable:
                 continue  # a column added since the file was made: its values are null
             raise InputError("{}: lacks the column {}", path, column.name, hint=hint)
         if (got := schema.field(column.name).type) != column.type:

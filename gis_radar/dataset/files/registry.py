@@ -30,9 +30,15 @@ from gis_radar.base import (
     step_of,
 )
 from gis_radar.calibration import SensorClock
-from gis_radar.dataset.files.parts import digest_of, hour_of_step, single_file, write_single_file
+from gis_radar.dataset.files.parts import (
+    digest_of,
+    hour_of_step,
+    part_path,
+    single_file,
+    write_single_file,
+)
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SIGHTS
-from gis_radar.measures import PlacedRecording, PoseSight, pose_names
+from gis_radar.measures import PlacedRecording, PoseSight, digest_of_sights, pose_names
 from gis_radar.poses import ANGLES, POSITION, PoseTrack, pose_from_dict
 from gis_radar.recordings import Recording, has_height, open_recording
 
@@ -63,6 +69,8 @@ class RecordingEntry:
         Whether it has range rates, and measures elevation.
     hours : frozenset of int
         Hours since 1970 that were made with it.
+    sights : str, optional
+        Digest of the sights of its poses; None where an earlier version has registered it.
     """
 
     path: str
@@ -79,6 +87,7 @@ class RecordingEntry:
     has_rates: bool
     has_elevation: bool
     hours: frozenset[int] = frozenset()
+    sights: str | None = None
 
     @property
     def key(self) -> tuple[str, float, str]:
@@ -200,7 +209,7 @@ class Registry:
         try:
             entries = [
                 RecordingEntry(**{**row, "hours": frozenset(row["hours"])})
-                for row in recordings.select(RECORDINGS.names).to_pylist()
+                for row in recordings.to_pylist()
             ]
             if hour is not None:
                 entries = [each for each in entries if hour in each.reached_hours(margin)]
@@ -208,6 +217,14 @@ class Registry:
             book.of(each.pose for each in entries)  # raises KeyError if one is missing
         except (ValueError, KeyError, TypeError) as error:
             raise InputError("{}: damaged: {}", folder, f"{error!r:.200}") from error
+        for each in entries:
+            if each.sights not in (None, digest_of_sights(book.sights[each.pose])):
+                raise InputError(
+                    "{}: is not of the run that measured {}, or poses.parquet is not",
+                    part_path(folder, SIGHTS),
+                    each.path,
+                    hint="bring back the files of this dataset, or measure into a new folder",
+                )
         entries.sort(key=attrgetter("key"))
         return cls(folder=folder, fingerprint=fingerprint, entries=tuple(entries), poses=book)
 
@@ -340,9 +357,7 @@ def refuse_two_sensors(entry: RecordingEntry, other: RecordingEntry) -> None:
     )
 
 
-def entry_of(
-    recording: Recording, sensor: str, pose: str, clock: SensorClock | None, validity_s: float
-) -> RecordingEntry:
+def entry_of(source: PlacedRecording, validity_s: float) -> RecordingEntry:
     """Read a recording's entry: digest, time, rows, whether it has range rates and elevation.
 
     Raises
@@ -350,6 +365,7 @@ def entry_of(
     InputError
         If it cannot be read, or its times jump by more than a day.
     """
+    recording, clock = source.recording, source.clock
     path = Path(recording.path).resolve()
     first, last, rows, has_rates, has_elevation = _read_summary(recording)
     times = np.array([first, last])
@@ -358,7 +374,8 @@ def entry_of(
     stated_clock = SensorClock(offset_s=0.0) if clock is None else clock
     is_right = stated_clock.offset_s == 0.0 and stated_clock.drift_ppm == 0.0
     return RecordingEntry(
-        path=path.as_posix(), digest=digest_of(path), sensor=sensor, pose=pose, first_time=begin,
+        path=path.as_posix(), digest=digest_of(path), sensor=source.track.sensor,
+        pose=source.track_name, sights=digest_of_sights(source.sights), first_time=begin,
         last_time=end, clock_offset=stated_clock.offset_s, clock_drift_ppm=stated_clock.drift_ppm,
         clock_at=0.0 if is_right else stated_clock.at, validity_s=validity_s, rows=rows,
         has_rates=has_rates, has_elevation=has_elevation,

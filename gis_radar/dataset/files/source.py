@@ -14,13 +14,14 @@ import pyarrow as pa
 import pyogrio
 
 from gis_radar.base import InputError, UsageError, opened_package, step_at, zone_of
-from gis_radar.dataset.files.manifest import TILES, Manifest
+from gis_radar.dataset.files.manifest import TILES, Manifest, tiles_of_dataset
 from gis_radar.dataset.files.parts import MEASURE_AGAIN, hour_of_step, hour_text, single_file
 from gis_radar.dataset.files.records import HourRecord, Span, read_hours
+from gis_radar.dataset.files.registry import Registry
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import CONTINUED, POSES, SIGHTS
 from gis_radar.dataset.files.units import convert_units
-from gis_radar.hdmap import TILES_LAYER, fingerprint, read_tiles
+from gis_radar.hdmap import TILES_LAYER
 
 Moment: TypeAlias = str | datetime | int | None
 """A time as ISO 8601 text or with its zone; without one by the clocks of the site; or a step."""
@@ -114,21 +115,9 @@ class DatasetFiles:
     def layer(self, name: str) -> gpd.GeoDataFrame:
         """Read a layer of the tiles: `tiles`, `lanes` or `stop_lines`; each is read once."""
         if name not in self._layers:
-            tiles = self._tiles()  # refuses a file with other tiles
+            tiles = tiles_of_dataset(self.folder, self.manifest)  # refuses a file with other tiles
             self._layers[name] = tiles if name == TILES_LAYER else self._other_layer(name)
         return self._layers[name].copy()
-
-    def _tiles(self) -> gpd.GeoDataFrame:
-        tiles = read_tiles(self.folder / TILES)
-        if (got := fingerprint(tiles)) != self.manifest.fingerprint:
-            raise InputError(
-                "{}: has tiles {}, the dataset is of {}",
-                self.folder / TILES,
-                got,
-                self.manifest.fingerprint,
-                hint="bring back the file that measure wrote",
-            )
-        return tiles
 
     def _other_layer(self, name: str) -> gpd.GeoDataFrame:
         with opened_package(self.folder / TILES, what="the tiles of a dataset") as place:
@@ -144,6 +133,8 @@ class DatasetFiles:
 
     def single_table(self, table: TableSchema) -> pa.Table:
         """Read a table that is one file, with its columns: recordings, poses or sights."""
+        if table in (POSES, SIGHTS):  # refuses those of another run
+            Registry.read(self.folder, self.manifest.fingerprint)
         return single_file(table, self.folder, self.manifest.fingerprint).read()
 
     def _step(self, value: Moment, what: str) -> int | None:

@@ -274,6 +274,7 @@ RECORDINGS = TableSchema(
         TableColumn("has_rates", _FLAG, "whether it has range rates"),
         TableColumn("has_elevation", _FLAG, "whether it measures elevation"),
         TableColumn("hours", pa.list_(_LONG), "hours since 1970 that were made with it"),
+        TableColumn("sights", _TEXT, "digest of what its poses see, as in `sights`", True),
     ),
     order=("sensor", "first_time", "digest"),
     period="dataset",

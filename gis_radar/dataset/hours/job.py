@@ -48,6 +48,7 @@ METHOD = 16
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # equal frames of two sensors that may be chance
+LEAST_RICH = 10  # detections of a frame that is not equal to an earlier one of its sensor by chance
 LEAST_COMPARED = 2  # least detections of frames that are compared: fewer may be equal by chance
 
 
@@ -219,6 +220,12 @@ def read_sensors(
         for _, found in sorted(by_sensor.items())
     ]
     refuse_equal_frames(sensors)
+    for each in sensors:
+        rich = np.flatnonzero(each.frames.detections >= LEAST_RICH)
+        first = rich[np.unique(each.frames.hash[rich], return_index=True)[1]]
+        repeated = np.bincount(each.source[np.setdiff1d(rich, first)], minlength=len(each.evidence))
+        for counts, number in zip(each.evidence, repeated.tolist(), strict=True):
+            counts.repeated = number
     return sensors
 
 

@@ -12,6 +12,7 @@ from concurrent.futures import as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
+from operator import attrgetter
 from pathlib import Path
 
 from gis_radar.base import (
@@ -92,11 +93,11 @@ def update_dataset(
         If a needed recording is missing, changed or refused; then the dataset stays as it is.
     """
     margin = site.settings.margin
-    records = read_hours(site.folder)
-    just_read = list(just_read)
+    records, just_read = read_hours(site.folder), list(just_read)
     validity_s = validity_by_sensor(after.entries)
-    known_before = {(each.key, each.pose) for each in before.entries}
-    added = [each for each in after.entries if (each.key, each.pose) not in known_before]
+    placed = attrgetter("key", "pose", "sights")
+    before_placed = set(map(placed, before.entries))
+    added = [each for each in after.entries if placed(each) not in before_placed]
     for each in added:
         _refuse_dropped(each.path, each.reached_hours(margin), records)
     missing = hours_to_make(after, records, margin, touched_hours(after.hours, just_read, margin))

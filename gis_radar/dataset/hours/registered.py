@@ -12,13 +12,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 from gis_radar.base import QUIET, InputError
-from gis_radar.dataset.files.manifest import MANIFEST, MAP, TILES, Manifest
+from gis_radar.dataset.files.manifest import BRING_BACK, MANIFEST, MAP, Manifest, tiles_of_dataset
 from gis_radar.dataset.files.parts import part_path
 from gis_radar.dataset.files.records import HourRecord
 from gis_radar.dataset.files.registry import Registry, source_of, touched_hours, validity_by_sensor
 from gis_radar.dataset.files.tables import TABLES
 from gis_radar.dataset.hours.job import METHOD, HourSite, MadeHour, MeasureSettings, make_hour
-from gis_radar.hdmap import lane_graph, read_tiles
+from gis_radar.hdmap import lane_graph
 from gis_radar.tracking import map_of_tiles
 
 _MOST_SITES = 8  # that a process keeps, tens of MB each: consecutive hours are of few sites
@@ -53,10 +53,12 @@ def site_of(folder: Path, manifest: Manifest) -> HourSite:
     key = _site_key(folder, manifest)
     if key not in _sites:
         settings = measure_settings_of(manifest, folder)
-        tiles = read_tiles(folder / TILES).sort_values("tile_id", ignore_index=True)
-        graph = None
+        tiles, graph = tiles_of_dataset(folder, manifest), None
         if settings.vehicles:
-            graph = lane_graph(map_of_tiles(folder / MAP, tiles, QUIET)[0].lanelets)
+            roads, described = map_of_tiles(folder / MAP, tiles, QUIET)
+            if described["digest"] != manifest.map:
+                raise InputError("{}: is of another run", folder / MAP, hint=BRING_BACK)
+            graph = lane_graph(roads.lanelets)
         keep_site(
             HourSite(
                 folder=folder, tiles=tiles, graph=graph, origin=manifest.origin,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from gis_radar.base import CLOCK_SET_S, STEP_US, Reporter, Text, iso_from_step
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.files.registry import RecordingEntry
 from gis_radar.dataset.files.source import DatasetFiles
+from gis_radar.dataset.hours.job import MOST_EQUAL_FRAMES
 from gis_radar.dataset.traffic.shifts import lanes_across
 from gis_radar.hdmap import TILES_LAYER
 from gis_radar.measures import PlacedRecording, RecordingCounts, SightBook, valid_steps
@@ -36,6 +38,8 @@ RANGE_SHARE, REACH_SHARE = 0.999, 0.8
 # A warning is given where OUTSIDE_SHARE of the first detections are outside the view; of eleven
 # simulated sensors at most 0.4 % are, and with half the azimuth 10 % and more.
 OUTSIDE_SHARE, LEAST_VIEWED = 0.05, 100
+# Seconds to which times may have been rounded, longest first, where there are `LEAST_TIMES`.
+ROUNDED_S, LEAST_TIMES, ROUNDED_SHARE = (1.0, 0.1), 20, 1e-4
 FAR_SHARE = 0.001  # share of detections beyond any radar to warn of: more than ghosts
 
 
@@ -81,7 +85,7 @@ def remark_on_recordings(
     if gaps := gap_warning(find_gaps(hits, book.road)):
         reporter.warn(gaps)
     for each in examined:
-        for line in (*_view_warnings(each), *_cycle_warnings(each), *_placing_warnings(each)):
+        for line in chain.from_iterable(warnings(each) for warnings in _WARNINGS):
             reporter.warn(line)
     recorded: dict[str, list[tuple[float, float, Path]]] = {}
     for each in examined:
@@ -201,6 +205,32 @@ def _cycle_warnings(examined: Examined) -> Iterator[str]:
         )
 
 
+def _rounding_warnings(examined: Examined) -> Iterator[str]:
+    """Yield a warning where times were rounded, so that frames of one time may be several."""
+    time = np.unique(next(examined.source.recording.read()).time)
+    for grid_s in ROUNDED_S:
+        off = np.abs(time / grid_s - np.rint(time / grid_s))
+        if len(time) >= LEAST_TIMES and off.max() < ROUNDED_SHARE:
+            yield Text(
+                "{}: all times are multiples of {:g} s: were they rounded? Then frames are joined "
+                "into one, and hits and places are wrong; write six decimals",
+                examined.source.recording.path.name,
+                grid_s,
+            )
+            return
+
+
+def _repetition_warnings(examined: Examined) -> Iterator[str]:
+    """Yield a warning where a recording holds frames at two times."""
+    if examined.evidence.repeated > MOST_EQUAL_FRAMES:
+        yield Text(
+            "{}: {:,} frames are equal to earlier ones, which no radar delivers: was the recording "
+            "joined with a copy of itself, or did the radar freeze?",
+            examined.source.recording.path.name,
+            examined.evidence.repeated,
+        )
+
+
 def _placing_warnings(examined: Examined) -> Iterator[str]:
     """Yield warnings where a sensor measures no elevation, or its clock was not set."""
     file, sensor = examined.source.recording.path.name, examined.entry.sensor
@@ -223,3 +253,8 @@ def _placing_warnings(examined: Examined) -> Iterator[str]:
             begin,
             sensor,
         )
+
+
+_WARNINGS = (
+    _view_warnings, _cycle_warnings, _rounding_warnings, _repetition_warnings, _placing_warnings,
+)  # fmt: skip

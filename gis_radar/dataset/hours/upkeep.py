@@ -116,9 +116,15 @@ def withdraw(
         manifest = Manifest.read(folder)  # others may have written since it was opened
         settings = measure_settings_of(manifest, folder)
         before = Registry.read(folder, dataset.manifest.fingerprint)
-        withdrawn = [
-            _recording_named(before, each) for each in recordings
-        ] or _recordings_of_sensor(before, sensor)
+        try:
+            withdrawn = [
+                _recording_named(before, each) for each in recordings
+            ] or _recordings_of_sensor(before, sensor)
+        except InputError:
+            if before.missing_hours(settings.margin):  # a killed run has withdrawn it
+                site = site_of(folder, manifest)
+                update_dataset(site, before, before, processes=processes, reporter=reporter)
+            raise
         if day is not None:
             withdrawn = _recordings_of_day(folder, withdrawn, day, zone_of(manifest.timezone))
         kept = tuple(each for each in before.entries if each not in withdrawn)

@@ -13,6 +13,7 @@ import pandas as pd
 
 from gis_radar.base import (
     STEP_US,
+    STEPS_PER_HOUR,
     STEPS_PER_SECOND,
     InputError,
     Text,
@@ -28,6 +29,7 @@ from gis_radar.base import (
 )
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
+from gis_radar.dataset.files.parts import hour_text
 from gis_radar.dataset.files.records import Span
 from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.files.tables import TRACKS
@@ -135,6 +137,19 @@ def signal_cycles(
         raise InputError(
             "{}: lane {} has no stop line", signals, int(network.lane[without_line[0]])
         )
+    measured = [*dataset.records(dataset.span(begin, end))]
+    if (
+        known
+        and measured
+        and not any(
+            np.isin(each.begin // STEPS_PER_HOUR, measured).any() for each in known.values()
+        )
+    ):
+        raise InputError(
+            "{}: none of its greens begins in the time that was measured, {} to {}",
+            signals, hour_text(measured[0]), hour_text(measured[-1] + 1),
+            hint="are they of another day, or by clocks of another time zone?",
+        )  # fmt: skip
     rows = [each for hour in hours for each in cycles(hour, known)]
     with in_language(language):
         reason = [tr(each.reason) if each.reason else "" for each in rows]

@@ -39,6 +39,7 @@ from gis_radar.base import (
 from gis_radar.poses import Pose, View, as_pose
 from gis_radar.scans.columns import ScanColumns, read_columns
 from gis_radar.scans.scan import Scan, box_with_margin, open_scan
+from gis_radar.scans.shift import warn_shifted
 from gis_radar.scans.sight.obstacles import (
     CELL_M,
     WIDEST_ROOF_M,
@@ -268,6 +269,8 @@ class SightScan:
         ground = read_columns(
             self.scans, windows, box_with_margin(box, 1.0), crs, reporter=self._reporter
         )
+        middle = self.tiles.quads.mean(axis=1)
+        any(warn_shifted(each, middle, self.scans[0].path, self._reporter) for each in windows)
         for window in windows:
             bounds = window.grid.bounds
             if window.points == 0:

@@ -1,0 +1,106 @@
+"""Whether the roads of a map lie elsewhere in a scan: roads are open to the sky, houses are not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+import shapely
+
+from gis_radar.base import Floats, Grid, Reporter
+from gis_radar.hdmap import LaneletMap
+from gis_radar.scans.columns import ScanColumns, read_columns
+from gis_radar.scans.roads import Roads, roads_of_map
+from gis_radar.scans.scan import Scan, box_with_margin
+
+HIGH_M, AROUND_M = 2.5, 2.5  # over the lowest point around: higher than most cars
+STEP_M, REACH_M = 1.0, 16.0  # of the places that are tried
+# Places within `SAME_M` are one. Where the roads are, this share of what stands over them at any
+# other place stands over them at most: 0.07 to 0.36 on four simulated sites.
+SAME_M, OPEN_SHARE, LEAST_HIGH = 4.0, 0.5, 0.05
+LEAST_POINTS, MOST_POINTS = 400, 5000  # of the roads that are compared
+EDGE_M = 1.25  # of roads, over which crowns and roofs reach
+NEAR_M = 200.0  # of a sensor
+CELL_M, MOST_CELLS = 1.0, 16_000_000  # of the scan where it is read for this alone
+
+
+def warn_shifted(columns: ScanColumns, xy: Floats, path: str | Path, reporter: Reporter) -> bool:
+    """Warn where the roads are open to the sky at one place alone, and the map has them elsewhere.
+
+    Parameters
+    ----------
+    columns : ScanColumns
+        Highest and lowest points of the scan around the roads.
+    xy : (n, 2) array
+        Points on the middle of roads or lanes, in the grid of the columns, metres.
+    path : str or Path
+        The scan.
+    reporter : Reporter
+        Receives the warning.
+
+    Returns
+    -------
+    bool
+        Whether it was warned.
+    """
+    grid, xy = columns.grid, xy[:: 1 + len(xy) // MOST_POINTS]
+    size = 2 * round(AROUND_M / grid.cell_m) + 1
+    ground = scipy.ndimage.minimum_filter(columns.low, size, mode="nearest")
+    high = np.where(np.isfinite(columns.low), columns.top > ground + HIGH_M, np.nan)
+    side = np.arange(-REACH_M, REACH_M + STEP_M, STEP_M)
+    moves = np.array(list(product(side, side)))
+    places = np.moveaxis(xy + moves[:, None], -1, 0)
+    over = np.where(grid.holds(*grid.cells(*places)), high[grid.nearest(*places)], np.nan)
+    if np.isfinite(over).sum(axis=1).min() < LEAST_POINTS:
+        return False
+    share = np.nanmean(over, axis=1)
+    here, best = share[len(share) // 2], moves[share.argmin()]
+    elsewhere = share[np.hypot(*(moves - best).T) >= SAME_M].min()
+    is_open_elsewhere = share.min() <= OPEN_SHARE * elsewhere
+    if here < LEAST_HIGH or np.hypot(*best) < SAME_M or not is_open_elsewhere:
+        return False
+    reporter.warn(
+        "{}: the roads of the map fit the scan {:.0f} m to the east and {:.0f} m to the north of "
+        "where they are: trees or houses stand over {:.0%} of them there, over {:.0%} here; is the "
+        "map or the scan off its place?",
+        path, *best.tolist(), share.min(), here,
+    )  # fmt: skip
+    return True
+
+
+def read_shifted(
+    scans: Sequence[Scan], roads: Roads | LaneletMap, reporter: Reporter,
+    *, near: Floats | None = None,
+) -> bool:  # fmt: skip
+    """Read scans around the roads of a map, and warn as :func:`warn_shifted`; not of a whole city.
+
+    Parameters
+    ----------
+    scans : sequence of Scan
+        Airborne scans, whole.
+    roads : Roads or LaneletMap
+        The roads.
+    reporter : Reporter
+        Receives the warning.
+    near : (2,) array, optional
+        Only roads within `NEAR_M` of this place, metres.
+    """
+    roads = roads_of_map(roads) if isinstance(roads, LaneletMap) else roads
+    area: Any = roads.area
+    if near is not None:
+        area = shapely.intersection(area, shapely.Point(near).buffer(NEAR_M))
+    box = box_with_margin(area.bounds, REACH_M + AROUND_M)
+    grid = Grid.around(np.array(box[::2]), np.array(box[1::2]), CELL_M)
+    if area.is_empty or grid.columns * grid.rows > MOST_CELLS:
+        return False
+    columns = ScanColumns(grid=grid)
+    read_columns(scans, [columns], box, roads.crs)
+    middle = shapely.buffer(area, -EDGE_M)
+    shapely.prepare(middle)
+    places = grid.centres(np.arange(grid.columns * grid.rows))
+    inside = shapely.contains_xy(middle, places[:, 0], places[:, 1])
+    return warn_shifted(columns, places[inside], scans[0].path, reporter)

@@ -1,0 +1,50 @@
+"""A map that is off its place by the scan is named; one in its place is not."""
+
+import numpy as np
+import pytest
+import shapely
+from maps import Listener
+
+import gis_radar as gr
+from gis_radar.scans import SightScan, SightTiles, find_sight, open_scan, read_shifted
+from gis_radar.scans.roads import roads_of_map
+
+SAMPLE = gr.sample_folder()
+SCAN = SAMPLE / "scan.laz"
+
+
+@pytest.fixture(scope="module")
+def roads():
+    return gr.read_map(SAMPLE / "junction.osm")
+
+
+def moved(roads, shift):
+    """Return the map with its roads moved (m)."""
+    frames = roads.lanelets.assign(**{
+        side: shapely.transform(roads.lanelets[side].to_numpy(), lambda xy: xy + shift)
+        for side in ("left", "right")
+    })  # fmt: skip
+    place = shapely.transform(frames.geometry.to_numpy(), lambda xy: xy + shift)
+    return gr.LaneletMap(**{**vars(roads), "lanelets": frames.set_geometry(place, crs=roads.crs)})
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (2.0, -1.0), (10.0, 0.0), (-6.0, 8.0)])
+def test_roads_beside_their_place_are_named(roads, shift):
+    listener = Listener()
+    area = roads_of_map(roads)
+    area = type(area)(**{**vars(area), "area": shapely.affinity.translate(area.area, *shift)})
+    pose = gr.read_pose(SAMPLE / "R1.json")
+    for near in (None, pose.position[:2]):
+        named = read_shifted([open_scan(SCAN)], area, listener, near=near)
+        assert named == (np.hypot(*shift) > 4.0)
+    said = f"{0.0 - shift[0]:.0f} m to the east and {0.0 - shift[1]:.0f} m to the north"
+    assert all(said in each for each in listener.lines)
+
+
+@pytest.mark.parametrize("shift", [0.0, 10.0])
+def test_tiles_beside_their_place_are_named_where_a_scan_gives_sight(roads, shift):
+    tiles = gr.make_tiles(roads)
+    tiles = tiles.set_geometry(tiles.geometry.translate(shift, 0.0))
+    listener, road = Listener(), SightTiles.of(tiles)
+    find_sight(gr.read_pose(SAMPLE / "R1.json"), road, SightScan([SCAN], road, reporter=listener))
+    assert any("fit the scan" in each for each in listener.lines) == (shift > 0.0)
