@@ -12,7 +12,7 @@ from simulation.street_plans import StreetPlan
 ORIGIN = (678_000.0, 5_403_600.0)  # EPSG:25832, the middle of the city
 _COLUMNS, _ROWS = 5, 4
 _SPACING_M, _JITTER_M, _BUMP_M = 370.0, 40.0, 18.0
-_OPEN_M = 185.0  # of streets that leave the city
+_OPEN_STREET_M = 185.0  # of streets that leave the city
 _RING_M = 18.0
 _EAST_WEST = ("Hafenstraße", "Hauptstraße", "Schulstraße", "Waldstraße")
 _NORTH_SOUTH = ("Westring", "Bahnhofstraße", "Königsallee", "Gartenstraße", "Ostring")
@@ -144,7 +144,7 @@ def _lay(
 
 
 def _straight(way: Floats) -> Floats:
-    return np.linspace(0.0, _OPEN_M, 60)[:, None] * way
+    return np.linspace(0.0, _OPEN_STREET_M, 60)[:, None] * way
 
 
 def _name(names: tuple[str, ...], number: int) -> str:

@@ -19,7 +19,7 @@ _KERB_REACH_M = 110.0
 _GUTTER_M = 0.4
 _GROUND_REACH_M = 70.0
 _GROUND_POINTS = 900
-_SMOOTH_DB = 14.0
+_ASPHALT_LOSS_DB = 14.0
 _POINTS_PER_CROWN = 40
 _PARKED_DENSITY = 14.0
 
@@ -80,7 +80,7 @@ def draw_clutter(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter
     return drawn.where(~hidden)
 
 
-def _still(point: Floats, rcs: Floats) -> Clutter:
+def _motionless(point: Floats, rcs: Floats) -> Clutter:
     return Clutter(point=point, rcs=rcs, wobble=np.zeros(len(rcs)))
 
 
@@ -101,7 +101,7 @@ def _kerbs(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
     plane = plane[np.hypot(*(plane - eye[:2]).T) < _KERB_REACH_M]
     count = len(plane)
     over = rng.uniform(0.0, scene.kerb_m, count)
-    return _still(_on_ground(scene, plane, over), rng.normal(-9.0, 4.0, count))
+    return _motionless(_on_ground(scene, plane, over), rng.normal(-9.0, 4.0, count))
 
 
 def _ground(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
@@ -111,7 +111,7 @@ def _ground(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
     point = np.column_stack([plane, scene.ground(plane)])
     # Smooth asphalt mirrors a grazing wave away; grass and gravel send some of it back.
     asphalt = shapely.contains_xy(scene.road, plane)
-    return _still(point, rng.normal(-15.0, 4.0, _GROUND_POINTS) - _SMOOTH_DB * asphalt)
+    return _motionless(point, rng.normal(-15.0, 4.0, _GROUND_POINTS) - _ASPHALT_LOSS_DB * asphalt)
 
 
 def _facades(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
@@ -135,7 +135,7 @@ def _facades(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
             plane = begin + u[:, None] * along + 0.05 * normal
             points.append(np.column_stack([plane, z]))
             strengths.append(rng.normal(-4.0 + 12.0 * aspect**4, 5.0, count))
-    return _still(np.vstack(points), np.concatenate(strengths))
+    return _motionless(np.vstack(points), np.concatenate(strengths))
 
 
 def _posts(scene: Scene, rng: np.random.Generator) -> Clutter:
@@ -143,7 +143,7 @@ def _posts(scene: Scene, rng: np.random.Generator) -> Clutter:
     plane = np.repeat(np.array([p.place for p in scene.posts]).reshape(-1, 2), each, axis=0)
     tall = np.repeat(np.array([p.height_m for p in scene.posts]), each)
     over = tall * rng.random(len(tall))
-    return _still(_on_ground(scene, plane, over), rng.normal(2.0, 4.0, len(tall)))
+    return _motionless(_on_ground(scene, plane, over), rng.normal(2.0, 4.0, len(tall)))
 
 
 def _rails(scene: Scene, rng: np.random.Generator) -> Clutter:
@@ -152,7 +152,7 @@ def _rails(scene: Scene, rng: np.random.Generator) -> Clutter:
         plane = _spread(rail.line, 0.8, rng)
         points.append(_on_ground(scene, plane, np.full(len(plane), rail.height_m)))
     point = np.vstack(points)
-    return _still(point, rng.normal(-3.0, 4.0, len(point)))
+    return _motionless(point, rng.normal(-3.0, 4.0, len(point)))
 
 
 def _parked(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
@@ -169,7 +169,7 @@ def _parked(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
         size=boxes.size,
     )
     found = vehicle_scatterers(standing, scene, eye, density=_PARKED_DENSITY, rng=rng)
-    return _still(found.point, found.rcs - 3.0)
+    return _motionless(found.point, found.rcs - 3.0)
 
 
 def _tree(scene: Scene, tree: Tree, eye: Floats, rng: np.random.Generator) -> Clutter:

@@ -43,13 +43,16 @@ from simulation.measured_minutes import PARTS, MeasuredParts
 DRAWN = "drawn"
 """Entry of a dataset's settings, and folder of its recordings, that say what was drawn."""
 _QUARTERS_A_DAY = HOURS_PER_DAY * QUARTERS
-_NIGHT = 0.06
-_PEAKS = {True: ((7.7, 1.1, 0.8), (13.0, 3.2, 0.45), (17.1, 1.6, 0.8)), False: ((14.5, 3.6, 0.55),)}
+_NIGHT_DEMAND = 0.06
+_PEAKS_BY_WORKDAY = {
+    True: ((7.7, 1.1, 0.8), (13.0, 3.2, 0.45), (17.1, 1.6, 0.8)),
+    False: ((14.5, 3.6, 0.55),),
+}
 """On workdays and on others: hour by the clocks, width in hours, share of the busiest demand."""
 _SATURDAY, _SUNDAY = 5, 6
-_AT_ONCE = 4
+_THREADS = 4
 _DAY = timedelta(days=1)
-_DAYS_DIFFER, _QUARTERS_DIFFER = 0.05, 0.08
+_DAY_SIGMA, _QUARTER_SIGMA = 0.05, 0.08
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +88,8 @@ def demand_at(begin: pd.DatetimeIndex) -> Floats:
     """Return the usual demand at local times, as a share of the busiest: two peaks on workdays."""
     hour = np.asarray(begin.hour + begin.minute / 60.0, np.float64)
     weekday = np.asarray(begin.day_of_week)
-    found = np.full(len(begin), _NIGHT)
-    for workday, peaks in _PEAKS.items():
+    found = np.full(len(begin), _NIGHT_DEMAND)
+    for workday, peaks in _PEAKS_BY_WORKDAY.items():
         mine = (weekday < _SATURDAY) == workday
         for middle, width, share in peaks:
             found[mine] += share * np.exp(-0.5 * ((hour[mine] - middle) / width) ** 2)
@@ -142,7 +145,7 @@ class DayDrawer:
             for k in range((end.date() - begin.date()).days + 1)
             if (day := _midnight(begin) + k * _DAY) < end
         ]
-        with ThreadPoolExecutor(_AT_ONCE) as pool:  # each waits for the disk most of the time
+        with ThreadPoolExecutor(_THREADS) as pool:  # each waits for the disk most of the time
             drawn = [hour for hours in pool.map(self.draw_day, days) for hour in hours]
         margin = MeasureSettings.from_dict(manifest.settings).margin
         registry = Registry.read(folder, manifest.fingerprint)
@@ -195,8 +198,8 @@ class DayDrawer:
         rng = np.random.default_rng([self.seed, begin.toordinal()])
         quarters = pd.date_range(begin, periods=_QUARTERS_A_DAY, freq="15min")
         demand = demand_at(quarters.tz_convert(ZoneInfo(self.dataset.timezone)))
-        demand *= self.events.share(begin.date()) * np.exp(rng.normal(0.0, _DAYS_DIFFER))
-        demand *= np.exp(rng.normal(0.0, _QUARTERS_DIFFER, len(demand)))
+        demand *= self.events.share(begin.date()) * np.exp(rng.normal(0.0, _DAY_SIGMA))
+        demand *= np.exp(rng.normal(0.0, _QUARTER_SIGMA, len(demand)))
         usual = np.array([each for each in self.demands if each <= 1.0])
         place = np.interp(demand, usual, np.arange(len(usual)))[:, None]
         level = np.floor(place + rng.random((len(demand), PARTS))).astype(np.int64)
@@ -260,7 +263,7 @@ def _times_of(parts: MeasuredParts, level: Integers, share: Floats) -> Floats:
     return found
 
 
-def doubt(dataset: Dataset, finding: Finding) -> None:
+def add_finding(dataset: Dataset, finding: Finding) -> None:
     """Add a finding about a sensor to the manifest of a dataset."""
     manifest = dataset.manifest
     checks = manifest.checks | {finding.sensor: finding.record}

@@ -14,7 +14,7 @@ from simulation.network import Lane, RoadNetwork, Turn
 from simulation.terrain import Terrain
 
 _SAME_NODE_M = 0.02
-_AGAINST_EVERY = 5
+_REVERSED_EVERY = 5
 _LAMP_OVER_M = 3.2
 _ROAD = {
     "type": "lanelet",
@@ -110,8 +110,8 @@ class _Drawing:
         made = self._known.get(key) or self._known.get(key[::-1])
         if made is None:
             made = self.new_id()
-            against = line in {"kerb", "solid"} and made % _AGAINST_EVERY == 0
-            self.ways[made] = key[::-1] if against else key
+            reversed_way = line in {"kerb", "solid"} and made % _REVERSED_EVERY == 0
+            self.ways[made] = key[::-1] if reversed_way else key
             self._known[key] = made
             self.lines[made] = line
         self.lines[made] = min(self.lines[made], line, key=_RANK.index)

@@ -14,7 +14,7 @@ from simulation.clutter import draw_clutter
 from simulation.movement import Vehicles
 from simulation.scatterers import Scatterers, ghosts, join_scatterers
 from simulation.scene import Scene
-from simulation.sight import Boxes, Walls, both, building_walls, parked_boxes, vehicle_boxes
+from simulation.sight import Boxes, Walls, building_walls, join_boxes, parked_boxes, vehicle_boxes
 from simulation.targets import Fleeting, Lasting, Targets
 
 
@@ -90,11 +90,11 @@ class RadarModel:
         """Draw range rates of nothing, m/s."""
         rate = rng.uniform(-self.false_mps, self.false_mps, count)
         beyond = np.abs(rate) / self.false_mps - (1.0 - self.false_tail)
-        far = 1.0 + _TAIL * np.maximum(beyond, 0.0) / max(self.false_tail, 1e-9)
+        far = 1.0 + _TAIL_FACTOR * np.maximum(beyond, 0.0) / max(self.false_tail, 1e-9)
         return np.asarray(rate * far)
 
 
-_TAIL = 3.0
+_TAIL_FACTOR = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +144,7 @@ class Radar:
             self.view.max_range_m + 20.0
         )
         vehicles = vehicles.where(near)
-        boxes = both(vehicle_boxes(vehicles, self.scene), self.parked)
+        boxes = join_boxes(vehicle_boxes(vehicles, self.scene), self.parked)
         moving = self._moving_scatterers(vehicles, boxes, rng)
         fixed, wobble = self._fixed_scatterers(boxes, rng)
         seen = join_scatterers([moving, fixed])

@@ -18,8 +18,8 @@ from simulation.terrain import Terrain
 
 UNCLASSIFIED, GROUND, LOW, HIGH, BUILDING = 1, 2, 3, 5, 6
 _WALL_STEPS = 14
-_BONNET = 0.65
-_CAR_HEIGHTS = (0.05, 0.2, 0.4, _BONNET, 0.8, 1.0)
+_BONNET_SHARE = 0.65
+_CAR_HEIGHT_SHARES = (0.05, 0.2, 0.4, _BONNET_SHARE, 0.8, 1.0)
 _BOX_CAR_M = 2.0
 
 
@@ -227,13 +227,13 @@ def _hit_car(pulses: _Pulses, car: ParkedCar) -> None:
     rows = pulses.near(np.array(car.place), length)
     cos, sin = np.cos(car.heading_rad), np.sin(car.heading_rad)
     over = np.zeros(len(rows))
-    for share in _CAR_HEIGHTS:
+    for share in _CAR_HEIGHT_SHARES:
         local = pulses.aim[rows] + share * height * pulses.lean - np.array(car.place)
         u = cos * local[:, 0] + sin * local[:, 1]
         v = cos * local[:, 1] - sin * local[:, 0]
         inside = (np.abs(u) < length / 2.0) & (np.abs(v) < width / 2.0)
         low = (np.abs(u + 0.05 * length) > 0.28 * length) & (height < _BOX_CAR_M)
-        over[inside & (share <= np.where(low, _BONNET, 1.0))] = share * height
+        over[inside & (share <= np.where(low, _BONNET_SHARE, 1.0))] = share * height
     hit = over > 0.0
     pulses.hit(rows[hit], over[hit], UNCLASSIFIED)
 

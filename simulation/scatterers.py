@@ -11,9 +11,9 @@ from simulation.movement import Vehicles
 from simulation.scene import Scene
 from simulation.sight import Walls
 
-_TALL_M = 2.4
+_TALL_VEHICLE_M = 2.4
 _WHEEL_SHARE = 0.16
-_INSIDE_M = 0.08
+_MEAN_DEPTH_M = 0.08
 # cross sections of the scatter points of one vehicle differ by so much (standard deviation)
 SPOT_DB = 5.5
 
@@ -169,7 +169,7 @@ def draw_spots(side: Booleans, rng: np.random.Generator) -> Spots:
         side=side,
         wheel=wheel,
         across=across,
-        inside_m=rng.exponential(_INSIDE_M, count),
+        inside_m=rng.exponential(_MEAN_DEPTH_M, count),
         low_m=rng.uniform(0.3, 0.9, count),
         high=rng.uniform(0.3, 0.95, count),
         pick=rng.random(count),
@@ -216,7 +216,7 @@ def place_spots(
     depth = 1.0 - np.minimum(spots.inside_m / half.min(axis=1), 1.0)
     lengthwise = np.where(side, spots.across, outward * depth) * half[:, 0]
     sidewise = np.where(side, outward * depth, spots.across) * half[:, 1]
-    tall = spots.pick < np.where(height > _TALL_M, 0.5, 0.25)
+    tall = spots.pick < np.where(height > _TALL_VEHICLE_M, 0.5, 0.25)
     over = np.where(wheel, 0.35, np.where(tall, spots.high * height, spots.low_m))
     heading, speed = vehicles.heading[owner], vehicles.speed[owner]
     ahead = np.column_stack([np.cos(heading), np.sin(heading)])

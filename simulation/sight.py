@@ -149,7 +149,7 @@ def parked_boxes(scene: Scene) -> Boxes:
     )
 
 
-def both(first: Boxes, second: Boxes) -> Boxes:
+def join_boxes(first: Boxes, second: Boxes) -> Boxes:
     """Return the boxes of `first`, then those of `second`."""
     return Boxes(
         centre=np.vstack([first.centre, second.centre]),

@@ -13,8 +13,8 @@ import numpy as np
 from gis_radar.base import Floats
 from simulation.curves import offset
 
-LIMITS_MPS = (8.33, 13.89, 13.89, 16.67)
-STEP_M = 3.0
+SPEED_LIMITS_MPS = (8.33, 13.89, 13.89, 16.67)
+VERTEX_GAP_M = 3.0
 NO_TURNS = "<connections/>"  # SUMO guesses them
 
 
@@ -111,7 +111,7 @@ def axis(start: Floats, heading_deg: float, *parts: tuple[float, float]) -> Floa
     middle = (heading[1:] + heading[:-1]) / 2.0
     moves = step[:, None] * np.column_stack([np.cos(middle), np.sin(middle)])
     line = np.vstack([[0.0, 0.0], np.cumsum(moves, axis=0)]) + start
-    every = max(1, round(STEP_M))
+    every = max(1, round(VERTEX_GAP_M))
     return np.vstack([line[:-1:every], line[-1:]])
 
 
@@ -136,7 +136,7 @@ def _drawn(name: str, rng: np.random.Generator) -> StreetPlan:
     return StreetPlan(
         name=name,
         lane_width_m=round(float(rng.uniform(2.9, 3.6)), 2),
-        speed_mps=float(rng.choice(LIMITS_MPS)),
+        speed_mps=float(rng.choice(SPEED_LIMITS_MPS)),
     )
 
 
@@ -172,7 +172,7 @@ def bend(rng: np.random.Generator) -> StreetPlan:
     back = float(rng.choice([0.0, -0.6]))
     parts = ((120.0, 0.0), (length, 1.0 / radius), (30.0, 0.0), (60.0, back / radius), (70.0, 0.0))
     line = axis(np.zeros(2), rng.uniform(0.0, 360.0), *parts)
-    line = line - line[np.searchsorted(np.arange(len(line)) * STEP_M, 120.0 + length / 2.0)]
+    line = line - line[np.searchsorted(np.arange(len(line)) * VERTEX_GAP_M, 120.0 + length / 2.0)]
     if rng.random() < 0.5:
         line = line * [1.0, -1.0]
     lanes = int(rng.choice([1, 1, 2]))

@@ -29,12 +29,12 @@ from simulation.scatterers import (
 from simulation.scene import Scene
 
 # Scatter points of vehicles are drawn once for so many vehicles; with more, numbers share them.
-_VEHICLES = 1024
+_VEHICLE_SLOTS = 1024
 # A car's end has two lamps, two corners, bumper and plate.
 _SPOTS_PER_FACE = 6
 # Waves that add up to a wander: enough for a bell curve (8: kurtosis 2.8 instead of 3).
 _WAVES = 8
-_MOST_CERTAIN = 0.98
+_MOST_CHANCE = 0.98
 # A threshold of constant false alarms (CFAR) averages some cells of range and azimuth.
 _AROUND_M = 4.0
 # Frames of tubes fill less of their outline than a car's body: with what their size takes, a
@@ -151,13 +151,13 @@ class Lasting:
         clutter = Clutter(point=clutter.point, rcs=clutter.rcs + speckle, wobble=clutter.wobble)
         contrast_db = _contrast(clutter.point, strength_db + speckle)
         size = np.array([self.range_m, *np.radians([self.azimuth_deg, self.elevation_deg])])
-        shape = (len(speckle) + _VEHICLES, 3, _WAVES)
+        shape = (len(speckle) + _VEHICLE_SLOTS, 3, _WAVES)
         side = np.repeat([False, True], 2 * _SPOTS_PER_FACE)
         return _LastingTargets(
             clutter=clutter,
             chance=_thresholded(contrast_db / self.softness_db, per_frame),
-            spots=draw_spots(np.tile(side, _VEHICLES), rng),
-            spot_rcs=rng.normal(0.0, SPOT_DB, len(side) * _VEHICLES),
+            spots=draw_spots(np.tile(side, _VEHICLE_SLOTS), rng),
+            spot_rcs=rng.normal(0.0, SPOT_DB, len(side) * _VEHICLE_SLOTS),
             pace=rng.normal(0.0, 1.0 / self.seconds, shape),
             phase=rng.uniform(0.0, 2.0 * np.pi, shape),
             size=size * np.sqrt(2.0 / _WAVES),
@@ -192,7 +192,7 @@ class _LastingTargets:
         chance = np.repeat(rates.T, 2 * _SPOTS_PER_FACE, axis=1) / _SPOTS_PER_FACE
         owner, slot = np.nonzero(lit & (rng.random(lit.shape) < chance))
         number = vehicles.number[owner]
-        row = number % _VEHICLES * lit.shape[1] + slot
+        row = number % _VEHICLE_SLOTS * lit.shape[1] + slot
         less = np.array([OPEN_FRAME_DB.get(kind, 0.0) for kind in vehicles.kind])
         scatterers = place_spots(
             vehicles, scene, owner, outward[slot], self.spots.where(row),
@@ -202,7 +202,7 @@ class _LastingTargets:
 
     def of(self, number: Integers) -> Integers:
         """Return the rows after those of the fixed points."""
-        return len(self.clutter.rcs) + number % _VEHICLES
+        return len(self.clutter.rcs) + number % _VEHICLE_SLOTS
 
     def bias(self, target: Integers, time: float) -> Floats:
         """Return the biases of this moment."""
@@ -235,6 +235,6 @@ def _thresholded(strength: Floats, total: float) -> Floats:
     low, high = -100.0, 100.0
     for _ in range(40):
         middle = (low + high) / 2.0
-        enough = float(expit(strength - middle).sum()) * _MOST_CERTAIN > total
+        enough = float(expit(strength - middle).sum()) * _MOST_CHANCE > total
         low, high = (middle, high) if enough else (low, middle)
-    return np.asarray(_MOST_CERTAIN * expit(strength - low))
+    return np.asarray(_MOST_CHANCE * expit(strength - low))

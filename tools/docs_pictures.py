@@ -184,13 +184,13 @@ def qgis(demo: Path) -> None:
             DESKTOP, SHOTS=name, DEMO=str(demo), OUT=str(place / "results"),
             SITE=str(place / "junction" / "SITE.toml"),
         )  # fmt: skip
-        with virtual_screen(*SCREEN, _around(place)) as around:
-            checked(run_desktop(script, place, place, around))
-            run("qgis_process", "plugins", "enable", "gis_radar_plugin", around=around)
+        with virtual_screen(*SCREEN, _qgis_environment(place)) as environment:
+            checked(run_desktop(script, place, place, environment))
+            run("qgis_process", "plugins", "enable", "gis_radar_plugin", environment=environment)
             run("qgis_process", "run", "gisradar:exportreport", "--", f"HEATMAP={demo}/heatmap",
                 f"SENSORS={demo}/sensors.gpkg", "TITLE=Sample junction (simulated)",
                 "SOURCE=gis_radar", "TIME_ZONE=Europe/Berlin", "DPI=103", f"OUTPUT={place}/report",
-                around=around)  # fmt: skip
+                environment=environment)  # fmt: skip
         for part, wide in (("map", SCREEN[0]), ("toolbox", 400), ("dialog", 750)):
             keep(Image.open(place / f"{part}.png"), f"qgis-{part}", wide)
         keep(Image.open(place / "report" / "Junction_1_whole.png"), "qgis-sheet", 1200)
@@ -202,8 +202,8 @@ def wizard(_demo: Path) -> None:
         place = Path(name)
         shutil.copytree(ROOT / "sample_maps", place / "junction")
         script = desktop_script(WIZARD, SHOTS=name, JUNCTION=str(place / "junction"))
-        with virtual_screen(*SCREEN, _around(place)) as around:
-            checked(run_desktop(script, place, place, around))
+        with virtual_screen(*SCREEN, _qgis_environment(place)) as environment:
+            checked(run_desktop(script, place, place, environment))
         keep(Image.open(place / "wizard.png"), "qgis-wizard", SCREEN[0])
 
 
@@ -213,7 +213,7 @@ PICTURES = {
 }  # fmt: skip
 
 
-def _around(place: Path) -> dict[str, str]:
+def _qgis_environment(place: Path) -> dict[str, str]:
     """Return the surroundings of a QGIS with the plugin and profiles of its own."""
     return {
         "HOME": os.environ["HOME"], "LANG": "C.UTF-8", "TZ": "Europe/Berlin",
@@ -223,12 +223,12 @@ def _around(place: Path) -> dict[str, str]:
     }  # fmt: skip
 
 
-def run(*words: str | Path, around: dict[str, str] | None = None) -> str:
+def run(*words: str | Path, environment: dict[str, str] | None = None) -> str:
     """Run a program and return what it prints; show that where it fails."""
     return checked(
         subprocess.run(
             [str(word) for word in words],
-            env=around,
+            env=environment,
             capture_output=True,
             text=True,
             check=False,

@@ -70,14 +70,16 @@ def desktop_script(body: str, **names: str) -> str:
 
 
 @contextmanager
-def virtual_screen(width: int, height: int, around: Mapping[str, str]) -> Iterator[dict[str, str]]:
+def virtual_screen(
+    width: int, height: int, environment: Mapping[str, str]
+) -> Iterator[dict[str, str]]:
     """Yield the surroundings of programs on a virtual screen with a window manager.
 
     QGIS's desktop dies on Qt's own.
     """
     number = 90 + os.getpid() % 900
     screen = Path(f"/tmp/.X11-unix/X{number}")  # noqa: S108 - where X puts it  # nosec B108
-    inside = {**around, "DISPLAY": f":{number}", "QT_QPA_PLATFORM": "xcb"}
+    inside = {**environment, "DISPLAY": f":{number}", "QT_QPA_PLATFORM": "xcb"}
     size = f"{width}x{height}x24"
     commands = (["Xvfb", inside["DISPLAY"], "-screen", "0", size, "-nolisten", "tcp"], ["openbox"])
     started: list[subprocess.Popen[bytes]] = []
@@ -104,7 +106,7 @@ def _wait_for(screen: Path, server: subprocess.Popen[bytes]) -> None:
 
 
 def run_desktop(
-    script: str, place: Path, profiles: Path, around: Mapping[str, str], *words: str
+    script: str, place: Path, profiles: Path, environment: Mapping[str, str], *words: str
 ) -> subprocess.CompletedProcess[str]:
     """Start QGIS on a screen, let it go through a script, and return what it wrote.
 
@@ -126,5 +128,5 @@ def run_desktop(
     return subprocess.run(
         ["qgis", "--nologo", "--noversioncheck", "--profiles-path", str(profiles), *words,
          "--code", str(startup)],
-        capture_output=True, text=True, timeout=WAIT_S, check=False, env=dict(around),
+        capture_output=True, text=True, timeout=WAIT_S, check=False, env=dict(environment),
     )  # fmt: skip

@@ -30,7 +30,7 @@ from simulation.city import (
     make_site,
     write_city_file,
 )
-from simulation.drawn_days import DRAWN, DayDrawer, DrawnEvents, doubt
+from simulation.drawn_days import DRAWN, DayDrawer, DrawnEvents, add_finding
 from simulation.measured_minutes import PART_S, MeasuredParts
 
 REMARK = (
@@ -119,7 +119,7 @@ def draw(dataset: gr.Dataset, site: CitySite, number: int, known: argparse.Names
     if site.knocked:
         cause = f"it was knocked on {KNOCKED_AT:%Y-%m-%d}: its yaw changed by {KNOCKED_DEG:g} deg"
         evidence = drawn.manifest.findings[site.knocked].evidence
-        doubt(
+        add_finding(
             drawn,
             Finding(
                 sensor=site.knocked, verdict="fits", evidence=evidence, cause=cause,
