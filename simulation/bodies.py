@@ -1,4 +1,4 @@
-"""Scatterers of walkers: a trunk that goes and limbs that swing."""
+"""Scatter points of walkers: on the trunk and on limbs that swing."""
 
 from __future__ import annotations
 
@@ -9,25 +9,24 @@ from simulation.movement import Vehicles
 from simulation.scatterers import Scatterers
 from simulation.scene import Scene
 
-# recorded beside a kerb: 4-5 detections a frame of each walker near the radar
-_MEAN_POINTS = 6.0
-_LIMB_SHARE = 0.4
-_LIMB_SPEEDS = (0.0, 2.5)  # of the walker's: a foot stands, then overtakes
-# a walker's -8 dBm2, shared by the points: 1 return a frame at 45 m, when a car has 1-2
+_MEAN_POINTS = 6.0  # a frame; recordings have 4-5 detections of a walker near the radar
+_LIMB_SHARE = 0.4  # of the points
+_LIMB_SPEEDS = (0.0, 2.5)  # times the walker's: a foot stands, then overtakes
+# -8 dBm2 of a walker, divided by the points: 1 detection a frame at 45 m, where a car has 1-2
 _MEAN_RCS_DB, _RCS_SIGMA_DB = -8.0 - 10.0 * np.log10(_MEAN_POINTS), 4.0
 
 
 def walker_scatterers(walkers: Vehicles, scene: Scene, rng: np.random.Generator) -> Scatterers:
-    """Draw the scatter points of walkers, anew in every frame: bodies change as they move.
+    """Draw the scatter points of walkers for one frame; bodies change as they move.
 
     Parameters
     ----------
     walkers : Vehicles
-        Where they are.
+        The walkers.
     scene : Scene
         Gives the ground's height.
     rng : Generator
-        Decides how many points and where.
+        Random numbers.
     """
     owner = np.repeat(np.arange(len(walkers.speed)), rng.poisson(_MEAN_POINTS, len(walkers.speed)))
     count = len(owner)

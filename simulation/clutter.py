@@ -1,4 +1,4 @@
-"""Clutter: the fixed scatter points a radar sees around it, drawn once for its pose."""
+"""Clutter: the fixed scatter points around a radar, drawn once for its pose."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from simulation.scatterers import vehicle_scatterers
 from simulation.scene import Scene, Tree
 from simulation.sight import building_walls, parked_boxes
 
-_LEAF_MOTION_MPS = 0.02
-_KERB_REACH_M = 110.0
-_GUTTER_M = 0.4
-_GROUND_REACH_M = 70.0
+_LEAF_MOTION_MPS = 0.02  # mean of the range rates' standard deviation
+_KERB_REACH_M = 110.0  # from the radar
+_GUTTER_M = 0.4  # from the edge of the lane to the kerb stone
+_GROUND_REACH_M = 70.0  # from the radar
 _GROUND_POINTS = 900
-_ASPHALT_LOSS_DB = 14.0
+_ASPHALT_LOSS_DB = 14.0  # smooth asphalt reflects a grazing wave away, grass and gravel less
 _POINTS_PER_CROWN = 40
-_PARKED_DENSITY = 14.0
+_PARKED_DENSITY = 14.0  # as `RadarModel.density`, for parked cars
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class Clutter:
     rcs : Floats
         Mean radar cross section, dBm2.
     wobble : Floats
-        Standard deviation of the range rate: leaves move, walls do not; m/s.
+        Standard deviation of the range rate (leaves move), m/s.
     """
 
     point: Floats
@@ -53,11 +53,11 @@ def draw_clutter(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter
     Parameters
     ----------
     scene : Scene
-        What stands there.
+        The surroundings.
     eye : (3,) array
-        The sensor in the map.
+        Position of the sensor in the map.
     rng : Generator
-        Decides the places.
+        Random numbers.
     """
     parts = [
         _kerbs(scene, eye, rng),
@@ -95,7 +95,6 @@ def _spread(line: Floats, gap_m: float, rng: np.random.Generator) -> Floats:
 
 
 def _kerbs(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
-    # A gutter runs between the edge of the lane and the kerb stone.
     rings = shapely.get_parts(shapely.boundary(scene.road.buffer(_GUTTER_M)))
     plane = np.vstack([_spread(shapely.get_coordinates(ring), 0.7, rng) for ring in rings])
     plane = plane[np.hypot(*(plane - eye[:2]).T) < _KERB_REACH_M]
@@ -109,13 +108,12 @@ def _ground(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
     turn = rng.uniform(0.0, 2.0 * np.pi, _GROUND_POINTS)
     plane = eye[:2] + np.column_stack([reach * np.cos(turn), reach * np.sin(turn)])
     point = np.column_stack([plane, scene.ground(plane)])
-    # Smooth asphalt mirrors a grazing wave away; grass and gravel send some of it back.
     asphalt = shapely.contains_xy(scene.road, plane)
     return _motionless(point, rng.normal(-15.0, 4.0, _GROUND_POINTS) - _ASPHALT_LOSS_DB * asphalt)
 
 
 def _facades(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
-    """Return points on walls turned to the sensor; corners and square-on walls are brightest."""
+    """Draw points on walls that face the sensor; corners and perpendicular walls are brightest."""
     points, strengths = [np.empty((0, 3))], [np.empty(0)]
     for building in scene.buildings:
         floor = float(scene.terrain.height(building.outline[0]))
@@ -173,7 +171,7 @@ def _parked(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
 
 
 def _tree(scene: Scene, tree: Tree, eye: Floats, rng: np.random.Generator) -> Clutter:
-    """Return the trunk, which stands, and leaves on the near half of the crown, which stir."""
+    """Draw points on the trunk, and on leaves of the near half of the crown, which move."""
     place = np.array(tree.place)
     floor = float(scene.terrain.height(place))
     middle = np.array([*place, floor + tree.crown_height_m])

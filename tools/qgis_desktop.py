@@ -1,4 +1,4 @@
-"""Drive the desktop of QGIS on a virtual screen, step by step, for pictures and for a test.
+"""Run the desktop of QGIS on a virtual screen, step by step, for pictures and for a test.
 
 Needs QGIS with Xvfb, openbox and ImageMagick (tools/get_browser_and_qgis.sh).
 """
@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-WAIT_S = 350
-# What a script begins with: steps that QGIS takes one after the other, so many seconds apart.
+WAIT_S = 350  # for a program, at most
+# Begin of a script: runs its steps one after the other, each after so many seconds.
 _SCRIPT = """
 import os, subprocess, traceback
 from qgis.PyQt.QtCore import Qt, QTimer
@@ -73,9 +73,9 @@ def desktop_script(body: str, **names: str) -> str:
 def virtual_screen(
     width: int, height: int, environment: Mapping[str, str]
 ) -> Iterator[dict[str, str]]:
-    """Yield the surroundings of programs on a virtual screen with a window manager.
+    """Yield the environment variables of programs on a virtual screen with a window manager.
 
-    QGIS's desktop dies on Qt's own.
+    QGIS's desktop crashes on Qt's platform `offscreen`.
     """
     number = 90 + os.getpid() % 900
     screen = Path(f"/tmp/.X11-unix/X{number}")  # noqa: S108 - where X puts it  # nosec B108
@@ -108,17 +108,17 @@ def _wait_for(screen: Path, server: subprocess.Popen[bytes]) -> None:
 def run_desktop(
     script: str, place: Path, profiles: Path, environment: Mapping[str, str], *words: str
 ) -> subprocess.CompletedProcess[str]:
-    """Start QGIS on a screen, let it go through a script, and return what it wrote.
+    """Start QGIS on a screen with a script, wait for its end, and return its output.
 
     Parameters
     ----------
     script : str
         From :func:`desktop_script`.
     place : Path
-        Folder that the script is kept in.
+        Folder for the script's file.
     profiles : Path
         QGIS's profiles.
-    around : mapping
+    environment : mapping
         From :func:`virtual_screen`.
     *words : str
         Further options.

@@ -1,4 +1,4 @@
-"""Run commands at the same time: the first one in sight, the others told when they have ended.
+"""Run commands at the same time; print the first one's output at once, the others' at their end.
 
     python tools/side_by_side.py 'pytest -n 2' mypy 'sh tools/test_qgis.sh'
 
@@ -16,7 +16,7 @@ import time
 from collections.abc import Sequence
 from typing import IO
 
-GRACE_S = 10.0
+GRACE_S = 10.0  # for all commands together to end after Ctrl-C
 
 
 def run(commands: Sequence[str]) -> int:
@@ -41,7 +41,7 @@ def run(commands: Sequence[str]) -> int:
 
 
 def _print_output(command: str, output_file: IO[bytes]) -> None:
-    """Write what a command has said, under its name."""
+    """Print the output of a command below the command."""
     output_file.seek(0)
     sys.stdout.write(f"\n$ {command}\n")
     sys.stdout.flush()
@@ -50,7 +50,7 @@ def _print_output(command: str, output_file: IO[bytes]) -> None:
 
 
 def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
-    """End what still runs when all is broken off; they have had the same Ctrl-C."""
+    """Wait for processes, which had the same Ctrl-C, for `GRACE_S` in all; then end the rest."""
     until = time.monotonic() + GRACE_S
     for process in processes:
         try:
