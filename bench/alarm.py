@@ -27,14 +27,7 @@ from typing import Any
 
 import numpy as np
 import pages
-from alarm_hours import (
-    APART_MINUTES,
-    CHANGING,
-    DrawnHours,
-    Minute,
-    fit_false_alarms,
-    half_hour_maxima,
-)
+from alarm_hours import APART_MINUTES, CHANGING, DrawnHours, Minute, fit_false_alarms
 from figures import ROOT, SHARE_CHANCE, TARGET, Figure, report, table
 from scipy.spatial.transform import Rotation
 
@@ -120,7 +113,10 @@ def main() -> None:
             _add(moved.setdefault(name, {}), noticed(sensor, made))
             if name == "ordinary":
                 days += rest(sensor, made, arguments.days, arguments.seed)
-    tails = {who: _tail(days, who) for who in DETECTORS}
+    tails = {
+        who: fit_false_alarms([[getattr(each, who) for each in day] for day in days])
+        for who in DETECTORS
+    }
     text = "\n\n".join([_noticed_table(moved), _false_table(tails, days)])
     print(text)
     if arguments.into is not None:
@@ -390,13 +386,6 @@ def rest(sensor: Sensor, batches: Sequence[Path], days: int, seed: int) -> list[
         drawn = enumerate(hours.drawn(24.0, CHANGING))
         passed.append([both.minute(each.places, each.still, 60.0 * k) for k, each in drawn])
     return passed
-
-
-def _tail(days: Sequence[Sequence[Scores]], who: str) -> dict[str, Any]:
-    """Return the figures of a change detector's false alarms."""
-    return fit_false_alarms(
-        np.concatenate([half_hour_maxima([getattr(each, who) for each in day]) for day in days])
-    )
 
 
 def _noticed_table(moved: Mapping[str, Noticed]) -> str:

@@ -296,18 +296,15 @@ def _cars(still: Floats, share: float, rng: np.random.Generator) -> list[np.ndar
     return groups
 
 
-def half_hour_maxima(scores: Sequence[float]) -> Floats:
-    """Return the largest score of each half hour."""
-    whole = len(scores) - len(scores) % APART_MINUTES
-    return np.asarray(np.array(scores[:whole]).reshape(-1, APART_MINUTES).max(axis=1))
+def fit_false_alarms(days: Sequence[Sequence[float]]) -> dict[str, Any]:
+    """Return the false alarms a month (scores over 1), by a Pareto distribution of high scores.
 
-
-def fit_false_alarms(largest: Floats) -> dict[str, Any]:
-    """Return the false alarms a month, by a Pareto distribution of half-hourly maxima (gate: 1).
-
-    Neighbouring half hours share tested blocks: of neighbours above the threshold the largest
-    counts. The interval is that of 500 draws of the exceedances with replacement.
+    It is fitted to the largest score of each half hour of the days. Neighbouring half hours share
+    tested blocks: of neighbours above the threshold the largest counts. The interval is that of
+    500 draws of the exceedances with replacement.
     """
+    parts = [np.array(day[: len(day) - len(day) % APART_MINUTES]) for day in days]
+    largest = np.concatenate(parts).reshape(-1, APART_MINUTES).max(axis=1)
     level = float(np.quantile(largest, 0.9))
     above = largest > level
     hours = len(largest) * APART_MINUTES / 60.0

@@ -120,15 +120,10 @@ def thin_out(place: Place, folder: Path) -> Place:
     def seen(rows: pd.DataFrame, pose: gr.Pose) -> pd.DataFrame:
         points = pose.to_map(np.nan_to_num(rows[["x", "y", "z"]].to_numpy(np.float64)))[:, :2]
         at_m = 1000.0 * (np.rint(rows["time"].to_numpy() / STEP_S) - step[0])
-        near = np.asarray(
-            tree.query(
-                np.column_stack([points - origin, at_m]),
-                NEAREST_VEHICLES,
-                distance_upper_bound=HALF_LENGTH_M,
-            )[1]
-        )
+        places = np.column_stack([points - origin, at_m])
+        near = tree.query(places, NEAREST_VEHICLES, distance_upper_bound=HALF_LENGTH_M)[1]
         nearest, least_m = np.full(len(rows), len(true)), np.full(len(rows), OUTLINE_MARGIN_M)
-        for number in near.T:
+        for number in np.asarray(near).T:
             there = number < len(true)
             one = np.where(there, number, 0)
             turn = np.radians(sizes[one, 2])

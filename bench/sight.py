@@ -40,7 +40,6 @@ TOWNS, LEVELS = (4, 7), (1, 2, 3)
 DENSE = (Strip(heading_deg=24.0, slant=0.16), Strip(heading_deg=208.0, slant=0.1))
 # By name: whether points have classes, and the distance of points as a multiple of the dense one.
 SCANS = {"classes": (True, 1.0), "no classes": (False, 1.0), "thin, no classes": (False, 2.2)}
-UP = np.array([0.0, 0.0, 0.6])  # from a tile's centre to the point that must be in sight
 MOST_SECONDS, LEAST_PERCENT = 10.0, 0.1  # target of the time; smaller differences are chance
 # Of the tiles in view: in sight as called, and truly; seconds for the scan and all sensors.
 Verdict = tuple[Booleans, Booleans, float]
@@ -104,7 +103,7 @@ def town(number: int, scans: tuple[str, ...], folder: Path) -> Iterator[tuple[st
     write_lanelets(network, folder / "map.osm", terrain=TERRAIN, crs=UTM)
     tiles = SightTiles.of(gr.make_tiles(gr.read_map(folder / "map.osm")))
     poses = [pose for k in (False, True) for pose in masts_of(scene, free=k)]
-    targets, walls = tiles.centres + UP, building_walls(scene)
+    targets, walls = tiles.centres + two_levels.UP, building_walls(scene)
     hidden = [walls.hide(pose.position, targets) for pose in poses]
     for name in scans:
         classified, spacing = SCANS[name]

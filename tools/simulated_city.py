@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import gis_radar as gr
 from gis_radar.calibration import Finding
 from simulation.city import (
+    CITY,
     KNOCKED_AT,
     KNOCKED_DEG,
     MEASURED_DAY,
@@ -156,7 +157,7 @@ def write_readme(folder: Path, sites: Sequence[CitySite], minutes: float) -> Non
         for day, share in SHARES.get(k, {}).items():
             events.append((site, f"{share:.0%} of the usual demand since {day}"))
     text = README.format(
-        city="Simstadt", sites=len(sites), minutes=minutes, day=f"{MEASURED_DAY:%Y-%m-%d}",
+        city=CITY, sites=len(sites), minutes=minutes, day=f"{MEASURED_DAY:%Y-%m-%d}",
         events="\n".join(f"- {site.name}: {text}" for site, text in events),
     )  # fmt: skip
     (folder / "README.txt").write_text(text, encoding="utf-8")

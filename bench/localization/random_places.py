@@ -91,13 +91,9 @@ def _make(number: int, folder: Path, conditions: str) -> None:
         car_share=float(rng.uniform(0.0, 0.4)),
     )
     place = make_place(
-        plan,
-        seed=number,
-        terrain=terrain,
-        settings=settings,
-        duration_s=WINDOW_S,
+        plan, seed=number, terrain=terrain, settings=settings, duration_s=WINDOW_S,
         roadside=roadside,
-    )
+    )  # fmt: skip
     pose = _sensor(place.scene, rng)
     write_moving(place.record(pose, seed=number, model=under.model), folder / "R1.parquet")
     pose.write(folder / "R1.json")

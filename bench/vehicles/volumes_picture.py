@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 import shapely
 from found import found_in
+from lane_volumes import WITHIN_M
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scenes import SceneFiles
@@ -26,7 +27,6 @@ import gis_radar as gr
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
 import pages
 
-WITHIN_M = 100.0  # of a radar, for which accuracy is stated
 WIDTH_PX = 1600
 TRUE, FOUND = "#b5482a", "#1f4e79"  # differ in grey and for the colour-blind
 
