@@ -38,13 +38,13 @@ class Figure:
     Parameters
     ----------
     what : str
-        What is measured.
+        Its name: what is measured.
     ours : float
         The figure.
     unit : str
         Its unit.
     peer, peer_name : float or None, str
-        What it is set beside: a peer in the same run, or a target (`TARGET`).
+        A peer's figure of the same run, or a target, and its name (`TARGET` for a target).
     more_is_better : bool
         Whether a higher figure is a better one.
     chance, least : float

@@ -1,4 +1,4 @@
-"""Simulated places where a road crosses another on a bridge: tiles, poses, scan, what is hidden.
+"""Simulated places where a road crosses another on a bridge: tiles, poses, scan, hidden tiles.
 
 Formulas say whether a point is inside the ground, a ramp (a bank of earth, or between walls), the
 deck or a house. A line of sight is blocked where it runs through one of these; a pulse of the scan

@@ -133,7 +133,7 @@ def draw(dataset: gr.Dataset, site: CitySite, number: int, known: argparse.Names
 def parts_of(
     dataset: gr.Dataset, site: CitySite, heard: set[frozenset[str]], minutes: float
 ) -> Mapping[frozenset[str], MeasuredParts]:
-    """Return the measured parts by the sensors that deliver; the others are left out of them."""
+    """Return the measured parts by the sensors that deliver, measured with these alone."""
     begins = [level.begin for level in site.levels]
     count, found = int(minutes * 60.0) // PART_S, dict[frozenset[str], MeasuredParts]()
     for sensors in heard:

@@ -70,9 +70,9 @@ class Place:
     network : RoadNetwork
         The lanes, in the map frame.
     scene : Scene
-        What stands there.
+        The surroundings.
     traffic : Traffic
-        What drives there.
+        The road users.
     """
 
     network: RoadNetwork

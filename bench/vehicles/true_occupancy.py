@@ -22,7 +22,7 @@ OVERLAP_M, LEVEL_M = 0.5, 2.0  # of `occupied`, as the glossary defines it
 HIDDEN_STEPS = 200  # for which a hidden tile stays visible: 10 s
 OVER_ROAD_M = 0.6  # of the point of a tile that must be in sight
 VALIDITY_S = 0.1  # of a frame
-EVERY_STEPS = 4  # in which it is looked at what vehicles hide
+EVERY_STEPS = 4  # in which hiding by vehicles is computed
 
 
 @dataclass(frozen=True, kw_only=True)
