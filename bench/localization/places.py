@@ -153,18 +153,9 @@ def read_ground(folder: Path) -> Ground:
 
 
 def up_to_date(folder: Path, make: Callable[[], None], *modules: str, settings: str = "") -> Path:
-    """Return a folder after making it again where simulator, modules or settings have changed.
+    """Return a folder, made again where simulator, `modules` beside this one, or settings changed.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder; `made.txt` in it has the digest of what it was made by.
-    make : callable
-        Writes the files.
-    modules : str
-        Names of modules beside this one that the files depend on.
-    settings : str
-        Settings that they depend on.
+    `made.txt` in it has the digest of what it was made by.
     """
     code = [Path(__file__).parent / f"{name}.py" for name in modules]
     code += sorted((ROOT / "simulation").glob("*.py"))

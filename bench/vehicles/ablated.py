@@ -77,10 +77,7 @@ def _as_it_is(detections: Any, rows: Any, states: Any) -> Any:
 
 
 class _Persons:
-    """Test of persons that tells none in every other call.
-
-    Of the two calls of a block one is before the posterior, the other after it.
-    """
+    """Test of persons that finds none in the first (1) or last (0) of the two calls of a block."""
 
     def __init__(self, off: int) -> None:
         self.calls, self.off = 0, off

@@ -5,8 +5,7 @@
 Occupancy of tiles in classes of distance from the nearest radar and of true occupancy, and volumes
 of lanes by minute, of scenes with found poses. Each class is sorted by the stated error and divided
 into six bins; a point is the root mean square of stated and of true errors in one, and lies on the
-diagonal where standard errors are right. With `--into`, the table is put into a page, between its
-marks.
+diagonal where standard errors are right. With `--into`, the table is put into a page.
 """
 
 from __future__ import annotations

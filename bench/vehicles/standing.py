@@ -16,8 +16,8 @@ from simulation.scene import Scene
 from simulation.sight import Boxes, Walls, building_walls, parked_boxes
 
 BUILDING = 6  # ASPRS class
-# Of a scan: its cells; cells around one whose lowest point is the ground; heights over the ground
-# of what may hide, and of what shows the ground; samples of a line of sight that must be blocked.
+# Of a scan: size of cells, and how many around one give the ground; heights over it of what may
+# hide, and of what shows the ground; samples of a line of sight that must be blocked.
 CELL_M, GROUND_CELLS, HIGH_M, LOW_M, LEAST_SAMPLES = 1.0, 11, 2.5, 0.5, 2
 WALLS, CARS = ("begin", "end", "top"), ("centre", "heading", "size")
 
