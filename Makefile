@@ -1,21 +1,21 @@
-# `make` lists the targets. Whatever they need is set up first, in .venv.
+# `make` lists the targets. Packages that they need are installed first, in .venv.
 # PYTHON=/path/to/python3.12 chooses the Python; UPGRADE=--upgrade renews the pins;
-# QUICK=--quick makes bench-localization a quick look.
+# QUICK=--quick makes bench-localization short.
 BIN := .venv/bin
-# What `make test` makes once for the tests that look at it.
+# Made once by `make test`, for several tests.
 DEMO := out/test/demo
 BUILT_DOCS := out/test/docs
-# What is waited for comes first: what runs beside it takes what it leaves of the cores.
+# For commands beside one that the next step waits for: they take what it leaves of the cores.
 BESIDE := nice -n 10
-# Beside the set-up for `make test`, browser, broker and QGIS are fetched by apt.
+# During the set-up for `make test`, apt installs browser, broker, PostGIS and QGIS.
 PROGRAMS := $(if $(filter test,$(MAKECMDGOALS)),--programs)
-# Checks run side by side: threads of one would wait for those of another.
+# Checks run side by side: their threads would compete for the cores.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
-# Hundreds of processes start, each faster with what earlier ones compiled.
+# Compiled modules are kept: hundreds of processes start faster with them.
 unexport PYTHONDONTWRITEBYTECODE
 MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis qgis_plugin/tests/.qgis-settings
 
-# With errors as recorded two starts a sensor: fifty take half an hour for each of them.
+# Two starts a sensor under other conditions than `textbook`: fifty take half an hour each.
 RECORDED = $(BIN)/python bench/localization $(QUICK) --only table --starts 2 --conditions
 
 BENCHES := bench-assignment bench-tiles bench-dataset bench-city bench-mask \
@@ -55,8 +55,8 @@ city: set-up-dev ## Make a simulated city in out/city: SITES (20), MONTHS (2) dr
 docs: set-up-dev ## Build the documentation in out/docs/html, with the notebooks run
 	$(BIN)/python tools/build_docs.py --run-notebooks
 
-# Each worker of pytest would compile all tests for itself: they are collected once before, which writes what is compiled.
-# QGIS is one process of four then, and would end last if it took only what the others leave.
+# Tests are collected once before, which compiles them: else each worker of pytest would do so.
+# The tests in QGIS are one process of four, at nearly normal priority: else they would end last.
 test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 	@rm -rf $(DEMO) $(BUILT_DOCS) && mkdir -p $(dir $(DEMO))
 	$(ONE_THREAD) $(BIN)/python tools/side_by_side.py \
@@ -70,7 +70,7 @@ test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 faults: set-up-dev ## Run every input kind with every fault; `make test` runs a sample
 	GIS_RADAR_FAULTS=all $(ONE_THREAD) $(BIN)/pytest -n 3 --dist worksteal tests/faults tests/fuzz
 
-live-test: set-up-dev ## Run the live system through all that breaks, and days of a city in two ways, minutes long; `make test` runs the short part
+live-test: set-up-dev ## Run the long tests of the live system and of a city's run, minutes; `make test` runs the short ones
 	@sh tools/get_mosquitto.sh
 	GIS_RADAR_LIVE=all $(ONE_THREAD) $(BIN)/pytest --durations=10 $(wildcard tests/test_live*.py) \
 		tests/test_city_run.py::test_days_in_any_order_without_a_sensor_as_if_it_had_never_been
@@ -79,7 +79,7 @@ soak: set-up-dev ## Run 100 simulated sensors for SOAK_MINUTES (15): losses, lat
 	@sh tools/get_mosquitto.sh
 	$(ONE_THREAD) $(BIN)/python bench/live_soak.py --minutes $(or $(SOAK_MINUTES),15) --sensors $(or $(SENSORS),100)
 
-fuzz: set-up-dev ## Search for bytes that break a reader, FUZZ_SECONDS long (3600); findings in out/fuzz
+fuzz: set-up-dev ## Search for bytes that make a reader fail, for FUZZ_SECONDS (3600); findings in out/fuzz
 	PYTHONPATH=.:tests $(ONE_THREAD) $(BIN)/python -m fuzz
 
 test-lowest: set-up-dev ## Test with the lowest versions that pyproject.toml allows
@@ -91,7 +91,7 @@ test-newest: set-up-dev ## Test with the newest versions of all packages
 test-qgis: set-up ## Test the plugin in a real QGIS, which is installed on Debian 12
 	@sh tools/test_qgis.sh
 
-# The build of the documentation, what it shows to run, and the report in two languages take minutes.
+# Left out are tests that take minutes: build of the documentation, its examples, the report in two languages.
 rules: lint ## Check the rules of CONTRIBUTING.md in half a minute; `make test` has the rest of them
 	$(ONE_THREAD) $(BIN)/pytest -q $(patsubst %,tests/test_%.py,layers names languages project plugin formats_known docs) \
 		-k "not (site_builds or tutorial_runs or docstrings_run or german_report or reports or paper or every_language)"
@@ -107,12 +107,12 @@ format: set-up-dev ## Mend style and layout
 types: set-up-dev ## Check the types
 	$(BIN)/mypy
 
-bench: set-up-bench ## Run every benchmark; one table of them, and what got worse
+bench: set-up-bench ## Run every benchmark; print a table of all figures, and those that became worse
 	@rm -rf out/bench out/bench-vehicles/bench.json
 	-@$(MAKE) --keep-going $(BENCHES)
 	$(BIN)/python bench/summary.py
 
-bench-assignment: set-up-dev ## Measure tile assignment against its targets
+bench-assignment: set-up-dev ## Measure the assignment of points to tiles beside other libraries
 	$(BIN)/python bench/assignment.py
 
 bench-tiles: set-up-dev ## Measure a million tiles, made and written
@@ -121,31 +121,31 @@ bench-tiles: set-up-dev ## Measure a million tiles, made and written
 bench-dataset: set-up-dev ## Measure a dataset: time, memory, bytes
 	$(BIN)/python bench/dataset.py
 
-bench-city: set-up-dev ## Measure questions over a year, the map of a month, and the workers of a run
+bench-city: set-up-dev ## Measure questions over a year, the map of a month, and executors of a run
 	$(BIN)/python bench/city_questions.py
 	$(ONE_THREAD) $(BIN)/python bench/city_run.py
 
 bench-mask: set-up-dev ## Measure the road mask: time, and memory from few tiles to many
 	PATH=.pdal/bin:$$PATH $(BIN)/python bench/mask.py
 
-bench-localization: set-up-bench ## Measure localization beside the paper's (QUICK=--quick for a look)
+bench-localization: set-up-bench ## Measure localization beside the paper's method (QUICK=--quick: short)
 	$(BIN)/python bench/localization $(QUICK)
 	for method in lane icp; do $(RECORDED) "radar as recorded, walkers" --methods $$method || exit 1; done
 	$(RECORDED) "drivers as recorded" --methods lane
 
-bench-vehicles: set-up-bench ## Measure vehicles and occupancy against the true traffic
+bench-vehicles: set-up-bench ## Measure vehicles and occupancy beside the true traffic
 	$(BIN)/python bench/vehicles
 
 bench-convert: set-up-dev ## Measure the conversion of captures: time, and memory from short to long
 	$(BIN)/python bench/convert.py
 
-bench-clocks: set-up-dev ## Measure clocks that are off against the truth
+bench-clocks: set-up-dev ## Measure the errors of clock offsets
 	$(BIN)/python bench/clocks.py
 
 bench-alarm: set-up-dev ## Measure how soon a small move is noticed, and false alarms a month
 	$(BIN)/python bench/alarm.py
 
-bench-sight: set-up-dev ## Measure what is hidden against the truth of towns and two levels
+bench-sight: set-up-dev ## Measure sight beside the truth of towns and roads on two levels
 	$(BIN)/python bench/sight.py
 
 samples: set-up-dev ## Make the files in sample_maps again

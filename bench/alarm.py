@@ -1,16 +1,14 @@
-"""The alarm of `track`: how often it is false, and how soon it notices a small move.
+"""The alarm of `track`: how often it is false, and whether it notices a small move in ten minutes.
 
 Minutes of the sample junction are simulated detection by detection, with radars and drivers as
-recorded, walkers and cyclists. From these:
+recorded, walkers and cyclists. Two change detectors see them: one of stationary targets, one of
+vehicles.
 
-- *noticed*: the same detections as a sensor gives them that was moved by 0.3 m in eight directions
-  or turned by half a degree, after what there is of an hour: how often within ten minutes, by which
-  of both change detectors;
-- *rest*: days drawn anew from those minutes (`alarm_hours.py`), with what changes: traffic from
-  night to rush hour, habits by stretch, of all drivers and of trucks, obstacles that all go round,
-  still targets that wander for hours, parked cars that leave, rain, a mast that drifts as far as
-  the settings allow and sways in the wind. The rate of false alarms comes from a generalised Pareto
-  tail of the largest score of each half an hour.
+- Moved: the sensor is moved by 0.3 m in eight directions or turned by half a degree, at the begin
+  of each batch of ten minutes after the first three. Counted is which change detector notices it.
+- At rest: whole days are drawn from those minutes (`alarm_hours.py`) with what changes in a day.
+  The rate of false alarms comes from a generalised Pareto distribution, fitted to the largest
+  scores of half an hour.
 
 Example: ``python bench/alarm.py --into docs/limits.md`` puts the tables between the page's marks.
 """
@@ -29,8 +27,8 @@ from typing import Any
 
 import numpy as np
 import pages
-from alarm_hours import APART, CHANGING, Hours, Minute, halves, tail
-from figures import ROOT, SHARES, TARGET, Figure, report, table
+from alarm_hours import APART_MINUTES, CHANGING, DrawnHours, Minute, fit_false_alarms
+from figures import ROOT, SHARE_CHANCE, TARGET, Figure, report, table
 from scipy.spatial.transform import Rotation
 
 import gis_radar as gr
@@ -63,12 +61,13 @@ import make_samples
 import street_plan
 
 OUT = ROOT / "out" / "bench-alarm"
-MINUTES = 10  # a batch of simulation; streets hold the same habits in all of them
-STREETS_SEED = 77
-WINDOW_S = 100.0
-FIRST_MOVED = 3  # batches before the first move
+MINUTES = 10  # of a batch, which is simulated at once
+STREETS_SEED = 77  # of where drivers keep in each lane: the same in all batches
+WINDOW_S = 100.0  # of detections that show where vehicles drive
+FIRST_MOVED = 3  # batches before the first move, from which the change detectors learn
 
-WITNESSES = {
+# Change detectors, by the field of `Scores`; what moves by group of their names.
+DETECTORS = {
     "whole": "both, as `track` asks them",
     "still": "still returns alone",
     "vehicles": "traffic alone",
@@ -79,15 +78,15 @@ SIZES = {
     "yaw": "yaw by 0.5 degrees",
     "tilt": "pitch or roll by 0.5 degrees",
 }
-# Trials of a kind of move; how many of them each witness noticed within ten minutes.
+# By kind of move: the trials, and how many of them each change detector noticed in ten minutes.
 Noticed = dict[str, dict[str, int]]
 
 
 class SameStreets(LaneKeeping):
-    """Drivers as recorded, whose habits by lane are the same whatever the traffic's seed."""
+    """Lane keeping as recorded; where all drivers keep does not depend on the traffic's seed."""
 
     def on(self, network: RoadNetwork, *, seed: int) -> DrivenRoads:
-        """Return the roads with the habits of one seed."""
+        """Return the roads with where drivers keep, drawn from `STREETS_SEED`."""
         del seed
         return super().on(network, seed=STREETS_SEED)
 
@@ -98,9 +97,9 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--ordinary", type=int, default=5, help="batches of ten minutes")
-    parser.add_argument("--light", type=int, default=4, help="batches with a quarter of traffic")
+    parser.add_argument("--light", type=int, default=4, help="batches with a quarter of it")
     parser.add_argument("--days", type=int, default=5, help="of each sensor")
-    parser.add_argument("--seed", type=int, default=2, help="of the days; the gate is from 1")
+    parser.add_argument("--seed", type=int, default=2, help="of the days; the gate was set with 1")
     parser.add_argument("--into", type=Path, metavar="MD", help="put the tables into this page")
     arguments = parser.parse_args()
     moved: dict[str, Noticed] = {}
@@ -114,22 +113,22 @@ def main() -> None:
             _add(moved.setdefault(name, {}), noticed(sensor, made))
             if name == "ordinary":
                 days += rest(sensor, made, arguments.days, arguments.seed)
-    tails = {who: _tail(days, who) for who in WITNESSES}
+    tails = {
+        who: fit_false_alarms([[getattr(each, who) for each in day] for day in days])
+        for who in DETECTORS
+    }
     text = "\n\n".join([_noticed_table(moved), _false_table(tails, days)])
     print(text)
     if arguments.into is not None:
         pages.put(arguments.into, {"alarm": text})
     what = "false alarms of a sensor at rest, a month, 95 % below"
     most = tails["whole"].get("monthly_95", (0.0, 0.0))[1]
-    report("alarm", [Figure(what=what, ours=most, peer=1.0, peer_name=TARGET, chance=SHARES,
+    report("alarm", [Figure(what=what, ours=most, peer=1.0, peer_name=TARGET, chance=SHARE_CHANCE,
                             least=0.1)])  # fmt: skip
 
 
-# detections
-
-
 def _batch(name: str, number: int, share: float, mast: int) -> Path:
-    """Return the detections of ten minutes, simulated once and kept."""
+    """Return the file with the detections of a batch, which is simulated where it is missing."""
     sensor = make_samples.MASTS[mast].sensor
     path = OUT / name / f"{sensor}_{number:03d}_all.npz"
     if not path.exists():
@@ -155,7 +154,7 @@ def _batch(name: str, number: int, share: float, mast: int) -> Path:
 
 
 def _begin(number: int) -> float:
-    """Return when a batch begins, so that each sees other moments of what wanders."""
+    """Return when a batch begins, UNIX seconds: slow errors differ from batch to batch."""
     return make_samples.START + 60.0 * MINUTES * number
 
 
@@ -185,14 +184,14 @@ def _site(seed: int, duration_s: float, share: float) -> make_samples.Site:
 
 @dataclass(frozen=True, kw_only=True)
 class Detected:
-    """Detections in the sensor's frame."""
+    """Detections: time since the batch's begin (s), points (m, sensor frame), range rate (m/s)."""
 
     time: Floats
     points: Floats
     rate: Floats
 
     def between(self, begin: float, end: float) -> Detected:
-        """Return those of a time, its end not included."""
+        """Return the detections from `begin` to before `end`."""
         low, high = np.searchsorted(self.time, [begin, end])
         return Detected(
             time=self.time[low:high], points=self.points[low:high], rate=self.rate[low:high]
@@ -201,21 +200,24 @@ class Detected:
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
-    """The largest scores of a minute, in parts of their gates; whether still targets see."""
+    """Largest score of each change detector in a minute; over 1 is an alarm.
+
+    `still_decides` tells whether stationary targets are sensitive enough to decide alone.
+    """
 
     still: float
     vehicles: float
-    sees: bool
+    still_decides: bool
 
     @property
     def whole(self) -> float:
-        """What the alarm goes by, as :func:`gis_radar.calibration.monitoring.watch.decided`."""
-        return self.still if self.sees else max(self.still, self.vehicles)
+        """Score of both, decided as in :func:`gis_radar.calibration.monitoring.watch.decided`."""
+        return self.still if self.still_decides else max(self.still, self.vehicles)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """A radar of the sample, with the lanes around it."""
+    """Radar of the sample with its true pose, and the cells of the lanes around it."""
 
     name: str
     cells: Cells
@@ -223,7 +225,7 @@ class Sensor:
 
     @classmethod
     def of(cls, mast: int) -> Sensor:
-        """Return a radar where it truly stands."""
+        """Return the radar on a mast, given by its number."""
         folder = gr.sample_folder()
         pose = make_samples.MASTS[mast].pose()
         mask = gr.mask_road([folder / "scan.laz"], folder / "junction.osm", engine="laspy")
@@ -245,13 +247,13 @@ class Sensor:
             )  # fmt: skip
 
     def moved(self, batch: Detected, step: Floats) -> Detected:
-        """Return a batch as the sensor gives it that was moved, and is not known to be."""
+        """Return a batch as the sensor would measure it after a move (3 m, 3 rad) in the map."""
         moved = self.state.moved(np.append(step, 0.0))
         points = (self.state.to_map(batch.points) - moved.position) @ moved.R_map_sensor
         return replace(batch, points=points)
 
     def driven(self, batch: Detected, minute: int) -> LanePlaces:
-        """Return where vehicles drove in a minute of a batch."""
+        """Return where in their lanes vehicles drove in a minute of a batch."""
         now = 60.0 * (minute + 1)
         window = batch.between(now - WINDOW_S, now)
         drives = np.abs(window.rate) > MIN_SPEED_MPS
@@ -263,19 +265,19 @@ class Sensor:
         return lane_places(moving, self.cells, self.state, since=since, until=until)
 
     def detectors(self) -> tuple[ChangeDetector, ChangeDetector]:
-        """Return how vehicles show moves."""
+        """Return the change detectors of vehicles: across the lane, and in height."""
         return detectors(self.cells, self.state.position[:2])
 
 
-class Both:
-    """Both change detectors of a sensor, asked as the track asks them.
+class BothDetectors:
+    """Both change detectors of a sensor, asked as `track` asks them.
 
     Parameters
     ----------
     sensor : Sensor
-        Whose.
+        The sensor.
     known : (StationaryTargets, array of int) or None
-        Of which still targets these are taken as they are, and no others looked for.
+        Stationary targets, and the rows of those to use; no others are searched then.
     """
 
     def __init__(
@@ -287,7 +289,7 @@ class Both:
             self.still.set_targets(known[0].place[known[1]], known[0].rate[known[1]])
 
     def batch(self, sensor: Sensor, batch: Detected, clock: float) -> list[Scores]:
-        """Take a batch of detections; return the scores minute by minute."""
+        """Process a batch that begins at `clock` (s); return the scores minute by minute."""
         scores = []
         for minute in range(MINUTES):
             seen = self.summaries(batch, minute)
@@ -296,27 +298,30 @@ class Both:
         return scores
 
     def summaries(self, batch: Detected, minute: int) -> Iterator[Floats]:
-        """Yield where still targets are in the blocks of a minute; to be taken one by one."""
+        """Yield where stationary targets are, block by block of a minute.
+
+        Each block must be processed before the next is asked for.
+        """
         for begin in 60.0 * minute + np.arange(0.0, 60.0, BLOCK_S):
             part = batch.between(begin, begin + BLOCK_S)
             self.still.push(part.time, part.points, part.rate)
             yield self.still.summary()
 
     def minute(self, places: LanePlaces, still: Iterable[Floats], now: float) -> Scores:
-        """Take a minute; return the largest scores in it, in parts of their gates."""
-        largest, sees = 0.0, False
+        """Process a minute; return its largest scores, divided by their gates."""
+        largest, still_decides = 0.0, False
         for part in still:
             self.still.process(part)
             told = self.still.tested
-            sees = any(each.sensitive for each in told)
+            still_decides = any(each.sensitive for each in told)
             largest = max([largest, *(each.displacement.score / GATE for each in told)])
         driven = self.vehicles.push(places, now)
         by_vehicles = 0.0 if driven is None else driven.score / alarm.GATE
-        return Scores(still=largest, vehicles=by_vehicles, sees=sees)
+        return Scores(still=largest, vehicles=by_vehicles, still_decides=still_decides)
 
 
 def moves() -> dict[str, Floats]:
-    """Return moves by 0.3 m and by half a degree, by name."""
+    """Return moves by 0.3 m and by half a degree: translation (m) and rotation (rad) by name."""
     found = {}
     for degrees in range(0, 360, 45):
         way = np.radians(degrees)
@@ -330,15 +335,15 @@ def moves() -> dict[str, Floats]:
 
 
 def noticed(sensor: Sensor, batches: Sequence[Path]) -> Noticed:
-    """Move the sensor at the begin of each later batch: how often is it noticed, by whom?"""
-    taught, found = Both(sensor), Noticed()
+    """Count which moves at the begin of each later batch each change detector notices."""
+    settled, found = BothDetectors(sensor), Noticed()
     for number, path in enumerate(batches):
         batch, clock = sensor.load(path), 60.0 * MINUTES * number
         for name, step in moves().items() if number >= FIRST_MOVED else ():
-            scores = copy.deepcopy(taught).batch(sensor, sensor.moved(batch, step), clock)
-            who = {each: int(max(getattr(s, each) for s in scores) > 1.0) for each in WITNESSES}
+            scores = copy.deepcopy(settled).batch(sensor, sensor.moved(batch, step), clock)
+            who = {each: int(max(getattr(s, each) for s in scores) > 1.0) for each in DETECTORS}
             _add(found, {name.split(" ")[0]: {"trials": 1, **who}})
-        taught.batch(sensor, batch, clock)
+        settled.batch(sensor, batch, clock)
     return found
 
 
@@ -350,14 +355,16 @@ def _add(counts: Noticed, more: Noticed) -> None:
             row[who] += count
 
 
-def learnt(sensor: Sensor, batchs: Sequence[Path]) -> tuple[StationaryTargets, list[Minute]]:
+def learn_minutes(
+    sensor: Sensor, batches: Sequence[Path]
+) -> tuple[StationaryTargets, list[Minute]]:
     """Return the still targets of all batchs, and what both change detectors see in each minute."""
-    first, parts = Both(sensor), [sensor.load(path) for path in batchs]
+    first, parts = BothDetectors(sensor), [sensor.load(path) for path in batches]
     for batch in parts:
         for minute in range(MINUTES):
             for seen in first.summaries(batch, minute):
                 first.still.process(seen)
-    again = Both(sensor, (first.still, np.arange(len(first.still))))
+    again = BothDetectors(sensor, (first.still, np.arange(len(first.still))))
     minutes = [
         Minute(
             places=sensor.driven(batch, minute),
@@ -370,45 +377,40 @@ def learnt(sensor: Sensor, batchs: Sequence[Path]) -> tuple[StationaryTargets, l
 
 
 def rest(sensor: Sensor, batches: Sequence[Path], days: int, seed: int) -> list[list[Scores]]:
-    """Let days pass in which the sensor stands still; return the scores of their minutes."""
-    targets, minutes = learnt(sensor, batches)
-    hours = Hours(minutes, sensor.detectors(), sensor.state.R_map_sensor, seed)
+    """Draw days in which the sensor stays where it is; return the scores of their minutes."""
+    targets, minutes = learn_minutes(sensor, batches)
+    hours = DrawnHours(minutes, sensor.detectors(), sensor.state.R_map_sensor, seed)
     every, passed = np.arange(len(targets)), []
     for _ in range(days):
-        both = Both(sensor, (targets, every))
+        both = BothDetectors(sensor, (targets, every))
         drawn = enumerate(hours.drawn(24.0, CHANGING))
         passed.append([both.minute(each.places, each.still, 60.0 * k) for k, each in drawn])
     return passed
 
 
-def _tail(days: Sequence[Sequence[Scores]], who: str) -> dict[str, Any]:
-    """Return the false alarms by a witness."""
-    return tail(np.concatenate([halves([getattr(each, who) for each in day]) for day in days]))
-
-
 def _noticed_table(moved: Mapping[str, Noticed]) -> str:
     rows = [
-        [f"{size}; {about}", *(f"{row[who]} of {row['trials']}" for who in WITNESSES)]
+        [f"{size}; {about}", *(f"{row[who]} of {row['trials']}" for who in DETECTORS)]
         for traffic, about in TRAFFIC.items()
         for move, size in SIZES.items()
         if (row := moved.get(traffic, {}).get(move))
     ]
-    return table(["move within ten minutes", *WITNESSES.values()], rows)
+    return table(["move within ten minutes", *DETECTORS.values()], rows)
 
 
 def _false_table(tails: Mapping[str, Mapping[str, Any]], days: Sequence[Sequence[Scores]]) -> str:
     rows = [
-        [WITNESSES[who], f"{f['hours']:.0f}", str(f["alarms"]), f"{f['largest']:.2f}", _monthly(f)]
+        [DETECTORS[who], f"{f['hours']:.0f}", str(f["alarms"]), f"{f['largest']:.2f}", _monthly(f)]
         for who, f in tails.items()
     ]
     heads = ["false alarms", "hours", "alarms", "largest score of the gate", "a month (95 %)"]
-    sees = np.mean([[each.sees for each in day[APART:]] for day in days])
-    said = f"In {sees:.0%} of the minutes of these days the still returns decided alone."
+    still_decides = np.mean([[each.still_decides for each in day[APART_MINUTES:]] for day in days])
+    said = f"In {still_decides:.0%} of the minutes of these days the still returns decided alone."
     return f"{table(heads, rows)}\n\n{said}"
 
 
 def _monthly(figures: Mapping[str, Any]) -> str:
-    """Return a rate with its interval."""
+    """Return the rate a month with its 95 % interval as text."""
     if "monthly_95" not in figures:
         return "-"
     rate, low, high = (

@@ -1,10 +1,8 @@
-"""Hours in which a sensor stands still: its vehicles and still targets drawn anew from minutes.
+"""Hours in which a sensor stays where it is, drawn from simulated minutes.
 
-Runs of minutes are drawn from those simulated detection by detection; what each vehicle does in
-its lane about the mean of all, and each still target about its mean place, is mirrored at random, a
-run as a whole (a wild cluster bootstrap: spread, correlation along a track and over time, broken
-tracks, platoons and queues before targets stay as they are). To these a :class:`Day` adds what
-changes.
+Three minutes on end are drawn at a time. The deviations of vehicles from the mean of their lane,
+and of stationary targets from their mean place, get a random sign, the same in these minutes: a
+wild cluster bootstrap, which keeps spread and correlation. A :class:`Day` adds what changes.
 """
 
 from __future__ import annotations
@@ -29,21 +27,21 @@ from gis_radar.calibration.monitoring.stationary_targets import (
     by_move,
 )
 
-RUN = 3  # minutes that stay together
+RUN_MINUTES = 3  # drawn together
 MONTH_H = 720.0
-APART = 30  # minutes between independent exceedances: the longest part that is tested
-SHARES = (  # of the traffic by day, hour by hour
+APART_MINUTES = 30  # between independent scores: the longest time that a test looks at
+TRAFFIC_SHARES = (  # of the busiest hour's traffic, hour by hour of a day
     0.06, 0.04, 0.04, 0.05, 0.1, 0.3, 0.7, 1.0, 1.0, 0.8, 0.7, 0.7,
     0.75, 0.75, 0.8, 0.9, 1.0, 1.0, 0.85, 0.6, 0.45, 0.3, 0.2, 0.1,
 )  # fmt: skip
-SLOW_H = 2.0
-SWAY_S = 120.0
-SWAY = (0.005, 0.005, 0.002, np.radians(0.03), np.radians(0.03), np.radians(0.02))
-WET_H = 1.0
-CAR_M = 5.0
-# where another car's target is, 1 sigma, and where it is still taken for the one that left
-BESIDE = np.array([0.5, GATE_RAD / 2.0, START_SIGMA_RAD[1]])
-GATE = np.array([GATE_M, GATE_RAD, np.inf])
+SLOW_H, SWAY_S = 2.0, 120.0  # correlation times: of habits and targets; of a mast in the wind
+SWAY_SIGMA = (0.005, 0.005, 0.002, np.radians(0.03), np.radians(0.03), np.radians(0.02))  # m, rad
+WET_H = 1.0  # for which rain hides targets
+CAR_RADIUS_M = 5.0  # targets so near to each other may be of one parked car
+# Range (m), azimuth, elevation (rad): how far a target of the next car on a parking place lies from
+# the last one's, 1 sigma; and up to where it is taken for the last one's.
+BESIDE_SIGMA = np.array([0.5, GATE_RAD / 2.0, START_SIGMA_RAD[1]])
+MATCH_GATE = np.array([GATE_M, GATE_RAD, np.inf])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +53,7 @@ class Minute:
     places : LanePlaces
         Where vehicles drove.
     still : sequence of (targets, 3) arrays
-        Where each still target was, by block; NaN where it was not seen.
+        Range (m), azimuth and elevation (rad) of each stationary target by block; NaN: not seen.
     """
 
     places: LanePlaces
@@ -64,26 +62,29 @@ class Minute:
 
 @dataclass(frozen=True, kw_only=True)
 class Day:
-    """What changes in a day; standard deviations, as slow random processes of some hours.
+    """What changes in a day.
 
     Parameters
     ----------
     shares : tuple of float
-        Of the traffic, hour by hour.
+        Traffic as a share of the busiest, hour by hour.
     stretch_m, common_m, breadth_m : float
-        Habits by stretch, of all drivers, and where vehicles reflect.
+        Standard deviations of slow changes: of where drivers keep on a stretch and everywhere, and
+        of how far from their middle vehicles reflect.
     obstacles : float
-        An hour: on a stretch all keep aside by 0.3 to 1 m, for 5 to 60 minutes.
+        Obstacles an hour: on a stretch all keep aside by 0.3 to 1 m, for 5 to 60 minutes.
     drift, sway : float
-        Of the mast: times what the settings allow; and times `SWAY`, within minutes, in the wind.
+        Of the mast: drift as a multiple of what the settings allow, sway in the wind of
+        `SWAY_SIGMA`.
     wander : (3,) tuple
-        Of each still target, range (m), azimuth and elevation (rad).
+        Standard deviations of slow changes of each stationary target: range (m), azimuth and
+        elevation (rad).
     parked : float
-        Share of the still targets that are of parked cars.
+        Share of the stationary targets that are of parked cars.
     stay_h : float
-        How long a car stays, in the mean; a third of that later another comes.
+        Mean time for which a car stays; the place is then empty for a third of it, in the mean.
     wet : float
-        An hour: all targets wander elsewhere at once, and for an hour four in ten are lost.
+        Showers an hour: all targets are displaced at once, and 40 % are lost for `WET_H`.
     """
 
     shares: tuple[float, ...] = (1.0,)
@@ -100,24 +101,24 @@ class Day:
 
 
 CHANGING = Day(
-    shares=SHARES, stretch_m=0.05, common_m=0.03, breadth_m=0.02, obstacles=0.5, drift=1.0,
+    shares=TRAFFIC_SHARES, stretch_m=0.05, common_m=0.03, breadth_m=0.02, obstacles=0.5, drift=1.0,
     sway=1.0, wander=(START_SIGMA_M, *START_SIGMA_RAD), parked=0.33, wet=0.1,
 )  # fmt: skip
 
 
-class Hours:
-    """Draws minutes anew from those simulated detection by detection.
+class DrawnHours:
+    """Source of drawn minutes.
 
     Parameters
     ----------
     minutes : sequence of Minute
-        The latter.
+        Simulated minutes to draw from.
     detectors : (ChangeDetector, ChangeDetector)
-        Of vehicles.
+        Those of vehicles: across the lane, and in height.
     turn : (3, 3) array
         R_map_sensor.
     seed : int
-        Of all that is random.
+        Seed of all random numbers.
     """
 
     def __init__(
@@ -135,17 +136,17 @@ class Hours:
         self.middle = np.nanmedian([part for minute in minutes for part in minute.still], axis=0)
 
     def drawn(self, hours: float, day: Day) -> Iterator[Minute]:
-        """Yield minutes of a day, from a random minute of it on."""
-        rng, slow = self.rng, _Slow(self.rng, day, self.detectors[0], self.middle)
+        """Yield minutes of a day that begins at a random time of the day."""
+        rng, slow = self.rng, _SlowChanges(self.rng, day, self.detectors[0], self.middle)
         first = int(rng.integers(24 * 60))
         used: list[int] = []
         place, signs = 0, np.ones(3)
         for minute in range(round(60.0 * hours)):
-            if minute % RUN == 0:
+            if minute % RUN_MINUTES == 0:
                 place = self._draw(used)
-                used = [*used, place][-APART // RUN :]
+                used = [*used, place][-APART_MINUTES // RUN_MINUTES :]
                 signs = rng.choice([-1.0, 1.0], 3)
-            seen = self.minutes[place + minute % RUN]
+            seen = self.minutes[place + minute % RUN_MINUTES]
             share = day.shares[(first + minute) // 60 % len(day.shares)]
             slow.step()
             shift = np.kron(np.eye(2), self.turn.T) @ slow.moved
@@ -156,7 +157,9 @@ class Hours:
             ]
             yield Minute(places=self._driven(seen.places, share, signs, slow), still=still)
 
-    def _driven(self, seen: LanePlaces, share: float, signs: Floats, slow: _Slow) -> LanePlaces:
+    def _driven(
+        self, seen: LanePlaces, share: float, signs: Floats, slow: _SlowChanges
+    ) -> LanePlaces:
         kept = self.rng.random(seen.vehicles)[seen.vehicle] < share
         values = []
         for mean, sign, detector, value in zip(
@@ -172,9 +175,9 @@ class Hours:
         )  # fmt: skip
 
     def _draw(self, used: Sequence[int]) -> int:
-        """Return where a run begins: no minute comes twice in half an hour, as none ever does."""
-        places = np.arange(len(self.minutes) - RUN + 1)
-        free = [k for k in places if all(abs(k - other) >= RUN for other in used)]
+        """Return the first minute of the next run; none is used again within half an hour."""
+        places = np.arange(len(self.minutes) - RUN_MINUTES + 1)
+        free = [k for k in places if all(abs(k - other) >= RUN_MINUTES for other in used)]
         return int(self.rng.choice(free or places))
 
 
@@ -188,8 +191,8 @@ def _means(parts: Sequence[tuple[np.ndarray, Floats]], cells: int) -> Floats:
     return np.asarray(np.bincount(cell, value, minlength=cells) / np.maximum(count, 1))
 
 
-class _Slow:
-    """What changes slowly, minute by minute."""
+class _SlowChanges:
+    """State of what a `Day` changes, minute by minute."""
 
     def __init__(
         self, rng: np.random.Generator, day: Day, across: ChangeDetector, still: Floats
@@ -199,10 +202,10 @@ class _Slow:
         sigma = np.full(self._stretches + 2, day.stretch_m)
         sigma[-2:] = day.common_m, day.breadth_m
         self._habits, self._sway = (
-            _Wander(rng, sigma, SLOW_H),
-            _Wander(rng, day.sway * np.array(SWAY), SWAY_S / HOUR_S),
+            _SlowProcess(rng, sigma, SLOW_H),
+            _SlowProcess(rng, day.sway * np.array(SWAY_SIGMA), SWAY_S / HOUR_S),
         )
-        self._still = _Wander(rng, np.tile(day.wander, (len(still), 1)), SLOW_H)
+        self._still = _SlowProcess(rng, np.tile(day.wander, (len(still), 1)), SLOW_H)
         self._drift = np.zeros(6)
         self._obstacles: list[tuple[int, float, int]] = []
         self._cars = _cars(still, day.parked, rng)
@@ -213,11 +216,11 @@ class _Slow:
 
     @property
     def moved(self) -> Floats:
-        """How far drift and wind have moved the mast."""
+        """How far drift and wind have moved the mast: 3 m, 3 rad."""
         return self._drift + self._sway.value
 
     def step(self) -> None:
-        """Go on by a minute."""
+        """Advance by a minute."""
         rng, day = self._rng, self._day
         for each in (self._habits, self._sway, self._still):
             each.step()
@@ -236,24 +239,24 @@ class _Slow:
             self._still.draw()
 
     def _park(self) -> None:
-        """Let cars leave, and others come beside their places, or not where they can be seen."""
+        """Let parked cars leave and others come; NaN where no target matches the first car's."""
         rng, day = self._rng, self._day
         self._until -= 1.0
         for number in np.flatnonzero(self._until <= 0.0):
             rows, away = self._cars[number], not self._away[number]
             self._away[number] = away
             self._until[number] = rng.exponential(60.0 * day.stay_h * (1.0 / 3.0 if away else 1.0))
-            offset = BESIDE * rng.normal(size=(len(rows), 3))
-            gone: Booleans = np.less(GATE, np.abs(offset)).any(axis=1) | away
+            offset = BESIDE_SIGMA * rng.normal(size=(len(rows), 3))
+            gone: Booleans = np.less(MATCH_GATE, np.abs(offset)).any(axis=1) | away
             self._parked[rows] = np.where(gone[:, None], np.nan, offset)
 
     def targets(self) -> Floats:
-        """Return how far each still target is from its middle; NaN where there is none."""
+        """Return how far each stationary target is from its mean place; NaN: it is not seen."""
         lost = self._lost & (self._wet_left > 0)
         return np.where(lost[:, None], np.nan, self._still.value + self._parked)
 
     def change(self, detector: ChangeDetector) -> Floats:
-        """Return how far the mean of each cell is changed."""
+        """Return how far the mean of each cell of the lanes is changed, metres."""
         changed = detector.by_move @ self.moved[list(detector.moved)]
         habits = self._habits.value
         if len(detector.moved) == 2:  # heights: habits of the same size, and no obstacles
@@ -264,68 +267,63 @@ class _Slow:
         return np.asarray(changed)
 
 
-class _Wander:
-    """Random processes about zero with a standard deviation and a time."""
+class _SlowProcess:
+    """Stationary random processes (AR(1) by minute) of given deviations and correlation time."""
 
     def __init__(self, rng: np.random.Generator, sigma: Floats, hours: float) -> None:
         self._rng, self._sigma, self._keep = rng, sigma, np.exp(-1.0 / 60.0 / hours)
         self.draw()
 
     def draw(self) -> None:
-        """Begin anew."""
+        """Draw new values."""
         self.value = self._sigma * self._rng.normal(size=self._sigma.shape)
 
     def step(self) -> None:
-        """Go on by a minute."""
+        """Advance by a minute."""
         noise = np.sqrt(1.0 - self._keep**2) * self._rng.normal(size=self._sigma.shape)
         self.value = self._keep * self.value + self._sigma * noise
 
 
 def _cars(still: Floats, share: float, rng: np.random.Generator) -> list[np.ndarray]:
-    """Return groups of neighbouring targets that are parked cars."""
+    """Return the rows of the targets of each parked car: neighbours, up to a share of all."""
     plane = still[:, :1] * np.column_stack([np.cos(still[:, 1]), np.sin(still[:, 1])])
     free, groups = np.ones(len(still), dtype=bool), []
     while len(still) and free.mean() > 1.0 - share:
         middle = plane[int(rng.choice(np.flatnonzero(free)))]
-        near: Booleans = free & (np.hypot(*(plane - middle).T) < CAR_M)
+        near: Booleans = free & (np.hypot(*(plane - middle).T) < CAR_RADIUS_M)
         groups.append(np.flatnonzero(near))
         free &= ~near
     return groups
 
 
-def halves(scores: Sequence[float]) -> Floats:
-    """Return the largest score of each half hour."""
-    whole = len(scores) - len(scores) % APART
-    return np.asarray(np.array(scores[:whole]).reshape(-1, APART).max(axis=1))
+def fit_false_alarms(days: Sequence[Sequence[float]]) -> dict[str, Any]:
+    """Return the false alarms a month (scores over 1), by a Pareto distribution of high scores.
 
-
-def tail(
-    largest: Floats, *, gate: float = 1.0, part_min: float = APART, seed: int = 0
-) -> dict[str, Any]:
-    """Return the false alarms a month at the gate, by the tail of half-hourly maxima.
-
-    Neighbouring half hours share tested blocks: of neighbours above the threshold the largest
-    counts. The interval is that of 500 draws of the exceedances with replacement.
+    It is fitted to the largest score of each half hour of the days. Neighbouring half hours share
+    tested blocks: of neighbours above the threshold the largest counts. The interval is that of
+    500 draws of the exceedances with replacement.
     """
+    parts = [np.array(day[: len(day) - len(day) % APART_MINUTES]) for day in days]
+    largest = np.concatenate(parts).reshape(-1, APART_MINUTES).max(axis=1)
     level = float(np.quantile(largest, 0.9))
     above = largest > level
-    hours = len(largest) * part_min / 60.0
+    hours = len(largest) * APART_MINUTES / 60.0
     if not above.any():
         return {"hours": hours, "largest": level, "alarms": 0, "monthly": 0.0}
     begins = np.concatenate([[True], ~above[:-1]])
     groups = np.cumsum(begins)[above]
     peaks = np.array([largest[above][groups == g].max() for g in np.unique(groups)])
     excess = peaks - level
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
 
     def monthly(sample: Floats) -> float:
         shape, _, scale = genpareto.fit(sample, floc=0.0)
         rate = len(sample) / hours * MONTH_H
-        return float(rate * genpareto.sf(gate - level, shape, scale=scale))
+        return float(rate * genpareto.sf(1.0 - level, shape, scale=scale))
 
     draws = [monthly(rng.choice(excess, max(int(rng.poisson(len(excess))), 5))) for _ in range(500)]
     low, high = np.quantile(draws, [0.025, 0.975])
     return {
-        "hours": hours, "largest": float(largest.max()), "alarms": int((peaks > gate).sum()),
+        "hours": hours, "largest": float(largest.max()), "alarms": int((peaks > 1.0).sum()),
         "monthly": monthly(excess), "monthly_95": [float(low), float(high)],
     }  # fmt: skip

@@ -1,10 +1,10 @@
-"""Points to tiles: our engines against shapely's STRtree and geopandas.sjoin, in one run.
+"""Assignment of points to tiles: our engines beside shapely's STRtree and geopandas.sjoin.
 
-Input: the detections on the road of several recordings, in time order, repeated to `--points`.
-By default a simulated motorway where it lies beside the project, else the sample junction.
-One thread. Our engines get the points in blocks, as a recording is read; the peers get theirs at
-once, which is their best case. Before anything is timed, the engines and the STRtree must give
-identical pairs. Exit code 1 where a target is missed.
+Input: the detections on the road of a site's recordings, one after the other, repeated to
+`--points`. The site is by default town04, where it is there (`simulated.py`), else the sample.
+All run in one thread. Our engines get the points in blocks, as a recording is read; the peers get
+theirs at once, which is their best case. Before anything is timed, the engines and the STRtree must
+give identical pairs. Exit code 1 where a target is missed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import shapely
-from figures import TIMES, Figure, report
+from figures import TIME_CHANCE, Figure, report
 from plain_grid import TileGridNumpy
 from simulated import DATA, true_pose
 
@@ -29,7 +29,7 @@ from gis_radar.base import Floats
 from gis_radar.hdmap import TileEngine, TileGrid, TileTree, polygons, quads
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
 
-TARGETS = {"sjoin from coordinates": 25.0, "sjoin with points built": 5.0}
+TARGETS = {"sjoin from coordinates": 25.0, "sjoin with points built": 5.0}  # times as fast
 ROUNDS = 3
 
 
@@ -53,12 +53,12 @@ def _figures(rates: dict[str, float], tiles: int) -> Iterator[Figure]:
         yield Figure(
             what=f"points to tiles in one thread, beside {peer}", ours=rates["grid"],
             unit="M points/s", peer=rates[peer], peer_name=peer, more_is_better=True,
-            chance=TIMES, size=f"{tiles:,} tiles",
+            chance=TIME_CHANCE, size=f"{tiles:,} tiles",
         )  # fmt: skip
 
 
 def _input(site: Path, count: int) -> tuple[gpd.GeoDataFrame, Floats, Floats]:
-    """Return a site's tiles and `count` footprints on them, in the order they were seen."""
+    """Return a site's tiles, and easting and northing of `count` detections on them."""
     tiles = gr.make_tiles(gr.read_map(next(site.glob("*.osm"))))
     grid = TileGrid(quads(tiles))
     batches = []
@@ -74,7 +74,7 @@ def _input(site: Path, count: int) -> tuple[gpd.GeoDataFrame, Floats, Floats]:
 
 
 def _check(engines: tuple[TileEngine, ...], strtree: shapely.STRtree, x: Floats, y: Floats) -> None:
-    """Stop unless the engines and the STRtree find the same pairs (no point lies on an edge)."""
+    """Exit unless the engines and the STRtree find the same pairs (no point lies on an edge)."""
     point, tile = strtree.query(shapely.points(x, y), predicate="intersects")
     order = np.lexsort((tile, point))
     for engine in engines:
@@ -84,7 +84,7 @@ def _check(engines: tuple[TileEngine, ...], strtree: shapely.STRtree, x: Floats,
 
 
 def _rates(tiles: gpd.GeoDataFrame, x: Floats, y: Floats) -> dict[str, float]:
-    """Return million points a second of each way, the slower ones on fewer points."""
+    """Return million points a second of each engine and peer; slow ones get fewer points."""
     corners = quads(tiles)
     grid, tree, plain = TileGrid(corners), TileTree(corners), TileGridNumpy(corners)
     strtree = shapely.STRtree(polygons(corners))
@@ -112,7 +112,7 @@ def _rates(tiles: gpd.GeoDataFrame, x: Floats, y: Floats) -> dict[str, float]:
     times: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(ROUNDS):
         for name, (way, _) in ways.items():
-            # all ways run in one thread: its own time does not count what else the machine does
+            # CPU time of this thread: other programs do not count
             begin = time.thread_time()
             way()
             times[name].append(time.thread_time() - begin)

@@ -1,15 +1,13 @@
-"""How fast questions over months are answered: a street over a year, the map of a month.
+"""Time to answer questions over months: a street over a year, the map of a month.
 
     python bench/city_questions.py [--days 365] [--lane-tiles 12000] [--tiles 50000]
 
-Days are drawn (`drawn_days`), exact tables are gone as after `keep`. Each measuring is a process
-of its own on one core; times are of the processor, without imports.
+Days are drawn (`drawn_days.py`), without exact tables, as after `keep`. Each measurement is a
+process of its own on one core; times are CPU time without imports.
 
-- `year`: a street by hour of the day, Monday to Friday, over a year of one site: from the roll-up,
-  the first time in a process and again; from the tables of dates; beside pandas and DuckDB on the
-  tables of dates as they lie there.
-- `month`: the heat map of a month of many tiles, made and written with all its files, and its
-  GeoPackage and GeoTIFF alone.
+- Year: a street by hour of the day, Monday to Friday: from the roll-up, the first time in a process
+  and again; from the tables of dates; beside pandas and DuckDB on the same tables.
+- Month: the heat map of a month of many tiles, made, and written as GeoPackage and GeoTIFF.
 
 Exit code 1 where a figure misses its target.
 """
@@ -21,11 +19,12 @@ import tempfile
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from drawn_days import roll_up, write_days
-from figures import TARGET, TIMES, Figure, report, run_alone
+from figures import TARGET, TIME_CHANCE, Figure, report, run_alone
 
-COLD_S, ROLLED_S, MAP_S = 1.0, 0.03, 15.0  # targets of issue 37
+FIRST_TARGET_S, AGAIN_TARGET_S, MAP_TARGET_S = 1.0, 0.03, 15.0
 MONTH = "2026-01"
 START = """
 import json, sys, time
@@ -92,6 +91,11 @@ print(json.dumps({"make_s": make_s, "package_s": package_s, "raster_s": raster_s
 )
 
 
+def timed(what: str, ours: float, size: str, unit: str = "s", **peer: Any) -> Figure:
+    """Return a figure of time or memory."""
+    return Figure(what=what, ours=ours, unit=unit, size=size, chance=TIME_CHANCE, **peer)
+
+
 def year(folder: Path, tiles: int, days: int) -> Iterator[Figure]:
     """Yield the figures of a street over a year."""
     dataset = write_days(folder, tiles=tiles, days=days, counts=False, dropped=True)
@@ -102,21 +106,17 @@ def year(folder: Path, tiles: int, days: int) -> Iterator[Figure]:
     pandas_s, duckdb_s = (run_alone("-c", code, folder).lines[-1]["s"] for code in (PANDAS, DUCKDB))
     again = rolled["again_s"]
     for what, ours, target in (
-        ("profile of a street, first in a process, from the roll-up", rolled["first_s"], COLD_S),
-        ("profile of a street, again, from the roll-up", again, ROLLED_S),
+        ("first in a process", rolled["first_s"], FIRST_TARGET_S),
+        ("again", again, AGAIN_TARGET_S),
     ):
-        yield Figure(
-            what=what, ours=ours, unit="s", peer=target, peer_name=TARGET, chance=TIMES, size=size
-        )
+        name = f"profile of a street, {what}, from the roll-up"
+        yield timed(name, ours, size, peer=target, peer_name=TARGET)
     for what, ours in (
         ("profile of a street from the tables of dates", plain["first_s"]),
         ("pandas on the tables of dates", pandas_s),
         ("DuckDB on the tables of dates", duckdb_s),
     ):
-        yield Figure(
-            what=what, ours=ours, unit="s", peer=again, peer_name="from the roll-up again",
-            chance=TIMES, size=size,
-        )  # fmt: skip
+        yield timed(what, ours, size, peer=again, peer_name="from the roll-up again")
 
 
 def month(folder: Path, tiles: int) -> Iterator[Figure]:
@@ -124,19 +124,11 @@ def month(folder: Path, tiles: int) -> Iterator[Figure]:
     dataset = write_days(folder / "data", tiles=tiles, days=31, in_sight=1.0, dropped=True)
     roll_up(dataset)
     ran = run_alone("-c", MAP, folder / "data", folder, MONTH)
-    size = f"{tiles:,} tiles"
-    spent = ran.lines[-1]
-    whole = sum(spent.values())
-    yield Figure(
-        what="map of a month, with GeoPackage and COG", ours=whole, unit="s", peer=MAP_S,
-        peer_name=TARGET, chance=TIMES, size=size,
-    )  # fmt: skip
-    yield Figure(
-        what="map of a month, not written", ours=spent["make_s"], unit="s", chance=TIMES, size=size
-    )
-    yield Figure(
-        what="map of a month, most memory", ours=ran.peak_mib, unit="MiB", chance=TIMES, size=size
-    )
+    size, spent = f"{tiles:,} tiles", ran.lines[-1]
+    what = "map of a month, with GeoPackage and COG"
+    yield timed(what, sum(spent.values()), size, peer=MAP_TARGET_S, peer_name=TARGET)
+    yield timed("map of a month, not written", spent["make_s"], size)
+    yield timed("map of a month, most memory", ran.peak_mib, size, "MiB")
 
 
 def main() -> None:

@@ -1,8 +1,8 @@
-"""Executors of a city's run: what they add to the bare hour jobs, and what a second worker gains.
+"""Executors of a city's run: the CPU time that they add to the hour jobs, the gain of two workers.
 
-The hours are those of the sample junction, recorded again hour by hour. Each way makes a few hours
-and many, in processes of its own; what counts is the difference, without starting and compiling.
-All ways must make the same bytes. Exit code 1 where a target is missed.
+The hours are copies of the sample's recordings, an hour apart. Each executor makes a few hours and
+many, in processes of its own; the difference counts, so that start and compilation do not. All
+must make the same bytes. Exit code 1 where a target is missed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from figures import ONE_CORE, TARGET, TIMES, Figure, report
+from figures import ONE_CORE, TARGET, TIME_CHANCE, Figure, report
 
 import gis_radar as gr
 from gis_radar.base import QUIET
@@ -30,7 +30,7 @@ from gis_radar.city.executors import workers_of
 from gis_radar.city.tasks import SiteTask, add_recordings, make_site_hour
 from gis_radar.dataset import open_hours
 
-FEW, MANY = 2, 8
+FEW, MANY = 2, 8  # hours that are made
 SITE = """
 title = "Sample"
 [map]
@@ -45,12 +45,12 @@ name = "R2"
 recordings = ["R2_*.parquet"]
 pose = "R2.json"
 """
-MOST_ADDED = {"processes": 1.03, "Dask": 1.06}
+CPU_TARGETS = {"processes": 1.03, "Dask": 1.06}  # times that of the bare jobs, at most
 WAYS = ("bare", "processes", "Dask", "Dask, two workers")
 
 
 def main() -> None:
-    """Measure all ways, and judge."""
+    """Measure all executors, and judge."""
     if len(sys.argv) > 1:
         way, root, hours = sys.argv[1:]
         _make(way, Path(root), int(hours))
@@ -73,9 +73,9 @@ def main() -> None:
                 sys.exit(f"{way}: other bytes than the bare jobs")
     size = f"{2 * (MANY - FEW)} sensor-hours"
     report("city_run", [
-        Figure(what="CPU of an hour job, bare", ours=cpu_s["bare"], unit="s", chance=TIMES),
+        Figure(what="CPU of an hour job, bare", ours=cpu_s["bare"], unit="s", chance=TIME_CHANCE),
         *(Figure(what=f"CPU by {way}", ours=cpu_s[way] / cpu_s["bare"], peer=most,
-                 peer_name=TARGET, size=size) for way, most in MOST_ADDED.items()),
+                 peer_name=TARGET, size=size) for way, most in CPU_TARGETS.items()),
         Figure(what="CPU of two workers of Dask beside one", peer=1.05, peer_name=TARGET,
                ours=cpu_s["Dask, two workers"] / cpu_s["Dask"], size=size),
         Figure(what="gain of a second worker of Dask", peer=1.7, peer_name=TARGET, size=size,
@@ -100,9 +100,9 @@ def _write_site(folder: Path) -> Path:
 
 
 def _run(folder: Path, way: str, hours: int) -> tuple[float, float]:
-    """Make hours in a process of its own; return its seconds of the processor, and of the wall.
+    """Make hours in a new process; return its CPU time, and the time that passed, seconds.
 
-    The wall's begin when all workers are there.
+    The latter begins when all workers are there.
     """
     root = folder / f"{way} {hours}"
     shutil.copytree(folder / "root" / "site=a", root)
@@ -117,7 +117,7 @@ def _run(folder: Path, way: str, hours: int) -> tuple[float, float]:
 
 
 def _make(way: str, root: Path, most: int) -> None:
-    """Make the first hours of a dataset, and print the seconds of the wall."""
+    """Make the first hours of a dataset, and print how many seconds passed."""
     with open_hours(root, QUIET) as found:
         calls: dict[int, Sequence[Any]] = {
             hour: (make_site_hour, root, hour, 1) for hour in found.missing[:most]
@@ -137,7 +137,7 @@ def _make(way: str, root: Path, most: int) -> None:
 
 
 def _by_dask(calls: Mapping[int, Sequence[Any]], count: int) -> tuple[dict[int, Any], float]:
-    """Return the results by hour, and when all workers were there."""
+    """Return the results by hour, and the (monotonic) time when all workers were there."""
     dask: Any = importlib.import_module("distributed")  # which states no types
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -166,6 +166,7 @@ def _dask(*words: str) -> subprocess.Popen[bytes]:
 
 
 def _bytes(root: Path) -> str:
+    """Return names and contents of a dataset's files as one text."""
     paths = sorted(path for path in root.rglob("*") if path.is_file())
     return json.dumps([
         (path.relative_to(root).as_posix(), path.read_bytes().hex())

@@ -1,7 +1,7 @@
-"""Clocks from shared traffic: how far from the truth, with the sigma that is stated.
+"""Clock offsets from vehicles that several sensors see: errors beside stated standard deviations.
 
-The clocks of the simulated sites are right; each sensor's is put off by part of a second, by an
-hour, and to the time since it was switched on. Errors are against the reference of each answer.
+The clocks of the simulated sites are right. Here they are put off by part of a second, by an hour,
+and to count from when the sensor was switched on. Errors are against the reference of each answer.
 Exit code 1 where an answer is over four stated standard deviations off.
 """
 
@@ -19,12 +19,12 @@ from simulated import sites, true_pose
 import gis_radar as gr
 from gis_radar.recordings import Recording
 
-AHEAD_S = (0.0, 0.35, -3600.4, -1.7e9)
+AHEAD_S = (0.0, 0.35, -3600.4, -1.7e9)  # of the second sensor; twice as much of the third
 MOST_SIGMAS = 4.0
 
 
 def main() -> None:
-    """Compare each site, print its answers, keep the median error."""
+    """Measure the clocks of each site, print the answers, keep the median error."""
     pairs = np.array([pair for site in sites() for pair in _errors(site)])
     error_s, sigma_s = np.abs(pairs).T
     median_ms = 1000.0 * float(np.median(error_s))
@@ -55,6 +55,8 @@ def _errors(site: Path) -> Iterator[tuple[float, float]]:
 
 
 def _later(recording: Recording, ahead_s: float) -> Recording:
+    """Return a recording whose times are so many seconds later."""
+
     def batches(columns: Sequence[str] | None) -> Iterator[pa.RecordBatch]:
         for batch in recording.batches(columns):
             place = batch.schema.get_field_index("time")

@@ -1,8 +1,8 @@
-"""Conversion of a capture: recorded seconds per CPU second, and memory from a short to a long one.
+"""Conversion of a network capture: recorded seconds a CPU second, and memory of a long capture.
 
-The capture is that of a 20 Hz ARS548 with 500 detections a frame, each list in the 24 fragments
-that an Ethernet makes of it. Each run is a process of its own, warmed up on a second of the same.
-Exit code 1 where a target is missed.
+The capture is of an ARS548 at 20 Hz with 500 detections a frame, each frame in 24 IP fragments.
+Each run is a process of its own, which converts a second of the same first. Exit code 1 where a
+target is missed.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from pathlib import Path
 
 import dpkt
 import numpy as np
-from figures import TARGET, TIMES, Figure, report, run_alone
+from figures import TARGET, TIME_CHANCE, Figure, report, run_alone
 
 RATE_HZ = 20
 DETECTIONS = 500
 SECONDS = 60
 TIMES_LONGER = 10
 FRAGMENT_BYTES = 1480
-TARGET_RATIO = 100
-TARGET_GROWTH = 1.10
-START = 1_700_000_000
+TARGET_RATIO = 100  # recorded seconds a CPU second, at least
+TARGET_GROWTH = 1.10  # memory of the long capture beside the short one, at most
+START = 1_700_000_000  # UNIX seconds
 CHILD = """
 import json, sys, time
 import gis_radar as gr
@@ -53,11 +53,12 @@ def main() -> None:
 def _figures(ratio: float, short_mib: float, long_mib: float) -> Iterator[Figure]:
     yield Figure(
         what="capture of a 20 Hz radar with 500 detections a frame to a recording", ours=ratio,
-        unit="x real time", more_is_better=True, chance=TIMES, peer=TARGET_RATIO, peer_name=TARGET,
+        unit="x real time", more_is_better=True, chance=TIME_CHANCE, peer=TARGET_RATIO,
+        peer_name=TARGET,
     )  # fmt: skip
     yield Figure(
         what="memory of `convert` of 600 s", ours=long_mib, unit="MiB", peer=short_mib,
-        peer_name="that of 60 s", chance=TIMES,
+        peer_name="that of 60 s", chance=TIME_CHANCE,
     )  # fmt: skip
 
 
@@ -72,6 +73,7 @@ def _convert(folder: Path, seconds: int) -> tuple[float, float]:
 
 
 def _write_capture(path: Path, seconds: int) -> None:
+    """Write a capture (pcap) of so many seconds."""
     rng = np.random.default_rng(1)
     with path.open("wb") as file:
         writer = dpkt.pcap.Writer(file, snaplen=65_535, nano=True)
@@ -82,7 +84,7 @@ def _write_capture(path: Path, seconds: int) -> None:
 
 
 def _detection_list(time: float, rng: np.random.Generator) -> bytes:
-    """Return an ARS548 detection list as it travels, 35 336 bytes."""
+    """Return the payload of an ARS548 detection list, 35 336 bytes."""
     rows = np.zeros(DETECTIONS, dtype="V44")
     fields = rows.view(
         np.dtype(
@@ -106,6 +108,7 @@ def _detection_list(time: float, rng: np.random.Generator) -> bytes:
 
 
 def _fragments(payload: bytes, ident: int) -> Iterator[bytes]:
+    """Yield the Ethernet packets of a UDP datagram, fragmented by IP."""
     udp = struct.pack(">HHHH", 42_101, 42_102, 8 + len(payload), 0) + payload
     for at in range(0, len(udp), FRAGMENT_BYTES):
         part = udp[at : at + FRAGMENT_BYTES]

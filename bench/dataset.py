@@ -1,18 +1,17 @@
-"""What a dataset costs: time, memory, bytes, answers.
+"""Costs of a dataset: CPU time, memory, bytes on disk, time of answers.
 
     python bench/dataset.py [--only hits,towns,...] [--minutes 60] [--hours 10]
 
-Each measuring is a process of its own on one core; times are of the processor, memory is the most
-that Linux saw.
+Each measurement is a process of its own on one core; memory is the most that Linux saw.
 
-- `hits`: a recording of the sample site is topped up to 500 detections a frame (those that stand
-  come several times, metres apart) and repeated end to end; beside bare decoding. And read back.
-- `towns`: hits and vehicles of the simulated sites; bytes of a hit and of a state of a vehicle, on
-  traffic that does not repeat.
-- `map`: the heat map of a day of quarters, 12,000 tiles; as usual, and each tile busy in each.
+- `hits`: hits alone of a recording of the sample site, filled up to 500 detections a frame and
+  repeated end to end; the share of it that decoding takes; and the reading of the hits.
+- `towns`: hits and vehicles of the simulated sites; bytes of a hit and of a state of a vehicle.
+- `map`: the heat map of a day in quarters of an hour, 12,000 tiles; with usual traffic, and with
+  every tile occupied in every quarter.
 - `profile`: occupancy of a street by hour of day over a month of one sensor, in a new process.
-- `projected`: the size of detections in the map, beside that of their recording.
-- `memory`: an hour of five sensors with vehicles, and several.
+- `projected`: the size of detections in the map (`project`), beside that of their recording.
+- `memory`: an hour of five sensors with vehicles, and several hours.
 
 Exit code 1 where a figure misses its target.
 """
@@ -31,7 +30,16 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from drawn_days import write_days
-from figures import SAME, SHARES, TARGET, TIMES, Figure, report, run_alone, spent_s
+from figures import (
+    EXACT_CHANCE,
+    SHARE_CHANCE,
+    TARGET,
+    TIME_CHANCE,
+    Figure,
+    report,
+    run_alone,
+    spent_s,
+)
 from simulated import sites, true_pose
 
 import gis_radar as gr
@@ -42,8 +50,8 @@ from gis_radar.products.heatmap.layers import write_package
 from gis_radar.recordings.recording_file import parquet_options
 
 PER_SECOND = 10_000  # detections: 500 at 20 Hz
-STILL_MPS, SPREAD_M = 0.15, 3.0
-BEGIN = 1_780_300_800.0  # of an hour
+STILL_MPS, SPREAD_M = 0.15, 3.0  # range rate of what stands; distance of its copies, 1 sigma
+BEGIN = 1_780_300_800.0  # of an hour, UNIX seconds
 TILES, STREET_TILES, DAYS = 12_000, 4_000, 30
 SENSORS = 5
 CHILD = """
@@ -86,19 +94,20 @@ print(json.dumps({"query_s": time.process_time() - loaded}))
 
 
 def aimed(what: str, ours: float, target: float | None, **more: Any) -> Figure:
-    """Return a figure with a target."""
-    return Figure(what=what, ours=ours, peer=target, peer_name=TARGET, **{"chance": TIMES} | more)
+    """Return a figure with a target, by default one of time or memory."""
+    given = {"chance": TIME_CHANCE} | more
+    return Figure(what=what, ours=ours, peer=target, peer_name=TARGET, **given)
 
 
 class Measuring:
-    """Sites that are measured, each time in a new process.
+    """Runs of `gis_radar.measure` on sites, each in a new process.
 
     Parameters
     ----------
     folder : Path
-        For what is made.
+        Folder for the datasets.
     rounds : int
-        How often what is timed is measured.
+        How often a run is repeated for its median.
     """
 
     def __init__(self, folder: Path, rounds: int = 1) -> None:
@@ -106,7 +115,7 @@ class Measuring:
         self.sample = self.site(gr.sample_folder())
 
     def site(self, of: Path) -> dict[str, Any]:
-        """Return map, tiles, recordings and poses of a site, as files."""
+        """Return the files of a site: map, tiles, recordings and poses."""
         (map_path,) = of.glob("*.osm")
         place = self.folder / of.name
         place.mkdir()
@@ -122,7 +131,7 @@ class Measuring:
     def run(
         self, given: Mapping[str, Any], *, hits_only: bool = False
     ) -> tuple[dict[str, float], Path]:
-        """Measure in a new process; return what it took, and the dataset."""
+        """Measure in a new process; return its seconds and memory, and the dataset's folder."""
         self._number += 1
         place = self.folder / f"run{self._number}"
         place.mkdir()
@@ -133,7 +142,7 @@ class Measuring:
     def medians(
         self, given: Mapping[str, Any], *, hits_only: bool = False
     ) -> tuple[dict[str, float], Path]:
-        """Return the medians of several runs, and the last dataset."""
+        """Return the medians of several runs, and the last dataset's folder."""
         runs = [self.run(given, hits_only=hits_only) for _ in range(self.rounds)]
         names = runs[0][0]
         took = {name: float(np.median([row[name] for row, _ in runs])) for name in names}
@@ -141,7 +150,7 @@ class Measuring:
 
 
 class Parts:
-    """The parts of the bench."""
+    """The parts of the bench, each a method that yields its figures."""
 
     def __init__(self, options: argparse.Namespace, folder: Path) -> None:
         self.minutes, self.hours = float(options.minutes), int(options.hours)
@@ -150,7 +159,7 @@ class Parts:
         self.sample = self.measuring.sample
 
     def hits(self) -> Iterator[Figure]:
-        """Hits of a recording, and reading them."""
+        """Yield the figures of hits alone, and of reading them."""
         path = self.folder / "thick.parquet"
         write_repeated(_thickened(self.sample["names"][0]), path, 60.0 * self.minutes)
         given = self.sample | {"names": [str(path)], "poses": self.sample["poses"][:1]}
@@ -170,7 +179,7 @@ class Parts:
         yield aimed("reading hits, M pairs a second", rate, 20.0, more_is_better=True)
 
     def towns(self) -> Iterator[Figure]:
-        """Hits and vehicles of sites, a sensor-minute; bytes of their tables."""
+        """Yield CPU time a sensor-minute with vehicles, and bytes of the tables."""
         sums = {HITS: np.zeros(2), TRACKS: np.zeros(2)}
         for of in sites("town01", "town02", "town04"):
             given = self.sample if of == gr.sample_folder() else self.measuring.site(of)
@@ -185,10 +194,10 @@ class Parts:
         for table, what, target in ((HITS, "hits", 1.25), (TRACKS, "tracks", 5.0)):
             size, count = sums[table]
             name = f"{what} on disk, bytes a {'pair' if table is HITS else 'row'}"
-            yield aimed(name, size / count, target, chance=SHARES)
+            yield aimed(name, size / count, target, chance=SHARE_CHANCE)
 
     def map(self) -> Iterator[Figure]:
-        """The heat map of a day."""
+        """Yield size and time of the heat map of a day."""
         for busy, what, most_mb in ((False, "", 30.0), (True, ", every tile busy", 40.0)):
             dataset = write_days(self.folder / f"day{busy}", tiles=TILES, days=1, busy=busy)
             path = self.folder / f"day{busy}.gpkg"
@@ -201,7 +210,7 @@ class Parts:
             yield aimed(f"heat map of a day{what}, s", spent, 10.0)
 
     def profile(self) -> Iterator[Figure]:
-        """Occupancy of a street by hour of day."""
+        """Yield the time of a street's occupancy by hour of day."""
         dataset = write_days(self.folder / "month", tiles=STREET_TILES, days=DAYS)
         tiles = dataset.tiles().set_index("tile_id")
         street = tiles.loc[dataset.sights()["tile_id"].iloc[0], "lanelet_id"]
@@ -209,17 +218,17 @@ class Parts:
         yield aimed("profile of a month, s", min(each["query_s"] for each in answers), 0.5)
 
     def projected(self) -> Iterator[Figure]:
-        """Detections in the map, as `project` writes them."""
+        """Yield the sizes of detections in the map, as `project` writes them."""
         for site in sites():
             pose, recording = true_pose(site, "R1"), site / "R1.parquet"
             path = self.folder / f"{site.name}.parquet"
             write_projection(recording, pose, path)
             times = path.stat().st_size / recording.stat().st_size
             what = f"`project` in GeoParquet, {site.name}"
-            yield aimed(what, times, 2.0, unit="x the recording", chance=SAME)
+            yield aimed(what, times, 2.0, unit="x the recording", chance=EXACT_CHANCE)
 
     def memory(self) -> Iterator[Figure]:
-        """An hour of five sensors; and one and several of which some minutes are recorded."""
+        """Yield the memory of a full hour of five sensors, and of hours with few minutes."""
         for hours, minutes in ((1, 60.0), (1, self.each), (self.hours, self.each)):
             took, _ = self.measuring.run(self._five_sensors(hours, minutes))
             whole = minutes == 60.0
@@ -227,7 +236,7 @@ class Parts:
             yield aimed(f"memory of {what}, MiB", took["peak_mib"], 1536.0 if whole else None)
 
     def _five_sensors(self, hours: int, minutes: float) -> dict[str, Any]:
-        """Return recordings of some minutes of each hour, of sensors on the masts of the sample."""
+        """Return files as `site` does, of sensors that record some minutes of each hour."""
         names, poses = [], []
         for number in range(SENSORS):
             mast = number % len(self.sample["names"])
@@ -242,7 +251,7 @@ class Parts:
 
 
 def _thickened(name: str) -> pd.DataFrame:
-    """Return a recording with `PER_SECOND` detections: more fixed things beside those it has."""
+    """Return a recording with `PER_SECOND` detections: those that stand have copies beside them."""
     table = pd.read_parquet(name)
     recorded_s = table["time"].iloc[-1] - table["time"].iloc[0]
     still = (table["range_rate"].abs() <= STILL_MPS).to_numpy()
@@ -259,9 +268,9 @@ def _thickened(name: str) -> pd.DataFrame:
 def write_repeated(
     once: pd.DataFrame, path: Path, seconds: float, *, hours: int = 1, seed: int | None = None
 ) -> None:
-    """Write a recording end to end for some seconds of each hour, each time later.
+    """Write a recording that repeats another for some seconds of each hour.
 
-    With a seed, detections lie centimetres beside: sensors never deliver the same frames.
+    With a seed, x gets an error of 2 cm: equal frames of two sensors would be refused.
     """
     after = once["time"].to_numpy() - once["time"].iloc[0]
     span = float(after[-1]) + 0.05
@@ -283,7 +292,7 @@ def _minutes(name: str) -> float:
     return float(times.iloc[-1] - times.iloc[0]) / 60.0
 
 
-PARTS = ("hits", "towns", "map", "profile", "projected", "memory")
+PARTS = ("hits", "towns", "map", "profile", "projected", "memory")  # methods of `Parts`
 
 
 def main() -> None:
@@ -293,9 +302,9 @@ def main() -> None:
     )
     parser.add_argument("--only", default=",".join(PARTS), help=f"of {', '.join(PARTS)}")
     parser.add_argument("--minutes", type=float, default=60.0, help="of the recording of `hits`")
-    parser.add_argument("--hours", type=int, default=10, help="of the longer run of `memory`")
-    parser.add_argument("--each", type=float, default=3.0, help="minutes recorded of its hours")
-    parser.add_argument("--rounds", type=int, default=3, help="of what is timed")
+    parser.add_argument("--hours", type=int, default=10, help="of the longest run of `memory`")
+    parser.add_argument("--each", type=float, default=3.0, help="minutes recorded of each of them")
+    parser.add_argument("--rounds", type=int, default=3, help="runs of `hits` and `towns`")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         parts = Parts(options, Path(name))

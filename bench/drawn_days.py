@@ -1,4 +1,4 @@
-"""Days of a dataset that nothing was recorded for: traffic as usual on straight lanes."""
+"""Datasets of drawn days, without recordings: usual traffic on straight lanes."""
 
 from __future__ import annotations
 
@@ -36,12 +36,13 @@ from gis_radar.dataset.files.parts import PartDigest, common_metadata, move_to_p
 from gis_radar.dataset.files.tables import HOUR_TABLES, LANE_MEASURES, SIGHTS, TURNS
 from gis_radar.hdmap import fingerprint
 
-FIRST_HOUR = 490_896  # of the first of January 2026, UTC
-HOURS, QUARTERS = 24, 96
+FIRST_HOUR = 490_896  # since 1970: begin of 2026, UTC
+HOURS, QUARTERS = 24, 96  # of a day
 MOST_MISSING = 3000  # steps without a frame in a quarter
 TILES_A_LANE, LENGTH_M, LANES_A_STREET = 200, 0.5, 4
 LANE_M, SPEED_CLASSES = TILES_A_LANE * LENGTH_M, 40
-DRAWN_METHOD, DRAWN = 1, "drawn"
+DRAWN_METHOD, DRAWN = 1, "drawn"  # `method` and `inputs` of the hours
+# Parts of an hour whose exact tables are dropped.
 GONE = {table.name: PartDigest(rows=1, size=1, sha256="0" * 64) for table in HOUR_TABLES}
 
 
@@ -49,23 +50,23 @@ def write_days(
     folder: Path, *, tiles: int, days: int, in_sight: float = 0.8, busy: bool = False,
     counts: bool = True, dropped: bool = False,
 ) -> gr.Dataset:  # fmt: skip
-    """Write a dataset of some days from January on.
+    """Write a dataset of some days from 1 January 2026 on.
 
     Parameters
     ----------
     folder : Path
         The dataset.
     tiles, days : int
-        How many.
+        Their numbers.
     in_sight : float
-        Share of the lanes that are seen.
+        Share of the lanes that are in sight.
     busy : bool
-        Every tile seen, occupied in every quarter, and hidden for a while; else few vehicles at
-        night.
+        Whether every tile is in sight, occupied in every quarter, and hidden for a while; else
+        traffic follows the time of day.
     counts : bool
         Whether tile counts are drawn beside the lane measures.
     dropped : bool
-        Whether the exact tables are gone, as after `keep`; else they hold frames alone.
+        Whether the exact tables are dropped, as after `keep`; else they hold frames alone.
     """
     rng, rng_of_lanes = np.random.default_rng(1), np.random.default_rng(2)
     table = tiles_of_lanes(tiles, rng)
@@ -96,7 +97,7 @@ def write_days(
 
 
 def _write_hour(folder: Path, hour: int, origin: Origin) -> None:
-    """Write the hour of a sensor that delivers a frame a second, each valid for long."""
+    """Write an hour of a sensor that delivers a frame a second, each valid up to the next."""
     first = hour * STEPS_PER_HOUR + np.arange(0, STEPS_PER_HOUR, 20)
     frames = dict.fromkeys(FRAMES.names, np.ones(len(first), np.int64)) | {
         "sensor": np.full(len(first), "R1"), "pose": np.full(len(first), "a"),
@@ -119,10 +120,10 @@ def roll_up(dataset: gr.Dataset) -> None:
 def _write(
     folder: Path, table: TableSchema, day: int, known: str, rows: pa.Table | Mapping[str, Any]
 ) -> None:
-    """Write a table of a date with the keys of its hours, as those that measure write it."""
+    """Write a table of a date, with the key of each hour in its metadata, as `measure` does."""
     own: list[str | int] = [DRAWN_METHOD, DRAWN]
     keys = dict.fromkeys(range(day, day + HOURS), own)
-    if table is not TILE_COUNTS:  # what lanes measure follows from the hour before, too
+    if table is not TILE_COUNTS:  # lane measures depend on the hour before, too
         keys = {hour: [METHOD, *own, *(own if hour > FIRST_HOUR else [0, ""])] for hour in keys}
     metadata = common_metadata(table, known) | {"hour": hour_text(day), "hours": json.dumps(keys)}
     path = part_path(folder, table, day)
@@ -131,7 +132,7 @@ def _write(
 
 
 def _lanes_of(tiles: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    """Return the layer of lanes, of which some are a street."""
+    """Return the layer of lanes, `LANES_A_STREET` of them to a street."""
     groups = tiles.groupby("lane")
     ends = [(of.geometry.iloc[0].centroid, of.geometry.iloc[-1].centroid) for _, of in groups]
     lane = list(groups.groups)
@@ -145,7 +146,7 @@ def _lanes_of(tiles: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
 
 
 def _measures(lanes: Integers, rng: np.random.Generator) -> pa.Table:
-    """Return the lane measures of a day."""
+    """Draw the lane measures of a day."""
     rate = np.outer(rng.gamma(3.0, 30.0, len(lanes)), _by_quarter()).ravel()
     size = len(rate)
     counted = rng.poisson(rate)
@@ -172,7 +173,7 @@ def _measures(lanes: Integers, rng: np.random.Generator) -> pa.Table:
 
 
 def _counts(seen: Integers, lane: Integers, rng: np.random.Generator, *, busy: bool) -> pa.Table:
-    """Return the rows of a day, by tile and quarter."""
+    """Draw the tile counts of a day."""
     shape = (len(seen), QUARTERS)
     observed = np.broadcast_to(
         STEPS_PER_QUARTER - rng.integers(0, MOST_MISSING, (1, QUARTERS)), shape
@@ -197,7 +198,7 @@ def _counts(seen: Integers, lane: Integers, rng: np.random.Generator, *, busy: b
 
 
 def _by_quarter() -> Floats:
-    """Return traffic over a day, 1 at most: little at night."""
+    """Return the traffic of each quarter of a day as a share of the busiest."""
     hour = 24.0 * np.arange(QUARTERS) / QUARTERS
     return np.asarray(np.clip(np.sin((hour - 4.0) / 20.0 * np.pi), 0.02, 1.0) ** 1.5)
 

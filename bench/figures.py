@@ -1,4 +1,4 @@
-"""What all benches share: figures with their targets, tables, and processes that are measured."""
+"""Figures of all benches with their targets, Markdown tables, and processes that are measured."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from typing import Any
 
 ROOT = Path(__file__).parent.parent
 OUT = ROOT / "out" / "bench"
-TARGET = "(target)"  # what stands for a peer where there is none
-# By so much do figures differ from run to run: processor times of shared machines most.
-TIMES, SHARES, SAME = 0.25, 0.05, 0.02
+TARGET = "(target)"  # name of the peer where a figure is set beside a target
+# Differences from run to run, as shares of a figure: of time and memory on a shared machine; of
+# measured shares and errors; of what hardly differs.
+TIME_CHANCE, SHARE_CHANCE, EXACT_CHANCE = 0.25, 0.05, 0.02
 ONE_CORE = dict.fromkeys(
     ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
-# Starts a command from a small process: the peak of a child begins with the memory of its parent.
+# A small program that starts the command: the peak of a child begins with its parent's memory.
 STARTER = """
 import json, resource, subprocess, sys
 code = subprocess.run(sys.argv[1:]).returncode
@@ -37,19 +38,19 @@ class Figure:
     Parameters
     ----------
     what : str
-        What is measured.
+        Its name: what is measured.
     ours : float
         The figure.
     unit : str
         Its unit.
     peer, peer_name : float or None, str
-        What it is set beside: a peer in the same run, or a target (`TARGET`).
+        A peer's figure of the same run, or a target, and its name (`TARGET` for a target).
     more_is_better : bool
         Whether a higher figure is a better one.
     chance, least : float
-        By which part of it the figure differs from run to run, and by how much at least.
+        By how much it may differ from run to run: as a share of it, and at least.
     size : str
-        How large the work was.
+        Size of the work; part of the printed name only.
     """
 
     what: str
@@ -58,18 +59,18 @@ class Figure:
     peer: float | None = None
     peer_name: str = ""
     more_is_better: bool = False
-    chance: float = SHARES
+    chance: float = SHARE_CHANCE
     least: float = 0.0
     size: str = ""
 
     @property
     def ratio(self) -> float | None:
-        """Ours over the peer's."""
+        """Our figure over the peer's."""
         return None if not self.peer else self.ours / self.peer
 
     @property
     def name(self) -> str:
-        """What is measured, with the size of the work."""
+        """Name with the size of the work, as it is printed."""
         return f"{self.what}, {self.size}" if self.size else self.what
 
     @property
@@ -80,7 +81,7 @@ class Figure:
         return self.ours < self.peer if self.more_is_better else self.ours > self.peer
 
     def change(self, accepted: float) -> float:
-        """Return by how much more than chance the figure got worse; negative where better, or 0."""
+        """Return by how much beyond chance the figure is worse than before; negative: better."""
         more = accepted - self.ours if self.more_is_better else self.ours - accepted
         beyond = max(abs(more) - max(self.chance * abs(accepted), self.least), 0.0)
         return beyond if more > 0.0 else -beyond
@@ -98,10 +99,7 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def report(bench: str, figures: Iterable[Figure]) -> None:
-    """Print figures as they come, keep them in `OUT` beside earlier ones, and judge.
-
-    Exits with code 1 where a figure misses its target.
-    """
+    """Print each figure and keep it in `OUT`; exit with code 1 where one misses its target."""
     missed = []
     for each in figures:
         print(f"{each.name}: {short(each.ours, each.unit)}{_beside(each)}", flush=True)
@@ -119,7 +117,7 @@ def _beside(figure: Figure) -> str:
 
 
 def keep(bench: str, figures: Iterable[Figure]) -> None:
-    """Add figures to those kept of a bench; one of the same name is replaced."""
+    """Add figures to those kept of a bench, in place of earlier ones of the same names."""
     path = OUT / f"{bench}.json"
     kept = {each.what: each for each in read(path)} | {each.what: each for each in figures}
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -132,15 +130,15 @@ def read(path: Path) -> list[Figure]:
 
 
 def spent_s(work: Callable[[], object]) -> float:
-    """Return the seconds of the processor, all threads, that some work takes."""
+    """Return the CPU time, all threads, that a call takes."""
     begin = time.process_time()
     work()
     return time.process_time() - begin
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ran:
-    """How a process ended.
+class ProcessResult:
+    """Result of a process.
 
     Parameters
     ----------
@@ -149,7 +147,7 @@ class Ran:
     lines : list of dict
         The JSON objects that it printed, a line each.
     cpu_s, peak_mib : float
-        Time of the processor, and the most memory held.
+        CPU time, and the most memory held.
     """
 
     code: int
@@ -158,15 +156,15 @@ class Ran:
     peak_mib: float
 
 
-def run_alone(*words: object, check: bool = True) -> Ran:
-    """Run Python with some words as a process of its own on one core.
+def run_alone(*words: object, check: bool = True) -> ProcessResult:
+    """Run Python as a process of its own with single-threaded libraries.
 
     Parameters
     ----------
     words : object
         Arguments of Python: a script, ``-m`` and a module, or ``-c`` and code.
     check : bool
-        Whether another exit code than 0 ends the bench.
+        Whether a failure ends the bench; else what the process writes to stderr is dropped.
     """
     command = [sys.executable, *map(str, words)]
     done = subprocess.run(
@@ -177,4 +175,4 @@ def run_alone(*words: object, check: bool = True) -> Ran:
     *lines, used = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
     if check and used["code"]:
         sys.exit(f"{words[0]} ... ended with code {used['code']}")
-    return Ran(lines=lines, **used)
+    return ProcessResult(lines=lines, **used)

@@ -1,14 +1,14 @@
-"""Many simulated sensors, a real broker, and fusion: what is lost, how late the map is, who works.
+"""Soak of the live system: simulated sensors, a real broker, fusion; losses, delay, CPU, memory.
 
     python bench/live_soak.py [--minutes 15] [--sensors 100] [--processes 4]
 
-Each sensor sends 20 frames a second of the sample's detections, by the program's own outbox, and
-keeps what fusion has not stored. From a frame's time to the map that has it is measured in fusion,
-for each frame; one that comes too late for its window counts as never. Clients have other cores
-than fusion and broker, where there are two or more. With `--vehicles` they are followed, too, and
-quarters and hours are measured meanwhile. `--kill MINUTE NAME ...` kills `fusion`, `broker` or the
-`worker` then; the first two are started again at once. `--go-on` begins anew in the folder of an
-earlier soak, as after an outage; its figures count both. They go to `out/bench-live-soak.json`.
+Each sensor sends 20 frames a second of the sample's detections through the outbox of `edge`, and
+keeps them until they are acknowledged. For each frame fusion measures the time until the map has
+it; one that is too late for its window counts as never. Senders run on other cores than fusion and
+broker where there are two or more. With `--vehicles` vehicles are followed, and quarters and hours
+are measured meanwhile. `--kill MINUTE NAME ...` kills `fusion`, `broker` or the `worker` at that
+time; the first two start again at once. `--go-on` continues in the folder of an earlier soak, as
+after an outage; its figures count both. Figures go to `out/bench-live-soak.json`.
 """
 
 from __future__ import annotations
@@ -58,15 +58,15 @@ from gis_radar.scans import SightTiles, find_sight
 
 SAMPLE, OUT = gr.sample_folder(), Path("out/bench-live-soak.json")
 SITE = "soak"
-LOOK_S = 10.0  # between two looks at memory and CPU
-PATIENCE_S = 120.0
+LOOK_S = 10.0  # between two samples of memory and CPU time
+PATIENCE_S = 120.0  # for the last frames to be acknowledged
 Figures = dict[str, Any]
-FRAMES = 2000  # that are sent again and again
-MOST_MS = 10_000  # ages of frames are counted up to here
+FRAMES = 2000  # of the sample, which are sent again and again
+MOST_MS = 10_000  # delays over this are counted as this
 
 
-class Memory:
-    """A buffer like that on disk: the disks of a hundred computers are not measured here."""
+class MemoryBuffer:
+    """Buffer in memory in place of `DiskBuffer`: a sensor's disk is not measured here."""
 
     def __init__(self, stream: bytes) -> None:
         self.stream, self.last, self.stored, self.bytes_used = stream, 0, 0, 0
@@ -103,11 +103,11 @@ class Sensor:
     Parameters
     ----------
     name : str
-        Its name; the digits say at which part of a step its frames are.
+        Its name; its number decides when in a step its frames are sent.
     address : BrokerAddress
         The broker.
     frames : list of bytes
-        What follows the time in a message with one frame; sent again and again.
+        What follows the time in the message of each frame.
     fingerprint : str
         Of the tiles.
     """
@@ -119,7 +119,7 @@ class Sensor:
         self.sent = 0
         self.delays: list[float] = []
         self._frames = frames
-        self._buffer = Memory(os.urandom(4))
+        self._buffer = MemoryBuffer(os.urandom(4))
         self.link = Link(address, name=f"{SITE}-{name}", topics=(topics.of("ack"),))
         self.outbox = Outbox(cast("DiskBuffer", self._buffer), self.link, topics, figures=dict)
         pose = gr.read_pose(SAMPLE / "R1.json").as_dict() | {"sensor": name}
@@ -129,6 +129,7 @@ class Sensor:
         self.link.open()
 
     def frame(self, time_us: int) -> None:
+        """Put the next frame into the outbox, as measured at a time (UNIX microseconds)."""
         self.delays.append(time.time() - time_us / 1e6)
         frame = self._frames[self.sent % len(self._frames)]
         self.outbox.put(self._head + varint(time_us) + frame)
@@ -136,12 +137,12 @@ class Sensor:
 
 
 def phase_us(name: str, sensors: int) -> int:
-    """Return when in a step a sensor's frames are: they are spread over it."""
+    """Return when in a step a sensor's frames are; those of all sensors are spread over it."""
     return STEP_US * int(name[1:]) // sensors
 
 
 def send(folder: Path, names: list[str], sensors: int, seconds: float) -> None:
-    """Be some sensors for a while; write what they did."""
+    """Run some of the sensors for a time; write their figures."""
     site = read_live_site(folder / "SITE.toml")
     tiles = gr.read_tiles(site.live.tiles)
     road = SightTiles.of(tiles)
@@ -149,11 +150,11 @@ def send(folder: Path, names: list[str], sensors: int, seconds: float) -> None:
     height = road_near(find_sight(pose, road), road)
     recorded = islice(frames_of_recording(SAMPLE / "R1.parquet"), FRAMES)
     found = [selector.find(each, pose, road_m=height) for each in recorded]
-    # packed once: a sensor's own computer does it for one, this process for many
+    # packed once: a sensor's computer packs the frames of one sensor, this process those of many
     begin = POSE_BYTES + len(varint(1)) + len(varint(found[0].time_us))
     made = []
     for name in names:
-        # its own: equal frames of two sensors are refused where hours are measured
+        # moved by centimetres: equal frames of two sensors are refused where hours are measured
         aside = np.array([int(name[1:]), 0, 0])
         own = [replace(each, points=each.points + aside) for each in found]
         frames = [pack_detections([each], pose=bytes(POSE_BYTES))[begin:] for each in own]
@@ -190,8 +191,8 @@ def send(folder: Path, names: list[str], sensors: int, seconds: float) -> None:
         each.link.close()
 
 
-class WorkerEvent(Reporter):
-    """Keeps warnings."""
+class KeptWarnings(Reporter):
+    """Reporter that keeps the warnings."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -202,7 +203,7 @@ class WorkerEvent(Reporter):
 
 
 class TimedFusion(Fusion):
-    """Fusion that notes how old each frame is when the map has it."""
+    """Fusion that counts the frames by their age when the map has them."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.finish_s, self.finishing = 0.0, threading.Event()
@@ -228,17 +229,17 @@ class TimedFusion(Fusion):
 
 
 def fuse(folder: Path) -> None:
-    """Run fusion until it is stopped; write how it did."""
-    told = WorkerEvent()
+    """Run fusion until it is stopped; write its figures every 10 s and at the end."""
+    warnings = KeptWarnings()
     begin = time.monotonic()
-    fusion = TimedFusion(read_live_site(folder / "SITE.toml"), reporter=told)
+    fusion = TimedFusion(read_live_site(folder / "SITE.toml"), reporter=warnings)
     start_s = time.monotonic() - begin
     fusion.ages[:] = 0
     rows: list[dict[str, float]] = []
 
     def look() -> None:
         before = fusion.ages.copy()
-        while not fusion.finishing.wait(LOOK_S):  # writing the rest takes memory of its own
+        while not fusion.finishing.wait(LOOK_S):  # what is written at the end takes more memory
             write()
             ages, before = fusion.ages - before, fusion.ages.copy()
             counts = [each.health.counts for each in fusion.sensors.values()]
@@ -259,9 +260,9 @@ def fuse(folder: Path) -> None:
         ages[MOST_MS] += counts.get("late_frames", 0)
         figures = {
             "counts": counts, "rows": rows, "start_s": start_s, "finish_s": fusion.finish_s,
-            "told": told.lines[-20:], "figures": fusion.shown, "ages": ages.tolist(),
+            "told": warnings.lines[-20:], "figures": fusion.shown, "ages": ages.tolist(),
         }  # fmt: skip
-        fresh = folder / f"fused-{begin:.0f}.new"  # may be killed amid it
+        fresh = folder / f"fused-{begin:.0f}.new"  # a process killed meanwhile leaves no half file
         fresh.write_text(json.dumps(figures))
         fresh.replace(fresh.with_suffix(".json"))
 
@@ -272,25 +273,25 @@ def fuse(folder: Path) -> None:
 
 
 def percentile(ages: Integers, share: float) -> float:
-    """Return a percentile of ages that are counted by milliseconds."""
+    """Return a percentile, milliseconds, of ages counted by milliseconds."""
     total = ages.sum()
     return float(np.searchsorted(np.cumsum(ages), share * total)) if total else float("nan")
 
 
 def resident_mb(pid: int) -> float:
-    """Return the memory of a process."""
+    """Return the memory that a process holds now, MB."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def cpu_s(pid: int) -> float:
-    """Return the CPU time of a process so far."""
+    """Return the CPU time of a process so far, seconds."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def write_site(folder: Path, names: list[str], port: int, *, vehicles: bool) -> None:
-    """Write tiles, and files of site and broker."""
+    """Write tiles, `SITE.toml` and the broker's files into a new folder."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     roads = gr.read_map(SAMPLE / "junction.osm")
@@ -318,7 +319,7 @@ address = "mqtt://127.0.0.1:{port}"
 
 
 def cores_apart() -> tuple[list[int], list[int]]:
-    """Return the cores of fusion and broker, and those of the clients: others, where there are."""
+    """Return the cores of fusion and broker, and those of the senders; empty: any."""
     if not hasattr(os, "sched_getaffinity"):
         return [], []
     cores = sorted(os.sched_getaffinity(0))
@@ -326,8 +327,8 @@ def cores_apart() -> tuple[list[int], list[int]]:
     return cores[:half] or cores, cores[half:]
 
 
-def started(words: list[str], cores: list[int], **options: Any) -> subprocess.Popen[bytes]:
-    """Start a program on some cores, or wherever the system likes."""
+def start_program(words: list[str], cores: list[int], **options: Any) -> subprocess.Popen[bytes]:
+    """Start a program on some cores; on any where none are given."""
     program = subprocess.Popen(words, **options)
     if cores:
         os.sched_setaffinity(program.pid, cores)  # it has no other threads yet
@@ -335,14 +336,14 @@ def started(words: list[str], cores: list[int], **options: Any) -> subprocess.Po
 
 
 class Centre:
-    """Broker and fusion, started again when they were killed.
+    """Broker and fusion as processes, which can be killed and start again.
 
     Parameters
     ----------
     folder : Path
-        Of the site's files.
+        Folder of the site's files.
     cores : list of int
-        Where they run.
+        Cores that they run on; empty: any.
     """
 
     def __init__(self, folder: Path, cores: list[int]) -> None:
@@ -355,9 +356,13 @@ class Centre:
 
     def _started(self, name: str) -> subprocess.Popen[bytes]:
         if name == "fusion":
-            return started([sys.executable, __file__, "--fuse", str(self._folder)], self._cores)
+            return start_program(
+                [sys.executable, __file__, "--fuse", str(self._folder)], self._cores
+            )
         words = [mosquitto_here(), "-c", "broker/mosquitto.conf"]
-        return started(words, self._cores, cwd=self._folder, stdout=self._log, stderr=self._log)
+        return start_program(
+            words, self._cores, cwd=self._folder, stdout=self._log, stderr=self._log
+        )
 
     def kill(self, name: str) -> None:
         """Kill the broker, fusion, or the worker beside it; start the first two again."""
@@ -373,11 +378,11 @@ class Centre:
         setattr(self, name, self._started(name))
 
     def cpu_s(self, name: str) -> float:
-        """Return the CPU time of the broker or of fusion, with those that were killed."""
+        """Return the CPU time of broker or fusion, with that of killed processes."""
         return self._ended_cpu_s[name] + cpu_s(getattr(self, name).pid)
 
     def end(self) -> None:
-        """End both, fusion in its own time."""
+        """Stop both and wait for them, fusion first."""
         for each in (self.fusion, self.broker):
             each.terminate()
             each.wait()
@@ -385,7 +390,7 @@ class Centre:
 
 
 def mosquitto_here() -> str:
-    """Return the path of the broker's program."""
+    """Return the path of Mosquitto, the broker; exit where it is not installed."""
     mosquitto = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
     if mosquitto is None:
         sys.exit("Mosquitto is not installed: sh tools/get_mosquitto.sh, as root")
@@ -396,7 +401,7 @@ def soak(
     folder: Path, *, sensors: int, processes: int, seconds: float, vehicles: bool, go_on: bool,
     kills: list[tuple[float, str]],
 ) -> Figures:  # fmt: skip
-    """Run all programs, and return the figures; `kills` are seconds and names of what is killed."""
+    """Run all programs and return the figures; `kills` are times (s) and names of processes."""
     names = [f"S{k:04d}" for k in range(sensors)]
     if not go_on:
         write_site(folder, names, free_port(), vehicles=vehicles)
@@ -406,7 +411,7 @@ def soak(
         time.sleep(5.0)
         shares = [names[k::processes] for k in range(processes)]
         senders += [
-            started([sys.executable, __file__, "--send", str(folder), "--names", *share,
+            start_program([sys.executable, __file__, "--send", str(folder), "--names", *share,
                      "--sensors", str(sensors), "--seconds", str(seconds)], others)
             for share in shares
         ]  # fmt: skip
@@ -432,16 +437,16 @@ def soak(
                 each.terminate()
                 each.wait()
         centre.end()
-    return gathered(folder, cores, memory, load) | {
+    return gather_figures(folder, cores, memory, load) | {
         "sensors": sensors, "seconds": seconds, "processes": processes,
         "cores_of_fusion_and_broker": own, "cores_of_senders": others, "kills": kills,
     }  # fmt: skip
 
 
-def gathered(
+def gather_figures(
     folder: Path, cores: dict[str, float], memory: list[float], load: tuple[float, float, float]
 ) -> Figures:
-    """Return all figures in one table."""
+    """Return the figures of all programs, read from their files."""
     sent = [json.loads(each.read_text()) for each in sorted(folder.glob("sent-*.json"))]
     runs = [json.loads(each.read_text()) for each in sorted(folder.glob("fused-*.json"))]
     ages = np.sum([each["ages"] for each in runs], axis=0)
@@ -459,7 +464,7 @@ def gathered(
         "frame_to_map_p99_ms": percentile(ages, 0.99),
         "in_150_ms": float(ages[:151].sum() / ages.sum()),
         "sender_delay_p99_ms": max(each["delay_p99_ms"] for each in sent),
-        # what senders are late by is of this machine, which is a hundred sensors' computers here
+        # senders are late because this machine stands for a hundred sensors' computers
         "sender_delay_by_10_s_ms": [
             round(max(row), 1)
             for row in zip(*(each["delay_by_10_s_ms"] for each in sent), strict=True)
@@ -484,13 +489,14 @@ def gathered(
 
 
 def free_port() -> int:
+    """Return a TCP port that no program uses."""
     with socket.socket() as each:
         each.bind(("127.0.0.1", 0))
         return int(each.getsockname()[1])
 
 
 def main() -> None:
-    """Run the soak, or one of its programs."""
+    """Run the soak, or one of its programs (`--send`, `--fuse`)."""
     words = argparse.ArgumentParser(description=__doc__)
     words.add_argument("--minutes", type=float, default=15.0)
     words.add_argument("--sensors", type=int, default=100)

@@ -1,8 +1,7 @@
-"""The road mask: time against the bare reading of a scan, memory from few tiles to many.
+"""Road mask: time beside the bare reading of a scan, memory of one tile of a scan and of many.
 
-Time: `mask_road` with each engine against `laspy` with lazrs reading the same file. Memory: tiles
-of two million points side by side, masked in a process of its own; the figure is the largest memory
-that Linux saw it hold since it began. Exit code 1 over a target.
+Time: `mask_road` with each engine, beside `laspy` with lazrs reading the same file. Memory: most
+that Linux saw a process hold that masks tiles of two million points. Exit code 1 over a target.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 import shapely
-from figures import TIMES, Figure, report, run_alone
+from figures import TIME_CHANCE, Figure, report, run_alone
 from pyproj import CRS
 
 import gis_radar as gr
@@ -25,10 +24,10 @@ from gis_radar.scans import Roads, find_pdal
 from gis_radar.scans.engines import write_layer
 from gis_radar.scans.roads import RoadLevel
 
-TARGET_READS = 5.0
-TARGET_GROWTH = 1.5
+TARGET_READS = 5.0  # time of the mask over that of the reading, at most
+TARGET_GROWTH = 1.5  # memory with many tiles over that with one, at most
 CRS_OF_TILES = CRS.from_epsg(25832)
-EAST, NORTH = 678_000.0, 5_403_600.0
+EAST, NORTH = 678_000.0, 5_403_600.0  # corner of the first tile
 TILE_M, TILE_POINTS, STREET_M = 400.0, 2_000_000, 20.0
 CHILD = """
 import sys
@@ -57,7 +56,7 @@ def _time(folder: Path) -> Iterator[Figure]:
     for engine, about in (("laspy", "built-in engine"), ("pdal", "PDAL")):
         if engine == "laspy" or find_pdal():
             yield Figure(
-                what=f"road mask, {about}, a scan of 2 M points", unit="s", chance=TIMES,
+                what=f"road mask, {about}, a scan of 2 M points", unit="s", chance=TIME_CHANCE,
                 ours=_best(lambda name=engine: gr.mask_road([path], roads, engine=name)),  # type: ignore[misc]
                 peer=reading_s, peer_name="the bare reading by laspy and lazrs",
             )  # fmt: skip
@@ -72,11 +71,12 @@ def _memory(count: int, folder: Path) -> Figure:
         peaks.append(run_alone("-c", CHILD, layer, *some).peak_mib)
     return Figure(
         what=f"memory of the road mask of {count * TILE_POINTS // 1_000_000} M points", unit="MiB",
-        ours=peaks[1], peer=peaks[0], peer_name="that of 2 M points", chance=TIMES,
+        ours=peaks[1], peer=peaks[0], peer_name="that of 2 M points", chance=TIME_CHANCE,
     )  # fmt: skip
 
 
 def _best(call: Callable[[], object]) -> float:
+    """Return the shortest of three times that a call takes, seconds."""
     times = []
     for _ in range(3):
         begin = time.perf_counter()
@@ -86,7 +86,7 @@ def _best(call: Callable[[], object]) -> float:
 
 
 def _write_tile(path: Path, number: int) -> Path:
-    """Write an unclassified tile: a slope with houses beside the streets."""
+    """Write an unclassified tile of a scan: a slope with houses beside two streets."""
     rng = np.random.default_rng(number)
     xy = rng.uniform(0.0, TILE_M, (TILE_POINTS, 2))
     middle = np.abs(xy - TILE_M / 2).min(axis=1)
@@ -108,7 +108,7 @@ def _corner(number: int) -> tuple[float, float]:
 
 
 def _streets(count: int) -> Roads:
-    """Return two crossing streets a tile, a tenth of its area."""
+    """Return two crossing streets in each tile, a tenth of its area."""
     shapes = []
     for number in range(count):
         west, south = _corner(number)

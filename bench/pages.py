@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def put(page: Path, texts: Mapping[str, str]) -> None:
-    """Put texts between the marks of their names; exit where one has not both once and in order."""
+    """Put texts between the marks of their names; exit where a mark is missing, twice or late."""
     lines = page.read_text(encoding="utf-8").split("\n")
     for name, text in texts.items():
         begin, end = _between(lines, name, page)
@@ -33,10 +33,7 @@ def _between(lines: list[str], name: str, page: Path) -> tuple[int, int]:
 
 
 def picture_options(description: str | None) -> argparse.Namespace:
-    """Return what a script that draws the demo beside its truth was asked for.
-
-    It has ``demo``, ``picture``, and ``into``, a page or None.
-    """
+    """Return the options of a script that draws the demo beside its truth: demo, picture, into."""
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,4 +1,4 @@
-"""Points to tiles in NumPy alone: an oracle of the tests, and a yardstick for compiled code."""
+"""Assignment of points to tiles in NumPy alone: oracle of the tests, and peer of compiled code."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gis_radar.hdmap.tile_lookup import inside_quads
 
 
 class TileGridNumpy(TileGrid):
-    """The same cells and the same test without compiled code: all candidates at once."""
+    """Grid with the same cells and the same test as `TileGrid`, without compiled code."""
 
     def assign(self, easting: Floats, northing: Floats) -> tuple[Integers, Integers]:
         """Return the pairs (point, tile)."""

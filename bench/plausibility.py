@@ -1,12 +1,12 @@
-"""The check of poses and recordings: gross errors that it names, and right poses that it lets pass.
+"""Check of poses and recordings: which gross errors it names, and whether it accepts right poses.
 
-Sensors of the simulated sites (the sample, the towns beside the project) and of random places of
-the bench of localization get two dozen errors, one at a time. An error passes *silent*, is named by
-a *wrong cause*, by the *right cause*, as *unknown*, or there is *too little* traffic to tell. Right
-poses, as they are and 0.3 m off, must not be refused.
+Sensors of the simulated sites (`simulated.py`) and of random places (`bench/localization`) get two
+dozen errors, one at a time. An error passes *silent*, is named by a *wrong cause*, by the *right
+cause*, as *unknown*, or there is *too little* traffic to tell. True poses, also 0.3 m off, must not
+be refused.
 
-In light traffic (`--light`) a third of the vehicles is there: of the known sites the others are
-left out whole, with what is within their true outline; random places have a third of the demand.
+With `--light` a third of the traffic is there: in the simulated sites the detections of two thirds
+of the vehicles are removed, random places have a third of the demand.
 
 Example: ``python bench/plausibility.py --random 2000 textbook:2002 --lines``
 """
@@ -45,13 +45,13 @@ from gis_radar.poses import as_track
 sys.path.insert(0, str(ROOT / "bench" / "localization"))
 
 OUTCOMES = ("silent", "wrong cause", "right cause", "unknown", "too little")
+# Names of the cases without an error, and of errors that not every traffic shows.
 RIGHT, SMALL = ("right", "0.3 m off"), ("1 m off", "1 deg off")
-# Where an error cannot be told: a pitch that small is within what a pose may be off.
-LEAST_PITCH_DEG = 0.75
-# Light traffic: what of the vehicles stays; how far beyond an outline its detections are, metres;
-# the longest half of a vehicle; and how many vehicles may be so near to a detection.
-LIGHT, AROUND_M, HALF_M, NEAREST = 1.0 / 3.0, 1.0, 10.0, 6
-STEP_S, START_S = 0.05, 1.7e9  # of the true places; of those of the towns
+LEAST_PITCH_DEG = 0.75  # the wrong sign of a smaller pitch is no gross error
+# Light traffic: share of the vehicles that stay; how far from its outline a vehicle's detections
+# may lie; the longest half of a vehicle; vehicles that are tried for each detection.
+LIGHT_SHARE, OUTLINE_MARGIN_M, HALF_LENGTH_M, NEAREST_VEHICLES = 1.0 / 3.0, 1.0, 10.0, 6
+STEP_S, START_S = 0.05, 1.7e9  # between true states; begin of the towns' times, UNIX seconds
 Change = Callable[[pd.DataFrame], pd.DataFrame]
 
 
@@ -62,15 +62,15 @@ class Case:
     Parameters
     ----------
     name : str
-        Of the error.
+        Name of the error.
     rows : DataFrame
-        What is recorded.
+        The recording.
     pose : Pose
-        What is given.
+        The pose that is given to the check.
     says : tuple of str
-        Beginnings or parts of causes that are right.
+        Texts of which one is in every right cause.
     lanes : LaneMap, optional
-        In place of the site's.
+        Lanes in place of the site's.
     """
 
     name: str
@@ -102,17 +102,17 @@ def read_place(folder: Path, name: str) -> Place:
     )  # fmt: skip
 
 
-def lightened(place: Place, folder: Path) -> Place:
-    """Return a site with a third of its vehicles: nothing is seen of the others."""
+def thin_out(place: Place, folder: Path) -> Place:
+    """Return a site without the detections of two thirds of its vehicles."""
     true = pd.read_parquet(folder / "vehicles.parquet")
     true = true.rename(columns={"length": "L", "width": "W"})
     ids = np.unique(true["id"])
-    kept = ids[np.random.default_rng(0).random(len(ids)) < LIGHT]
+    kept = ids[np.random.default_rng(0).random(len(ids)) < LIGHT_SHARE]
     offset_s = START_S if true["t"].iloc[0] < START_S else 0.0
     step = np.rint((true["t"].to_numpy() + offset_s) / STEP_S)
     centre = true[["easting", "northing"]].to_numpy()
     origin = centre[0]
-    apart_m = 1000.0 * (step - step[0])  # in another step is far away
+    apart_m = 1000.0 * (step - step[0])  # a third coordinate: other steps are far away
     tree = cKDTree(np.column_stack([centre - origin, apart_m]))
     stays = np.append(true["id"].isin(kept).to_numpy(), True)
     sizes = true[["L", "W", "heading"]].to_numpy()
@@ -120,13 +120,10 @@ def lightened(place: Place, folder: Path) -> Place:
     def seen(rows: pd.DataFrame, pose: gr.Pose) -> pd.DataFrame:
         points = pose.to_map(np.nan_to_num(rows[["x", "y", "z"]].to_numpy(np.float64)))[:, :2]
         at_m = 1000.0 * (np.rint(rows["time"].to_numpy() / STEP_S) - step[0])
-        near = np.asarray(
-            tree.query(
-                np.column_stack([points - origin, at_m]), NEAREST, distance_upper_bound=HALF_M
-            )[1]
-        )
-        nearest, least_m = np.full(len(rows), len(true)), np.full(len(rows), AROUND_M)
-        for number in near.T:
+        places = np.column_stack([points - origin, at_m])
+        near = tree.query(places, NEAREST_VEHICLES, distance_upper_bound=HALF_LENGTH_M)[1]
+        nearest, least_m = np.full(len(rows), len(true)), np.full(len(rows), OUTLINE_MARGIN_M)
+        for number in np.asarray(near).T:
             there = number < len(true)
             one = np.where(there, number, 0)
             turn = np.radians(sizes[one, 2])
@@ -141,8 +138,8 @@ def lightened(place: Place, folder: Path) -> Place:
     return replace(place, rows={n: seen(r, place.poses[n]) for n, r in place.rows.items()})
 
 
-def elsewhere(place: Place, sensor: str, other: Place, there: str) -> LaneMap:
-    """Return the lanes around another place's sensor, moved to where one stands."""
+def other_map_at(place: Place, sensor: str, other: Place, there: str) -> LaneMap:
+    """Return the lanes of another place, moved so that its sensor stands where this one does."""
     by = place.poses[sensor].position - other.poses[there].position
     lanelets = other.lanes.lanelets.copy()
     for name in ("centre", "geometry"):
@@ -155,13 +152,13 @@ def elsewhere(place: Place, sensor: str, other: Place, there: str) -> LaneMap:
     return LaneMap(lanelets=lanelets, road=other.lanes.road + by)
 
 
-def times(factor: float, *columns: str) -> Change:
-    """Return what multiplies columns."""
+def scaled(factor: float, *columns: str) -> Change:
+    """Return a change that multiplies columns."""
     return lambda rows: rows.assign(**{c: rows[c] * np.float32(factor) for c in columns})
 
 
-def frozen(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return rows in which one frame comes again for a quarter of the time."""
+def freeze(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return rows in which one frame repeats for a quarter of the time."""
     frames = np.unique(rows["time"])
     first, last = frames[len(frames) // 3], frames[len(frames) // 3 + len(frames) // 4]
     one = rows[rows["time"] == first]
@@ -170,22 +167,22 @@ def frozen(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(pd.concat(parts))
 
 
-def half(rows: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
-    """Return rows whose second half is another sensor's."""
+def join_halves(rows: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
+    """Return rows whose second half is from another sensor."""
     middle = (rows["time"].iloc[0] + rows["time"].iloc[-1]) / 2.0
     other = other.assign(time=other["time"] - other["time"].iloc[0] + rows["time"].iloc[0])
     return pd.DataFrame(pd.concat([rows[rows["time"] < middle], other[other["time"] >= middle]]))
 
 
 def moved(pose: gr.Pose, **by: float) -> gr.Pose:
-    """Return a pose with fields changed by so much."""
+    """Return a pose with these amounts added to its fields."""
     return replace(pose, **{name: getattr(pose, name) + step for name, step in by.items()})
 
 
 def cases(
     place: Place, sensor: str, foreign: pd.DataFrame, other_map: LaneMap | None
 ) -> Iterator[Case]:
-    """Yield a sensor as it is, and with each error; `foreign` is another sensor's recording."""
+    """Yield a sensor without and with each error; `foreign` is another sensor's recording."""
     rows, pose = place.rows[sensor], place.poses[sensor]
     alone = len(place.poses) == 1
     off, lengths = ("its pose is off", "its pose may be off"), ("ranges are",)
@@ -210,31 +207,31 @@ def cases(
     yield case("3 m too low", "height is", to=moved(pose, height=-3.0))
     swapped = {"x": rows["y"], "y": rows["x"]}
     yield case("x, y swapped", "x and y are swapped", by=lambda r: r.assign(**swapped))
-    yield case("y mirrored", "left and right", by=times(-1.0, "y"))
-    yield case("km/h", "range rates look like km/h", by=times(3.6, "range_rate"))
-    yield case("mph", "range rates look like mph", by=times(2.23694, "range_rate"))
-    yield case("halved", "range rates look halved", by=times(0.5, "range_rate"))
-    yield case("sign", "range rates look positive", by=times(-1.0, "range_rate"))
+    yield case("y mirrored", "left and right", by=scaled(-1.0, "y"))
+    yield case("km/h", "range rates look like km/h", by=scaled(3.6, "range_rate"))
+    yield case("mph", "range rates look like mph", by=scaled(2.23694, "range_rate"))
+    yield case("halved", "range rates look halved", by=scaled(0.5, "range_rate"))
+    yield case("sign", "range rates look positive", by=scaled(-1.0, "range_rate"))
     absolute = {"range_rate": rows["range_rate"].abs()}
     yield case("absolute", "range rates look like absolute", by=lambda r: r.assign(**absolute))
-    yield case("cm/s", "range rates look like cm/s", by=times(100.0, "range_rate"))
-    yield case("ranges + 5 %", *lengths, by=times(1.05, *xyz))
-    yield case("yards", *lengths, "positions look like yards", by=times(1.0 / 0.9144, *xyz))
-    yield case("feet", "positions look like feet", by=times(3.28084, *xyz))
+    yield case("cm/s", "range rates look like cm/s", by=scaled(100.0, "range_rate"))
+    yield case("ranges + 5 %", *lengths, by=scaled(1.05, *xyz))
+    yield case("yards", *lengths, "positions look like yards", by=scaled(1.0 / 0.9144, *xyz))
+    yield case("feet", "positions look like feet", by=scaled(3.28084, *xyz))
     since = rows["time"] - rows["time"].iloc[0]
     fast = {"time": rows["time"].iloc[0] + since / 2.0}
     yield case("time x 2", "range rates look halved", by=lambda r: r.assign(**fast))
     another = () if alone else ("recording and pose are mixed up",)
     yield case("another's recording", *another, by=lambda _: foreign)
     since_half = ("from", "until")
-    yield case("another's from half", *since_half, by=lambda r: half(r, foreign))
-    yield case("frozen", "the recording is frozen", by=frozen)
+    yield case("another's from half", *since_half, by=lambda r: join_halves(r, foreign))
+    yield case("frozen", "the recording is frozen", by=freeze)
     if other_map is not None:
         yield replace(case("another's map"), lanes=other_map)
 
 
 def outcome(case: Case, found: Finding) -> str:
-    """Return what became of an error."""
+    """Return one of `OUTCOMES`; empty for a right pose that passes."""
     if found.verdict == UNKNOWN:
         return "too little"
     if not found.cause:
@@ -245,7 +242,7 @@ def outcome(case: Case, found: Finding) -> str:
 
 
 def judged(place: Place, sensor: str, case: Case) -> tuple[Finding, Excerpt, float]:
-    """Return what the check finds, on what, and the seconds of the processor that it takes."""
+    """Return the finding of the check, the excerpt that it used, and its CPU seconds."""
     others = {name: pose for name, pose in place.poses.items() if name != sensor}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recording.parquet"
@@ -256,11 +253,11 @@ def judged(place: Place, sensor: str, case: Case) -> tuple[Finding, Excerpt, flo
     return found, excerpt, time.process_time() - begin
 
 
-def what_shows(excerpt: Excerpt, lanes: LaneMap) -> dict[str, bool]:
-    """Return whether traffic at a right pose would show a metre, in any direction, and a degree.
+def shown_by_traffic(excerpt: Excerpt, lanes: LaneMap) -> dict[str, bool]:
+    """Return whether the traffic shows an error of a metre in any direction, and of a degree.
 
-    It does if three standard errors are less, of the place with the yaw as surveyed, and of the yaw
-    with the place as surveyed. Along a single street they mostly are not.
+    It does where three standard errors are less: of the place if the yaw is right, and of the yaw
+    if the place is right. Along a single street they mostly are not.
     """
     fitted = fit_pose(excerpt, lanes)
     if fitted is None:
@@ -272,6 +269,7 @@ def what_shows(excerpt: Excerpt, lanes: LaneMap) -> dict[str, bool]:
 
 
 def _folders(numbers: list[str], *, known: bool, light: bool) -> list[tuple[str, Path]]:
+    """Return names and folders of the sites, and of random places by CONDITIONS:NUMBER."""
     from random_places import random_place  # noqa: PLC0415 - needs the simulator
 
     folders = [(each.name, each) for each in sites("town01", "town02", "town04")] if known else []
@@ -283,7 +281,7 @@ def _folders(numbers: list[str], *, known: bool, light: bool) -> list[tuple[str,
 
 
 def trials(everyone: list[tuple[Place, str]]) -> Iterator[tuple[Place, str, Case]]:
-    """Yield each case of each sensor; another's recording and map are the next ones'."""
+    """Yield each case of each sensor; foreign recordings and maps are of its neighbours."""
     for number, (place, sensor) in enumerate(everyone):
         there, other = everyone[number - 1] if len(place.poses) == 1 else (place, sensor)
         if there is place:
@@ -292,7 +290,7 @@ def trials(everyone: list[tuple[Place, str]]) -> Iterator[tuple[Place, str, Case
         far, far_sensor = next(
             (each for each in everyone[number:] + everyone if each[0] is not place), everyone[0]
         )
-        other_map = None if far is place else elsewhere(place, sensor, far, far_sensor)
+        other_map = None if far is place else other_map_at(place, sensor, far, far_sensor)
         for case in cases(place, sensor, there.rows[other], other_map):
             if len(everyone) > 1 or not case.name.startswith("another's"):
                 yield place, sensor, case
@@ -300,7 +298,7 @@ def trials(everyone: list[tuple[Place, str]]) -> Iterator[tuple[Place, str, Case
 
 @dataclass(kw_only=True)
 class Tally:
-    """What became of all cases: outcomes by error, of small errors, and of right poses."""
+    """Counts of outcomes: by error, of small errors, of right poses; and CPU seconds."""
 
     errors: dict[str, Counter[str]] = field(default_factory=dict)
     small: Counter[str] = field(default_factory=Counter)
@@ -308,7 +306,7 @@ class Tally:
     seconds: list[float] = field(default_factory=list)
 
     def add(self, case: Case, found: Finding, shown: dict[str, bool]) -> str:
-        """Count a case, and return its outcome; `shown` is what the traffic at the pose shows."""
+        """Count a case and return its outcome; `shown` is of :func:`shown_by_traffic`."""
         result = outcome(case, found)
         if case.name in RIGHT:
             self.right["all"] += 1
@@ -322,7 +320,7 @@ class Tally:
         return result
 
     def print(self) -> None:
-        """Print the table and the sums."""
+        """Print the table and the totals."""
         rows = [
             [name, *(str(each[o] or "") for o in OUTCOMES)] for name, each in self.errors.items()
         ]
@@ -342,16 +340,16 @@ def main() -> None:
     """Try all errors on all sensors; print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--random", nargs="*", default=[], help="NUMBER or CONDITIONS:NUMBER")
-    parser.add_argument("--no-known", action="store_true", help="leave out sample and towns")
+    parser.add_argument("--no-known", action="store_true", help="leave out the simulated sites")
     parser.add_argument("--light", action="store_true", help="with a third of the traffic")
     parser.add_argument("--only", nargs="*", help="names of errors")
-    parser.add_argument("--lines", action="store_true", help="print what is said of each")
+    parser.add_argument("--lines", action="store_true", help="print the finding of each case")
     given = parser.parse_args()
     folders = _folders(given.random, known=not given.no_known, light=given.light)
     places = [read_place(path, name) for name, path in folders]
     if given.light:
         places = [
-            lightened(place, path) if (path / "vehicles.parquet").exists() else place
+            thin_out(place, path) if (path / "vehicles.parquet").exists() else place
             for place, (_, path) in zip(places, folders, strict=True)
         ]
     tally, shown = Tally(), dict[str, bool]()
@@ -362,7 +360,7 @@ def main() -> None:
         found, excerpt, took_s = judged(place, sensor, case)
         tally.seconds.append(took_s)
         if case.name == RIGHT[0]:
-            shown = what_shows(excerpt, place.lanes)
+            shown = shown_by_traffic(excerpt, place.lanes)
         result = tally.add(case, found, shown)
         if given.lines:
             line = found.text_with_advice

@@ -1,9 +1,9 @@
-"""Stated errors of occupancy where poses are off: measured with poses drawn from their own sigmas.
+"""Standard errors of occupancy where poses are wrong by what their sigmas say.
 
-A sensor of a simulated town is measured again and again for its first minute, each time with
-another pose that is drawn around the true one. Shown is the share of the tiles with occupancy that
-are within two standard errors of the truth, where each pose states its sigmas, and where it states
-none; beside it the root mean squares of errors and of standard errors.
+The first minute of a sensor of a simulated town is measured with poses that are drawn around the
+true one. Shown is the share of the tiles with occupancy that are within two standard errors of the
+truth, where the pose states its sigmas and where it states none, and the root mean squares of
+errors and of standard errors.
 
 Example: ``python bench/pose_errors.py --site town04 --sensor R1 --draws 10``
 """
@@ -28,11 +28,11 @@ import gis_radar as gr
 sys.path[:0] = [str(ROOT / "bench" / each) for each in ("vehicles", "localization")]
 
 SIGMAS = {"0.15 m, 0.1 deg": (0.15, 0.1), "0.5 m, 0.3 deg": (0.5, 0.3), "1 m, 0.5 deg": (1.0, 0.5)}
-SECONDS, WITHIN = 60.0, 2.0
+SECONDS, WITHIN_SIGMAS = 60.0, 2.0  # of the recording that is measured
 
 
 def true_shares(site: str, sensor: str) -> pd.Series:
-    """Return the true occupancy of the tiles that a sensor sees, by tile."""
+    """Return the true occupancy of the tiles that a sensor has in sight, by tile."""
     from scenes import scene  # noqa: PLC0415 - needs the simulator
     from true_occupancy import true_occupancy  # noqa: PLC0415
 
@@ -43,14 +43,14 @@ def true_shares(site: str, sensor: str) -> pd.Series:
     return pd.Series(found.set_index("tile_id")["occupancy"].rename("true"))
 
 
-def stated(dataset: Path) -> pd.DataFrame:
+def estimated(dataset: Path) -> pd.DataFrame:
     """Return occupancy and its standard error of the visible tiles, by tile."""
     wide = gr.make_heatmap(gr.open_dataset(dataset)).wide()
     return pd.DataFrame(wide[wide["visible_s"] > 0.0].set_index("tile_id"))
 
 
-def silenced(dataset: Path) -> None:
-    """Let the poses of a dataset state no sigmas."""
+def remove_sigmas(dataset: Path) -> None:
+    """Remove the sigmas from the poses of a dataset."""
     path = dataset / "poses.parquet"
     rows = pq.read_table(path)
     texts = [json.dumps(json.loads(t) | {"sigma": None}) for t in rows["document"].to_pylist()]
@@ -63,7 +63,7 @@ def agreement(known: pd.DataFrame, true: pd.Series) -> list[float]:
     both = known.join(true, how="inner").dropna(subset=["occupancy", "true"])
     both = both[(both["occupancy"] > 0.0) | (both["true"] > 0.0)]
     off, error = (both["occupancy"] - both["true"]).abs(), both["occupancy_se"]
-    within = float((off <= WITHIN * error).mean())
+    within = float((off <= WITHIN_SIGMAS * error).mean())
     return [within, float(np.sqrt((off**2).mean())), float(np.sqrt((error**2).mean()))]
 
 
@@ -89,9 +89,9 @@ def main() -> None:
                 rows[rows["time"] < rows["time"].iloc[0] + SECONDS].to_parquet(path, index=False)
                 drawn = replace(pose, evidence={"sigma": sigma}, **off)
                 gr.measure([path], [drawn], tiles, folder / "map.osm", made, check=False)
-                found["stated"].append(agreement(stated(made), true))
-                silenced(made)
-                found["not stated"].append(agreement(stated(made), true))
+                found["stated"].append(agreement(estimated(made), true))
+                remove_sigmas(made)
+                found["not stated"].append(agreement(estimated(made), true))
         for how, values in found.items():
             within, off_rms, error_rms = np.mean(values, axis=0)
             lines.append([name, how, f"{within:.1%}", f"{off_rms:.3f}", f"{error_rms:.3f}"])

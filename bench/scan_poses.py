@@ -1,9 +1,9 @@
-"""Poses by traffic alone, and by traffic and what stands in the scan, beside the truth.
+"""Errors of poses found by traffic alone, and by traffic and the scan.
 
     python bench/scan_poses.py --scene town-991,tee-932
-    python bench/scan_poses.py --scene bends    round bends, where traffic leaves the place open
+    python bench/scan_poses.py --scene bends    bends, where traffic alone does not fix the place
 
-One line a sensor of the scenes of bench/vehicles; guesses up to 10 m off, no heading.
+A line a sensor of the scenes of bench/vehicles; guesses are up to 10 m off, without a heading.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ GUESS_M = 10.0
 
 
 def main() -> None:
-    """Run what is asked for; print a line a sensor, and means."""
+    """Find the poses of all sensors twice; print a line a sensor, and means."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scene", default=",".join(SCENES))
     rows = []
@@ -59,7 +59,7 @@ def main() -> None:
 def _errors(
     site: SceneFiles, recording: Path, truth: gr.Pose, scans: tuple[Path, ...]
 ) -> tuple[Floats, Floats] | None:
-    """Return errors and sigmas, in metres and degrees; None where it is refused."""
+    """Return errors and sigmas, metres and degrees; None where the answer is refused."""
     rng = np.random.default_rng([7, *truth.sensor.encode(), *site.name.encode()])
     away, angle = GUESS_M * np.sqrt(rng.uniform()), rng.uniform(0.0, 2.0 * np.pi)
     guess = truth.position[:2] + away * np.array([np.cos(angle), np.sin(angle)])
@@ -82,6 +82,7 @@ def _road(site: SceneFiles) -> Path:
 
 
 def _line(found: tuple[Floats, Floats] | None) -> str:
+    """Return the error on the plane and of the yaw (degrees) as text."""
     if found is None:
         return "refused"
     error = found[0]

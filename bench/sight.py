@@ -1,8 +1,9 @@
-"""Sight against the truth of simulated places: towns with houses, and roads on two levels.
+"""Sight beside the truth of simulated places: towns with houses, and roads on two levels.
 
 `wrongly seen` is the share of the tiles called in sight that are truly hidden, `lost` the share of
-those truly in sight that are called hidden, `right` that of all tiles in view. Scans come with and
-without classes, dense and thin. Exit code 1 outside the targets.
+those truly in sight that are called hidden, `right` the share of all tiles in view that are called
+what they are. Scans are with and without ASPRS classes, dense and thin. Exit code 1 where a figure
+misses its target.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from datetime import date
 from pathlib import Path
 
 import numpy as np
-from figures import ROOT, SAME, SHARES, TARGET, TIMES, Figure, report
+from figures import EXACT_CHANCE, ROOT, SHARE_CHANCE, TARGET, TIME_CHANCE, Figure, report
 
 import gis_radar as gr
 from gis_radar.base import Booleans
@@ -37,15 +38,15 @@ from simulation.street_plans import NO_TURNS
 
 TOWNS, LEVELS = (4, 7), (1, 2, 3)
 DENSE = (Strip(heading_deg=24.0, slant=0.16), Strip(heading_deg=208.0, slant=0.1))
+# By name: whether points have classes, and the distance of points as a multiple of the dense one.
 SCANS = {"classes": (True, 1.0), "no classes": (False, 1.0), "thin, no classes": (False, 2.2)}
-UP = np.array([0.0, 0.0, 0.6])  # to where a tile counts as seen
-MOST_SECONDS, LEAST_PERCENT = 10.0, 0.1  # smaller differences of shares tell nothing
-# In sight as called and in truth, of the tiles in view; seconds for the scan and all sensors.
+MOST_SECONDS, LEAST_PERCENT = 10.0, 0.1  # target of the time; smaller differences are chance
+# Of the tiles in view: in sight as called, and truly; seconds for the scan and all sensors.
 Verdict = tuple[Booleans, Booleans, float]
 
 
 def main() -> None:
-    """Measure each place with each scan, and judge."""
+    """Find sight at each place with each scan, and judge."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--towns", type=int, nargs="*", default=TOWNS)
     parser.add_argument("--levels", type=int, nargs="*", default=LEVELS)
@@ -63,7 +64,7 @@ def main() -> None:
 
 
 def _figures(group: str, verdicts: list[Verdict]) -> Iterator[Figure]:
-    """Yield the figures of a group over all its places and sensors."""
+    """Yield the figures of a kind of place with a kind of scan, over all places and sensors."""
     called, true = (np.concatenate(flags) for flags in list(zip(*verdicts, strict=True))[:2])
     shares = {
         "right": (called == true).mean(), "wrongly seen": (~true[called]).mean(),
@@ -77,17 +78,17 @@ def _figures(group: str, verdicts: list[Verdict]) -> Iterator[Figure]:
         yield Figure(
             what=f"sight, {group}: {name}", ours=100.0 * float(shares[name]), unit="%",
             peer=target, peer_name=TARGET, more_is_better=better,
-            chance=SAME if better else SHARES, least=0.0 if better else LEAST_PERCENT,
+            chance=EXACT_CHANCE if better else SHARE_CHANCE, least=0.0 if better else LEAST_PERCENT,
         )  # fmt: skip
     seconds = max(verdict[2] for verdict in verdicts)
     yield Figure(
         what=f"sight, {group}: scan and all sensors of a place", ours=seconds, unit="s",
-        peer=MOST_SECONDS, peer_name=TARGET, chance=TIMES,
+        peer=MOST_SECONDS, peer_name=TARGET, chance=TIME_CHANCE,
     )  # fmt: skip
 
 
 def town(number: int, scans: tuple[str, ...], folder: Path) -> Iterator[tuple[str, Verdict]]:
-    """Yield verdicts of a town; houses, trees and cars are drawn by its number."""
+    """Yield the verdict of a town with each scan; its number draws houses, trees and cars."""
     rng = np.random.default_rng([20261121, number])
     plan, net = town_plan(), folder / "town.net.xml"
     build_network(plan.nodes_xml, plan.edges_xml, NO_TURNS, net)
@@ -102,7 +103,7 @@ def town(number: int, scans: tuple[str, ...], folder: Path) -> Iterator[tuple[st
     write_lanelets(network, folder / "map.osm", terrain=TERRAIN, crs=UTM)
     tiles = SightTiles.of(gr.make_tiles(gr.read_map(folder / "map.osm")))
     poses = [pose for k in (False, True) for pose in masts_of(scene, free=k)]
-    targets, walls = tiles.centres + UP, building_walls(scene)
+    targets, walls = tiles.centres + two_levels.UP, building_walls(scene)
     hidden = [walls.hide(pose.position, targets) for pose in poses]
     for name in scans:
         classified, spacing = SCANS[name]
@@ -117,7 +118,7 @@ def town(number: int, scans: tuple[str, ...], folder: Path) -> Iterator[tuple[st
 
 
 def levels(number: int, scans: tuple[str, ...], folder: Path) -> Iterator[tuple[str, Verdict]]:
-    """Yield verdicts of a place with two levels."""
+    """Yield the verdict of a place of two levels with each scan."""
     place = two_levels.draw(number)
     tiles = SightTiles.of(two_levels.tiles(place))
     poses = two_levels.poses(place, number)
@@ -132,7 +133,7 @@ def levels(number: int, scans: tuple[str, ...], folder: Path) -> Iterator[tuple[
 
 
 def judge(poses: list[gr.Pose], tiles: SightTiles, path: Path, hidden: list[Booleans]) -> Verdict:
-    """Return the verdict of one place with one scan, over all its sensors."""
+    """Return the verdict on a place with a scan, over all sensors; `hidden` is the truth."""
     begin = time.perf_counter()
     scan = SightScan([path], tiles)
     scan.read(poses)

@@ -1,12 +1,12 @@
-"""How often a changed signal is told, one hour against one, and how often the same one.
+"""Power and false alarms of a comparison of two hours, before and after a signal was changed.
 
     python bench/signal_change.py [--places 101-116] [--per-hour 1000]
 
-SUMO drives hours at junctions drawn at random, with a signal of fixed time: two of a cycle of 60 s,
-two of 110 s. The states of all vehicles give lane measures, as if every vehicle were seen: what is
-left is how the traffic differs from hour to hour. A change is found where any lane and measure is
-told between the cycles; it is false where any is between hours of one cycle. Of each stop line and
-20 minutes, in which four begins of green and more are seen, the length of the cycle is told, too.
+SUMO drives hours at junctions drawn at random, with a fixed-time signal: two hours with a cycle of
+60 s, two with 110 s. Lane measures follow from all true vehicles, so that only traffic differs from
+hour to hour. Shown is how often any measure of any lane is significant between the two cycles, and
+between hours of the same cycle; and how often the length of the cycle is found from 20 minutes of a
+stop line with at least four begins of green.
 """
 
 from __future__ import annotations
@@ -52,23 +52,23 @@ from simulation.network import RoadNetwork, build_network, read_network  # noqa:
 from simulation.street_plans import NO_TURNS, StreetPlan, junction  # noqa: E402
 
 LENGTHS = {kind.name: kind.length_m for kind in KINDS}
-TILE_M = 1.0
-WARM_UP_S = 300
+TILE_M = 1.0  # length
+WARM_UP_S = 300  # for which traffic builds up
 STATE_STEPS = 4  # between two states, as in a dataset
-BEGIN = 472_000 * STEPS_PER_HOUR
+BEGIN = 472_000 * STEPS_PER_HOUR  # step at which the hour begins
 CYCLES_S = (60, 110)
-PART_STEPS, RIGHT_S = 20 * 60 * STEPS_PER_SECOND, 2.0
+PART_STEPS, RIGHT_S = 20 * 60 * STEPS_PER_SECOND, 2.0  # 20 minutes; error of a right cycle, at most
 MINUTES = StepGrid(begin=BEGIN, steps=60 * STEPS_PER_SECOND, count=60)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SignalHour:
-    """An hour at a junction.
+    """An hour of true traffic at a junction.
 
     Parameters
     ----------
     network : LaneNetwork
-        Its lanes.
+        The lanes.
     states, vehicles, visible
         As for :func:`gis_radar.measures.measure_lanes`.
     """
@@ -79,7 +79,7 @@ class SignalHour:
     visible: VisibleRuns
 
     def tiles(self, grid: StepGrid) -> TileSteps:
-        """Return the steps of tiles, occupied from front to rear on the lane of the front."""
+        """Return occupied steps of tiles: from front to rear, on the lane of the front alone."""
         network, states = self.network, self.states
         on = np.flatnonzero((states.step >= grid.begin) & (states.step < grid.end))
         lane, front = states.lane[on], states.along_m[on]
@@ -99,14 +99,14 @@ class SignalHour:
         )  # fmt: skip
 
     def tracked(self, grid: StepGrid) -> TrackedLanes:
-        """Return the lanes over intervals of the hour."""
+        """Return what :func:`gis_radar.measures.measure_lanes` takes, for some intervals."""
         return TrackedLanes(
             network=self.network, grid=grid, states=self.states, vehicles=self.vehicles,
             visible=self.visible,
         )  # fmt: skip
 
     def traffic(self, grid: StepGrid = MINUTES) -> gpd.GeoDataFrame:
-        """Return rows of lanes and intervals, as a dataset does."""
+        """Return the lane measures as `Dataset.traffic` does."""
         found = measure_lanes(self.tracked(grid), self.tiles(grid))
         rows = pd.DataFrame(
             {name: values for name, values in found.lanes.items() if name != "speed_counts"}
@@ -123,7 +123,7 @@ class SignalHour:
 
 
 def signal_hour(*, place: int, cycle_s: int, seed: int, per_hour: float) -> SignalHour:
-    """Drive an hour at a junction that `place` draws, with a signal of fixed time."""
+    """Simulate an hour at the junction of seed `place`, with a fixed-time signal."""
     with tempfile.TemporaryDirectory() as name:
         net, trace = Path(name) / "net.xml", Path(name) / "trace.xml"
         plan = _plan(place)
@@ -152,7 +152,7 @@ def signal_hour(*, place: int, cycle_s: int, seed: int, per_hour: float) -> Sign
 
 
 def _plan(place: int) -> StreetPlan:
-    """Return a junction with a signal."""
+    """Draw junctions until one has a signal; return it."""
     rng = np.random.default_rng(place)
     while True:
         plan = junction(rng)
@@ -161,6 +161,7 @@ def _plan(place: int) -> StreetPlan:
 
 
 def _network(roads: RoadNetwork) -> tuple[LaneNetwork, dict[str, int]]:
+    """Return lanes and turns as a lane network, and the row of each by SUMO's id."""
     bands = list(roads.bands)
     at = {name: k for k, name in enumerate(bands)}
     length = np.array([arc_length(band.centre)[-1] for band in roads.bands.values()])
@@ -186,7 +187,7 @@ def _network(roads: RoadNetwork) -> tuple[LaneNetwork, dict[str, int]]:
 def _states(
     trace: Path, roads: RoadNetwork, network: LaneNetwork, bands: dict[str, int]
 ) -> tuple[FrontStates, list[str]]:
-    """Return the states of a floating-car file, and the kinds of the vehicles."""
+    """Return the states in SUMO's floating-car data, and the kinds of the vehicles."""
     numbers: dict[str, int] = {}
     kinds: list[str] = []
     rows = []
@@ -208,6 +209,7 @@ def _states(
 
 
 def _entries(trace: Path) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield step (from the hour's begin) and attributes of every fourth state of vehicles."""
     step = 0
     for event, element in ET.iterparse(trace, events=("start", "end")):  # noqa: S314
         if element.tag == "timestep" and event == "start":
@@ -219,7 +221,7 @@ def _entries(trace: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def told(before: gpd.GeoDataFrame, after: gpd.GeoDataFrame) -> pd.DataFrame:
-    """Return what is told between two hours."""
+    """Return the significant differences between two hours."""
     lanes = {
         lane: AlikeRows(rows, after[after["lane"] == lane])
         for lane, rows in before.groupby("lane")
@@ -229,7 +231,7 @@ def told(before: gpd.GeoDataFrame, after: gpd.GeoDataFrame) -> pd.DataFrame:
 
 
 def cycles_told(hour: SignalHour, cycle_s: int) -> list[tuple[bool, bool]]:
-    """Return, by stop line and 20 minutes, whether a cycle is told, and whether it is right."""
+    """Return by stop line and 20 minutes whether a cycle is found, and whether it is right."""
     found = []
     for k in range(3):
         grid = StepGrid(begin=BEGIN + k * PART_STEPS, steps=PART_STEPS, count=1)
@@ -243,7 +245,7 @@ def cycles_told(hour: SignalHour, cycle_s: int) -> list[tuple[bool, bool]]:
 
 
 def main() -> None:
-    """Print how often something is told."""
+    """Compare hours at all places; print both tables."""
     words = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,4 +1,7 @@
-"""Simulated sites with known poses: the sample junction, and others that lie beside the project."""
+"""Simulated sites with known poses: the sample junction, and towns in ../shared/data.
+
+The towns are no part of the project: where that folder is missing, benches run on the sample alone.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +14,20 @@ from pyproj import CRS
 import gis_radar as gr
 
 DATA = ROOT.parent / "shared" / "data"
-FIELDS = ("easting", "northing", "height", "yaw", "pitch", "roll")
+POSE_FIELDS = ("easting", "northing", "height", "yaw", "pitch", "roll")
 
 
 def sites(*names: str) -> list[Path]:
-    """Return the folders of the sample and of the named sites, as far as they are there."""
+    """Return the folders of the sample and of those named towns that are there."""
     there = [DATA / name for name in names or ("town02", "town04")]
     return [gr.sample_folder(), *(each for each in there if each.exists())]
 
 
 def true_pose(site: Path, sensor: str) -> gr.Pose:
-    """Return where a sensor of a site truly stands and looks."""
+    """Return the true pose of a sensor of a site."""
     if (site / f"{sensor}.json").exists():
         return gr.read_pose(site / f"{sensor}.json")
     truth = json.loads((site / "truth.json").read_text())[sensor]
     view = gr.View(max_range_m=200.0)
-    fields = {name: truth[name] for name in FIELDS}
+    fields = {name: truth[name] for name in POSE_FIELDS}
     return gr.Pose(sensor=sensor, crs=CRS.from_epsg(25832), view=view, **fields)

@@ -1,8 +1,8 @@
-"""All benchmarks in one table: ours, the peer's, the ratio; and what got worse.
+"""Figures of all benchmarks in one table, beside those of peers; and which became worse.
 
-Figures are those that each benchmark leaves in `out/bench`, compared with those of
-`bench/accepted.json`. Exit code 1 where one that a user relies on got worse by more than it changes
-by chance.
+Each benchmark leaves its figures in `out/bench`; here they are compared with those of
+`bench/accepted.json`. Exit code 1 where one of these is worse by more than it varies from run to
+run, or was not measured.
 
 Example: ``python bench/summary.py``; with ``--accept`` the figures become the accepted ones, with
 ``--into docs/speed.md`` those of speed and memory go between that page's marks *speed*.
@@ -18,14 +18,14 @@ from pathlib import Path
 
 import figures
 import pages
-from figures import TARGET, TIMES, Figure, short
+from figures import TARGET, TIME_CHANCE, Figure, short
 
 ACCEPTED = figures.ROOT / "bench" / "accepted.json"
 MARK = "speed"
 
 
 def main() -> None:
-    """Print the table of all that was measured, and what got worse."""
+    """Print the table of all figures, and name those that became worse."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--out", type=Path, default=figures.OUT)
     parser.add_argument("--accepted", type=Path, default=ACCEPTED)
@@ -72,9 +72,9 @@ def _since(figure: Figure, accepted: Mapping[str, float]) -> tuple[str, str]:
 
 
 def speed(found: Sequence[Figure]) -> str:
-    """Return what takes time or memory as Markdown."""
+    """Return the figures of time and memory as a Markdown table."""
     rows = []
-    for each in (figure for figure in found if figure.chance == TIMES):
+    for each in (figure for figure in found if figure.chance == TIME_CHANCE):
         beside = ""
         if each.peer is not None and each.peer_name == TARGET:
             beside = f"{short(each.peer, each.unit)} {TARGET}"
@@ -85,7 +85,7 @@ def speed(found: Sequence[Figure]) -> str:
 
 
 def worse(found: Sequence[Figure], accepted: Mapping[str, float]) -> list[str]:
-    """Return a line for each figure that got worse by more than chance, or was not measured."""
+    """Return a line for each accepted figure that became worse or was not measured."""
     measured = {each.what for each in found}
     return [f"{what}: not measured" for what in accepted if what not in measured] + [
         f"{each.what}: {short(each.ours, each.unit)}, accepted is "

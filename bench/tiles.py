@@ -1,8 +1,7 @@
-"""A city's worth of tiles: time from lanelets to a GeoPackage of a million tiles.
+"""Time to make a million tiles from lanelets and to write them as a GeoPackage.
 
-The lanelets of the sample are laid side by side until they make `--tiles` tiles. The peer is the
-bare writing of as many polygons without attributes by pyogrio, in the same run. Exit code 1 over
-the target.
+Copies of the sample's lanelets lie side by side until they make `--tiles` tiles. The peer is the
+writing of the same polygons without attributes by pyogrio. Exit code 1 over the target.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pyogrio
-from figures import TIMES, Figure, report
+from figures import TIME_CHANCE, Figure, report
 
 import gis_radar as gr
 
@@ -41,7 +40,7 @@ def main() -> None:
         bare_s = time.perf_counter() - begin
     figure = Figure(
         what="a million tiles, made and written as GeoPackage", ours=total_s, unit="s",
-        peer=bare_s, peer_name="the bare writing of the polygons", chance=TIMES,
+        peer=bare_s, peer_name="the bare writing of the polygons", chance=TIME_CHANCE,
     )  # fmt: skip
     report("tiles", [figure])
     if total_s > TARGET_S:
@@ -49,7 +48,7 @@ def main() -> None:
 
 
 def _city(roads: gr.LaneletMap, tiles: int) -> gr.LaneletMap:
-    """Lay copies of a map side by side, a kilometre apart."""
+    """Return copies of a map a kilometre apart, enough for so many tiles."""
     one = roads.lanelets
     copies = -(-tiles // len(gr.make_tiles(roads)))
     parts = []

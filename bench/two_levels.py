@@ -1,8 +1,8 @@
-"""A place with two levels, its scan and what is truly hidden there: bridges, ramps, banks, walls.
+"""Simulated places where a road crosses another on a bridge: tiles, poses, scan, hidden tiles.
 
-Its bodies are formulas: a ground, banks of earth or between walls that carry a road up, decks, and
-houses. A point is in a body or not, and a ray is hidden where it runs through one. The scan's
-pulses come in from above at a slant and end at the first body.
+Formulas say whether a point is inside the ground, a ramp (a bank of earth, or between walls), the
+deck or a house. A line of sight is blocked where it runs through one of these; a pulse of the scan
+comes down at a slant and ends where it first meets one.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from gis_radar.hdmap import polygons
 UTM = CRS.from_epsg(25832)
 ORIGIN = np.array([678_000.0, 5_403_600.0])
 ORIGIN_3D = np.append(ORIGIN, 0.0)
-GROUND_M, CLEAR_M = 372.0, 5.2
-REACH_M = 170.0
-SLANTS = (0.16, 0.1)  # as those of the simulated towns
-UP = np.array([0.0, 0.0, 0.6])  # to where a tile counts as seen
-STEP_M = 0.4  # under the thickness of a deck
+GROUND_M, CLEAR_M = 372.0, 5.2  # height of the ground; of the deck's lower side over it
+REACH_M = 170.0  # of the scan from the middle, east and north
+SLANTS = (0.16, 0.1)  # tangents of the pulses' angles, as in the simulated towns
+UP = np.array([0.0, 0.0, 0.6])  # from a tile's centre to the point that must be in sight
+STEP_M = 0.4  # in which pulses come down: less than a deck is thick
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,13 +67,13 @@ class TwoLevels:
         return np.asarray(GROUND_M + self.tilt[0] * x + self.tilt[1] * y)
 
     def along(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Return place along and across the upper road, metres."""
+        """Return the distances along and across the upper road from its middle, metres."""
         turn = np.radians(self.heading_deg)
         cos, sin = np.cos(turn), np.sin(turn)
         return cos * x + sin * y, cos * y - sin * x
 
     def road(self, x: Floats, y: Floats) -> Floats:
-        """Return the height of the upper road over points at its level, metres."""
+        """Return the height of the upper road at points, metres."""
         u, _ = self.along(x, y)
         over = CLEAR_M + self.deck_m - np.maximum(np.abs(u) - self.span_m / 2, 0.0) * self.rise
         return self.ground(x, y) + np.maximum(over, 0.0)
@@ -108,7 +108,7 @@ class TwoLevels:
 
 
 def draw(seed: int) -> TwoLevels:
-    """Return a place as drawn at random."""
+    """Draw a place."""
     rng = np.random.default_rng([20261122, seed])
     houses = []
     for side in (-1.0, 1.0):
@@ -190,7 +190,7 @@ def poses(place: TwoLevels, seed: int) -> list[gr.Pose]:
 
 
 def hidden(place: TwoLevels, eye: Floats, points: Floats) -> Booleans:
-    """Return whether a body is between the eye and each of (n, 3) points; a ray every 5 cm."""
+    """Return which (n, 3) points are hidden from `eye`: lines of sight are tested every 5 cm."""
     found = np.zeros(len(points), bool)
     begin = eye - ORIGIN_3D
     for row, end in enumerate(points - ORIGIN_3D):
@@ -202,7 +202,7 @@ def hidden(place: TwoLevels, eye: Floats, points: Floats) -> Booleans:
 
 
 def write_scan(place: TwoLevels, path: Path, *, seed: int, per_m2: float, classified: bool) -> Path:
-    """Write a scan of the place: each strip of pulses at its slant, noise of 3 cm."""
+    """Write a scan of the place: a strip of pulses for each of `SLANTS`, noise of 3 cm."""
     rng = np.random.default_rng([20261124, seed])
     parts = [_strip(place, rng, slant, per_m2 / 2) for slant in SLANTS]
     points = np.concatenate(parts)
@@ -221,7 +221,7 @@ def write_scan(place: TwoLevels, path: Path, *, seed: int, per_m2: float, classi
 
 
 def _strip(place: TwoLevels, rng: np.random.Generator, slant: float, per_m2: float) -> Floats:
-    """Return where pulses end that come down at a slant."""
+    """Return the (n, 3) points where the pulses of a strip end."""
     count = int((2 * REACH_M) ** 2 * per_m2)
     aim = rng.uniform(-REACH_M, REACH_M, (count, 2))
     turn = rng.uniform(0.0, 2.0 * np.pi)
@@ -243,12 +243,12 @@ def _strip(place: TwoLevels, rng: np.random.Generator, slant: float, per_m2: flo
 
 
 def _hit(place: TwoLevels, aim: Floats, lean: Floats, over: Floats) -> Booleans:
-    """Return whether pulses that aim at the ground are inside a body so far over it."""
+    """Return which pulses are inside a body at a height over the ground where they aim."""
     x, y = (aim + over[:, None] * lean).T
     return place.inside(x, y, GROUND_M + over)
 
 
 def truth(place: TwoLevels, sensors: Sequence[gr.Pose], centres: Floats) -> list[Booleans]:
-    """Return for each sensor which of the tiles' (n, 3) centres are truly hidden."""
+    """Return by sensor which of the tiles' (n, 3) centres are truly hidden."""
     targets = centres + UP
     return [hidden(place, pose.position, targets) for pose in sensors]

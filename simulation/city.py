@@ -1,6 +1,7 @@
-"""A simulated city: sites from seeds beside each other, each with map, scan, radars, recordings.
+"""Sites of a simulated city, each with map, scan, radars and recordings.
 
-A site's recordings are short: a few minutes at each of some levels of demand, an hour apart.
+The recordings of a site are short: a few minutes at each of some levels of demand, in different
+hours.
 """
 
 from __future__ import annotations
@@ -39,11 +40,11 @@ TERRAIN = Terrain(
     origin=ORIGIN, height_m=374.0, slope=(0.006, 0.009), wave_m=0.5, wave_length_m=310.0
 )
 MEASURED_DAY = datetime(2026, 11, 2, tzinfo=UTC)  # a Monday
-KNOCKED_AT = datetime(2026, 10, 19, 4, 20, tzinfo=UTC)
-KNOCKED_DEG = 4.0
-_BUSY_PER_HOUR = {True: 2000.0, False: 1200.0}  # vehicles, where a main street passes and elsewhere
-_RADARS = (1, 1, 2, 1, 2)  # of the first sites, in which something happens
-_RADAR_SHARES = {1: 0.45, 2: 0.4, 3: 0.15}
+KNOCKED_AT = datetime(2026, 10, 19, 4, 20, tzinfo=UTC)  # a radar is turned by a knock
+KNOCKED_DEG = 4.0  # change of its yaw
+_BUSY_PER_HOUR = {True: 2000.0, False: 1200.0}  # vehicles, with and without a main street
+_RADARS = (1, 1, 2, 1, 2)  # numbers of radars at the first sites, where events happen
+_RADAR_SHARES = {1: 0.45, 2: 0.4, 3: 0.15}  # shares of the other sites by number of radars
 
 SITE = """\
 title = "{title}"
@@ -79,7 +80,7 @@ class Level:
     hour : int
         Hour of the measured day, UTC.
     warm_up_s : float
-        How long traffic builds up before.
+        Time for which traffic builds up before.
     blocked : bool
         Whether cars have broken down on the way out of the crossing.
     """
@@ -92,7 +93,7 @@ class Level:
 
     @property
     def begin(self) -> float:
-        """Begin of the recordings, UNIX seconds."""
+        """Begin of its recordings, UNIX seconds."""
         return MEASURED_DAY.replace(hour=self.hour).timestamp()
 
 
@@ -106,20 +107,20 @@ JAM = Level(name="jam", demand=1.01, hour=13, warm_up_s=200.0, blocked=True)
 
 @dataclass(frozen=True, kw_only=True)
 class CitySite:
-    """A site of the city, as files.
+    """Files of a site of the city.
 
     Parameters
     ----------
     crossing : Crossing
-        Where it is.
+        The crossing.
     folder : Path
-        Its folder.
+        Folder of the files.
     levels : tuple of Level
-        What was recorded.
+        Levels of demand that are recorded.
     sensors : tuple of str
-        Names of its radars.
+        Names of the radars.
     knocked : str
-        Name of the radar that was knocked; empty where none was.
+        Name of the radar that is turned by a knock; empty: none.
     """
 
     crossing: Crossing
@@ -148,7 +149,7 @@ class CitySite:
 
 
 def city_sites(folder: Path, sites: int, *, seed: int = 1) -> list[CitySite]:
-    """Return the sites of a city, as yet without files: the first one has an incident."""
+    """Return the sites of a city, without files; the first has a jam, the third a knocked radar."""
     rng = np.random.default_rng([seed, 2])
     counts, shares = [*_RADAR_SHARES], [*_RADAR_SHARES.values()]
     found = []
@@ -184,11 +185,11 @@ def make_site(site: CitySite, *, minutes: float, seed: int) -> None:
     Parameters
     ----------
     site : CitySite
-        Which.
+        The site.
     minutes : float
         Length of each recording.
     seed : int
-        Of traffic, surroundings and radars.
+        Seed of traffic, surroundings and radars.
     """
     site.folder.mkdir(parents=True, exist_ok=True)
     plan, names = site.crossing.plan()
@@ -226,7 +227,7 @@ def make_site(site: CitySite, *, minutes: float, seed: int) -> None:
 def _traffic(
     net: Path, network: RoadNetwork, site: CitySite, level: Level, *, minutes: float, seed: int
 ) -> Traffic:
-    """Return the traffic of a level of demand; where it goes to is the same at each."""
+    """Return the traffic of a level of demand; the shares of its flows are the same at each."""
     rng = np.random.default_rng([seed, 5])
     busy = _BUSY_PER_HOUR[any(street.main for street in site.crossing.streets)]
     exits = network.sinks()[:1] if level.blocked else ()
@@ -256,7 +257,7 @@ def _mast(sensor: str, turn: float, site: CitySite, scene: Scene, rng: np.random
 
 
 def _write_pose(pose: Pose, site: CitySite) -> None:
-    """Write the true pose, and that before where the radar was knocked."""
+    """Write the true pose; of a knocked radar a pose track with that before, too."""
     if pose.sensor != site.knocked:
         pose.write(site.pose_file(pose.sensor))
         return

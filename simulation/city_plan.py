@@ -1,4 +1,4 @@
-"""Plan of a simulated city: a bent grid of named streets, whose crossings are the sites."""
+"""Plan of a simulated city: an irregular grid of named streets, whose crossings are the sites."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from gis_radar.base import Floats
 from simulation.street_plans import StreetPlan
 
 ORIGIN = (678_000.0, 5_403_600.0)  # EPSG:25832, the middle of the city
-_COLUMNS, _ROWS = 5, 4
+_COLUMNS, _ROWS = 5, 4  # of crossings
+# Distance of crossings, how far each is displaced at most, and how far streets bow (1 sigma).
 _SPACING_M, _JITTER_M, _BUMP_M = 370.0, 40.0, 18.0
-_OPEN_M = 185.0  # of streets that leave the city
-_RING_M = 18.0
+_OPEN_STREET_M = 185.0  # length of streets that leave the city
+_RING_M = 18.0  # radius of roundabouts
 _EAST_WEST = ("Hafenstraße", "Hauptstraße", "Schulstraße", "Waldstraße")
 _NORTH_SOUTH = ("Westring", "Bahnhofstraße", "Königsallee", "Gartenstraße", "Ostring")
 _ASCII = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", " ": "-", ".": None})
@@ -21,7 +22,7 @@ _ASCII = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", " ": "-"
 
 @dataclass(frozen=True, kw_only=True)
 class Street:
-    """A street on its way from a crossing to half-way to the next one.
+    """A street from a crossing to half-way to the next one.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ class Crossing:
     Parameters
     ----------
     name, title : str
-        Its name in folders, and for people.
+        Its name for folders, and its title for readers.
     place : (float, float)
         Easting and northing of its middle.
     kind : str
@@ -93,9 +94,9 @@ def plan_city(sites: int, *, seed: int = 1) -> list[Crossing]:
     Parameters
     ----------
     sites : int
-        How many; up to 20 are crossings of one and the same city.
+        Their number; up to 20 are of the same grid.
     seed : int
-        Same seed, same city.
+        Seed of all random numbers.
     """
     columns, rows = _COLUMNS, _ROWS
     while columns * rows < sites:
@@ -124,7 +125,7 @@ def _lay(
     streets: dict[tuple[int, int], list[Street]], places: dict[tuple[int, int], Floats],
     at: tuple[int, int], step: tuple[int, int], rng: np.random.Generator, *, main: bool,
 ) -> None:  # fmt: skip
-    """Lay a street from a crossing to the next, and where a main street begins or ends."""
+    """Add a street from a crossing to the next; a main street also leaves the city at both ends."""
     name = _name(_EAST_WEST, at[1]) if step[0] else _name(_NORTH_SOUTH, at[0])
     after, before = (at[0] + step[0], at[1] + step[1]), (at[0] - step[0], at[1] - step[1])
     bump_m = float(rng.normal(0.0, _BUMP_M))
@@ -144,7 +145,7 @@ def _lay(
 
 
 def _straight(way: Floats) -> Floats:
-    return np.linspace(0.0, _OPEN_M, 60)[:, None] * way
+    return np.linspace(0.0, _OPEN_STREET_M, 60)[:, None] * way
 
 
 def _name(names: tuple[str, ...], number: int) -> str:

@@ -1,4 +1,4 @@
-"""Clutter: the fixed scatter points a radar sees around it, drawn once for its pose."""
+"""Clutter: the fixed scatter points around a radar, drawn once for its pose."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from simulation.scatterers import vehicle_scatterers
 from simulation.scene import Scene, Tree
 from simulation.sight import building_walls, parked_boxes
 
-_LEAF_MOTION_MPS = 0.02
-_KERB_REACH_M = 110.0
-_GUTTER_M = 0.4
-_GROUND_REACH_M = 70.0
+_LEAF_MOTION_MPS = 0.02  # mean of the range rates' standard deviation
+_KERB_REACH_M = 110.0  # from the radar
+_GUTTER_M = 0.4  # from the edge of the lane to the kerb stone
+_GROUND_REACH_M = 70.0  # from the radar
 _GROUND_POINTS = 900
-_SMOOTH_DB = 14.0
+_ASPHALT_LOSS_DB = 14.0  # smooth asphalt reflects a grazing wave away, grass and gravel less
 _POINTS_PER_CROWN = 40
-_PARKED_DENSITY = 14.0
+_PARKED_DENSITY = 14.0  # as `RadarModel.density`, for parked cars
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class Clutter:
     rcs : Floats
         Mean radar cross section, dBm2.
     wobble : Floats
-        Standard deviation of the range rate: leaves move, walls do not; m/s.
+        Standard deviation of the range rate (leaves move), m/s.
     """
 
     point: Floats
@@ -53,11 +53,11 @@ def draw_clutter(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter
     Parameters
     ----------
     scene : Scene
-        What stands there.
+        The surroundings.
     eye : (3,) array
-        The sensor in the map.
+        Position of the sensor in the map.
     rng : Generator
-        Decides the places.
+        Random numbers.
     """
     parts = [
         _kerbs(scene, eye, rng),
@@ -80,7 +80,7 @@ def draw_clutter(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter
     return drawn.where(~hidden)
 
 
-def _still(point: Floats, rcs: Floats) -> Clutter:
+def _motionless(point: Floats, rcs: Floats) -> Clutter:
     return Clutter(point=point, rcs=rcs, wobble=np.zeros(len(rcs)))
 
 
@@ -95,13 +95,12 @@ def _spread(line: Floats, gap_m: float, rng: np.random.Generator) -> Floats:
 
 
 def _kerbs(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
-    # A gutter runs between the edge of the lane and the kerb stone.
     rings = shapely.get_parts(shapely.boundary(scene.road.buffer(_GUTTER_M)))
     plane = np.vstack([_spread(shapely.get_coordinates(ring), 0.7, rng) for ring in rings])
     plane = plane[np.hypot(*(plane - eye[:2]).T) < _KERB_REACH_M]
     count = len(plane)
     over = rng.uniform(0.0, scene.kerb_m, count)
-    return _still(_on_ground(scene, plane, over), rng.normal(-9.0, 4.0, count))
+    return _motionless(_on_ground(scene, plane, over), rng.normal(-9.0, 4.0, count))
 
 
 def _ground(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
@@ -109,13 +108,12 @@ def _ground(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
     turn = rng.uniform(0.0, 2.0 * np.pi, _GROUND_POINTS)
     plane = eye[:2] + np.column_stack([reach * np.cos(turn), reach * np.sin(turn)])
     point = np.column_stack([plane, scene.ground(plane)])
-    # Smooth asphalt mirrors a grazing wave away; grass and gravel send some of it back.
     asphalt = shapely.contains_xy(scene.road, plane)
-    return _still(point, rng.normal(-15.0, 4.0, _GROUND_POINTS) - _SMOOTH_DB * asphalt)
+    return _motionless(point, rng.normal(-15.0, 4.0, _GROUND_POINTS) - _ASPHALT_LOSS_DB * asphalt)
 
 
 def _facades(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
-    """Return points on walls turned to the sensor; corners and square-on walls are brightest."""
+    """Draw points on walls that face the sensor; corners and perpendicular walls are brightest."""
     points, strengths = [np.empty((0, 3))], [np.empty(0)]
     for building in scene.buildings:
         floor = float(scene.terrain.height(building.outline[0]))
@@ -135,7 +133,7 @@ def _facades(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
             plane = begin + u[:, None] * along + 0.05 * normal
             points.append(np.column_stack([plane, z]))
             strengths.append(rng.normal(-4.0 + 12.0 * aspect**4, 5.0, count))
-    return _still(np.vstack(points), np.concatenate(strengths))
+    return _motionless(np.vstack(points), np.concatenate(strengths))
 
 
 def _posts(scene: Scene, rng: np.random.Generator) -> Clutter:
@@ -143,7 +141,7 @@ def _posts(scene: Scene, rng: np.random.Generator) -> Clutter:
     plane = np.repeat(np.array([p.place for p in scene.posts]).reshape(-1, 2), each, axis=0)
     tall = np.repeat(np.array([p.height_m for p in scene.posts]), each)
     over = tall * rng.random(len(tall))
-    return _still(_on_ground(scene, plane, over), rng.normal(2.0, 4.0, len(tall)))
+    return _motionless(_on_ground(scene, plane, over), rng.normal(2.0, 4.0, len(tall)))
 
 
 def _rails(scene: Scene, rng: np.random.Generator) -> Clutter:
@@ -152,7 +150,7 @@ def _rails(scene: Scene, rng: np.random.Generator) -> Clutter:
         plane = _spread(rail.line, 0.8, rng)
         points.append(_on_ground(scene, plane, np.full(len(plane), rail.height_m)))
     point = np.vstack(points)
-    return _still(point, rng.normal(-3.0, 4.0, len(point)))
+    return _motionless(point, rng.normal(-3.0, 4.0, len(point)))
 
 
 def _parked(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
@@ -169,11 +167,11 @@ def _parked(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
         size=boxes.size,
     )
     found = vehicle_scatterers(standing, scene, eye, density=_PARKED_DENSITY, rng=rng)
-    return _still(found.point, found.rcs - 3.0)
+    return _motionless(found.point, found.rcs - 3.0)
 
 
 def _tree(scene: Scene, tree: Tree, eye: Floats, rng: np.random.Generator) -> Clutter:
-    """Return the trunk, which stands, and leaves on the near half of the crown, which stir."""
+    """Draw points on the trunk, and on leaves of the near half of the crown, which move."""
     place = np.array(tree.place)
     floor = float(scene.terrain.height(place))
     middle = np.array([*place, floor + tree.crown_height_m])

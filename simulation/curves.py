@@ -9,8 +9,8 @@ import numpy as np
 
 from gis_radar.base import Floats
 
-_STRAIGHT_RAD = np.radians(12.0)
-_BACK_RAD = np.radians(150.0)
+_STRAIGHT_RAD = np.radians(12.0)  # turns of less are drawn as a shift
+_BACK_RAD = np.radians(150.0)  # turns of more are drawn as a U-turn
 
 
 def arc_length(line: Floats) -> Floats:
@@ -34,7 +34,7 @@ def tangents(line: Floats) -> Floats:
 
 
 def offset(line: Floats, left_m: float | Floats) -> Floats:
-    """Return the polyline moved `left_m` to its left, mitred so that widths are kept."""
+    """Return the polyline moved `left_m` to its left; by that much at vertices, too (mitre)."""
     along = tangents(line)
     normals = np.column_stack([-along[:, 1], along[:, 0]])
     steps = np.diff(line, axis=0)
@@ -45,10 +45,10 @@ def offset(line: Floats, left_m: float | Floats) -> Floats:
 
 
 def turn(start: Floats, start_dir: Floats, end: Floats, end_dir: Floats) -> Floats:
-    """Return a smooth curve that leaves `start` and arrives at `end` in the given directions.
+    """Return a cubic Bezier curve that leaves `start` and arrives at `end` in given directions.
 
-    A cubic Bezier curve. Where the two tangents meet ahead, its handles are those that
-    approximate a circular arc; else (parallel shifts) they are a part of the chord.
+    Where the two tangents meet ahead, its handles approximate a circular arc; else they are a part
+    of the chord.
     """
     chord = float(np.hypot(*(end - start)))
     first, last = _handles(start, start_dir, end, end_dir, chord)

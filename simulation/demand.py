@@ -1,4 +1,4 @@
-"""Demand: which vehicles drive from where to where, as input of SUMO."""
+"""Demand: kinds of vehicles and flows between the edges of a network, as input of SUMO."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from simulation import sumo
 from simulation.network import RoadNetwork
 
-_STOPPED_M = 35.0  # from the begin of an edge to a car that has broken down on it
+_STOPPED_M = 35.0  # from the begin of an edge to a broken-down car
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,11 +26,11 @@ class VehicleKind:
     sumo_class : str
         SUMO's vehicle class, which decides how it accelerates and where it may drive.
     length_m, width_m, height_m : float
-        The box around it.
+        Size of the box around it.
     share : float
         Share of the traffic; shares need not add up to one.
     parts_m : tuple of (float, float)
-        Of a vehicle that bends: of its bodies, how far behind the front bumper each begins, and its
+        Bodies of an articulated vehicle: how far behind the front bumper each begins, and its
         length. Empty for a vehicle of one body.
     """
 
@@ -44,13 +44,13 @@ class VehicleKind:
 
     @property
     def bodies_m(self) -> tuple[tuple[float, float], ...]:
-        """The bodies as in `parts_m`, also of a vehicle of one body."""
+        """Bodies as in `parts_m`, also of a vehicle of one body."""
         return self.parts_m or ((0.0, self.length_m),)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """Vehicles that come at random (exponential gaps) on one edge and leave on another.
+    """Vehicles that enter at random (exponential gaps) on one edge and leave on another.
 
     Parameters
     ----------
@@ -114,10 +114,7 @@ ALL_KINDS = (*KINDS, *LONG_KINDS)
 def random_flows(
     network: RoadNetwork, *, per_hour: float, rng: np.random.Generator
 ) -> tuple[Flow, ...]:
-    """Return a flow between every entry and every exit that it leads to; their sum is `per_hour`.
-
-    A vehicle that has no way to its exit would stop at the end of its road and block it.
-    """
+    """Draw a flow from every entry to every exit that it leads to; their sum is `per_hour`."""
     sinks = set(network.sinks())
     pairs = [(a, b) for a in network.sources() for b in sorted(_reached(network, a) & sinks)]
     weights = rng.dirichlet(np.full(len(pairs), 2.0))
@@ -128,7 +125,7 @@ def random_flows(
 
 
 def _reached(network: RoadNetwork, edge: str) -> set[str]:
-    """Return the edges that a vehicle on an edge can drive to, and that edge."""
+    """Return an edge and those that a vehicle can drive to from it."""
     lanes = network.lanes
     ways = [(lanes[t.source].edge, lanes[t.target].edge) for t in network.turns.values()]
     reached, before = {edge}, set[str]()
@@ -149,7 +146,7 @@ def run_demand(
     seed: int,
     blocked: Sequence[str] = (),
 ) -> None:
-    """Drive the demand through a SUMO network at 20 Hz.
+    """Simulate the demand on a SUMO network at 20 Hz.
 
     Parameters
     ----------
@@ -158,13 +155,13 @@ def run_demand(
     trace : Path
         SUMO's floating-car data, written here.
     flows, kinds : sequence
-        The traffic.
+        The demand.
     trace_from_s, end_s : float
-        Seconds of simulation from which on to write, and when to stop.
+        Begin of what is written, and end, seconds of simulation.
     seed : int
-        Of SUMO's random numbers.
+        Seed of SUMO.
     blocked : sequence of str
-        Edges on whose lanes cars have broken down, a little after their begin.
+        Edges with a broken-down car on each lane, near the begin.
     """
     routes = trace.with_name(f"{trace.name}.rou.xml")
     lanes = _lanes_of(net, blocked)
@@ -188,7 +185,7 @@ def run_demand(
 
 
 def _lanes_of(net: Path, edges: Sequence[str]) -> list[tuple[str, int]]:
-    """Return the edge and the number of each lane of some edges."""
+    """Return edge and number of each lane of some edges."""
     root = ET.parse(net).getroot() if edges else ET.Element("net")  # noqa: S314
     found = [edge for edge in root.iter("edge") if edge.attrib["id"] in edges]
     return [(edge.attrib["id"], k) for edge in found for k in range(len(edge.findall("lane")))]

@@ -1,7 +1,7 @@
-"""Days of a dataset that nobody measured: their counts are drawn from measured parts of minutes.
+"""Days of a dataset that were not measured: counts and measures are sums of measured parts.
 
-Each quarter of an hour is a sum of measured parts, drawn from the levels of demand next to the one
-that is wanted. The hours are as `keep` leaves them: without exact tables.
+A part is half a minute. Those of a quarter of an hour are drawn from the two levels of demand next
+to the wanted one. The hours have no exact tables, as after `keep`.
 """
 
 from __future__ import annotations
@@ -40,30 +40,30 @@ from gis_radar.dataset.files.registry import RecordingEntry, Registry
 from gis_radar.dataset.files.tables import HOUR_TABLES
 from simulation.measured_minutes import PARTS, MeasuredParts
 
-DRAWN = "drawn"
-"""Entry of a dataset's settings, and folder of its recordings, that say what was drawn."""
+DRAWN = "drawn"  # entry of a dataset's settings, and folder in the paths of its recordings
 _QUARTERS_A_DAY = HOURS_PER_DAY * QUARTERS
-_NIGHT = 0.06
-_PEAKS = {True: ((7.7, 1.1, 0.8), (13.0, 3.2, 0.45), (17.1, 1.6, 0.8)), False: ((14.5, 3.6, 0.55),)}
-"""On workdays and on others: hour by the clocks, width in hours, share of the busiest demand."""
+_NIGHT_DEMAND = 0.06  # demand as a share of the busiest
+# Peaks on workdays and on others: local hour, width in hours, share of the busiest demand.
+_WORKDAY_PEAKS = (7.7, 1.1, 0.8), (13.0, 3.2, 0.45), (17.1, 1.6, 0.8)
+_PEAKS_BY_WORKDAY = {True: _WORKDAY_PEAKS, False: ((14.5, 3.6, 0.55),)}
 _SATURDAY, _SUNDAY = 5, 6
-_AT_ONCE = 4
+_THREADS = 4
 _DAY = timedelta(days=1)
-_DAYS_DIFFER, _QUARTERS_DIFFER = 0.05, 0.08
+_DAY_SIGMA, _QUARTER_SIGMA = 0.05, 0.08  # of the logarithm of demand: by day, by quarter
 
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnEvents:
-    """What happens at a site on the days that are drawn.
+    """Events at a site on drawn days.
 
     Parameters
     ----------
     jam : (datetime, datetime), optional
-        Begin and end of an incident: quarters are drawn from the last level of demand.
+        Begin and end of a jam: quarters are drawn from the last level of demand.
     silent : mapping
-        By sensor, begin and end of the time in which it delivers nothing.
+        Begin and end of the time in which a sensor delivers nothing, by sensor.
     shares : mapping
-        By first day, demand as a share of the usual.
+        Demand as a share of the usual, by the first day on which it holds.
     """
 
     jam: tuple[datetime, datetime] | None = None
@@ -82,11 +82,11 @@ class DrawnEvents:
 
 
 def demand_at(begin: pd.DatetimeIndex) -> Floats:
-    """Return the usual demand at local times, as a share of the busiest: two peaks on workdays."""
+    """Return the usual demand at local times, as a share of the busiest."""
     hour = np.asarray(begin.hour + begin.minute / 60.0, np.float64)
     weekday = np.asarray(begin.day_of_week)
-    found = np.full(len(begin), _NIGHT)
-    for workday, peaks in _PEAKS.items():
+    found = np.full(len(begin), _NIGHT_DEMAND)
+    for workday, peaks in _PEAKS_BY_WORKDAY.items():
         mine = (weekday < _SATURDAY) == workday
         for middle, width, share in peaks:
             found[mine] += share * np.exp(-0.5 * ((hour[mine] - middle) / width) ** 2)
@@ -95,20 +95,20 @@ def demand_at(begin: pd.DatetimeIndex) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DayDrawer:
-    """Drawer of the days of a dataset.
+    """Source of the drawn days of a dataset.
 
     Parameters
     ----------
     dataset : Dataset
-        With the measured hours; the days are added to it.
+        The dataset with measured hours, to which days are added.
     parts : dict
-        Measured parts by the sensors that were heard in them.
+        Measured parts by the sensors that deliver in them.
     demands : sequence of float
-        Demand of each level, ascending; beyond those up to 1 the last is a jam.
+        Demand of each level, ascending; one over 1 is a jam.
     events : DrawnEvents
-        What happens.
+        Events.
     seed : int
-        Same seed, same days.
+        Seed of all random numbers.
     """
 
     dataset: Dataset
@@ -126,14 +126,14 @@ class DayDrawer:
         return max(self.dataset.methods)
 
     def draw(self, begin: datetime, end: datetime, *, remark: str) -> Dataset:
-        """Draw the hours of a time, and write them.
+        """Draw and write the hours from `begin` to `end`, and return the dataset.
 
         Parameters
         ----------
         begin, end : datetime
             Whole hours.
         remark : str
-            What the settings say about them.
+            Text about them for the dataset's settings.
         """
         folder, manifest = self.dataset.folder, self.dataset.manifest
         replace(manifest, settings=manifest.settings | {DRAWN: remark}).write(folder)
@@ -142,7 +142,7 @@ class DayDrawer:
             for k in range((end.date() - begin.date()).days + 1)
             if (day := _midnight(begin) + k * _DAY) < end
         ]
-        with ThreadPoolExecutor(_AT_ONCE) as pool:  # each waits for the disk most of the time
+        with ThreadPoolExecutor(_THREADS) as pool:  # threads mostly wait for the disk
             drawn = [hour for hours in pool.map(self.draw_day, days) for hour in hours]
         margin = MeasureSettings.from_dict(manifest.settings).margin
         registry = Registry.read(folder, manifest.fingerprint)
@@ -155,7 +155,7 @@ class DayDrawer:
         return open_dataset(folder)
 
     def draw_day(self, span: tuple[datetime, datetime]) -> list[int]:
-        """Write tables and records of a day; return its hours in which a sensor was heard."""
+        """Write tables and records of a day; return its hours in which a sensor delivers."""
         midnight = _midnight(span[0])
         first = _hour(midnight)
         heard = {
@@ -171,7 +171,7 @@ class DayDrawer:
             made[sensors] = self.parts[sensors].rows(times[sensors][quarters], quarters)
 
         def rows(hour: int) -> list[pa.Table]:
-            """Return the rows of an hour: of tile counts, lane measures and turns."""
+            """Return the tables of an hour: tile counts, lane measures, turns."""
             found = made[heard[hour]]
             hours = [table["interval"].to_numpy() // QUARTERS for table in found]
             return [
@@ -191,12 +191,12 @@ class DayDrawer:
         return [*records]
 
     def _times(self, begin: datetime) -> dict[frozenset[str], Floats]:
-        """Return by sensors how often each measured part is drawn for each quarter of a day."""
+        """Draw how often each measured part is in each quarter of a day, by sensors."""
         rng = np.random.default_rng([self.seed, begin.toordinal()])
         quarters = pd.date_range(begin, periods=_QUARTERS_A_DAY, freq="15min")
         demand = demand_at(quarters.tz_convert(ZoneInfo(self.dataset.timezone)))
-        demand *= self.events.share(begin.date()) * np.exp(rng.normal(0.0, _DAYS_DIFFER))
-        demand *= np.exp(rng.normal(0.0, _QUARTERS_DIFFER, len(demand)))
+        demand *= self.events.share(begin.date()) * np.exp(rng.normal(0.0, _DAY_SIGMA))
+        demand *= np.exp(rng.normal(0.0, _QUARTER_SIGMA, len(demand)))
         usual = np.array([each for each in self.demands if each <= 1.0])
         place = np.interp(demand, usual, np.arange(len(usual)))[:, None]
         level = np.floor(place + rng.random((len(demand), PARTS))).astype(np.int64)
@@ -218,7 +218,7 @@ class DayDrawer:
         return HourRecord(hour=hour, origin=origin, parts=dict.fromkeys(names, none), dropped=names)
 
     def entries(self, registry: Registry, begin: datetime, end: datetime) -> list[RecordingEntry]:
-        """Return the recordings of a day that there would be: one a sensor, two where it failed."""
+        """Return the entries of a day's recordings: one a sensor, two where it was silent."""
         found = list[RecordingEntry]()
         for each in {entry.sensor: entry for entry in registry.entries}.values():
             spans = [(begin, end)]
@@ -251,7 +251,10 @@ def _hour(time: datetime) -> int:
 
 
 def _times_of(parts: MeasuredParts, level: Integers, share: Floats) -> Floats:
-    """Return how often each part is drawn for each quarter."""
+    """Return how often each part is in each quarter: (quarters, parts).
+
+    `level` and `share` choose: the level of demand, and which of its parts (0 to 1).
+    """
     count = np.bincount(parts.level)
     first = np.cumsum(count) - count
     part = first[level] + np.floor(share * count[level]).astype(np.int64)
@@ -260,8 +263,8 @@ def _times_of(parts: MeasuredParts, level: Integers, share: Floats) -> Floats:
     return found
 
 
-def doubt(dataset: Dataset, finding: Finding) -> None:
-    """Add a finding about a sensor to the manifest of a dataset."""
+def add_finding(dataset: Dataset, finding: Finding) -> None:
+    """Add the finding of a check to a dataset's manifest."""
     manifest = dataset.manifest
     checks = manifest.checks | {finding.sensor: finding.record}
     replace(manifest, checks=checks).write(dataset.folder)

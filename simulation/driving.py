@@ -1,4 +1,4 @@
-"""Driving: where in their lanes drivers keep."""
+"""Lane keeping: how far from the middle of their lanes drivers drive."""
 
 from __future__ import annotations
 
@@ -10,40 +10,37 @@ import numpy as np
 from gis_radar.base import Floats
 from simulation.network import Band, Lane, RoadNetwork, Turn
 
-EASED_M = 12.0
-# going round a parked car begins 30 m before it and ends 30 m behind
-ROUND_M = 30.0
-_ROUND_LEFT = 0.75  # most of what is in the way stands at the right edge
-_ROUND_RADIUS_M = 30.0  # in tighter bends nothing is parked
-_MOST_ROUND = 12
-_CUT_M = 6.0
-_WANDER_LENGTH_M = 14.0
+EASED_M = 12.0  # half of the way over which steps from lane to lane are averaged
+ROUND_M = 30.0  # from an obstacle to where a driver begins to go round it, and ends
+_ROUND_LEFT = 0.75  # share of obstacles that drivers pass on the left: most stand at the right edge
+_ROUND_RADIUS_M = 30.0  # tighter bends have no obstacles
+_MOST_ROUND = 12  # obstacles on a driver's way
+_CUT_M = 6.0  # half of the way over which curvature is measured
+_WANDER_LENGTH_M = 14.0  # way over which a driver's wander advances by 1 rad
 
 
 @dataclass(frozen=True, kw_only=True)
 class LaneKeeping:
-    """How drivers keep their lanes; positive is left of the middle, metres.
+    """Model of lane keeping; offsets are from the middle of the lane, positive to the left, metres.
 
     Parameters
     ----------
     mean_m : float
-        What all drivers do everywhere.
+        Mean offset of all drivers.
     street_m : float
-        Standard deviation, from street to street, of what all drivers do there: parked cars, kerbs
-        and medians push them to one side.
+        Standard deviation, from street to street, of the mean offset there.
     lane_m, turn_m : float
-        The same from lane to lane, and from one turning way to another.
+        The same from lane to lane, and from turn to turn.
     driver_m : float
-        Standard deviation from driver to driver; none is more than two off.
+        Standard deviation from driver to driver, cut at two.
     wander_m : float
-        Amplitude of a driver's own slow wander.
+        Amplitude of a driver's slow wander.
     cut_m2, cut_most_m : float
-        How far to the inside a bend of curvature 1/m is driven, and no farther than that.
+        Offset to the inside of a bend, as a factor of its curvature (1/m), and its maximum.
     round_m, round_every_m : float
-        How far drivers go round what stands or cycles at the edge or waits to turn, and the mean
-        way between two such places.
+        Mean offset around obstacles at the edge, and mean way between two of these.
     straddling : float
-        Share of drivers who drive on the line between two lanes of their way, where there are two.
+        Share of drivers who drive on the line to a neighbouring lane, where there is one.
     """
 
     mean_m: float = 0.0
@@ -59,7 +56,7 @@ class LaneKeeping:
     straddling: float = 0.0
 
     def on(self, network: RoadNetwork, *, seed: int) -> DrivenRoads:
-        """Return a network with what all drivers do on each of its streets."""
+        """Draw the mean offsets on the streets, lanes and turns of a network."""
         edges = sorted({lane.edge for lane in network.lanes.values()})
         rng = np.random.default_rng([seed, 1])
         drawn = self.mean_m + self.street_m * rng.normal(size=len(edges))
@@ -74,7 +71,7 @@ class LaneKeeping:
         )
 
     def driver(self, rng: np.random.Generator, manner: np.random.Generator) -> Driver:
-        """Draw a driver: the place in the lane from `rng`, the manner from `manner`."""
+        """Draw a driver: offset and wander from `rng`, obstacles and straddling from `manner`."""
         habit = float(
             np.clip(rng.normal(0.0, self.driver_m), -2 * self.driver_m, 2 * self.driver_m)
         )
@@ -99,16 +96,16 @@ def _bends(band: Band) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class DrivenRoads:
-    """A network, and where in its lanes all drivers keep.
+    """A network with the mean offsets of all drivers.
 
     Parameters
     ----------
     network : RoadNetwork
         The lanes.
     by_edge : dict[str, float]
-        How far to the left of the middle the lanes of an edge are driven, metres.
+        Mean offset on the lanes of an edge, metres to the left.
     by_way : dict[str, float]
-        How far, more than that, a lane or a turn is.
+        Further mean offset on a lane or a turn.
     """
 
     network: RoadNetwork
@@ -116,11 +113,11 @@ class DrivenRoads:
     by_way: dict[str, float]
 
     def aside(self, lane: str) -> float:
-        """Return how far to the left one of SUMO's lanes is driven; a turn as where it leads."""
+        """Return the mean offset on one of SUMO's lanes; a turn has that of the edge it enters."""
         return self.by_edge[self._into(lane).edge] + self.by_way[self._way(lane)]
 
     def line(self, lane: str) -> float:
-        """Return how far to the left the line to a lane beside is; 0 where none is."""
+        """Return the offset of the line to a neighbouring lane; 0 without one."""
         if _bends(self.network.bands[self._way(lane)]):
             return 0.0
         into = self._into(lane)
@@ -132,25 +129,25 @@ class DrivenRoads:
         return self.network.spans[lane][0]
 
     def _into(self, lane: str) -> Lane:
-        """Return the lane itself, or the one that a turn leads to."""
+        """Return the lane itself, or the one that a turn enters."""
         band = self.network.bands[self._way(lane)]
         return self.network.lanes[band.target if isinstance(band, Turn) else band.id]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Driver:
-    """Where one driver keeps in the lanes driven; positive is left, metres.
+    """Offsets of a driver from the middle of the lanes; positive to the left, metres.
 
     Parameters
     ----------
     habit, wander, phase : float
-        Place of this driver, and amplitude and phase of a slow wander.
+        Constant offset, and amplitude and phase of a slow wander.
     cut : tuple of float
-        As `cut_m2` and `cut_most_m` of `LaneKeeping`.
+        `cut_m2` and `cut_most_m` of `LaneKeeping`.
     round_at, round_by : Floats
-        Where on the way the driver goes round something, and how far.
+        Obstacles: where on the way, and the offset around each.
     straddles : bool
-        Whether the driver is on the line between two lanes.
+        Whether the driver drives on the line to a neighbouring lane.
     """
 
     habit: float
@@ -164,18 +161,18 @@ class Driver:
     def aside(
         self, lanes: Sequence[str], heading: Floats, driven_m: Floats, roads: DrivenRoads
     ) -> Floats:
-        """Return how far to the left of the middle the driver is at each step.
+        """Return the driver's offset at each step.
 
         Parameters
         ----------
         lanes : sequence of str
             SUMO's lane at each step.
         heading : (n,) array
-            Of the lane's middle there, rad, continuous.
+            Heading of the lane's middle there, rad, unwrapped.
         driven_m : (n,) array
             Way driven so far, ascending, metres.
         roads : DrivenRoads
-            What all drivers do.
+            Mean offsets of all drivers.
         """
         names = np.array(lanes)
         street = np.empty(len(names))
@@ -194,14 +191,14 @@ class Driver:
 
 
 def eased(value: Floats, driven_m: Floats) -> Floats:
-    """Return the running mean of `value` over the way driven, so that no driver jumps aside.
+    """Return the running mean of `value` over the way driven, so that it has no steps.
 
     Parameters
     ----------
     value : (n,) array
-        At each step.
+        Value at each step.
     driven_m : (n,) array
-        How far the vehicle has come, ascending, metres.
+        Way driven so far, ascending, metres.
     """
     sums = np.cumsum(value[1:] * np.diff(driven_m))
     reach = 2.0 * EASED_M

@@ -1,4 +1,4 @@
-"""Lanelet2 maps of simulated road networks."""
+"""Writer of Lanelet2 maps of simulated road networks."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from gis_radar.base import Floats, atomic_write, transformer
 from simulation.network import Lane, RoadNetwork, Turn
 from simulation.terrain import Terrain
 
-_SAME_NODE_M = 0.02
-_AGAINST_EVERY = 5
-_LAMP_OVER_M = 3.2
+_SAME_NODE_M = 0.02  # points nearer to each other are one node
+_REVERSED_EVERY = 5  # of kerbs and solid lines so many have one drawn backwards, as in real maps
+_LAMP_OVER_M = 3.2  # height of lamps over the ground
 _ROAD = {
     "type": "lanelet",
     "subtype": "road",
@@ -31,7 +31,7 @@ _WALK = {
     "participant:pedestrian": "yes",
     "speed_limit": "6",
 }
-# what a line is, the more telling first: where two lanelets share one, the first wins
+# Tags by kind of line. Where two lanelets share a line, the kind that is first here holds.
 _LINES = {
     "stop": {"type": "stop_line"},
     "lamp": {"type": "traffic_light", "subtype": "red_yellow_green"},
@@ -68,7 +68,7 @@ class _Relation:
 
 @dataclass(kw_only=True)
 class _Drawing:
-    """The map while it grows; nodes and ways that are there already are used again."""
+    """A map that is being drawn; equal nodes and ways are used again."""
 
     terrain: Terrain
     nodes: dict[int, Floats] = field(default_factory=dict)
@@ -102,16 +102,16 @@ class _Drawing:
         return made
 
     def way(self, points: Floats, line: str) -> int:
-        """Return the id of the way along a line, be it drawn in this direction or against."""
+        """Return the id of the way along a line, in either direction."""
         return self.add_way(tuple(dict.fromkeys(self.node(p) for p in points)), line)
 
     def add_way(self, key: tuple[int, ...], line: str) -> int:
-        """Return the id of the way through these nodes."""
+        """Return the id of the way through these nodes, which is added where it is missing."""
         made = self._known.get(key) or self._known.get(key[::-1])
         if made is None:
             made = self.new_id()
-            against = line in {"kerb", "solid"} and made % _AGAINST_EVERY == 0
-            self.ways[made] = key[::-1] if against else key
+            reversed_way = line in {"kerb", "solid"} and made % _REVERSED_EVERY == 0
+            self.ways[made] = key[::-1] if reversed_way else key
             self._known[key] = made
             self.lines[made] = line
         self.lines[made] = min(self.lines[made], line, key=_RANK.index)
@@ -192,13 +192,13 @@ def _lanes_of(edge: str, network: RoadNetwork) -> list[Lane]:
 
 
 def _lane_lines(lane: Lane, network: RoadNetwork) -> tuple[str, str]:
-    """Return what the left and the right bound of a lane are."""
+    """Return the kinds of the left and the right bound of a lane."""
     outermost_left = lane.index == max(other.index for other in _lanes_of(lane.edge, network))
     return "solid" if outermost_left else "dashed", "kerb" if lane.index == 0 else "dashed"
 
 
 def _turn_lines(turn: Turn, network: RoadNetwork) -> tuple[str, str]:
-    """Return what the bounds of a turn are; outside of junctions they go on as the lanes' do."""
+    """Return the kinds of a turn's bounds: virtual, or those of the lanes where these agree."""
     if turn.signal or turn.direction != "s":
         return "virtual", "virtual"
     before, after = (_lane_lines(network.lanes[k], network) for k in (turn.source, turn.target))

@@ -1,6 +1,6 @@
-"""Measured parts of minutes at each level of demand, and quarters of an hour summed from them.
+"""Measured parts of half a minute by level of demand, and quarters of an hour as sums of these.
 
-Sums and means are those by which the package itself rolls quarters of an hour up to hours.
+Sums and means are those by which the package rolls quarters of an hour up to hours.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PART_S = 30
 PART_STEPS = PART_S * STEPS_PER_SECOND
 PARTS = STEPS_PER_QUARTER // PART_STEPS  # of a quarter of an hour
 _KM_H = "visible_km_h"
-# By what the mean of each is weighted; the others are sums.
+# Columns that are means, with the column of their weights.
 _WEIGHTS = {
     "occupancy": _KM_H, "density": _KM_H, "flow": _KM_H, "speed_time_mean": "counted",
     "queue_mean_m": "visible_share",
@@ -35,18 +35,17 @@ _WEIGHTS = {
 _SUMS = ("counted", "heavy", "stops")
 _COUNTS = [name for name in TILE_COUNTS.names if name not in {"tile_id", "interval"}]
 
-Values: TypeAlias = dict[str, Floats]
-"""By column, values of parts and objects: (parts, objects)."""
+Values: TypeAlias = dict[str, Floats]  # by column, (parts, tiles, lanes or turns)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredParts:
-    """Parts of minutes of a site: what was measured in each.
+    """Measures of the parts of a site.
 
     Parameters
     ----------
     level : (n,) int array
-        Number of the level of demand of each part, ascending.
+        Index of the level of demand of each part, ascending.
     tile_id : (t,) array
         Tiles that were observed.
     tiles : dict
@@ -75,16 +74,16 @@ class MeasuredParts:
 
     @classmethod
     def of(cls, dataset: Dataset, begins: Sequence[float], parts: int) -> MeasuredParts:
-        """Return parts that follow each other from some times, one for each level of demand.
+        """Return the parts of each level of demand.
 
         Parameters
         ----------
         dataset : Dataset
-            With exact tables.
+            A dataset with exact tables.
         begins : sequence of float
-            UNIX seconds, whole parts from an hour's begin.
+            Begin of each level, UNIX seconds, whole parts from an hour's begin.
         parts : int
-            How many from each on, all in its hour.
+            Number of parts of each level, all in its hour.
         """
         traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
         known = dataset.records()
@@ -111,14 +110,14 @@ class MeasuredParts:
         )  # fmt: skip
 
     def rows(self, times: Floats, interval: Integers) -> tuple[pa.Table, pa.Table, pa.Table]:
-        """Return rows of `tile_counts`, `lane_measures` and `turns` of quarters that sum parts.
+        """Return rows of `tile_counts`, `lane_measures` and `turns` for quarters of an hour.
 
         Parameters
         ----------
         times : (q, n) array
             How often each part is in each quarter.
         interval : (q,) array
-            Numbers of the quarters.
+            Column `interval` of the quarters.
         """
         return (
             self._tile_rows(times, interval), self._lane_rows(times, interval),
@@ -182,9 +181,9 @@ def _stacked(
     firsts: Sequence[int],
     parts: int,
 ) -> tuple[Values, Integers]:
-    """Return the columns of tables by part and object, and the objects' keys, (objects, keys).
+    """Return columns by part and object (lane, turn), and the objects' keys, (objects, keys).
 
-    Of each table the `parts` from its own of `firsts` on.
+    Of each table (an hour), `parts` rows of an object count, from its value in `firsts` on.
     """
     known = [np.column_stack([each[key].to_numpy() for key in keys]) for each in tables]
     objects, place = np.unique(np.concatenate(known), axis=0, return_inverse=True)
@@ -211,21 +210,21 @@ def _stacked(
 
 
 def _total(times: Floats, values: Floats) -> Floats:
-    """Sum what is known; NaN where nothing is."""
+    """Return sums over parts of the known values; NaN where none is known."""
     known = np.isfinite(values)
     summed = times @ np.where(known, values, 0.0)
     return np.where(times @ known.astype(np.float64) > 0.0, summed, np.nan)
 
 
 def _where(values: Floats, known: Floats | None = None) -> Floats:
-    """Return values where others are known, else NaN; without others, minus infinity for NaN."""
+    """Return values with NaN where `known` is NaN; without it, with -inf in place of NaN."""
     if known is None:
         return np.where(np.isfinite(values), values, -np.inf)
     return np.where(np.isfinite(known), values, np.nan)
 
 
 def _volumes(times: Floats, of: Values) -> Values:
-    """Estimate the volumes of quarters; parts that are not known are as the others."""
+    """Return the volumes of quarters; parts that are not known count as the mean of the others."""
     known = times @ np.isfinite(of["volume"]).astype(np.float64)
     more = PARTS / np.maximum(known, 1e-9)
     volume = _total(times, of["volume"]) * more
@@ -241,7 +240,7 @@ def _volumes(times: Floats, of: Values) -> Values:
 
 
 def _rows(found: Values, keys: Mapping[str, Integers], interval: Integers) -> dict[str, Any]:
-    """Return the rows of objects that were observed, by object and quarter; `seen` tells which."""
+    """Return rows of observed objects by object and quarter; `seen` (objects, quarters): which."""
     by_object = {name: values.T for name, values in found.items()}
     seen = (by_object["visible_share"] > 0.0) | (by_object.get(_KM_H, np.zeros(1)) > 0.0)
     number, quarter = np.nonzero(seen)

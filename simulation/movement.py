@@ -1,4 +1,4 @@
-"""Movement: where every road user is and how it moves, at every 50 ms and in between."""
+"""Movement: place and motion of every road user, every 50 ms and in between."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Vehicles:
     time : float
         UNIX seconds.
     number : Integers
-        Which vehicle, ``(n,)``.
+        Column in `Traffic`, ``(n,)``.
     kind : Names
-        What each is, ``(n,)``, as in `Traffic`.
+        Kind, ``(n,)``, as in `Traffic`.
     centre : Floats
         Middle of the vehicle in the map, ``(n, 2)``, metres.
     heading : Floats
@@ -56,14 +56,14 @@ class Vehicles:
 
 @dataclass(frozen=True, kw_only=True)
 class Coupling:
-    """What makes a body a trailer.
+    """Coupling of a trailer.
 
     Parameters
     ----------
     drawn_by : int
         The body that draws it.
     whole_m : float
-        Length of the whole vehicle when it stands in line, metres.
+        Length of the whole vehicle when it is straight, metres.
     """
 
     drawn_by: int
@@ -72,7 +72,7 @@ class Coupling:
 
 @dataclass(frozen=True, kw_only=True)
 class Traffic:
-    """The movement of all vehicles on a time grid of 50 ms; a trailer is a body of its own.
+    """Movement of all vehicles every 50 ms; a trailer is a vehicle of its own here.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Traffic:
     kind : tuple of str
         Kind of every vehicle.
     couplings : dict[int, Coupling]
-        Which bodies are trailers.
+        Trailers by their column.
     """
 
     start: float
@@ -100,7 +100,7 @@ class Traffic:
     couplings: dict[int, Coupling] = field(default_factory=dict, repr=False)
 
     def at(self, time: float) -> Vehicles:
-        """Return the vehicles at a time (UNIX seconds), between the grid's rows too."""
+        """Return the vehicles at a time (UNIX seconds), interpolated between rows."""
         place = np.clip((time - self.start) / STEP_S, 0.0, len(self.speed) - 1.0)
         low = min(int(place), len(self.speed) - 2)
         share = place - low
@@ -122,7 +122,7 @@ class Traffic:
         )
 
     def joined(self, other: Traffic) -> Traffic:
-        """Return the traffic of both, over the same time: first this, then the other."""
+        """Return this traffic and the other's, of the same time, as one."""
         count = len(self.kind)
         more = {
             body + count: Coupling(drawn_by=c.drawn_by + count, whole_m=c.whole_m)
@@ -159,7 +159,7 @@ class Traffic:
         for body, coupling in self.couplings.items():
             drawn_by[body] = coupling.drawn_by
             whole[[body, coupling.drawn_by]] = coupling.whole_m
-        # 1/1024 m is fine enough, and such numbers pack well
+        # rounded to 1/1024 m: such numbers compress well
         place = np.rint(np.column_stack([centre, terrain.height(centre)]) * 1024.0) / 1024.0
         return pd.DataFrame(
             {

@@ -1,7 +1,7 @@
-"""Road networks: the lanes and the turns of a SUMO network as smooth bands.
+"""Road networks: lanes of a SUMO network, and smooth turns between them.
 
-SUMO draws the lanes inside a junction as coarse polylines. Here each becomes a smooth curve
-between the lanes it joins, and vehicles are placed on that curve too.
+SUMO draws the lanes inside a junction as coarse polylines. Here each becomes a smooth curve between
+the lanes it joins, on which vehicles are placed, too.
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ from gis_radar.base import Floats
 from simulation import sumo
 from simulation.curves import arc_length, offset, points_at, tangents, turn
 
-_LANE_SPACING_M = 4.0
-_TURN_SPACING_M = 1.0
-_SUMO_WIDTH_M = 3.2
-_SAME_BOUND_M = 0.3
+_LANE_SPACING_M, _TURN_SPACING_M = 4.0, 1.0  # of vertices
+_SUMO_WIDTH_M = 3.2  # SUMO's default width of lanes
+_SAME_BOUND_M = 0.3  # bounds of neighbours that are nearer become one
 SIDES = ("centre", "left", "right")
 
 
@@ -110,11 +109,11 @@ class RoadNetwork:
 
     @property
     def bands(self) -> dict[str, Band]:
-        """Return lanes and turns by id."""
+        """Lanes and turns by id."""
         return {**self.lanes, **self.turns}
 
     def locate(self, lane: str, position_m: Floats) -> tuple[Floats, Floats]:
-        """Return points and unit tangents on the centre line at SUMO's positions on `lane`."""
+        """Return points and unit tangents on the centre line at SUMO's positions on a lane."""
         band_id, begin, end = self.spans[lane]
         centre = self.bands[band_id].centre
         share = begin + (end - begin) * np.asarray(position_m) / self.lengths[lane]
@@ -282,7 +281,7 @@ def _join(name: str, source: Lane, target: Lane, link: ET.Element) -> Turn:
 
 
 def _evenly(curve: Floats, count: int) -> Floats:
-    """Return the curve with `count` evenly spaced vertices and its very ends."""
+    """Return the curve with `count` evenly spaced vertices; its ends stay exactly."""
     result = points_at(curve, np.linspace(0.0, arc_length(curve)[-1], count))
     result[0], result[-1] = curve[0], curve[-1]
     return result

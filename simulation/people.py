@@ -1,6 +1,6 @@
 """People: walkers along kerbs and across roads, cyclists at the edge of lanes and on cycle lanes.
 
-They heed the traffic, but it does not heed them: walkers cross and cyclists pass junctions in gaps.
+They give way to vehicles: walkers cross, and cyclists pass junctions, in gaps of the traffic.
 """
 
 from __future__ import annotations
@@ -15,32 +15,32 @@ from simulation.curves import arc_length, offset, points_at
 from simulation.movement import Traffic
 from simulation.network import Band, RoadNetwork
 
-_BODY = {"walker": (0.4, 0.5, 1.75), "cyclist": (1.8, 0.6, 1.75)}
-# walkers do 1.34 m/s with a standard deviation of 0.26 (Weidmann 1993), cyclists in towns 5 and 1
+_BODY = {"walker": (0.4, 0.5, 1.75), "cyclist": (1.8, 0.6, 1.75)}  # length, width, height, m
+# Mean and standard deviation of speeds: walkers by Weidmann (1993), cyclists assumed for towns.
 _PACE_MPS = {"walker": (1.34, 0.26), "cyclist": (5.0, 1.0)}
 _PAVEMENT_M = 1.8  # walkers from the edge of the road
 _EDGE_M = 0.35  # cyclists from the edge of their lane
 _CYCLE_LANE_M = 1.2  # cycle lanes from the edge of the road
 _CROSSING_M = 25.0  # wider roads are not crossed at once
 _MARGIN_M = 0.6  # between people and vehicles
-_PAUSE_S = (4.0, 15.0)
-_PATIENCE_S = 30
+_PAUSE_S = (4.0, 15.0)  # of walkers before they cross, least and most
+_PATIENCE_S = 30  # after which a cyclist goes on in any case
 
 
 @dataclass(frozen=True, kw_only=True)
 class People:
-    """How many people are there at once.
+    """Numbers of people.
 
     Parameters
     ----------
     walkers, cyclists : int
-        At every moment.
+        People at every moment.
     crossing : float
-        Share of the walkers that go to and fro across a road; the others go along kerbs.
+        Share of the walkers that cross a road to and fro; the others go along kerbs.
     cycle_lanes : float
-        Share of the cyclists behind the edge of the road, not on it.
+        Share of the cyclists on cycle lanes beside the road.
     reach_m : float
-        Walkers stay within this of the middle of the network.
+        Distance from the network's middle within which walkers stay.
     """
 
     walkers: int = 0
@@ -67,11 +67,11 @@ def simulate_people(
     road : Polygon or MultiPolygon
         The surface of the road.
     traffic : Traffic
-        The vehicles, which they give way to.
+        The vehicles.
     people : People
-        How many.
+        Numbers of people.
     seed : int
-        Same seed, same people.
+        Seed of all random numbers.
     """
     rng = np.random.default_rng([seed, 7])
     middle = np.mean([band.centre.mean(axis=0) for band in network.bands.values()], axis=0)
@@ -100,14 +100,14 @@ def _pace(kind: str, rng: np.random.Generator) -> float:
 
 
 def _lines_in(lines: shapely.Geometry, disc: shapely.Polygon) -> list[Floats]:
-    """Return the parts of lines inside a disc, a point every metre; no bits under 10 m."""
+    """Return the parts of lines inside a disc that are over 10 m long, a point every metre."""
     parts = shapely.get_parts(shapely.line_merge(shapely.intersection(lines, disc)))
     long = [part for part in parts if part.length > 10.0]
     return [shapely.get_coordinates(shapely.segmentize(part, 1.0)) for part in long]
 
 
 def _crossings(network: RoadNetwork, road: shapely.Geometry, disc: shapely.Polygon) -> list[Floats]:
-    """Return straight ways over the road, from pavement to pavement, near the ends of lanes."""
+    """Return straight lines across the road, from pavement to pavement, near the ends of lanes."""
     found, walked = [], shapely.buffer(road, _PAVEMENT_M)
     for lane in network.lanes.values():
         place, before = points_at(lane.centre, arc_length(lane.centre)[-1] - np.array([4.0, 5.0]))
@@ -124,14 +124,14 @@ def _crossings(network: RoadNetwork, road: shapely.Geometry, disc: shapely.Polyg
 
 
 def _to_and_fro(line: Floats, pace: float, steps: int, rng: np.random.Generator) -> Floats:
-    """Return where a walker is who goes along a line and back."""
+    """Return the places by step of a walker who goes along a line and back."""
     length = arc_length(line)[-1]
     s = (rng.uniform(0.0, 2.0 * length) + pace * STEP_S * np.arange(steps)) % (2.0 * length)
     return points_at(line, np.minimum(s, 2.0 * length - s))
 
 
 def _across(line: Floats, pace: float, traffic: Traffic, rng: np.random.Generator) -> Floats:
-    """Return where a walker is who crosses a road in gaps of the traffic, and waits between."""
+    """Return the places by step of a walker who crosses a road in gaps of the traffic."""
     steps = len(traffic.speed)
     length = arc_length(line)[-1]
     need = int(np.ceil(length / pace / STEP_S))
@@ -168,7 +168,7 @@ def _on_line(line: Floats, traffic: Traffic) -> Booleans:
 def _rides(
     network: RoadNetwork, aside_m: float, traffic: Traffic, rng: np.random.Generator
 ) -> list[Floats]:
-    """Return rides one after the other; the first is under way when the time begins."""
+    """Return the places by step of cyclists one after the other; the first is on its way."""
     rides, begin, steps = [], 0, len(traffic.speed)
     while begin < steps:
         line, joints = _ride_line(network, aside_m, rng)
@@ -193,7 +193,7 @@ def _rides(
 def _wait(
     line: Floats, s: float, stop: float, pace: float, traffic: Traffic, step: int, way: Floats
 ) -> int:
-    """Let a cyclist wait before a stretch until it can be passed; return for how many steps."""
+    """Return for how many steps a cyclist waits before a stretch, and write its place to `way`."""
     steps = len(traffic.speed)
     ahead = points_at(line, s + np.arange(0.0, min(stop - s, 30.0), pace * STEP_S))
     per_s = round(1.0 / STEP_S)
@@ -206,7 +206,7 @@ def _wait(
 
 
 def _touched(places: Floats, rows: Integers, traffic: Traffic) -> Booleans:
-    """Return at which of some steps a vehicle is at a cyclist's place."""
+    """Return at which steps (`rows`) a vehicle overlaps a cyclist at `places`."""
     gap = places[:, None] - traffic.centre[rows]
     cos, sin = np.cos(traffic.heading[rows]), np.sin(traffic.heading[rows])
     along = np.abs(gap[..., 0] * cos + gap[..., 1] * sin)
@@ -218,7 +218,7 @@ def _touched(places: Floats, rows: Integers, traffic: Traffic) -> Booleans:
 def _ride_line(
     network: RoadNetwork, aside_m: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Return a way from a rim of the network to another, and where on it turns begin and end."""
+    """Draw a route through the network; return its line, and where on it turns begin and end."""
     begins = [f"{edge}_0" for edge in network.sources() if f"{edge}_0" in network.lanes]
     lane = network.lanes[begins[int(rng.integers(len(begins)))]]
     bands: list[Band] = [lane]
@@ -236,13 +236,13 @@ def _ride_line(
 
 
 def _right_of(band: Band, aside_m: float) -> Floats:
-    """Return the right bound of a band, moved to the right; never farther in than its middle."""
+    """Return the right bound of a band, moved to the right; never left of its centre line."""
     half = np.hypot(*(band.left - band.right).T) / 2.0
     return offset(band.centre, -np.maximum(half + aside_m, 0.0))
 
 
 def _moved(ways: list[tuple[str, Floats]], traffic: Traffic) -> Traffic:
-    """Return places over time as traffic; who stands looks where the last step led."""
+    """Return places by step as traffic; a person who stands keeps the last heading."""
     steps = len(traffic.speed)
     centre = np.full((steps, len(ways), 2), np.nan)
     heading = np.full((steps, len(ways)), np.nan)

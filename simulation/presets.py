@@ -1,8 +1,8 @@
-"""Presets: radars and drivers by name.
+"""Models of radars and drivers by name.
 
-Sources of `AS_RECORDED`: four recordings of an ARS548 (firmware 5.48.6; front and side, still
-scenes) and three of an ARS430 (people walking) in public repositories; what each figure decides is
-measured again on a simulated recording in ``tests/test_as_recorded.py``.
+Sources of `AS_RECORDED`: public recordings, four of an ARS548 (firmware 5.48.6; front and side,
+still scenes) and three of an ARS430 (people walking). ``tests/test_as_recorded.py`` measures the
+same figures on a simulated recording.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from simulation.targets import Lasting
 
 TEXTBOOK = RadarModel()
 AS_RECORDED = RadarModel(
-    density=1.1,  # a car gives 1-2 returns a frame at 25-75 m, 0.2-0.6 at 75-150 m
-    static_per_frame=54.0,  # 45-52 a frame in a still yard, after neighbours have melted
-    # 0.25-0.43 a frame seem to move, evenly from 60 to 300 m and to 27 m/s, once 105 m/s
+    density=1.1,  # a car gives 1-2 detections a frame at 25-75 m, 0.2-0.6 at 75-150 m
+    static_per_frame=54.0,  # 45-52 a frame in a still yard, after neighbours were merged
+    # 0.25-0.43 a frame seem to move, evenly from 60 to 300 m and up to 27 m/s, once 105 m/s
     false_alarms=0.34,
     false_moving=1.0,
     false_mps=27.0,
@@ -59,9 +59,10 @@ RADARS = {
     "harsh": HARSH,
 }
 
-# Tracks recorded at three junctions, on their maps' lanes: means of straight lanes 10/50/90 % from
-# -0.29/-0.04/0.07 to -0.20/0.15/0.31 m, of turning ones from -0.45 to 0.70 m; between vehicles of a
-# lane 0.30-0.47 m, turning 0.28-0.45 m; 9-15 % of the samples over 1 m off the middle.
+# From tracks recorded at three junctions, as offsets from the middle of their maps' lanes, positive
+# to the left. Means of straight lanes: the 10/50/90 % quantiles are -0.29/-0.04/0.07 m at one
+# junction, -0.20/0.15/0.31 m at another; means of turning lanes: -0.45 to 0.70 m. Deviation between
+# vehicles of a lane: 0.30-0.47 m, turning 0.28-0.45 m. 9-15 % of the samples are over 1 m off.
 DRIVERS_AS_RECORDED = LaneKeeping(
     mean_m=-0.04,
     lane_m=0.18,

@@ -1,4 +1,4 @@
-"""A roadside 4D radar: what it measures of a scene and its traffic, frame by frame."""
+"""Roadside 4D radar: its frames of a scene with traffic."""
 
 from __future__ import annotations
 
@@ -14,44 +14,43 @@ from simulation.clutter import draw_clutter
 from simulation.movement import Vehicles
 from simulation.scatterers import Scatterers, ghosts, join_scatterers
 from simulation.scene import Scene
-from simulation.sight import Boxes, Walls, both, building_walls, parked_boxes, vehicle_boxes
+from simulation.sight import Boxes, Walls, building_walls, join_boxes, parked_boxes, vehicle_boxes
 from simulation.targets import Fleeting, Lasting, Targets
 
 
 @dataclass(frozen=True, kw_only=True)
 class RadarModel:
-    """How well a radar measures.
+    """Model of a radar's measurement.
 
     Parameters
     ----------
     reach_m : float
-        Range at which a target of 0 dBm2 is seen every second time.
+        Range at which a target of 0 dBm2 is detected in half of the frames.
     density : float
-        Scatter points on the front of a car, before the radar equation thins them out.
+        Mean number of scatter points on the front of a car; only some are detected.
     static_per_frame : float
-        Mean number of returns from fixed things.
+        Mean number of detections of fixed objects.
     ghost_share, false_alarms, false_doppler_share : float
-        Ghosts per vehicle return, false alarms per frame, and the share of fixed returns with a
-        range rate that is wrong.
+        Multipath ghosts per detection of a vehicle, false alarms per frame, and share of fixed
+        detections with a wrong range rate.
     leak : float
-        Share of hidden vehicle points that are seen all the same, for waves run under cars.
+        Share of hidden points of vehicles that are detected all the same (waves pass under cars).
     false_moving : float
-        Share of the false alarms that have a range rate of their own.
+        Share of the false alarms that have a random range rate; the others have none.
     false_mps, false_tail : float
-        Wrong range rates lie evenly between this and its negative, but for a share of them that
-        reaches four times as far.
+        Wrong range rates are uniform up to this; a share of them reaches four times as far.
     false_from_m : float
-        No false alarm is nearer.
+        Least range of false alarms.
     range_m, azimuth_deg, elevation_deg, range_rate_mps, rcs_db : float
-        Standard deviations of the measurement, anew in every frame.
+        Standard deviations of the measurement, independent from frame to frame.
     rcs_scale_db, rcs_floor_db : float
-        How far the reported RCS lies over the true one; what is weaker is reported as the floor.
+        Reported minus true RCS, and the least RCS that is reported.
     quantum : tuple of float
-        Steps of x, y, z (m), range rate (m/s) and RCS (dB) as recorded.
+        Resolution of x, y, z (m), range rate (m/s) and RCS (dB) in the recording.
     cell_m, cell_deg, cell_mps : float
-        Returns in one cell of range, azimuth and range rate melt into one.
+        Detections in one cell of range, azimuth and range rate are merged.
     most : int
-        Returns a frame at most; the strongest stay.
+        Detections a frame at most; the strongest stay.
     cycle_s, jitter_s : tuple of float, float
         Times between frames, in turn, and the standard deviation of each frame's time.
     targets : Fleeting or Lasting
@@ -80,41 +79,41 @@ class RadarModel:
     false_from_m: float = 0.0
     rcs_scale_db: float = 0.0
     rcs_floor_db: float = -100.0
-    # powers of two leave the low bits of a float32 empty, which packs well
+    # powers of two leave the low bits of a float32 zero, which compresses well
     quantum: tuple[float, ...] = (2.0**-6, 2.0**-6, 2.0**-6, 2.0**-5, 0.5)
     cycle_s: tuple[float, ...] = (0.05,)
     jitter_s: float = 0.001
     targets: Fleeting | Lasting = field(default_factory=Fleeting)
 
     def wrong_rates(self, count: int, rng: np.random.Generator) -> Floats:
-        """Draw range rates of nothing, m/s."""
+        """Draw wrong range rates, m/s."""
         rate = rng.uniform(-self.false_mps, self.false_mps, count)
         beyond = np.abs(rate) / self.false_mps - (1.0 - self.false_tail)
-        far = 1.0 + _TAIL * np.maximum(beyond, 0.0) / max(self.false_tail, 1e-9)
+        far = 1.0 + _TAIL_FACTOR * np.maximum(beyond, 0.0) / max(self.false_tail, 1e-9)
         return np.asarray(rate * far)
 
 
-_TAIL = 3.0
+_TAIL_FACTOR = 3.0  # by which the largest wrong range rates exceed `false_mps`
 
 
 @dataclass(frozen=True, kw_only=True)
 class Radar:
-    """A radar that stands in a scene; `place_radar` makes one.
+    """A radar in a scene; `place_radar` makes one.
 
     Parameters
     ----------
     pose : Pose
-        Where it stands and looks.
+        Its pose.
     view : View
-        What it can see.
+        Its view.
     model : RadarModel
-        How well it measures.
+        Model of its measurement.
     scene : Scene
-        What is around it.
+        Surroundings within its range.
     targets : Targets
-        The fixed points it sees, and what lasts of vehicles.
+        Fixed targets, and those of vehicles that last from frame to frame.
     walls, parked : Walls, Boxes
-        What always hides.
+        Fixed obstacles to sight.
     """
 
     pose: Pose
@@ -133,7 +132,7 @@ class Radar:
         vehicles : Vehicles
             The traffic at the frame's time.
         rng : Generator
-            Decides what is seen and every error.
+            Random numbers.
 
         Returns
         -------
@@ -144,7 +143,7 @@ class Radar:
             self.view.max_range_m + 20.0
         )
         vehicles = vehicles.where(near)
-        boxes = both(vehicle_boxes(vehicles, self.scene), self.parked)
+        boxes = join_boxes(vehicle_boxes(vehicles, self.scene), self.parked)
         moving = self._moving_scatterers(vehicles, boxes, rng)
         fixed, wobble = self._fixed_scatterers(boxes, rng)
         seen = join_scatterers([moving, fixed])
@@ -167,7 +166,7 @@ class Radar:
     def _moving_scatterers(
         self, vehicles: Vehicles, boxes: Boxes, rng: np.random.Generator
     ) -> Scatterers:
-        """Return the points of vehicles that are strong enough and not hidden, and ghosts."""
+        """Draw the detected points of vehicles, and ghosts."""
         eye = self.pose.position
         scatterers = self._bodies(vehicles, rng)
         strong = rng.random(len(scatterers.rcs)) < self._detection(scatterers.point, scatterers.rcs)
@@ -199,7 +198,7 @@ class Radar:
     def _fixed_scatterers(
         self, boxes: Boxes, rng: np.random.Generator
     ) -> tuple[Scatterers, Floats]:
-        """Return the fixed points of this frame, and the range rate of their own stir."""
+        """Draw the detected fixed points, and range rates from their own motion."""
         chance = self.targets.chance
         lit = np.flatnonzero(rng.random(len(chance)) < chance)
         now, count = self.targets.clutter.where(lit), len(lit)
@@ -221,11 +220,11 @@ class Radar:
         return scatterers.where(clear), wobble[clear]
 
     def _detection(self, point: Floats, rcs: Floats) -> Floats:
-        """Return the chance of detection by the radar equation: loss with the fourth power."""
+        """Return the probability of detection; the signal falls with the fourth power of range."""
         return np.asarray(expit(_strength(point, rcs, self.pose.position, self.model.reach_m) / 2))
 
     def _false_alarms(self, rng: np.random.Generator) -> Floats:
-        """Return noise peaks anywhere in view, some with a range rate of their own."""
+        """Draw false alarms anywhere in view, some with a random range rate."""
         count = int(rng.poisson(self.model.false_alarms))
         half = np.radians([self.view.azimuth_deg, self.view.elevation_deg]) / 2.0
         rate = self.model.wrong_rates(count, rng)
@@ -241,7 +240,7 @@ class Radar:
         )
 
     def _measured(self, polar: Floats, rng: np.random.Generator) -> Floats:
-        """Return what the radar reports of true (range, azimuth, elevation, rate, RCS)."""
+        """Return the detections for true range, azimuth, elevation, range rate and RCS."""
         model = self.model
         errors = np.array(
             [
@@ -273,18 +272,18 @@ class Radar:
 def place_radar(
     pose: Pose, scene: Scene, *, rng: np.random.Generator, model: RadarModel | None = None
 ) -> Radar:
-    """Return a radar that stands in a scene.
+    """Return a radar in a scene.
 
     Parameters
     ----------
     pose : Pose
-        Where; its view bounds what the radar can see.
+        Its pose, with the view.
     scene : Scene
-        What is around it.
+        Its surroundings.
     rng : Generator
-        Decides which fixed points scatter.
+        Random numbers, for the fixed points.
     model : RadarModel, optional
-        How well it measures.
+        Model of its measurement.
     """
     model = model or RadarModel()
     view = pose.view or View()
@@ -304,6 +303,6 @@ def place_radar(
 
 
 def _strength(point: Floats, rcs: Floats, eye: Floats, reach_m: float) -> Floats:
-    """Return by how many dB detections exceed what is seen every second time."""
+    """Return the strength of points over that of a target detected in half of the frames, dB."""
     loss = 40.0 * np.log10(np.maximum(np.linalg.norm(point - eye, axis=1), 1.0) / reach_m)
     return np.asarray(rcs - loss)

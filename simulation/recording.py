@@ -1,4 +1,4 @@
-"""Recordings: when a radar measures, and its frames as a compact Parquet file."""
+"""Recordings of a simulated radar: times of frames, their detections, compact Parquet files."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def frame_times(
     duration_s : float
         Frames begin within this time.
     rng : Generator
-        Decides jitter, gaps and doubles.
+        Random numbers.
     cycle_s : sequence of float
-        Times between frames, in turn; a cycle of several is entered at any moment of it.
+        Times between frames, in turn; with several the recording begins anywhere in the cycle.
     jitter_s : float
         Standard deviation of each time.
     dropped, doubled : float
-        Shares of frames that are missing, and that another follows after 5-15 ms.
+        Shares of frames that are missing, and that are followed by another after 5-15 ms.
     """
     whole_s, turns = float(np.sum(cycle_s)), len(cycle_s)
     entered_s = rng.uniform(0.0, whole_s) if turns > 1 else 0.0
@@ -74,13 +74,13 @@ def simulate_recording(
     radar : Radar
         The sensor in its scene.
     traffic : Traffic
-        What drives there.
+        The road users.
     times : (n,) array
         UNIX seconds, ascending.
     rng : Generator
-        Decides what is seen and every error.
+        Random numbers.
     blank_frames : int
-        How many frames, picked at random, have no detection.
+        Number of random frames without detections.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def write_packed(table: pd.DataFrame, path: Path, *, repeated: tuple[str, ...]) 
     Parameters
     ----------
     table : DataFrame
-        Numbers; texts only where repeated.
+        The table; columns of text must be in `repeated`.
     path : Path
         The file.
     repeated : tuple of str

@@ -13,12 +13,12 @@ from simulation.network import RoadNetwork
 from simulation.scene import Building, ParkedCar, Post, Rail, Scene, Tree, road_surface
 from simulation.terrain import Terrain
 
-_BLOCK_M2 = 1500.0  # what roads enclose is lined inside too, but no traffic island
+_BLOCK_M2 = 1500.0  # areas enclosed by roads that are larger are lined inside: no traffic islands
 
 
 @dataclass(frozen=True, kw_only=True)
 class Roadside:
-    """How roads are lined.
+    """Distances of trees, houses, parked cars and posts along roads.
 
     Parameters
     ----------
@@ -27,13 +27,13 @@ class Roadside:
     house_gap_m, house_setback_m : float
         Distance between middles of houses, and from the kerb to their fronts.
     car_gap_m, car_share : float
-        Distance between parking places, and how many are taken.
+        Distance between parking places, and share of these with a car.
     no_parking_m : float
-        No car is parked nearer than this to where a turn begins or ends.
+        Least distance of parked cars from where a turn begins or ends.
     post_gap_m : float
         Distance between lamps and signs.
     open_end_m : float
-        Nothing stands nearer than this to the ends of the network.
+        Least distance of all from the ends of the network.
     """
 
     tree_gap_m: float = 13.0
@@ -62,13 +62,13 @@ def furnish(
     network : RoadNetwork
         The roads.
     terrain : Terrain
-        Their height.
+        Height of the ground.
     rng : Generator
-        Decides every place and size.
+        Random numbers.
     roadside : Roadside, optional
-        How the roads are lined.
+        Distances along the roads.
     rails : tuple of Rail
-        Guard rails, placed by the caller.
+        Guard rails, which are not drawn at random.
     """
     plan = roadside or Roadside()
     road = road_surface(network)
@@ -99,7 +99,7 @@ def roadside_stand(
     within_m: tuple[float, float],
     turns_rad: tuple[float, float] = (0.0, 2.0 * np.pi),
 ) -> Floats:
-    """Return where a mast may stand: beside a kerb, in no house, some way from a middle.
+    """Draw a place for a mast: beside a kerb, in no house, at a distance from a middle.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def roadside_stand(
     middle : (float, float)
         Easting and northing.
     rng : Generator
-        Decides.
+        Random numbers.
     within_m : tuple of float
         Least and greatest distance from the middle.
     turns_rad : tuple of float
@@ -134,7 +134,7 @@ class _Places:
     rng: np.random.Generator
 
     def along(self, setback_m: float, gap_m: float) -> Iterator[tuple[Floats, float]]:
-        """Yield points every `gap_m` or so at a distance from the kerb, and the way's heading."""
+        """Draw points about every `gap_m` at a distance from the kerb; yield also the heading."""
         outer = self.road.buffer(setback_m)
         parts = getattr(outer, "geoms", [outer])
         inner = [r for part in parts for r in part.interiors if shapely.Polygon(r).area > _BLOCK_M2]

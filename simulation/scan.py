@@ -1,4 +1,4 @@
-"""Airborne laser scans of a scene: strips of pulses that hit ground, roofs, crowns and cars."""
+"""Airborne laser scans of a scene: strips of pulses that end at ground, roofs, crowns and cars."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from gis_radar.base import Floats, Integers, atomic_write
 from simulation.scene import Building, ParkedCar, Scene, Tree
 from simulation.terrain import Terrain
 
-UNCLASSIFIED, GROUND, LOW, HIGH, BUILDING = 1, 2, 3, 5, 6
-_WALL_STEPS = 14
-_BONNET = 0.65
-_CAR_HEIGHTS = (0.05, 0.2, 0.4, _BONNET, 0.8, 1.0)
-_BOX_CAR_M = 2.0
+UNCLASSIFIED, GROUND, LOW, HIGH, BUILDING = 1, 2, 3, 5, 6  # ASPRS classes; vegetation low and high
+_WALL_STEPS = 14  # heights of a building at which it is tested whether pulses meet it
+_BONNET_SHARE = 0.65  # height of bonnet and boot as a share of a car's
+_CAR_HEIGHT_SHARES = (0.05, 0.2, 0.4, _BONNET_SHARE, 0.8, 1.0)  # tested likewise
+_BOX_CAR_M = 2.0  # higher vehicles are boxes, without bonnet and boot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,20 +45,20 @@ class Strip:
 
 @dataclass(frozen=True, kw_only=True)
 class ScanModel:
-    """How a scan is flown.
+    """Settings of a scan.
 
     Parameters
     ----------
     strips : tuple of Strip
         Flight lines, each over the whole area.
     reach_m, full_m : float
-        The scan ends this far from the road, and is thinned to a half beyond `full_m`.
+        Distances from the road at which the scan ends, and from which on half of it is left out.
     noise_m : float
         Standard deviation of every coordinate.
     leaf_path_m : float
-        Mean way of a pulse through leaves.
+        Mean length of a pulse's path through leaves.
     second_share : float
-        Share of pulses that return from a crown and then from the ground too.
+        Share of the pulses from a crown that have a second return, from below it.
     """
 
     strips: tuple[Strip, ...] = (
@@ -100,7 +100,7 @@ class Scan:
 
 @dataclass(kw_only=True)
 class _Pulses:
-    """Pulses of a strip: where each would meet the ground, and its first hit so far."""
+    """Pulses of a strip: where each aims at the ground, and the height where it ends so far."""
 
     aim: Floats
     lean: Floats
@@ -125,11 +125,11 @@ def fly(scene: Scene, *, rng: np.random.Generator, model: ScanModel | None = Non
     Parameters
     ----------
     scene : Scene
-        What is there; its cars are those that stand there at the time of the scan.
+        The scene, with the cars that are parked at the time of the scan.
     rng : Generator
-        Decides jitter, penetration and noise.
+        Random numbers.
     model : ScanModel, optional
-        How the scan is flown.
+        Settings of the scan.
     """
     model = model or ScanModel()
     parts = [_fly_strip(scene, strip, model, rng) for strip in model.strips]
@@ -183,14 +183,14 @@ def _fly_strip(scene: Scene, strip: Strip, model: ScanModel, rng: np.random.Gene
 
 
 def _aims(scene: Scene, strip: Strip, model: ScanModel, rng: np.random.Generator) -> Floats:
-    """Return where the pulses of a strip would meet the ground, line by line."""
+    """Draw where the pulses of a strip aim at the ground, line by line."""
     west, south, east, north = scene.road.buffer(model.reach_m).bounds
     middle = np.array([west + east, south + north]) / 2.0
     radius = np.hypot(east - west, north - south) / 2.0
     along = np.arange(-radius, radius, strip.along_m)
     across = np.arange(-radius, radius, strip.across_m)
     u, v = np.meshgrid(along, across, indexing="ij")
-    # the mirror sweeps while the aircraft flies on: lines lean forward and back in turn
+    # the aircraft flies on while the mirror sweeps: scan lines are oblique, in a zigzag
     u = u + strip.along_m * np.where(np.arange(len(along)) % 2, 0.5, -0.5)[:, None] * v / radius
     u, v = (w.ravel() + rng.normal(0.0, 0.05, w.size) for w in (u, v))
     cos, sin = np.cos(np.radians(strip.heading_deg)), np.sin(np.radians(strip.heading_deg))
@@ -227,13 +227,13 @@ def _hit_car(pulses: _Pulses, car: ParkedCar) -> None:
     rows = pulses.near(np.array(car.place), length)
     cos, sin = np.cos(car.heading_rad), np.sin(car.heading_rad)
     over = np.zeros(len(rows))
-    for share in _CAR_HEIGHTS:
+    for share in _CAR_HEIGHT_SHARES:
         local = pulses.aim[rows] + share * height * pulses.lean - np.array(car.place)
         u = cos * local[:, 0] + sin * local[:, 1]
         v = cos * local[:, 1] - sin * local[:, 0]
         inside = (np.abs(u) < length / 2.0) & (np.abs(v) < width / 2.0)
         low = (np.abs(u + 0.05 * length) > 0.28 * length) & (height < _BOX_CAR_M)
-        over[inside & (share <= np.where(low, _BONNET, 1.0))] = share * height
+        over[inside & (share <= np.where(low, _BONNET_SHARE, 1.0))] = share * height
     hit = over > 0.0
     pulses.hit(rows[hit], over[hit], UNCLASSIFIED)
 
@@ -255,7 +255,7 @@ def _hit_tree(pulses: _Pulses, tree: Tree, path_m: float, rng: np.random.Generat
 def _points(
     scene: Scene, pulses: _Pulses, rows: Integers, rng: np.random.Generator
 ) -> tuple[Floats, Integers, Integers]:
-    """Return points, classes and intensities where pulses end; grass stands on the verges."""
+    """Return points, classes and intensities where pulses end; some beside the road are grass."""
     plane = pulses.aim[rows] + pulses.over[rows, None] * pulses.lean
     category = pulses.category[rows].copy()
     base = np.where(category == GROUND, scene.ground(plane), scene.terrain.height(plane))

@@ -1,4 +1,4 @@
-"""Scatterers of vehicles: which points of their outside scatter back, and how these move."""
+"""Scatter points on vehicles: their places, velocities and cross sections; multipath ghosts."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from simulation.movement import Vehicles
 from simulation.scene import Scene
 from simulation.sight import Walls
 
-_TALL_M = 2.4
-_WHEEL_SHARE = 0.16
-_INSIDE_M = 0.08
-# cross sections of the scatter points of one vehicle differ by so much (standard deviation)
-SPOT_DB = 5.5
+_TALL_VEHICLE_M = 2.4  # higher vehicles have more points high up
+_WHEEL_SHARE = 0.16  # of the points on a long side
+_MEAN_DEPTH_M = 0.08  # of points behind the face
+SPOT_DB = 5.5  # standard deviation of cross sections of a vehicle's points
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,13 +26,13 @@ class Scatterers:
     point : Floats
         Place in the map, ``(n, 3)``, metres.
     velocity : Floats
-        Of the scattering part, ``(n, 3)``, m/s.
+        Velocity, ``(n, 3)``, m/s.
     rcs : Floats
         Radar cross section, dBm2.
     owner : Integers
-        Row of the vehicle it belongs to; -1 where it belongs to none.
+        Row of the vehicle that it is on; -1: none.
     target : Integers
-        Which target it is of those that last; -1 where it is of none.
+        Number of its lasting target (`simulation.targets`); -1: none.
     """
 
     point: Floats
@@ -53,7 +52,7 @@ class Scatterers:
         )
 
     def of(self, target: Integers) -> Scatterers:
-        """Return the same scatterers as those of lasting targets."""
+        """Return the same scatterers with the numbers of lasting targets."""
         return replace(self, target=target)
 
     def range_rate(self, eye: Floats) -> Floats:
@@ -82,15 +81,15 @@ def vehicle_scatterers(
     Parameters
     ----------
     vehicles : Vehicles
-        Where they are.
+        The vehicles.
     scene : Scene
         Gives the road's height.
     eye : (3,) array
-        The sensor in the map.
+        Position of the sensor in the map.
     density : float
         Mean number of scatter points of a car's front seen straight on.
     rng : Generator
-        Decides how many points and where.
+        Random numbers.
     """
     rates, signs = face_rates(vehicles, eye, density)
     face = np.repeat(np.arange(rates.size), rng.poisson(rates.ravel()))
@@ -103,7 +102,7 @@ def vehicle_scatterers(
 
 
 def face_rates(vehicles: Vehicles, eye: Floats, density: float) -> tuple[Floats, Floats]:
-    """Return how many scatter points an end and a side of each vehicle show, and which one.
+    """Return the mean numbers of scatter points on the two visible faces of each vehicle.
 
     Returns
     -------
@@ -128,7 +127,7 @@ def face_rates(vehicles: Vehicles, eye: Floats, density: float) -> tuple[Floats,
 
 @dataclass(frozen=True, kw_only=True)
 class Spots:
-    """Where on a face scatter points are, one row each.
+    """Places of scatter points on a face, one row each.
 
     Parameters
     ----------
@@ -139,11 +138,11 @@ class Spots:
     across : Floats
         Place along the face, -1 to 1.
     inside_m : Floats
-        How far behind the face.
+        Depth behind the face.
     low_m, high : Floats
-        Height over the road of bumpers and sills, and share of the vehicle's height.
+        Height over the road of a low point; share of the vehicle's height of a high one.
     pick : Floats
-        Evenly 0 to 1; small ones are `high`.
+        Random number, 0 to 1, that decides between both: small ones are high points.
     """
 
     side: Booleans
@@ -169,7 +168,7 @@ def draw_spots(side: Booleans, rng: np.random.Generator) -> Spots:
         side=side,
         wheel=wheel,
         across=across,
-        inside_m=rng.exponential(_INSIDE_M, count),
+        inside_m=rng.exponential(_MEAN_DEPTH_M, count),
         low_m=rng.uniform(0.3, 0.9, count),
         high=rng.uniform(0.3, 0.95, count),
         pick=rng.random(count),
@@ -192,12 +191,12 @@ def place_spots(
     vehicles: Vehicles, scene: Scene, owner: Integers, outward: Floats, spots: Spots, *,
     spin: Floats, rcs: Floats,
 ) -> Scatterers:  # fmt: skip
-    """Return the scatterers of scatter points on vehicles.
+    """Return the scatterers of points on faces of vehicles.
 
     Parameters
     ----------
     vehicles : Vehicles
-        Where they are.
+        The vehicles.
     scene : Scene
         Gives the road's height.
     owner : (n,) int array
@@ -205,25 +204,25 @@ def place_spots(
     outward : (n,) array
         1 on front and left side, -1 on rear and right side.
     spots : Spots
-        Where on the faces.
+        Places on the faces.
     spin : (n,) array
-        Where on its wheel a point of a wheel is, rad.
+        Angle on the wheel of a point of a wheel, rad.
     rcs : (n,) array
-        Cross section against that of the vehicle, dB.
+        Cross section relative to the vehicle's mean, dB.
     """
     side, wheel, size = spots.side, spots.wheel, vehicles.size[owner]
     half, height = size[:, :2] / 2.0, size[:, 2]
     depth = 1.0 - np.minimum(spots.inside_m / half.min(axis=1), 1.0)
     lengthwise = np.where(side, spots.across, outward * depth) * half[:, 0]
     sidewise = np.where(side, outward * depth, spots.across) * half[:, 1]
-    tall = spots.pick < np.where(height > _TALL_M, 0.5, 0.25)
+    tall = spots.pick < np.where(height > _TALL_VEHICLE_M, 0.5, 0.25)
     over = np.where(wheel, 0.35, np.where(tall, spots.high * height, spots.low_m))
     heading, speed = vehicles.heading[owner], vehicles.speed[owner]
     ahead = np.column_stack([np.cos(heading), np.sin(heading)])
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     arm = lengthwise[:, None] * ahead + sidewise[:, None] * left
     plane = vehicles.centre[owner] + arm
-    # the upper part of a rolling wheel moves at twice the vehicle's speed, its foot stands
+    # a wheel's top moves at twice the vehicle's speed, its lowest point stands
     roll = np.where(wheel, 1.0 + np.cos(spin), 1.0)
     turning = vehicles.yaw_rate[owner][:, None] * np.column_stack([-arm[:, 1], arm[:, 0]])
     flat = (speed * roll)[:, None] * ahead + turning
@@ -243,21 +242,21 @@ def ghosts(
 ) -> Scatterers:
     """Draw multipath ghosts of some scatterers.
 
-    Where a wall mirrors the vehicle to the sensor, the ghost is its mirror image, with the
-    mirrored motion; else the wave went an extra bounce, and the ghost is behind its origin.
+    Where a wall mirrors the vehicle to the sensor, the ghost is its mirror image, with mirrored
+    motion; else it is behind its origin, as after a longer path.
 
     Parameters
     ----------
     scatterers : Scatterers
-        What the sensor sees directly.
+        Scatterers in sight.
     eye : (3,) array
-        The sensor in the map.
+        Position of the sensor in the map.
     walls : Walls
-        Mirrors.
+        Walls that mirror.
     share : float
         Ghosts per scatterer.
     rng : Generator
-        Decides which scatterers get one.
+        Random numbers.
     """
     chosen = scatterers.where(rng.random(len(scatterers.rcs)) < share)
     sight = chosen.point - eye
@@ -278,7 +277,7 @@ def ghosts(
 def _image(
     point: Floats, velocity: Floats, eye: Floats, walls: Walls, rng: np.random.Generator
 ) -> tuple[Floats, Floats] | None:
-    """Return a mirror image that the sensor sees through one of the walls, if there is any."""
+    """Return place and velocity of a mirror image that the sensor sees in a wall, or None."""
     along = walls.end - walls.begin
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     normal = normal / np.maximum(np.hypot(*normal.T), 1e-9)[:, None]
@@ -289,7 +288,7 @@ def _image(
     seen = np.isfinite(np.diagonal(walls.crossing(eye, images)))
     if not seen.any() or rng.random() < 0.5:
         return None
-    # the nearest mirror stands in the way of the others
+    # the nearest wall hides the others
     wall = int(np.argmin(np.where(seen, np.linalg.norm(images - eye, axis=1), np.inf)))
     flat = velocity[:2] - 2.0 * (velocity[:2] @ normal[wall]) * normal[wall]
     return images[wall], np.array([flat[0], flat[1], velocity[2]])

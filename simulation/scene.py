@@ -1,4 +1,4 @@
-"""Scenes: what stands beside the road, as plain shapes in the map frame (metres)."""
+"""Scenes: objects beside the road as simple shapes in the map frame (metres)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from simulation.terrain import Terrain
 
 @dataclass(frozen=True, kw_only=True)
 class Building:
-    """A polygon drawn up to a flat roof.
+    """A building with upright walls and a flat roof.
 
     Parameters
     ----------
     outline : Floats
         Corners, ``(n, 2)``, the last not repeated.
     height_m : float
-        Of the roof over the ground at the first corner.
+        Height of the roof over the ground at the first corner.
     """
 
     outline: Floats
@@ -30,7 +30,7 @@ class Building:
 
 @dataclass(frozen=True, kw_only=True)
 class Tree:
-    """A ball of leaves on a trunk.
+    """A tree: a spherical crown on a trunk.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Tree:
     crown_m : float
         Radius of the crown.
     crown_height_m : float
-        Middle of the crown over the ground.
+        Height of the crown's middle over the ground.
     trunk_m : float
         Radius of the trunk.
     """
@@ -52,7 +52,7 @@ class Tree:
 
 @dataclass(frozen=True, kw_only=True)
 class ParkedCar:
-    """A car that stands all the time.
+    """A parked car, which never moves.
 
     Parameters
     ----------
@@ -87,14 +87,14 @@ class Post:
 
 @dataclass(frozen=True, kw_only=True)
 class Rail:
-    """A guard rail or a fence of metal.
+    """A guard rail or a metal fence.
 
     Parameters
     ----------
     line : Floats
-        ``(n, 2)``.
+        Its line, ``(n, 2)``.
     height_m : float
-        Of the metal over the ground.
+        Height of the metal over the ground.
     """
 
     line: Floats
@@ -103,18 +103,18 @@ class Rail:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """Ground, roads and everything that does not drive.
+    """Ground, roads and all fixed objects.
 
     Parameters
     ----------
     terrain : Terrain
         Height of the road surface.
     road : Polygon or MultiPolygon
-        Where the road surface is; beside it the ground is a kerb higher.
+        Area of the road; beside it the ground is higher by the kerb.
     kerb_m : float
         Height of the kerb.
     buildings, trees, cars, posts, rails : tuples
-        What stands there.
+        Fixed objects.
     """
 
     terrain: Terrain
@@ -127,7 +127,7 @@ class Scene:
     rails: tuple[Rail, ...] = field(default=(), repr=False)
 
     def near(self, place: Floats, reach_m: float) -> Scene:
-        """Return the scene with only those things that stand within `reach_m` of a place."""
+        """Return the scene with only the objects within `reach_m` of a place."""
 
         def close(points: Floats) -> bool:
             return bool((np.hypot(*(np.atleast_2d(points) - place[:2]).T) < reach_m).any())
@@ -149,7 +149,7 @@ class Scene:
 
 
 def road_surface(network: RoadNetwork) -> shapely.Polygon | shapely.MultiPolygon:
-    """Return the area of all lanes and turns, without the slits between them."""
+    """Return the area of all lanes and turns, with the slits between them closed."""
     areas = [
         shapely.Polygon(np.vstack([band.left, band.right[::-1]])).buffer(0.05)
         for band in network.bands.values()

@@ -1,4 +1,4 @@
-"""Lines of sight: what boxes and walls hide from a sensor."""
+"""Lines of sight: which points boxes and walls hide from a sensor."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from gis_radar.base import Booleans, Floats, Integers, compiled
 from simulation.movement import Vehicles
 from simulation.scene import Scene
 
-# points this near to a face that looks at the sensor count as being on it
-_SKIN_M = 0.4
+_SKIN_M = 0.4  # points so near behind the face of a box are not hidden by it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +39,7 @@ class Boxes:
         eye : (3,) array
         points : (n, 3) array
         own : (n,) int array
-            The box that a point belongs to, which does not hide it; -1 for none.
+            The box that a point is on, which does not hide it; -1: none.
         """
         half = self.size * np.array([0.5, 0.5, 1.0]) * 0.94
         before = 1.0 - _SKIN_M / np.maximum(np.linalg.norm(points - eye, axis=1), 1.0)
@@ -56,7 +55,7 @@ def _behind_boxes(
     eye: Floats, points: Floats, before: Floats, own: Integers,
     centre: Floats, cos: Floats, sin: Floats, half: Floats,
 ) -> Booleans:  # fmt: skip
-    """Return which points a box hides: where the line of sight enters it, before the point."""
+    """Return which points a box hides: the line of sight enters it before the point."""
     hidden = np.zeros(len(points), np.bool_)
     start, way = np.empty(3), np.empty(3)
     for j in range(len(centre)):
@@ -104,7 +103,7 @@ class Walls:
         return np.asarray((np.isfinite(share) & (height < self.top)).any(axis=1))
 
     def crossing(self, eye: Floats, points: Floats) -> Floats:
-        """Return where each line of sight crosses each wall, as its share; NaN where not."""
+        """Return at which share of itself each line of sight crosses each wall; NaN: nowhere."""
         return _crossings(
             np.asarray(eye, np.float64), np.ascontiguousarray(points, np.float64),
             self.begin, self.end - self.begin,
@@ -113,7 +112,7 @@ class Walls:
 
 @compiled
 def _crossings(eye: Floats, points: Floats, begin: Floats, along: Floats) -> Floats:
-    """Return the share of each line of sight at which it crosses each wall; NaN where not."""
+    """Return the result of :meth:`Walls.crossing`; `along` is from begin to end of the walls."""
     shares = np.full((len(points), len(begin)), np.nan)
     for i in range(len(points)):
         x, y = points[i, 0] - eye[0], points[i, 1] - eye[1]
@@ -149,7 +148,7 @@ def parked_boxes(scene: Scene) -> Boxes:
     )
 
 
-def both(first: Boxes, second: Boxes) -> Boxes:
+def join_boxes(first: Boxes, second: Boxes) -> Boxes:
     """Return the boxes of `first`, then those of `second`."""
     return Boxes(
         centre=np.vstack([first.centre, second.centre]),

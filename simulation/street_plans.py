@@ -1,6 +1,6 @@
 """Street plans as SUMO's plain XML, drawn at random: junction, tee, bend, roundabout, arterial.
 
-Local frame: metres, x to grid east, y to grid north; what a sensor would look at is near (0, 0).
+Local frame: metres, x to grid east, y to grid north; the junction or bend is near (0, 0).
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ import numpy as np
 from gis_radar.base import Floats
 from simulation.curves import offset
 
-LIMITS_MPS = (8.33, 13.89, 13.89, 16.67)
-STEP_M = 3.0
-NO_TURNS = "<connections/>"  # SUMO guesses them
+SPEED_LIMITS_MPS = (8.33, 13.89, 13.89, 16.67)  # 30, 50, 50, 60 km/h
+VERTEX_GAP_M = 3.0  # of drawn lines
+NO_TURNS = "<connections/>"  # without connections in the plan, SUMO makes them
 
 
 @dataclass(kw_only=True)
 class StreetPlan:
-    """Streets that grow one by one.
+    """Streets of a place, added one by one.
 
     Parameters
     ----------
     name : str
-        What kind of place it is.
+        Kind of the place.
     lane_width_m, speed_mps : float
-        Of all lanes.
+        Width and speed limit of all lanes.
     """
 
     name: str
@@ -58,7 +58,7 @@ class StreetPlan:
         self, ends: tuple[str, str], axis: Floats, lanes: tuple[int, int] = (1, 1), *,
         median_m: float = 0.0, rank: int = 1,
     ) -> None:  # fmt: skip
-        """Add both directions of a street: lanes along and against its axis, a median between."""
+        """Add a street: lanes along and against its axis, with a median between them."""
         a, b = ends
         there, back = offset(axis, -median_m / 2.0), offset(axis[::-1], -median_m / 2.0)
         self.one_way(f"{a}_{b}", (a, b), there, lanes[0], rank)
@@ -68,7 +68,7 @@ class StreetPlan:
         self, name: str, at: str, axis: Floats, lanes: tuple[int, int] = (1, 1), *,
         median_m: float = 0.0, rank: int = 1,
     ) -> None:  # fmt: skip
-        """Add a street that ends in the open: lanes on the way out and on the way in."""
+        """Add a street that leaves the plan: lanes out of it and into it."""
         out, back = offset(axis, -median_m / 2.0), offset(axis[::-1], -median_m / 2.0)
         self.node(f"{name}_out", out[-1])
         self.node(f"{name}_in", back[0] + [0.0, 0.1])
@@ -85,19 +85,19 @@ class StreetPlan:
 
     @property
     def nodes_xml(self) -> str:
-        """The nodes."""
+        """Nodes as SUMO's plain XML."""
         return f"<nodes>{''.join(self._nodes)}</nodes>"
 
     @property
     def edges_xml(self) -> str:
-        """The edges."""
+        """Edges as SUMO's plain XML."""
         return f"<edges>{''.join(self._edges)}</edges>"
 
 
 def axis(start: Floats, heading_deg: float, *parts: tuple[float, float]) -> Floats:
-    """Return a line of (length, curvature) parts, metres and 1/m, positive bends left.
+    """Return a line of parts (length m, curvature 1/m, positive to the left).
 
-    Curvature changes over 15 m or so, as on real roads.
+    Curvature changes over 15 m, as on real roads.
     """
     lengths = np.array([length for length, _ in parts])
     curvature = np.array([bend for _, bend in parts])
@@ -111,18 +111,18 @@ def axis(start: Floats, heading_deg: float, *parts: tuple[float, float]) -> Floa
     middle = (heading[1:] + heading[:-1]) / 2.0
     moves = step[:, None] * np.column_stack([np.cos(middle), np.sin(middle)])
     line = np.vstack([[0.0, 0.0], np.cumsum(moves, axis=0)]) + start
-    every = max(1, round(STEP_M))
+    every = max(1, round(VERTEX_GAP_M))
     return np.vstack([line[:-1:every], line[-1:]])
 
 
 def _spread(rng: np.random.Generator, count: int, least_deg: float) -> Floats:
-    """Return headings around a circle, none nearer to the next than `least_deg`."""
+    """Draw headings around a circle, at least `least_deg` apart."""
     free = rng.dirichlet(np.full(count, 3.0)) * (360.0 - count * least_deg)
     return np.asarray(rng.uniform(0.0, 360.0) + np.cumsum(least_deg + free))
 
 
 def _bent(rng: np.random.Generator, heading_deg: float, start: Floats) -> Floats:
-    """Return an arm that soon bends a little, a lot, or not at all."""
+    """Draw the line of an arm with a bend of random radius."""
     radius = float(rng.choice([60.0, 110.0, 250.0, 600.0, 5000.0])) * rng.uniform(0.8, 1.25)
     sign = float(rng.choice([-1.0, 1.0]))
     straight = rng.uniform(25.0, 70.0)
@@ -136,7 +136,7 @@ def _drawn(name: str, rng: np.random.Generator) -> StreetPlan:
     return StreetPlan(
         name=name,
         lane_width_m=round(float(rng.uniform(2.9, 3.6)), 2),
-        speed_mps=float(rng.choice(LIMITS_MPS)),
+        speed_mps=float(rng.choice(SPEED_LIMITS_MPS)),
     )
 
 
@@ -155,24 +155,24 @@ def _meeting(name: str, arms: int, rng: np.random.Generator) -> StreetPlan:
 
 
 def junction(rng: np.random.Generator) -> StreetPlan:
-    """Return four streets that meet at odd angles."""
+    """Draw four streets that meet at random angles."""
     return _meeting("junction", 4, rng)
 
 
 def tee(rng: np.random.Generator) -> StreetPlan:
-    """Return three streets that meet."""
+    """Draw three streets that meet."""
     return _meeting("tee", 3, rng)
 
 
 def bend(rng: np.random.Generator) -> StreetPlan:
-    """Return one street with a bend, or one each way."""
+    """Draw a street with a bend, or with two in opposite directions."""
     plan = _drawn("bend", rng)
     radius = rng.uniform(35.0, 130.0)
     length = radius * np.radians(rng.uniform(45.0, 100.0))
     back = float(rng.choice([0.0, -0.6]))
     parts = ((120.0, 0.0), (length, 1.0 / radius), (30.0, 0.0), (60.0, back / radius), (70.0, 0.0))
     line = axis(np.zeros(2), rng.uniform(0.0, 360.0), *parts)
-    line = line - line[np.searchsorted(np.arange(len(line)) * STEP_M, 120.0 + length / 2.0)]
+    line = line - line[np.searchsorted(np.arange(len(line)) * VERTEX_GAP_M, 120.0 + length / 2.0)]
     if rng.random() < 0.5:
         line = line * [1.0, -1.0]
     lanes = int(rng.choice([1, 1, 2]))
@@ -185,7 +185,7 @@ def bend(rng: np.random.Generator) -> StreetPlan:
 
 
 def roundabout(rng: np.random.Generator) -> StreetPlan:
-    """Return a ring with three or four arms."""
+    """Draw a roundabout with three or four arms."""
     plan = _drawn("roundabout", rng)
     plan.speed_mps = 11.11
     arms = int(rng.integers(3, 5))
@@ -200,7 +200,7 @@ def roundabout(rng: np.random.Generator) -> StreetPlan:
 
 
 def arterial(rng: np.random.Generator) -> StreetPlan:
-    """Return a main road of two or three lanes each way, and a street that joins it."""
+    """Draw a main road of two or three lanes each way, and a street that joins it."""
     plan = _drawn("arterial", rng)
     plan.speed_mps = float(rng.choice([13.89, 16.67, 19.44]))
     lanes = int(rng.integers(2, 4))

@@ -1,7 +1,4 @@
-"""The road-traffic simulator Eclipse SUMO, run as a program.
-
-SUMO is needed to make new traffic only; it is not a dependency of the package.
-"""
+"""Programs of the traffic simulator Eclipse SUMO, which is no dependency of the package."""
 
 from __future__ import annotations
 

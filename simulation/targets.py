@@ -1,8 +1,8 @@
-"""Targets over time: drawn anew in every frame, or the same ones with errors of their own.
+"""Targets over time: drawn anew in every frame, or lasting with errors of their own.
 
-A textbook's radar draws every return and every error anew, so that an average over frames gets as
-good as one likes. A recorded one sees the same scatter points again and again, each with its own
-cross section, and what neighbours and the ground add to its angles changes over seconds.
+In a textbook's model points and errors are independent from frame to frame and average out. In
+recordings the same scatter points are seen again and again, each with its own cross section, and
+errors of range and angles change over seconds (multipath).
 """
 
 from __future__ import annotations
@@ -28,22 +28,18 @@ from simulation.scatterers import (
 )
 from simulation.scene import Scene
 
-# Scatter points of vehicles are drawn once for so many vehicles; with more, numbers share them.
-_VEHICLES = 1024
-# A car's end has two lamps, two corners, bumper and plate.
-_SPOTS_PER_FACE = 6
-# Waves that add up to a wander: enough for a bell curve (8: kurtosis 2.8 instead of 3).
-_WAVES = 8
-_MOST_CERTAIN = 0.98
-# A threshold of constant false alarms (CFAR) averages some cells of range and azimuth.
-_AROUND_M = 4.0
-# Frames of tubes fill less of their outline than a car's body: with what their size takes, a
-# motorcycle is 7 dB below a car and a bicycle 9. Not measured; they decide how often each is seen.
+_VEHICLE_SLOTS = 1024  # sets of scatter points that last; vehicles share them by number
+_SPOTS_PER_FACE = 6  # of a car's end: two lamps, two corners, bumper and plate
+_WAVES = 8  # sines that sum up to a slow error: nearly normal (kurtosis 2.8)
+_MOST_CHANCE = 0.98  # of a fixed point to be in a frame
+_AROUND_M = 4.0  # radius of the mean that a detector of constant false-alarm rate (CFAR) compares
+# Loss of open frames beside a car's body; with their size a motorcycle is 7 dB below a car, a
+# bicycle 9 dB. Assumed, not measured; it decides how often each is detected.
 OPEN_FRAME_DB = {"motorcycle": 4.0, "cyclist": 6.0}
 
 
 class Targets(Protocol):
-    """What stands for the targets around one radar over its whole recording."""
+    """Interface of the targets around a radar over its whole recording."""
 
     @property
     def clutter(self) -> Clutter:
@@ -63,15 +59,15 @@ class Targets(Protocol):
         """Return the scatter points of vehicles in this frame."""
 
     def of(self, number: Integers) -> Integers:
-        """Return which targets vehicles of these numbers are; -1 where none lasts."""
+        """Return the numbers of the lasting targets of vehicles; -1: none lasts."""
 
     def bias(self, target: Integers, time: float) -> Floats:
-        """Return what is added to range (m), azimuth and elevation (rad) of targets, (n, 3)."""
+        """Return the errors of range (m), azimuth and elevation (rad) of targets, (n, 3)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fleeting:
-    """Targets of a textbook's radar: every frame draws them anew.
+    """Targets of a textbook's radar, drawn anew in every frame.
 
     Parameters
     ----------
@@ -84,7 +80,7 @@ class Fleeting:
     def draw(
         self, clutter: Clutter, strength_db: Floats, per_frame: float, rng: np.random.Generator
     ) -> Targets:
-        """Return the targets of a recording; weak fixed points are seen now and then."""
+        """Return the targets of a recording; weak fixed points are detected in some frames."""
         del rng
         chance = _scaled(expit(strength_db / 2.0), per_frame)
         return _FleetingTargets(clutter=clutter, chance=chance, fade_db=self.fade_db)
@@ -114,23 +110,23 @@ class _FleetingTargets:
         return np.full(len(number), -1)
 
     def bias(self, target: Integers, time: float) -> Floats:
-        """Return zeros: all errors are white."""
+        """Return zeros: all errors are independent from frame to frame."""
         del time
         return np.zeros((len(target), 3))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lasting:
-    """Targets as they are recorded: the same in every frame.
+    """Targets as recorded, the same in every frame.
 
     Parameters
     ----------
     range_m, azimuth_deg, elevation_deg : float
-        Standard deviations of each target's own bias.
+        Standard deviations of each target's slowly changing error.
     seconds : float
-        Time over which a bias becomes another (correlation ``exp(-dt^2 / (2 seconds^2))``).
+        Correlation time of that error (correlation ``exp(-dt^2 / (2 seconds^2))``).
     softness_db : float
-        How gradually the chance of a fixed point rises where its strength passes the threshold.
+        Width of the rise of a fixed point's chance where its strength passes the threshold.
     """
 
     range_m: float
@@ -142,22 +138,21 @@ class Lasting:
     def draw(
         self, clutter: Clutter, strength_db: Floats, per_frame: float, rng: np.random.Generator
     ) -> Targets:
-        """Return the targets of a recording; what stands out of its surroundings is seen always.
+        """Return the targets of a recording; fixed points that stand out are always detected.
 
-        Many small reflectors in a cell add up by chance, to a power that is exponentially
-        distributed and, where nothing moves, stays.
+        Each fixed point gets a speckle (exponential power) that stays: nothing moves.
         """
         speckle = 10.0 * np.log10(rng.exponential(1.0, len(clutter.rcs)))
         clutter = Clutter(point=clutter.point, rcs=clutter.rcs + speckle, wobble=clutter.wobble)
         contrast_db = _contrast(clutter.point, strength_db + speckle)
         size = np.array([self.range_m, *np.radians([self.azimuth_deg, self.elevation_deg])])
-        shape = (len(speckle) + _VEHICLES, 3, _WAVES)
+        shape = (len(speckle) + _VEHICLE_SLOTS, 3, _WAVES)
         side = np.repeat([False, True], 2 * _SPOTS_PER_FACE)
         return _LastingTargets(
             clutter=clutter,
             chance=_thresholded(contrast_db / self.softness_db, per_frame),
-            spots=draw_spots(np.tile(side, _VEHICLES), rng),
-            spot_rcs=rng.normal(0.0, SPOT_DB, len(side) * _VEHICLES),
+            spots=draw_spots(np.tile(side, _VEHICLE_SLOTS), rng),
+            spot_rcs=rng.normal(0.0, SPOT_DB, len(side) * _VEHICLE_SLOTS),
             pace=rng.normal(0.0, 1.0 / self.seconds, shape),
             phase=rng.uniform(0.0, 2.0 * np.pi, shape),
             size=size * np.sqrt(2.0 / _WAVES),
@@ -177,7 +172,7 @@ class _LastingTargets:
     size: Floats = field(repr=False)
 
     def fade(self, count: int, rng: np.random.Generator) -> Floats:
-        """Return zeros: what little changes is the radar's own noise."""
+        """Return zeros: only the measurement's noise changes."""
         del rng
         return np.zeros(count)
 
@@ -185,14 +180,14 @@ class _LastingTargets:
         self, vehicles: Vehicles, scene: Scene, eye: Floats, *, density: float,
         rng: np.random.Generator,
     ) -> Scatterers:  # fmt: skip
-        """Return those of each vehicle's scatter points that this frame has."""
+        """Draw which of each vehicle's scatter points are in this frame."""
         rates, signs = face_rates(vehicles, eye, density)
         outward = np.tile(np.repeat([1.0, -1.0], _SPOTS_PER_FACE), 2)
         lit = np.repeat(signs.T, 2 * _SPOTS_PER_FACE, axis=1) == outward
         chance = np.repeat(rates.T, 2 * _SPOTS_PER_FACE, axis=1) / _SPOTS_PER_FACE
         owner, slot = np.nonzero(lit & (rng.random(lit.shape) < chance))
         number = vehicles.number[owner]
-        row = number % _VEHICLES * lit.shape[1] + slot
+        row = number % _VEHICLE_SLOTS * lit.shape[1] + slot
         less = np.array([OPEN_FRAME_DB.get(kind, 0.0) for kind in vehicles.kind])
         scatterers = place_spots(
             vehicles, scene, owner, outward[slot], self.spots.where(row),
@@ -201,17 +196,17 @@ class _LastingTargets:
         return scatterers.of(self.of(number))
 
     def of(self, number: Integers) -> Integers:
-        """Return the rows after those of the fixed points."""
-        return len(self.clutter.rcs) + number % _VEHICLES
+        """Return numbers after those of the fixed points."""
+        return len(self.clutter.rcs) + number % _VEHICLE_SLOTS
 
     def bias(self, target: Integers, time: float) -> Floats:
-        """Return the biases of this moment."""
+        """Return the errors at a time: sums of sines."""
         swing = np.cos(self.pace[target] * time + self.phase[target]).sum(axis=-1)
         return np.where(target[:, None] >= 0, swing * self.size, 0.0)
 
 
 def _scaled(chance: Floats, total: float) -> Floats:
-    """Return chances with the wanted sum, as far as none may pass 0.95."""
+    """Return chances scaled to a sum, each at most 0.95."""
     low, high = 0.0, 100.0
     for _ in range(40):
         middle = (low + high) / 2.0
@@ -221,7 +216,7 @@ def _scaled(chance: Floats, total: float) -> Floats:
 
 
 def _contrast(point: Floats, strength_db: Floats) -> Floats:
-    """Return by how many dB points pass noise and the mean of what is around them (CFAR)."""
+    """Return the strength of points over noise and the mean around them, dB (CFAR)."""
     if not len(point):
         return strength_db
     power = 10.0 ** (strength_db / 10.0)
@@ -231,10 +226,10 @@ def _contrast(point: Floats, strength_db: Floats) -> Floats:
 
 
 def _thresholded(strength: Floats, total: float) -> Floats:
-    """Return chances that rise where the strength passes a threshold; it gives the wanted sum."""
+    """Return chances that rise where strength passes a threshold, which gives them a sum."""
     low, high = -100.0, 100.0
     for _ in range(40):
         middle = (low + high) / 2.0
-        enough = float(expit(strength - middle).sum()) * _MOST_CERTAIN > total
+        enough = float(expit(strength - middle).sum()) * _MOST_CHANCE > total
         low, high = (middle, high) if enough else (low, middle)
-    return np.asarray(_MOST_CERTAIN * expit(strength - low))
+    return np.asarray(_MOST_CHANCE * expit(strength - low))

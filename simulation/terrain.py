@@ -16,9 +16,9 @@ class Terrain:
     Parameters
     ----------
     origin : tuple of float
-        Easting and northing where the plane has its `height_m`.
+        Easting and northing of a point of the plane.
     height_m : float
-        Height there.
+        Height of that point.
     slope : tuple of float
         Rise per metre to the east and to the north.
     wave_m, wave_length_m : float

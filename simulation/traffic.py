@@ -1,4 +1,4 @@
-"""Traffic: vehicles that SUMO drives, laid on the smooth lanes of a network."""
+"""Traffic: SUMO's vehicles on the smooth lanes of a network."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from simulation.driving import DrivenRoads, Driver, LaneKeeping
 from simulation.movement import Coupling, Traffic
 from simulation.network import RoadNetwork
 
-_LANE_CHANGE_M = 22.0
-_LANE_JUMP_M = 0.5
-_RUN_UP_S = 40.0
+_LANE_CHANGE_M = 22.0  # way over which a lane change is drawn out
+_LANE_JUMP_M = 0.5  # steps aside of more are lane changes
+_RUN_UP_S = 40.0  # before the recorded time that is read, too: a trailer follows its front's path
 
 
 def simulate_traffic(
@@ -35,7 +35,7 @@ def simulate_traffic(
     keeping: LaneKeeping | None = None,
     blocked: Sequence[str] = (),
 ) -> Traffic:
-    """Simulate traffic with SUMO and lay it on the network's smooth lanes.
+    """Simulate traffic with SUMO and place it on the network's smooth lanes.
 
     Parameters
     ----------
@@ -48,13 +48,13 @@ def simulate_traffic(
     start : float
         UNIX seconds of the first row.
     duration_s, warm_up_s : float
-        How long to record, and how long traffic builds up before.
+        Length of the traffic, and time for which it builds up before.
     seed : int
-        Same seed, same traffic.
+        Seed of all random numbers.
     keeping : LaneKeeping, optional
-        Where in their lanes drivers keep.
+        How drivers keep their lanes.
     blocked : sequence of str
-        Edges that cars have broken down on.
+        Edges with a broken-down car on each lane.
     """
     keeping = keeping or LaneKeeping()
     with tempfile.TemporaryDirectory() as folder:
@@ -77,9 +77,9 @@ def simulate_traffic(
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """One vehicle's way in the output of SUMO: the front bumper's lane and position at each step.
+    """A vehicle in the output of SUMO: lane and position of the front bumper at each step.
 
-    SUMO drives on the middle of the lane to the millimetre; each driver keeps a line of his own.
+    SUMO drives exactly on the middle of the lane; `driver` adds the offset from it.
     """
 
     kind: str
@@ -91,7 +91,7 @@ class _Run:
 
 
 def _read_trace(path: Path, seed: int, keeping: LaneKeeping) -> list[_Run]:
-    """Return the runs of a floating-car file, in the order of first appearance."""
+    """Return the vehicles of SUMO's floating-car data, in the order of first appearance."""
     rows: dict[str, list[tuple[int, str, float, float]]] = {}
     kinds: dict[str, str] = {}
     step = 0
@@ -129,7 +129,7 @@ def _lay(
     steps: int,
     first_step: int,
 ) -> Traffic:
-    """Return the traffic of the runs that overlap the recorded time."""
+    """Return the traffic of the vehicles that are there in the recorded time."""
     runs = [r for r in runs if r.step[-1] >= first_step and len(r.step) > 2]
     bodies = [(run, part) for run in runs for part in kinds[run.kind].bodies_m]
     sizes = [(length, kinds[r.kind].width_m, kinds[r.kind].height_m) for r, (_, length) in bodies]
@@ -157,9 +157,9 @@ def _lay(
 
 
 def _drive(run: _Run, roads: DrivenRoads, behind_m: float, length_m: float) -> Floats:
-    """Return easting, northing, heading and yaw rate of a body at each step of a run.
+    """Return easting, northing, heading and yaw rate of a body at each step.
 
-    Its ends follow the way of the vehicle's front bumper: `behind_m` and its length more.
+    Its ends follow the path of the front bumper, `behind_m` and that plus `length_m` behind.
     """
     front = _front(run, roads)
     s = arc_length(front)
@@ -180,7 +180,7 @@ def _at(s_m: Floats, along: Floats, path: Floats) -> Floats:
 
 
 def _front(run: _Run, roads: DrivenRoads) -> Floats:
-    """Return the front bumper's way, with SUMO's sudden lane changes drawn out."""
+    """Return the front bumper's path; SUMO's sudden lane changes are drawn out."""
     names = np.array(run.lane)
     point, ahead = np.empty((len(names), 2)), np.empty((len(names), 2))
     for lane in dict.fromkeys(run.lane):

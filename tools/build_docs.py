@@ -2,8 +2,8 @@
 
     python tools/build_docs.py [--run-notebooks] [FOLDER]
 
-The pages come from `docs`, the notebooks from `notebooks`. Both are copied to FOLDER/source first,
-so that nothing is generated in the tree; the site is FOLDER/html. FOLDER is out/docs by default.
+`docs` and `notebooks` are copied to FOLDER/source first, so that nothing is generated in the tree;
+the pages are FOLDER/html. FOLDER is out/docs by default.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def main(arguments: list[str]) -> int:
     folder = Path(folders[0]) if folders else ROOT / "out" / "docs"
     stage(folder / "source")
     mode = "auto" if run else "off"
-    gc.disable()  # a fifth of the time: the trees of all pages live until the end
+    gc.disable()  # saves a fifth of the time: the trees of all pages are kept until the end anyway
     code = build(
         ["-b", "html", "-W", "--keep-going", "-q", "-D", f"nb_execution_mode={mode}",
          "-d", str(folder / "doctrees"), str(folder / "source"), str(folder / "html")]
@@ -36,7 +36,7 @@ def main(arguments: list[str]) -> int:
 
 
 def stage(folder: Path) -> None:
-    """Copy all pages to a folder, and take out what is no longer there."""
+    """Copy all pages to a folder, and delete there what the sources no longer have."""
     sources = {
         Path(name): path
         for root, below in ((ROOT / "docs", ""), (ROOT / "notebooks", "notebooks"))

@@ -1,6 +1,8 @@
-"""Bring the German catalogue to the source: new texts come without translation, old ones go.
+"""Update the German catalogue: add the source's new texts, delete those that are gone.
 
-python tools/catalogue.py; then fill in each empty msgstr of the file it names.
+    python tools/catalogue.py
+
+Then fill in each empty msgstr of the file that it names.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ msgstr ""
 "Content-Transfer-Encoding: 8bit\\n"
 
 """
+# Arguments that are texts for users, by the name of the function; keywords of errors that are.
 PLACES = {
     "tr": (0,), "Text": (0,), "log": (0,), "warn": (0,), "remark": (0,), "progress": (0,),
     "plural": (1, 2),
@@ -41,15 +44,16 @@ PLACES = {
 KEYWORDS = {"hint", "message", "expected"}
 _HOLE, _WORDS = re.compile(r"\{[^}]*\}"), re.compile("[A-Za-z]{2}")
 _WORDS_OF_SEVERAL = re.compile(r"[\w{].* .*[a-z]{2}.*\S")
-NO_TEXTS = {"DEFINITIONS", "KEYS", "_NO_MEMORY_TEXTS", "_OURS"}  # of files, keys, libraries
+NO_TEXTS = {"DEFINITIONS", "KEYS", "_NO_MEMORY_TEXTS", "_OURS"}  # names whose texts no user sees
+# Functions whose dictionaries have names of figures that commands and the plugin show.
 FIGURES = {"figures", "split_map", "totals_of", "_summary", "range_scale_figures", "view"}
 SERVERS = PACKAGE / "live"  # whose log is English
-OTHERS = ("*.html", "*.jinja", "*.qgs", "*.qpt", "*.qml")
+OTHERS = ("*.html", "*.jinja", "*.qgs", "*.qpt", "*.qml")  # files with texts, beside modules
 
 
 @cache
 def trees(folder: Path) -> dict[Path, list[ast.AST]]:
-    """Return the nodes of the modules in a folder."""
+    """Return the syntax nodes of each module in a folder."""
     return {
         path: list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
         for path in sorted(folder.rglob("*.py"))
@@ -62,7 +66,7 @@ def _name(node: ast.AST) -> str:
 
 @cache
 def errors() -> frozenset[str]:
-    """Return the names of the package's errors, which take a template and its values."""
+    """Return the names of the package's errors, which are raised with a template and values."""
     classes = [n for nodes in trees(PACKAGE).values() for n in nodes if isinstance(n, ast.ClassDef)]
     names = {"GisRadarError"}
     while more := {
@@ -75,7 +79,7 @@ def errors() -> frozenset[str]:
 
 
 def _texts(node: ast.AST) -> Iterator[str]:
-    """Yield the texts that an expression may be; f-strings, which are no templates, as source."""
+    """Yield the texts that an expression may have; an f-string, which is no template, as source."""
     if isinstance(node, ast.IfExp):
         yield from _texts(node.body)
         yield from _texts(node.orelse)
@@ -86,7 +90,7 @@ def _texts(node: ast.AST) -> Iterator[str]:
 
 
 def told() -> Iterator[tuple[str, str]]:
-    """Yield the texts at the places where a user is told something, and the file of each."""
+    """Yield the texts given to errors, messages and `tr`, each with its file."""
     for path, nodes in trees(PACKAGE).items():
         where = str(path.relative_to(ROOT))
         for node in nodes:
@@ -106,7 +110,7 @@ def _names(*nodes: ast.AST) -> set[str]:
 
 
 def _flows(nodes: list[ast.AST]) -> Iterator[tuple[set[str], ast.AST]]:
-    """Yield what names are given: by assignments, loops and calls of the module's functions."""
+    """Yield names with the expression they get: by assignments, loops, calls in the module."""
     functions = {each.name: each.args for each in nodes if isinstance(each, ast.FunctionDef)}
     for node in nodes:
         if isinstance(node, ast.For | ast.comprehension):
@@ -124,7 +128,7 @@ def _flows(nodes: list[ast.AST]) -> Iterator[tuple[set[str], ast.AST]]:
 
 
 def carried() -> Iterator[tuple[str, str]]:
-    """Yield texts of several words that names carry to where a user is told them, and files."""
+    """Yield texts of several words that reach a user by a name, each with its file."""
     for path, nodes in trees(PACKAGE).items():
         names: set[str] = set()
         for node in nodes:
@@ -141,7 +145,7 @@ def carried() -> Iterator[tuple[str, str]]:
 
 
 def figures() -> Iterator[tuple[str, str]]:
-    """Yield the names of figures as commands and the plugin show them, and the file of each."""
+    """Yield the names of figures as commands and the plugin show them, each with its file."""
     yield from (("gis_radar/dataset/files/tables.py", table.name) for table in HOUR_TABLES)
     others = (*OCCUPIED_TOTALS, *HIT_TOTALS, *COMPONENTS)
     yield from (("", name.replace("_", " ")) for name in others)
@@ -160,7 +164,7 @@ def figures() -> Iterator[tuple[str, str]]:
 
 @cache
 def asked() -> dict[str, str]:
-    """Return the texts with words of their own that the source asks a translation of."""
+    """Return the texts that need a translation, with their files; those without words do not."""
     texts = (*carried(), *told(), *figures())
     found = {text: where for where, text in texts if _WORDS.search(_HOLE.sub("", text))}
     for place in (path for kind in ("*.html", "*.jinja") for path in PACKAGE.rglob(kind)):
@@ -170,13 +174,13 @@ def asked() -> dict[str, str]:
 
 
 def definitions() -> set[str]:
-    """Return the words that the report explains, and their meanings."""
+    """Return the words that the report explains, and their explanations."""
     text = (PACKAGE / "products" / "report" / "definitions.toml").read_text(encoding="utf-8")
     return {each for group in tomllib.loads(text).values() for each in (*group, *group.values())}
 
 
 def shown() -> tuple[set[str], str]:
-    """Return all texts in the source of package and plugin, and its other files as one text."""
+    """Return all texts in modules of package and plugin, and the package's other files as one."""
     constants = {
         text
         for folder in (PACKAGE, PLUGIN)
@@ -195,7 +199,7 @@ def _unescaped(path: Path) -> str:
 
 
 def unused(texts: set[str]) -> list[str]:
-    """Return which texts of a catalogue nothing shows; figures have `_` for a blank in titles."""
+    """Return the catalogue's texts that are not in the source; names of figures have `_` there."""
     constants, others = shown()
     return sorted(
         text
@@ -205,7 +209,7 @@ def unused(texts: set[str]) -> list[str]:
 
 
 def plurals() -> dict[str, str]:
-    """Return the texts of many by the text of one."""
+    """Return the plural texts by the singular ones."""
     pairs = [
         [text for each in node.args[1:] for text in _texts(each)]
         for nodes in trees(PACKAGE).values()
@@ -216,7 +220,7 @@ def plurals() -> dict[str, str]:
 
 
 def write(translations: dict[str, str]) -> None:
-    """Write the catalogue, sorted, so that two who add a text rarely meet."""
+    """Write the catalogue, sorted, so that changes of two people rarely conflict."""
     catalogue, many = Catalog(), plurals()
     for text, translation in translations.items():
         if text in many:
@@ -230,7 +234,7 @@ def write(translations: dict[str, str]) -> None:
 
 
 def read() -> dict[str, str]:
-    """Return the translations of the catalogue by text, of one and many apart."""
+    """Return the translations of the catalogue by text; singular and plural are two texts."""
     with GERMAN.open("rb") as file:
         messages = [each for each in read_po(file) if each.id]
     pairs = ((each.id, each.string) for each in messages if not each.pluralizable)
@@ -242,7 +246,7 @@ def read() -> dict[str, str]:
 
 
 def main() -> None:
-    """Write the catalogue anew and name what lacks its translation."""
+    """Write the catalogue anew, and print the texts that lack a translation."""
     known = read()
     old = unused(set(known))
     kept = {text: each for text, each in known.items() if text not in old}

@@ -1,7 +1,4 @@
-"""Put the tables of a dataset into docs/dataset.md, from their schema.
-
-python tools/dataset_page.py
-"""
+"""Put the tables of a dataset, from their schema, into docs/dataset.md: no options."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ PERIODS = {
 
 
 def tables() -> str:
-    """Return a section for each table, in the order of the schema."""
+    """Return a section for each table of the schema."""
     return "\n\n".join(_section(table) for table in TABLES.values())
 
 

@@ -1,14 +1,13 @@
-"""Take the pictures of the documentation again, from the results of a demo.
+"""Make the pictures of the documentation again, from the results of a demo.
 
     gis-radar demo -o demo
     python tools/docs_pictures.py demo              all
     python tools/docs_pictures.py demo qgis report  some
 
-heatmap, localize: from the demo's own files; report: in Chromium; occupancy: beside truth; qgis:
-the desktop on a virtual screen with its toolbox and a dialog at work, and a sheet of its report;
-wizard: a radar that is placed on the map.
-Needs Chromium, and QGIS with Xvfb, openbox and ImageMagick (tools/get_browser_and_qgis.sh). Look at
-each afterwards.
+heatmap, localize: the demo's own pictures; report: in Chromium; occupancy, volumes: beside the
+truth, with their captions; qgis: the desktop with toolbox, a running dialog and a page of its
+report; wizard: placing a radar on the map. Needs Chromium, and QGIS with Xvfb, openbox and
+ImageMagick (tools/get_browser_and_qgis.sh). Look at each picture afterwards.
 """
 
 from __future__ import annotations
@@ -27,8 +26,9 @@ sys.path.append(str(Path(__file__).parents[1] / "bench"))
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-SCREEN = (1440, 860)
+SCREEN = (1440, 860)  # pixels
 FLAGS = ("--headless=new", "--no-sandbox", "--hide-scrollbars", "--force-device-scale-factor=1")
+# Scripts for QGIS: its steps, so many seconds apart (`qgis_desktop.py`).
 
 DESKTOP = """
 from qgis.PyQt.QtWidgets import QProgressBar
@@ -143,24 +143,24 @@ def shown():
 
 
 def main() -> None:
-    """Take the pictures that are asked for, all by default."""
+    """Make the named pictures, all by default."""
     demo, *chosen = sys.argv[1:] or sys.exit(__doc__)
     for name in chosen or list(PICTURES):
         PICTURES[name](Path(demo).resolve())
 
 
 def heatmap(demo: Path) -> None:
-    """Take the demo's own picture."""
+    """Keep the demo's heat map."""
     keep(Image.open(demo / "heatmap" / "heatmap.png"), "heatmap", 2000)
 
 
 def localize(demo: Path) -> None:
-    """Take the figure of a pose."""
+    """Keep the demo's figure of a pose."""
     keep(Image.open(demo / "sensors" / "R1" / "localization.png"), "localize", 2000)
 
 
 def report(demo: Path) -> None:
-    """Take the head of the report, in Chromium."""
+    """Take a picture of the report's begin, in Chromium."""
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "report.png"
         run("chromium", *FLAGS, f"--user-data-dir={place}/profile", "--window-size=1180,1180",
@@ -169,14 +169,24 @@ def report(demo: Path) -> None:
 
 
 def occupancy(demo: Path) -> None:
-    """Draw the truth beside the estimate, and put the figures below it."""
-    tool, page = ROOT / "bench" / "vehicles" / "demo_picture.py", DOCS / "limits.md"
-    run(sys.executable, tool, demo, DOCS / "occupancy.png", "--into", page)
-    keep(Image.open(DOCS / "occupancy.png"), "occupancy", 1600)
+    """Draw occupancy beside the truth, and put the caption into docs/limits.md."""
+    _beside_truth("demo_picture.py", demo, "occupancy", DOCS / "limits.md")
+
+
+def volumes(demo: Path) -> None:
+    """Draw volumes beside the true ones, and put the caption into README.md."""
+    _beside_truth("volumes_picture.py", demo, "volumes", ROOT / "README.md")
+
+
+def _beside_truth(script: str, demo: Path, name: str, page: Path) -> None:
+    """Run a script of bench/vehicles that draws the demo, and keep its picture."""
+    picture = DOCS / f"{name}.png"
+    run(sys.executable, ROOT / "bench" / "vehicles" / script, demo, picture, "--into", page)
+    keep(Image.open(picture), name, 1600)
 
 
 def qgis(demo: Path) -> None:
-    """Take the desktop, the toolbox, a dialog at work, and a sheet of the report."""
+    """Take pictures of the desktop, the toolbox, a running dialog, and a page of the report."""
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
         shutil.copytree(ROOT / "sample_maps", place / "junction")
@@ -184,37 +194,37 @@ def qgis(demo: Path) -> None:
             DESKTOP, SHOTS=name, DEMO=str(demo), OUT=str(place / "results"),
             SITE=str(place / "junction" / "SITE.toml"),
         )  # fmt: skip
-        with virtual_screen(*SCREEN, _around(place)) as around:
-            checked(run_desktop(script, place, place, around))
-            run("qgis_process", "plugins", "enable", "gis_radar_plugin", around=around)
+        with virtual_screen(*SCREEN, _qgis_environment(place)) as environment:
+            checked(run_desktop(script, place, place, environment))
+            run("qgis_process", "plugins", "enable", "gis_radar_plugin", environment=environment)
             run("qgis_process", "run", "gisradar:exportreport", "--", f"HEATMAP={demo}/heatmap",
                 f"SENSORS={demo}/sensors.gpkg", "TITLE=Sample junction (simulated)",
                 "SOURCE=gis_radar", "TIME_ZONE=Europe/Berlin", "DPI=103", f"OUTPUT={place}/report",
-                around=around)  # fmt: skip
+                environment=environment)  # fmt: skip
         for part, wide in (("map", SCREEN[0]), ("toolbox", 400), ("dialog", 750)):
             keep(Image.open(place / f"{part}.png"), f"qgis-{part}", wide)
         keep(Image.open(place / "report" / "Junction_1_whole.png"), "qgis-sheet", 1200)
 
 
 def wizard(_demo: Path) -> None:
-    """Take the site wizard over the map, with the sample's radars placed."""
+    """Take a picture of the site wizard, with the sample's radars placed on the map."""
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
         shutil.copytree(ROOT / "sample_maps", place / "junction")
         script = desktop_script(WIZARD, SHOTS=name, JUNCTION=str(place / "junction"))
-        with virtual_screen(*SCREEN, _around(place)) as around:
-            checked(run_desktop(script, place, place, around))
+        with virtual_screen(*SCREEN, _qgis_environment(place)) as environment:
+            checked(run_desktop(script, place, place, environment))
         keep(Image.open(place / "wizard.png"), "qgis-wizard", SCREEN[0])
 
 
 PICTURES = {
     "heatmap": heatmap, "localize": localize, "report": report, "occupancy": occupancy,
-    "qgis": qgis, "wizard": wizard,
+    "volumes": volumes, "qgis": qgis, "wizard": wizard,
 }  # fmt: skip
 
 
-def _around(place: Path) -> dict[str, str]:
-    """Return the surroundings of a QGIS with the plugin and profiles of its own."""
+def _qgis_environment(place: Path) -> dict[str, str]:
+    """Return the environment variables of a QGIS with the plugin and its own profile."""
     return {
         "HOME": os.environ["HOME"], "LANG": "C.UTF-8", "TZ": "Europe/Berlin",
         "PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "XDG_RUNTIME_DIR": str(place),
@@ -223,12 +233,12 @@ def _around(place: Path) -> dict[str, str]:
     }  # fmt: skip
 
 
-def run(*words: str | Path, around: dict[str, str] | None = None) -> str:
-    """Run a program and return what it prints; show that where it fails."""
+def run(*words: str | Path, environment: dict[str, str] | None = None) -> str:
+    """Run a program and return its output; exit with it where it fails."""
     return checked(
         subprocess.run(
             [str(word) for word in words],
-            env=around,
+            env=environment,
             capture_output=True,
             text=True,
             check=False,
@@ -238,20 +248,20 @@ def run(*words: str | Path, around: dict[str, str] | None = None) -> str:
 
 
 def checked(done: subprocess.CompletedProcess[str]) -> str:
-    """Return what a program printed, or stop with what it wrote where it failed."""
+    """Return the output of a program; exit with it where it failed."""
     if done.returncode:
         sys.exit(f"{done.args[0]} failed:\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
     return done.stdout
 
 
 def keep(picture: Image.Image, name: str, wide: int) -> None:
-    """Keep a picture in a palette of its own, no wider than so many pixels."""
+    """Write a picture to docs with its own palette, at most `wide` pixels wide."""
     shown = picture.convert("RGB")
     if shown.width > wide:
         high = round(shown.height * wide / shown.width)
         shown = shown.resize((wide, high), Image.Resampling.LANCZOS)
     path = DOCS / f"{name}.png"
-    few = shown.quantize(255, kmeans=3, dither=Image.Dither.NONE)  # few pixels keep their colour
+    few = shown.quantize(255, kmeans=3, dither=Image.Dither.NONE)  # k-means keeps rare colours
     few.save(path, optimize=True)
     print(f"{path}: {few.width} x {few.height}, {path.stat().st_size / 1000:.0f} kB")
 

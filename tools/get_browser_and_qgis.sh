@@ -1,5 +1,5 @@
 #!/bin/sh
-# Get the programs of the checks: MapLibre, Mosquitto, PostGIS, Chromium and QGIS, one after the other, as apt runs once at a time.
+# Get the programs of the checks: MapLibre, Mosquitto, PostGIS, Chromium and QGIS, one after the other.
 # A program that cannot be had is left out; with GIS_RADAR_CHROMIUM=required (..._MOSQUITTO, ..._POSTGIS) that is a failure.
 #
 #   tools/get_browser_and_qgis.sh --apt    only what apt installs, which needs no .venv

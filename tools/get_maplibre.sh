@@ -1,5 +1,5 @@
 #!/bin/sh
-# Get MapLibre GL JS (BSD-3-Clause), which draws the page of the live map, with the machine's npm.
+# Get MapLibre GL JS (BSD-3-Clause), which draws the page of the live map, by npm.
 # Prints nothing where it is there.
 #
 #   tools/get_maplibre.sh      where it cannot be had, one line says why, and the exit code is 1
@@ -22,7 +22,7 @@ trap 'rm -rf "$work"' EXIT
 (cd "$work" && npm pack --silent "maplibre-gl@$version" >log 2>&1) ||
     fail "npm did not deliver it ($(head -n 1 "$work/log"))"
 echo "$sum  $work/maplibre-gl-$version.tgz" | sha256sum --check --quiet >/dev/null 2>&1 ||
-    fail "the package is not the one that was looked at"
+    fail "the package has another checksum than the one of version $version that was reviewed"
 tar xzf "$work/maplibre-gl-$version.tgz" -C "$work"
 rm -rf $place
 mkdir -p $place

@@ -1,9 +1,9 @@
 #!/bin/sh
 # Get Debian 11's PDAL into .pdal for the tests, on Debian 12, which has no package of it.
 #
-# Only the tests run it, as its support has ended. The packages come from the mirror that this
-# machine's apt uses already, and apt checks their signatures, in a folder of its own: the system
-# is not changed, and root is not needed. The program runs with the loader and libraries of
+# Only the tests run it: Debian 11 is no longer supported. The packages come from the mirror that
+# this machine's apt uses already, and apt checks their signatures, in a folder of its own: the
+# system is not changed, and root is not needed. The program runs with the loader and libraries of
 # Debian 11. Where it cannot be had, one line says why, and tests of PDAL are skipped.
 set -eu
 cd "$(dirname "$0")/.."

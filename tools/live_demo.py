@@ -2,8 +2,8 @@
 
     python tools/live_demo.py out/live-demo
 
-Ctrl-C or SIGTERM ends it; recordings, the dataset of hours that are over, and `now.gpkg`, for
-QGIS, are then in `live` there.
+Ctrl-C or SIGTERM ends it. The folder `live` there has recordings, the dataset of finished hours,
+and `now.gpkg` for QGIS.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ import gis_radar as gr
 from gis_radar.base import stopped_by_signals
 from gis_radar.live import write_broker_files
 
-PATIENCE_S = 180.0  # for an hour that is over
-STATUS_S = 10.0
+PATIENCE_S = 180.0  # for a program to end: fusion may be measuring an hour
+STATUS_S = 10.0  # between lines that are printed
 SENSORS = ("R1", "R2")
 SITE = """\
 title = "Sample junction, replayed"
@@ -64,7 +64,7 @@ file = "{name}.buffer"
 
 
 def main(folder: Path) -> None:
-    """Write what it needs, start the programs, and wait for Ctrl-C or SIGTERM."""
+    """Write the files of the site, start the programs, and wait for Ctrl-C or SIGTERM."""
     mosquitto = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
     if mosquitto is None:
         sys.exit("live-demo: Mosquitto is not installed: sh tools/get_mosquitto.sh, as root")
@@ -93,20 +93,20 @@ def main(folder: Path) -> None:
 
 
 def _say(text: str) -> None:
-    """Print a line; where nobody reads any more, the system goes on to its end."""
+    """Print a line; a closed pipe does not end the system."""
     with suppress(BrokenPipeError):
         sys.stdout.write(f"{text}\n")
         sys.stdout.flush()
 
 
 def _end(programs: Sequence[subprocess.Popen[bytes]]) -> None:
-    """End the sensors first and the broker last; kill what does not end, at a second Ctrl-C all."""
+    """End the sensors first and the broker last; kill what stays, after a second Ctrl-C at once."""
     with suppress(KeyboardInterrupt):
         for each in reversed(programs):
             each.terminate()
             with suppress(subprocess.TimeoutExpired):
                 each.wait(PATIENCE_S)
-    for each in programs:  # in sessions of their own, they would stay
+    for each in programs:  # they are in sessions of their own, which end with no terminal
         each.kill()
     for each in programs:
         each.wait()
@@ -133,7 +133,7 @@ def _write_files(folder: Path, port: int, health: int, page: int) -> tuple[str, 
 
 
 def _show(address: str) -> None:
-    """Print the frames of each sensor so far, and alarms."""
+    """Print the number of frames of each sensor, and alarms."""
     try:
         with urllib.request.urlopen(address, timeout=5.0) as answer:  # noqa: S310 - our own
             lines = answer.read().decode().splitlines()

@@ -1,4 +1,4 @@
-"""Tell which system libraries the wheels miss here.
+"""Find system libraries that Python packages need and this machine lacks.
 
 ``missing_libraries.py run`` (or ``dev``, ``bench``) prints what to install for the libraries that
 are known to be needed: Debian's packages where there is apt, else the names of the libraries. It
@@ -21,7 +21,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-# Library -> Debian's package of it. PyPI's wheels bring their other libraries along.
+# Debian's package by library. PyPI's wheels contain all other libraries.
 RUN_LIBRARIES = {
     "libexpat.so.1": "libexpat1",  # rasterio, pyogrio
     "libz.so.1": "zlib1g",
@@ -53,7 +53,7 @@ DEV_PROGRAMS = ("sumo/bin/sumo", "sumo/bin/netconvert", "sumo/bin/netgenerate")
 
 
 def main() -> None:
-    """Answer for the level that the command line names."""
+    """Print what is missing for a level, or load all packages."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("level", choices=LIBRARIES)
     parser.add_argument("--load", action="store_true", help="load what is installed")
@@ -73,7 +73,7 @@ def missing_libraries(level: str) -> list[str]:
 
 
 def is_there(library: str) -> bool:
-    """Tell whether the dynamic linker finds a library."""
+    """Return whether the dynamic linker finds a library."""
     try:
         ctypes.CDLL(library)
     except OSError:
@@ -106,15 +106,15 @@ def requirements(level: str) -> set[str]:
 
 
 def pyproject() -> dict[str, Any]:
-    """Return what pyproject.toml holds."""
-    import tomllib  # noqa: PLC0415 - not there before Python 3.11, which gets no further than this
+    """Return pyproject.toml as a dictionary."""
+    import tomllib  # noqa: PLC0415 - older Pythons, which lack it, may run this script without --load
 
     text = (Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
 
 
 def extras() -> dict[str, list[str]]:
-    """Return what each extra asks for."""
+    """Return the requirements of each extra."""
     found: dict[str, list[str]] = pyproject()["project"]["optional-dependencies"]
     return found
 
@@ -125,7 +125,7 @@ def names_of(lines: Iterable[str]) -> set[str]:
 
 
 def is_of_extra(error: Exception) -> bool:
-    """Tell whether a module lacks what comes with an extra only: gis_radar[live], duckdb[all]."""
+    """Return whether a module is missing that an extra installs, as of gis_radar or duckdb."""
     missing = (error.name or "") if isinstance(error, ModuleNotFoundError) else ""
     ours = chain.from_iterable(extras().values())
     theirs = chain.from_iterable(map(of_extras, requirements("dev")))
@@ -135,7 +135,7 @@ def is_of_extra(error: Exception) -> bool:
 
 
 def of_extras(package: str) -> list[str]:
-    """Return what the extras of an installed package ask for."""
+    """Return the requirements of all extras of an installed package."""
     try:
         lines = importlib.metadata.requires(package) or []
     except importlib.metadata.PackageNotFoundError:
@@ -144,7 +144,7 @@ def of_extras(package: str) -> list[str]:
 
 
 def modules_of(packages: set[str]) -> list[str]:
-    """Return the modules that installed packages bring, public ones only."""
+    """Return the public modules of installed packages."""
     owners = importlib.metadata.packages_distributions()
     return sorted(
         module
@@ -161,7 +161,7 @@ def own_modules() -> list[str]:
 
 
 def start(program: str) -> list[str]:
-    """Start a program of the environment for its version; return what it says when it fails."""
+    """Start a program of the environment with `--version`; return its message if it fails."""
     paths = [path for folder in sys.path if (path := Path(folder) / program).exists()]
     if not paths:
         return [f"{program}: not installed"]

@@ -1,7 +1,4 @@
-"""Put how good the results are, in plain words, before the tables of docs/accuracy.md.
-
-python tools/plain_accuracy.py
-"""
+"""Put the accuracy in plain words before the tables of docs/accuracy.md, from these: no options."""
 
 from __future__ import annotations
 
@@ -16,12 +13,12 @@ import pages
 ROOT = Path(__file__).parents[1]
 PAGE, NAME = ROOT / "docs" / "accuracy.md", "plain accuracy"
 FOUND = "`vehicles`, found poses"
-# Of the true share of time with a vehicle, percent: up to where traffic is called so.
+# Names of traffic, with the largest true occupancy (percent) of each.
 TRAFFIC = (("light traffic", 5.0), ("busy roads", 12.0), ("queues", 100.0))
 
 
 def plain_table(text: str) -> str:
-    """Return the table in plain words from the page with the figures."""
+    """Return the table in plain words from the text of the page."""
     return "\n".join(["| what | how good |", "|---|---|", *_poses(text), *_occupancy(text)])
 
 

@@ -1,9 +1,8 @@
-"""Build the zip of the QGIS plugin: its files, the metadata completed, and the worker's wheel.
+"""Build the zip of the QGIS plugin: its files, completed metadata, and the worker's wheel.
 
     python tools/plugin_zip.py [--wheel dist/gis_radar-X.whl] [-o dist]
 
-The version, and where the project lives, stand in pyproject.toml only. The same files give the
-same zip.
+Version and addresses come from pyproject.toml. The same files give the same bytes.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 NAME = "gis_radar_plugin"
 SOURCE = ROOT / "qgis_plugin" / NAME
-KINDS = (".py", ".svg", ".json")
-# Of the package, used by the plugin too.
+KINDS = (".py", ".svg", ".json")  # suffixes of the plugin's files
+# Files of the package that the plugin uses, too.
 SHARED = (
     "products/heatmap/ground.qml",
     "base/languages/po.py",
@@ -31,7 +30,7 @@ REQUIRED = (
     "name", "qgisMinimumVersion", "description", "about", "version", "author", "email",
     "repository", "tracker",
 )  # fmt: skip
-MOST_BYTES = 25_000_000  # of a zip that the site of QGIS's plugins takes
+MOST_BYTES = 25_000_000  # of a zip that QGIS's plugin repository accepts
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
@@ -48,7 +47,7 @@ def metadata() -> str:
     Raises
     ------
     SystemExit
-        If a field that the site of QGIS's plugins asks for is missing.
+        If a field is missing that QGIS's plugin repository requires.
     """
     known = project()
     parser = configparser.ConfigParser(interpolation=None)
@@ -73,7 +72,7 @@ def metadata() -> str:
 
 
 def _changes(version: str) -> str:
-    """Return what the change log says of a version, indented as a value of several lines."""
+    """Return the change log of a version as a value of several lines."""
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     found = re.search(
         rf"^## {re.escape(version)}\n(.*?)(?=^## |\Z)", text, re.DOTALL | re.MULTILINE
@@ -83,7 +82,7 @@ def _changes(version: str) -> str:
 
 
 def files(wheel: Path | None) -> dict[str, bytes]:
-    """Return what goes into the zip, by name in the plugin's folder."""
+    """Return the contents of the zip by file name in the plugin's folder."""
     found = {
         path.relative_to(SOURCE).as_posix(): path.read_bytes()
         for path in sorted(SOURCE.rglob("*"))
@@ -102,12 +101,12 @@ def files(wheel: Path | None) -> dict[str, bytes]:
 
 
 def build(folder: Path, wheel: Path | None) -> Path:
-    """Write the zip and return where.
+    """Write the zip and return its path.
 
     Raises
     ------
     SystemExit
-        If it is larger than the site of QGIS's plugins takes.
+        If it is larger than QGIS's plugin repository accepts.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{NAME}-{project()['version']}.zip"

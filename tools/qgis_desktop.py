@@ -1,4 +1,4 @@
-"""Drive the desktop of QGIS on a virtual screen, step by step, for pictures and for a test.
+"""Run the desktop of QGIS on a virtual screen, step by step, for pictures and for a test.
 
 Needs QGIS with Xvfb, openbox and ImageMagick (tools/get_browser_and_qgis.sh).
 """
@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-WAIT_S = 350
-# What a script begins with: steps that QGIS takes one after the other, so many seconds apart.
+WAIT_S = 350  # for a program, at most
+# Begin of a script: runs its steps one after the other, each after so many seconds.
 _SCRIPT = """
 import os, subprocess, traceback
 from qgis.PyQt.QtCore import Qt, QTimer
@@ -70,14 +70,16 @@ def desktop_script(body: str, **names: str) -> str:
 
 
 @contextmanager
-def virtual_screen(width: int, height: int, around: Mapping[str, str]) -> Iterator[dict[str, str]]:
-    """Yield the surroundings of programs on a virtual screen with a window manager.
+def virtual_screen(
+    width: int, height: int, environment: Mapping[str, str]
+) -> Iterator[dict[str, str]]:
+    """Yield the environment variables of programs on a virtual screen with a window manager.
 
-    QGIS's desktop dies on Qt's own.
+    QGIS's desktop crashes on Qt's platform `offscreen`.
     """
     number = 90 + os.getpid() % 900
     screen = Path(f"/tmp/.X11-unix/X{number}")  # noqa: S108 - where X puts it  # nosec B108
-    inside = {**around, "DISPLAY": f":{number}", "QT_QPA_PLATFORM": "xcb"}
+    inside = {**environment, "DISPLAY": f":{number}", "QT_QPA_PLATFORM": "xcb"}
     size = f"{width}x{height}x24"
     commands = (["Xvfb", inside["DISPLAY"], "-screen", "0", size, "-nolisten", "tcp"], ["openbox"])
     started: list[subprocess.Popen[bytes]] = []
@@ -104,19 +106,19 @@ def _wait_for(screen: Path, server: subprocess.Popen[bytes]) -> None:
 
 
 def run_desktop(
-    script: str, place: Path, profiles: Path, around: Mapping[str, str], *words: str
+    script: str, place: Path, profiles: Path, environment: Mapping[str, str], *words: str
 ) -> subprocess.CompletedProcess[str]:
-    """Start QGIS on a screen, let it go through a script, and return what it wrote.
+    """Start QGIS on a screen with a script, wait for its end, and return its output.
 
     Parameters
     ----------
     script : str
         From :func:`desktop_script`.
     place : Path
-        Folder that the script is kept in.
+        Folder for the script's file.
     profiles : Path
         QGIS's profiles.
-    around : mapping
+    environment : mapping
         From :func:`virtual_screen`.
     *words : str
         Further options.
@@ -126,5 +128,5 @@ def run_desktop(
     return subprocess.run(
         ["qgis", "--nologo", "--noversioncheck", "--profiles-path", str(profiles), *words,
          "--code", str(startup)],
-        capture_output=True, text=True, timeout=WAIT_S, check=False, env=dict(around),
+        capture_output=True, text=True, timeout=WAIT_S, check=False, env=dict(environment),
     )  # fmt: skip

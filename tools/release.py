@@ -3,7 +3,7 @@
     python tools/release.py
 
 `make release` builds wheel, source distribution, plugin and documentation before. Files of other
-versions in dist are refused, so that nothing of them is published.
+versions in dist are refused, so that none is published.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same files give the same zip
 
 
 def main() -> int:
-    """Write what is missing in dist, and print what each file is for."""
+    """Write the missing files of dist, and print what each file is for."""
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     purposes = {
         f"gis_radar-{version}-py3-none-any.whl": "the Python package: `pip install` it",

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Set up .venv with pinned packages, and the system libraries that they miss.
+# Set up .venv with pinned packages, and install the system libraries that they need.
 #
 #   tools/set_up.sh run    what gis-radar needs
 #   tools/set_up.sh dev    also what checks and documentation need, PDAL too (tools/get_pdal.sh)
@@ -101,9 +101,9 @@ install_packages() {
         fail "the packages could not be installed (see above)."
 }
 
-# Loads each package and our own modules once: that shows libraries that are missing in our list, and
-# keeps what Python compiles, so that later starts are fast even where it may not write. To compile
-# all that is installed takes ten times as long. NUMBA_DISABLE_JIT: some packages compile on loading.
+# Loads each package and our own modules once: this shows libraries that our list lacks, and keeps the
+# compiled modules, so that later starts are fast even where nothing may be written. NUMBA_DISABLE_JIT:
+# some packages compile functions when they are loaded.
 check_packages() {
     PYTHONDONTWRITEBYTECODE= NUMBA_DISABLE_JIT=1 \
         $venv/bin/python tools/missing_libraries.py "$level" --load ||

@@ -1,4 +1,4 @@
-"""Run commands at the same time: the first one in sight, the others told when they have ended.
+"""Run commands at the same time; print the first one's output at once, the others' at their end.
 
     python tools/side_by_side.py 'pytest -n 2' mypy 'sh tools/test_qgis.sh'
 
@@ -16,41 +16,41 @@ import time
 from collections.abc import Sequence
 from typing import IO
 
-GRACE_S = 10.0
+GRACE_S = 10.0  # for all commands together to end after Ctrl-C
 
 
 def run(commands: Sequence[str]) -> int:
     """Run commands side by side; return the first exit code that is not 0, in their order."""
-    shown, *beside = commands
+    first, *others = commands
     with tempfile.TemporaryDirectory() as place:
-        heard = [open(f"{place}/{i}", "w+b") for i in range(len(beside))]  # noqa: PTH123, SIM115
+        output_files = [open(f"{place}/{i}", "w+b") for i in range(len(others))]  # noqa: PTH123, SIM115
         started = [
-            subprocess.Popen(shlex.split(command), stdout=said, stderr=subprocess.STDOUT)
-            for command, said in zip(beside, heard, strict=True)
+            subprocess.Popen(shlex.split(command), stdout=output_file, stderr=subprocess.STDOUT)
+            for command, output_file in zip(others, output_files, strict=True)
         ]
         try:
-            codes = [subprocess.run(shlex.split(shown), check=False).returncode]
-            for command, process, said in zip(beside, started, heard, strict=True):
+            codes = [subprocess.run(shlex.split(first), check=False).returncode]
+            for command, process, output_file in zip(others, started, output_files, strict=True):
                 codes.append(process.wait())
-                _tell(command, said)
+                _print_output(command, output_file)
         finally:
             _end(started)
-            for said in heard:
-                said.close()
+            for output_file in output_files:
+                output_file.close()
     return next((code for code in codes if code != 0), 0)
 
 
-def _tell(command: str, said: IO[bytes]) -> None:
-    """Write what a command has said, under its name."""
-    said.seek(0)
+def _print_output(command: str, output_file: IO[bytes]) -> None:
+    """Print the output of a command below the command."""
+    output_file.seek(0)
     sys.stdout.write(f"\n$ {command}\n")
     sys.stdout.flush()
-    sys.stdout.buffer.write(said.read())
+    sys.stdout.buffer.write(output_file.read())
     sys.stdout.flush()
 
 
 def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
-    """End what still runs when all is broken off; they have had the same Ctrl-C."""
+    """Wait for processes, which had the same Ctrl-C, for `GRACE_S` in all; then end the rest."""
     until = time.monotonic() + GRACE_S
     for process in processes:
         try:

@@ -1,9 +1,9 @@
-"""Make a simulated city: sites from seeds, their measured hours, and months drawn from these.
+"""Make a simulated city: sites drawn at random, their measured hours, and months drawn from these.
 
     python tools/simulated_city.py out/city --sites 20 --months 2
 
 `CITY.toml` there names the sites, each with map, scan, recordings, poses and `SITE.toml`; `root`
-has a dataset a site. What is there already stays.
+has a dataset for each. Sites and months that are there already stay.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import gis_radar as gr
 from gis_radar.calibration import Finding
 from simulation.city import (
+    CITY,
     KNOCKED_AT,
     KNOCKED_DEG,
     MEASURED_DAY,
@@ -30,7 +31,7 @@ from simulation.city import (
     make_site,
     write_city_file,
 )
-from simulation.drawn_days import DRAWN, DayDrawer, DrawnEvents, doubt
+from simulation.drawn_days import DRAWN, DayDrawer, DrawnEvents, add_finding
 from simulation.measured_minutes import PART_S, MeasuredParts
 
 REMARK = (
@@ -49,7 +50,8 @@ minute, drawn at random from the level of demand wanted then; see simulation/dra
 {events}
 """
 _TIME = "%Y-%m-%d %H:%MZ"
-# By place in the list of sites: a sensor that fails, and since when demand is another.
+# Events by index of the site: a sensor that delivers nothing; a jam at the first site; demand as a
+# share of the usual from a day on.
 SILENT = {
     1: ("R1", datetime(2026, 10, 8, 9, tzinfo=UTC), datetime(2026, 10, 9, 6, tzinfo=UTC)),
     4: ("R2", datetime(2026, 10, 20, 14, tzinfo=UTC), datetime(2026, 10, 23, 8, tzinfo=UTC)),
@@ -83,7 +85,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def measured(site: CitySite, sensors: Sequence[str], folder: Path) -> gr.Dataset:
-    """Return the dataset of the recordings of some sensors, which is made where it is missing."""
+    """Return the dataset of some sensors of a site, which is measured where it is missing."""
     if (folder / "dataset.json").is_file():
         return gr.open_dataset(folder)
     tiles = gr.make_tiles(gr.read_map(site.folder / "map.osm", crs="EPSG:25832"))
@@ -96,7 +98,7 @@ def measured(site: CitySite, sensors: Sequence[str], folder: Path) -> gr.Dataset
 
 
 def draw(dataset: gr.Dataset, site: CitySite, number: int, known: argparse.Namespace) -> None:
-    """Draw the months before the measured day, with what happens at this site."""
+    """Draw the months before the measured day, with the events of the site."""
     zone = ZoneInfo(TIMEZONE)
     end = datetime(MEASURED_DAY.year, MEASURED_DAY.month, 1, tzinfo=zone)
     begin = end
@@ -119,7 +121,7 @@ def draw(dataset: gr.Dataset, site: CitySite, number: int, known: argparse.Names
     if site.knocked:
         cause = f"it was knocked on {KNOCKED_AT:%Y-%m-%d}: its yaw changed by {KNOCKED_DEG:g} deg"
         evidence = drawn.manifest.findings[site.knocked].evidence
-        doubt(
+        add_finding(
             drawn,
             Finding(
                 sensor=site.knocked, verdict="fits", evidence=evidence, cause=cause,
@@ -131,7 +133,7 @@ def draw(dataset: gr.Dataset, site: CitySite, number: int, known: argparse.Names
 def parts_of(
     dataset: gr.Dataset, site: CitySite, heard: set[frozenset[str]], minutes: float
 ) -> Mapping[frozenset[str], MeasuredParts]:
-    """Return the measured parts by the sensors that are heard, measured without the others."""
+    """Return the measured parts by the sensors that deliver, measured with these alone."""
     begins = [level.begin for level in site.levels]
     count, found = int(minutes * 60.0) // PART_S, dict[frozenset[str], MeasuredParts]()
     for sensors in heard:
@@ -144,7 +146,7 @@ def parts_of(
 
 
 def write_readme(folder: Path, sites: Sequence[CitySite], minutes: float) -> None:
-    """Write what the city is, and what happens in it."""
+    """Write `README.txt`: what the city is, and its events."""
     events = [(sites[0], f"an incident, {JAM[0]:{_TIME}} to {JAM[1]:{_TIME}}")]
     for k, site in enumerate(sites):
         if k in SILENT:
@@ -155,7 +157,7 @@ def write_readme(folder: Path, sites: Sequence[CitySite], minutes: float) -> Non
         for day, share in SHARES.get(k, {}).items():
             events.append((site, f"{share:.0%} of the usual demand since {day}"))
     text = README.format(
-        city="Simstadt", sites=len(sites), minutes=minutes, day=f"{MEASURED_DAY:%Y-%m-%d}",
+        city=CITY, sites=len(sites), minutes=minutes, day=f"{MEASURED_DAY:%Y-%m-%d}",
         events="\n".join(f"- {site.name}: {text}" for site, text in events),
     )  # fmt: skip
     (folder / "README.txt").write_text(text, encoding="utf-8")

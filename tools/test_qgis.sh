@@ -27,8 +27,8 @@ fi
 # The results that most tests load are made once, by `make test` or here.
 export GIS_RADAR_QGIS_SITE="${GIS_RADAR_DEMO:-$place/site}"
 [ -n "${GIS_RADAR_DEMO:-}" ] || "$GIS_RADAR_PYTHON" -m gis_radar demo -o "$place/site" >/dev/null
-# Some tests run with QGIS's libraries in front of all others, as in the desktop, beside the
-# rest, which run in one process: more processes beside those of `make test` would be slower.
+# Some tests run with QGIS's library loaded first, as in the desktop, beside the rest, which run in
+# one process: `make test` has other processes on the same cores.
 core=$(ls /usr/lib/libqgis_core.so.3.*.* /usr/lib/*/libqgis_core.so.3.*.* 2>/dev/null | head -n 1)
 (
     export LD_PRELOAD="$core"
@@ -40,6 +40,6 @@ trap 'exit 130' INT TERM HUP
 code=0
 $pytest -m "not preload" qgis_plugin/tests || code=$?
 wait $preload || code=$?
-echo "QGIS: some under LD_PRELOAD=$core"
+echo "QGIS: tests under LD_PRELOAD=$core"
 cat "$place/preload.log"
 exit $code

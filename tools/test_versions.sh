@@ -4,8 +4,8 @@
 #   tools/test_versions.sh lowest  the lowest version of each requirement that pyproject.toml allows
 #   tools/test_versions.sh newest  the newest version of each
 #
-# They run in an environment of their own, out/versions/NAME. Warnings of old libraries about newer
-# ones are ignored. Left out are tests of QGIS, the demo, a browser, and of large packages.
+# They run in an environment of their own, out/versions/NAME. Warnings are ignored: old libraries warn
+# of newer ones. Left out are tests of QGIS, the demo, a browser, and large packages.
 set -eu
 cd "$(dirname "$0")/.."
 

@@ -1,16 +1,16 @@
-"""Localization, measured: our method and the paper's beside the paper's figures.
+"""Errors of localization: of our method and of the paper's, beside the paper's figures.
 
     python bench/localization             all, half an hour on two free cores
-    python bench/localization --quick     a look, a few minutes
+    python bench/localization --quick     few starts, a few minutes
     python bench/localization --only table,sites
     python bench/localization --only random --conditions "radar as recorded, walkers"
-    python bench/localization --into docs/accuracy.md   its table, from what is kept
+    python bench/localization --into docs/accuracy.md   writes that page's table from kept figures
 
-Parts: table (sets DY and DO of a town, as in Table I), sites (the sample and what lies beside the
-project), random (places drawn at random: do errors keep to the covariance?). What is found is kept
-in out/bench-localization/groups.json, what is simulated beside it, and made again when the
-simulator changes. Needs Eclipse SUMO and Open3D. Exit code 1 where one of our answers is wrong and
-is not marked as such.
+Parts: table (sets DY and DO of a town, as in Table I), sites (the sample, and towns where they are
+there), random (places drawn at random: do covariances cover the errors?). Figures are kept in
+out/bench-localization/groups.json; simulated places lie beside it and are made again when the
+simulator changes. Needs Eclipse SUMO, and Open3D for the paper's method. Exit code 1 where one of
+our answers is wrong and says that it is `observable`.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ KEPT = OUT / "groups.json"
 
 
 def main() -> None:
-    """Run the parts, print and keep their table, judge."""
+    """Run the parts, print the table, keep the figures, and judge."""
     options = _options()
     if options.into:
-        pages.put(options.into, {"accuracy": table.readme(_kept())})
+        pages.put(options.into, {"accuracy": table.accuracy_table(_kept())})
         return
     trials = [each for part in options.only for each in _plan(part, options)]
     groups = table.by_group(run_all(trials))
@@ -69,7 +69,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--conditions", choices=CONDITIONS, default=TEXTBOOK,
                         help="radar, drivers and people; not for sites")  # fmt: skip
     parser.add_argument("--methods", default=",".join(METHODS), help=f"of {','.join(METHODS)}")
-    parser.add_argument("--into", type=Path, help="put the kept table into this page, run nothing")
+    parser.add_argument("--into", type=Path, help="put kept figures into this page, run nothing")
     options = parser.parse_args()
     for name, known in (("only", PARTS), ("methods", METHODS)):
         given = getattr(options, name).split(",")
@@ -80,7 +80,7 @@ def _options() -> argparse.Namespace:
 
 
 def _plan(part: str, options: argparse.Namespace) -> list[Trial]:
-    """Return the trials of a part."""
+    """Return the trials of a part of the bench."""
     if part == "table":
         most = options.starts or (QUICK_STARTS if options.quick else table.NEAR_STARTS["lane"])
         return table.plan(town_folder(options.conditions), most=most, methods=options.methods)
@@ -91,7 +91,7 @@ def _plan(part: str, options: argparse.Namespace) -> list[Trial]:
 
 
 def _at_site(site: Path, options: argparse.Namespace) -> list[Trial]:
-    """Return trials at each sensor of a site; the road comes from the site's own scan."""
+    """Return the trials at each sensor of a site; its road is masked from its scan."""
     folder = OUT / "sites" / site.name
     folder.mkdir(parents=True, exist_ok=True)
     osm, scan = next(site.glob("*.osm")), next(site.glob("*.laz"))
@@ -110,6 +110,7 @@ def _at_site(site: Path, options: argparse.Namespace) -> list[Trial]:
 
 
 def _kept() -> dict[str, dict[str, table.Figures]]:
+    """Return the kept figures by conditions and group of trials."""
     return dict(json.loads(KEPT.read_text())) if KEPT.exists() else {}
 
 

@@ -1,13 +1,13 @@
-"""Conditions: which radar, which drivers and which people, by name.
+"""Conditions of a simulation by name: radar, drivers, walkers and cyclists, kinds of vehicles.
 
-Places and poses are the same under each, and the demand but where traffic is light.
+Streets and poses are the same under all conditions; demand is less under `light` alone.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from places import Manners
+from places import TrafficSettings
 
 from simulation.demand import ALL_KINDS, KINDS, VehicleKind
 from simulation.driving import LaneKeeping
@@ -15,8 +15,8 @@ from simulation.people import People
 from simulation.presets import DRIVERS, RADARS
 from simulation.radar import RadarModel
 
-# Localization takes moving detections only: few fixed ones a frame, and as many false ones of
-# them as of the 480 that a radar of the paper's kind delivers.
+# Localization uses moving detections only. So 40 fixed ones a frame do in place of the 480 of the
+# textbook's radar, with as many wrong range rates among them (share 0.0015 of 480).
 STATIC_PER_FRAME, FALSE_DOPPLER_SHARE = 40.0, 0.0015 * 480.0 / 40.0
 TEXTBOOK = "textbook"
 _RADARS = {
@@ -25,24 +25,24 @@ _RADARS = {
         static_per_frame=STATIC_PER_FRAME, false_doppler_share=FALSE_DOPPLER_SHARE
     ),
 }
-# 48 people of whom a radar sees some at every moment
+# 48 people: at every moment some are in view of a radar
 _PEOPLE = People(walkers=40, cyclists=8)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """What a bench simulates with.
+    """Conditions of a simulation.
 
     Parameters
     ----------
     radar, drivers : str
-        Names of presets; combinations draw theirs themselves where it is ``textbook``.
+        Names of presets; random places draw their own drivers where it is ``textbook``.
     people : People
-        Who walks and cycles.
+        Walkers and cyclists.
     kinds : tuple of VehicleKind
-        What drives.
+        Kinds of vehicles.
     demand : float
-        How much of it, as a share of what a place has.
+        Demand as a share of a place's usual one.
     """
 
     radar: str = TEXTBOOK
@@ -53,17 +53,17 @@ class Conditions:
 
     @property
     def model(self) -> RadarModel:
-        """The radar."""
+        """Model of the radar."""
         return _RADARS[self.radar]
 
     @property
     def keeping(self) -> LaneKeeping:
-        """Where in their lanes drivers keep."""
+        """How drivers keep their lanes."""
         return DRIVERS[self.drivers]
 
-    def manners(self, per_hour: float) -> Manners:
-        """Return so many vehicles an hour that drive so."""
-        return Manners(
+    def traffic(self, per_hour: float) -> TrafficSettings:
+        """Return the settings of traffic of so many vehicles an hour."""
+        return TrafficSettings(
             per_hour=per_hour, kinds=self.kinds, keeping=self.keeping, people=self.people
         )
 

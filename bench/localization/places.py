@@ -35,24 +35,24 @@ ROOT = Path(__file__).parents[2]
 OUT = ROOT / "out" / "bench-localization"
 UTM = CRS.from_epsg(25832)
 ORIGIN = (678_000.0, 5_403_600.0)
-START = 1_780_300_800.0
+START = 1_780_300_800.0  # UNIX seconds
 WINDOW_S = 100.0  # 2000 frames at 20 Hz
 
 
 @dataclass(frozen=True, kw_only=True)
-class Manners:
-    """What drives, and how.
+class TrafficSettings:
+    """Settings of simulated traffic.
 
     Parameters
     ----------
     per_hour : float
-        Vehicles an hour, over all ways in.
+        Vehicles an hour, sum of all entries.
     kinds : tuple of VehicleKind
-        The mix.
+        Kinds of vehicles with their shares.
     keeping : LaneKeeping
-        Where in the lanes.
+        How drivers keep their lanes.
     people : People
-        Who walks and cycles.
+        Walkers and cyclists.
     """
 
     per_hour: float = 1800.0
@@ -70,9 +70,9 @@ class Place:
     network : RoadNetwork
         The lanes, in the map frame.
     scene : Scene
-        What stands there.
+        The surroundings.
     traffic : Traffic
-        What drives there.
+        The road users.
     """
 
     network: RoadNetwork
@@ -83,7 +83,7 @@ class Place:
         self, pose: gr.Pose, *, seed: int, model: RadarModel, begin_s: float = 0.0,
         duration_s: float = WINDOW_S,
     ) -> pd.DataFrame:  # fmt: skip
-        """Return what a radar records from `begin_s` after the traffic's first moment."""
+        """Return the recording of a radar, from `begin_s` after the traffic's begin."""
         stand, times, noise = np.random.default_rng([seed, 2]).spawn(3)
         radar = place_radar(pose, self.scene, rng=stand, model=model)
         moments = frame_times(
@@ -92,7 +92,7 @@ class Place:
         return simulate_recording(radar, self.traffic, moments, rng=noise)
 
     def write_truth(self, folder: Path) -> None:
-        """Write `vehicles.parquet`: every road user's true place, size and kind by 50 ms."""
+        """Write `vehicles.parquet`: place, size and kind of every road user at every 50 ms."""
         write_moving(self.traffic.table(self.scene.terrain), folder / "vehicles.parquet")
 
     def write_ground(self, folder: Path, *, seed: int) -> None:
@@ -107,10 +107,10 @@ class Place:
 
 
 def make_place(
-    plan: StreetPlan, *, seed: int, terrain: Terrain, manners: Manners, duration_s: float,
+    plan: StreetPlan, *, seed: int, terrain: Terrain, settings: TrafficSettings, duration_s: float,
     roadside: Roadside | None = None, warm_up_s: float = 120.0,
 ) -> Place:  # fmt: skip
-    """Return a street plan come to life."""
+    """Return a place of a street plan: SUMO's network, surroundings and traffic."""
     with tempfile.TemporaryDirectory() as folder:
         net = Path(folder) / "streets.net.xml"
         build_network(plan.nodes_xml, plan.edges_xml, NO_TURNS, net)
@@ -119,41 +119,44 @@ def make_place(
         traffic = simulate_traffic(
             net,
             network,
-            flows=random_flows(network, per_hour=manners.per_hour, rng=flows),
-            kinds=manners.kinds,
+            flows=random_flows(network, per_hour=settings.per_hour, rng=flows),
+            kinds=settings.kinds,
             start=START,
             duration_s=duration_s,
             warm_up_s=warm_up_s,
             seed=seed,
-            keeping=manners.keeping,
+            keeping=settings.keeping,
         )
     scene = furnish(network, terrain, rng=furniture, roadside=roadside)
     traffic = traffic.joined(
-        simulate_people(network, scene.road, traffic, manners.people, seed=seed)
+        simulate_people(network, scene.road, traffic, settings.people, seed=seed)
     )
     return Place(network=network, scene=scene, traffic=traffic)
 
 
 def write_moving(recording: pd.DataFrame, path: Path) -> None:
-    """Write a recording quickly; the files are many and short-lived."""
+    """Write a table as Parquet that is fast to write; such files are many and temporary."""
     recording.to_parquet(path, index=False, compression="snappy")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """The map and the road of a place, read back from its files."""
+    """Map and road of a place, read from its files."""
 
     roads: gr.LaneletMap
     road: Floats
 
 
 def read_ground(folder: Path) -> Ground:
-    """Return what :meth:`Place.write_ground` wrote."""
+    """Read the files of :meth:`Place.write_ground`."""
     return Ground(roads=gr.read_map(folder / "map.osm"), road=np.load(folder / "road.npy"))
 
 
-def made(folder: Path, make: Callable[[], None], *modules: str, settings: str = "") -> Path:
-    """Return a folder, made anew where the simulator, modules here or settings have changed."""
+def up_to_date(folder: Path, make: Callable[[], None], *modules: str, settings: str = "") -> Path:
+    """Return a folder, made again where simulator, `modules` beside this one, or settings changed.
+
+    `made.txt` in it has the digest of what it was made by.
+    """
     code = [Path(__file__).parent / f"{name}.py" for name in modules]
     code += sorted((ROOT / "simulation").glob("*.py"))
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in code)).hexdigest()
@@ -168,7 +171,7 @@ def made(folder: Path, make: Callable[[], None], *modules: str, settings: str = 
 
 
 def link(source: Path, target: Path) -> None:
-    """Make a file known under another name."""
+    """Make `target` a symbolic link to a file."""
     target.unlink(missing_ok=True)
     target.symlink_to(source.resolve())
 
@@ -180,15 +183,15 @@ def errors(found: gr.Pose, true: gr.Pose) -> Floats:
     return np.concatenate([found.position - true.position, wrapped])
 
 
-def disc(rng: np.random.Generator, count: int, within_m: float) -> Floats:
-    """Return offsets spread evenly over a disc, (n, 2) metres."""
+def disc_offsets(rng: np.random.Generator, count: int, within_m: float) -> Floats:
+    """Draw offsets spread evenly over a disc, (n, 2) metres."""
     turn = rng.uniform(0.0, 2.0 * np.pi, count)
     reach = within_m * np.sqrt(rng.random(count))
     return np.column_stack([reach * np.cos(turn), reach * np.sin(turn)])
 
 
-def mixed(kinds: Sequence[VehicleKind], rng: np.random.Generator) -> tuple[VehicleKind, ...]:
-    """Return the kinds in other shares, and each a little other in size."""
+def vary_kinds(kinds: Sequence[VehicleKind], rng: np.random.Generator) -> tuple[VehicleKind, ...]:
+    """Return the kinds with randomly changed shares, and sizes changed by up to 6 %."""
     made = []
     for kind in kinds:
         length, width, height = 1.0 + rng.uniform(-0.06, 0.06, 3)

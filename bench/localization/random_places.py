@@ -1,7 +1,7 @@
-"""Random places: streets, drivers, vehicles and a sensor drawn from a number, for each number anew.
+"""Random places: streets, drivers, vehicles and a sensor, drawn from the place's number.
 
-Under whichever conditions the place, the demand and the sensor's pose are the same. No setting was
-chosen on them: they show whether errors keep to the covariance.
+Streets and pose are the same under all conditions. No setting of the package was chosen on these
+places: they show whether covariances cover the errors.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from places import (
     OUT,
     UTM,
     WINDOW_S,
-    Manners,
-    disc,
-    made,
+    TrafficSettings,
+    disc_offsets,
     make_place,
-    mixed,
+    up_to_date,
+    vary_kinds,
     write_moving,
 )
 from trials import NEAR_M, Trial, in_workers
@@ -37,7 +37,7 @@ COUNT, QUICK_COUNT = 120, 10
 
 
 def plan(count: int, conditions: str) -> list[Trial]:
-    """Return a trial at each of the first so many places, without a heading."""
+    """Return a trial at each of the first `count` places, without a heading."""
     folders = in_workers(random_place, [(number, conditions) for number in range(count)])
     return [
         Trial(group="random", folder=folder, name="R1", method="lane", offset=_offset(number))
@@ -46,22 +46,24 @@ def plan(count: int, conditions: str) -> list[Trial]:
 
 
 def _offset(number: int) -> tuple[float, float]:
-    east, north = disc(np.random.default_rng([number, 5]), 1, NEAR_M)[0].tolist()
+    """Draw how far the guess of a place is off, metres east and north."""
+    east, north = disc_offsets(np.random.default_rng([number, 5]), 1, NEAR_M)[0].tolist()
     return east, north
 
 
 def random_place(drawn: tuple[int, str]) -> Path:
-    """Return the folder of a place under some conditions; made where missing or out of date."""
+    """Return the folder of a place (number, conditions), which is made where needed."""
     number, conditions = drawn
     folder = OUT / "random" / conditions / f"{number:03d}"
 
     def make() -> None:
         _make(number, folder, conditions)
 
-    return made(folder, make, "random_places", "places", "conditions")
+    return up_to_date(folder, make, "random_places", "places", "conditions")
 
 
 def _make(number: int, folder: Path, conditions: str) -> None:
+    """Write map, road, recording and true pose of a place."""
     rng, under = np.random.default_rng([20260601, number]), CONDITIONS[conditions]
     plan = PLANS[number % len(PLANS)](rng)
     steep = rng.random() < 0.3
@@ -73,15 +75,15 @@ def _make(number: int, folder: Path, conditions: str) -> None:
         wave_m=float(rng.uniform(0.0, 0.6)),
         wave_length_m=float(rng.uniform(180.0, 320.0)),
     )
-    manners = Manners(
+    settings = TrafficSettings(
         per_hour=round(float(np.exp(rng.uniform(np.log(500.0), np.log(2400.0)))) * under.demand),
-        kinds=mixed(KINDS, rng),
+        kinds=vary_kinds(KINDS, rng),
         keeping=_keeping(rng),
         people=under.people,
     )
     if under.drivers != TEXTBOOK:
-        more = mixed(under.kinds[len(KINDS) :], np.random.default_rng([20260601, number, 1]))
-        manners = replace(manners, keeping=under.keeping, kinds=(*manners.kinds, *more))
+        more = vary_kinds(under.kinds[len(KINDS) :], np.random.default_rng([20260601, number, 1]))
+        settings = replace(settings, keeping=under.keeping, kinds=(*settings.kinds, *more))
     roadside = Roadside(
         tree_gap_m=float(rng.uniform(9.0, 30.0)),
         house_gap_m=float(rng.uniform(26.0, 60.0)),
@@ -89,8 +91,9 @@ def _make(number: int, folder: Path, conditions: str) -> None:
         car_share=float(rng.uniform(0.0, 0.4)),
     )
     place = make_place(
-        plan, seed=number, terrain=terrain, manners=manners, duration_s=WINDOW_S, roadside=roadside
-    )
+        plan, seed=number, terrain=terrain, settings=settings, duration_s=WINDOW_S,
+        roadside=roadside,
+    )  # fmt: skip
     pose = _sensor(place.scene, rng)
     write_moving(place.record(pose, seed=number, model=under.model), folder / "R1.parquet")
     pose.write(folder / "R1.json")
@@ -98,7 +101,7 @@ def _make(number: int, folder: Path, conditions: str) -> None:
 
 
 def _keeping(rng: np.random.Generator) -> LaneKeeping:
-    """Return drivers who keep near the middle of their lanes, here more and there less."""
+    """Draw how drivers keep near the middle of their lanes."""
     return LaneKeeping(
         mean_m=float(rng.normal(0.0, 0.08)),
         street_m=float(rng.uniform(0.0, 0.15)),
@@ -108,7 +111,7 @@ def _keeping(rng: np.random.Generator) -> LaneKeeping:
 
 
 def _sensor(scene: Scene, rng: np.random.Generator) -> gr.Pose:
-    """Return a sensor beside a kerb that looks at the middle of the plan, or past it."""
+    """Draw the pose of a sensor beside a kerb; it looks to the plan's middle (sigma 20 deg)."""
     stand = roadside_stand(scene, ORIGIN, rng, within_m=(12.0, 60.0))
     towards = np.array(ORIGIN) - stand
     yaw = np.degrees(np.arctan2(towards[1], towards[0])) + rng.normal(0.0, 20.0)

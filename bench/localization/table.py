@@ -1,4 +1,4 @@
-"""The tables: errors by group of trials, and beside those of the paper's Table I for the page."""
+"""Tables of errors: by group of trials, and for docs/accuracy.md beside the paper's Table I."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from town import MASTS, SETS
 from trials import COMPASS_DEG, COMPONENTS, Result, Trial, spread
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))  # what all benches share
-from figures import SAME, Figure
+from figures import EXACT_CHANCE, Figure
 from figures import table as markdown_table
 
 KINDS = ("near", "any")
+# Starts a sensor. Without a heading ICP tries eight, which takes as long as five of our starts.
 NEAR_STARTS = {"lane": 50, "icp": 50}
-# ICP must try eight headings, a start takes it as long as five of ours
 ANY_STARTS = {"lane": 10, "icp": 2}
-LEAST_M, LEAST_DEG = 0.02, 0.02  # smaller differences tell nothing
-WITHIN = 2.0  # sigmas; 95 % of errors should be
+LEAST_M, LEAST_DEG = 0.02, 0.02  # smaller differences from run to run are chance
+WITHIN_SIGMAS = 2.0  # 95 % of errors should be
 MEASURES = """\
 Mean absolute errors of the answers, in m and degrees. *Near*: within 10 m, heading as one of eight
 compass words; *any*: within 10 m, no heading. *Right*: within 1 m and 1 degree of the truth.
@@ -31,7 +31,7 @@ Figures = dict[str, Any]
 
 
 def plan(folder: Path, *, most: int, methods: Sequence[str]) -> list[Trial]:
-    """Return the trials of the town's sets, at most so many starts a sensor, set and method."""
+    """Return the trials of the town's sets, at most `most` starts a sensor, set and method."""
     trials = []
     for kind, starts in (("near", NEAR_STARTS), ("any", ANY_STARTS)):
         for set_name in SETS:
@@ -57,7 +57,7 @@ def by_group(results: Iterable[Result]) -> dict[str, Figures]:
 
 
 def figures(results: Sequence[Result]) -> Figures:
-    """Return the figures of a group of results."""
+    """Return mean and median errors, shares of outcomes and CPU time of a group of results."""
     error = np.array([r.error for r in results if not r.refused]).reshape(-1, 6)
     flat = np.hypot(error[:, 0], error[:, 1])
     right = [r for r in results if r.right and r.observable and r.sigma]
@@ -75,7 +75,7 @@ def figures(results: Sequence[Result]) -> Figures:
         "refused": sum(r.refused for r in results) / len(results),
         "unfixed": sum(not r.refused and not r.observable for r in results) / len(results),
         "wrong": sum(r.wrong for r in results) / len(results),
-        "within": [of(np.abs(ratio[:, k]) < WITHIN, np.mean) for k in range(6)],
+        "within": [of(np.abs(ratio[:, k]) < WITHIN_SIGMAS, np.mean) for k in range(6)],
         "nees_median": of([r.nees for r in right], np.median),
         "seconds": of([r.seconds for r in results], np.median),
     }
@@ -89,7 +89,7 @@ SHARES = ("right", "refused", "unfixed", "wrong")
 
 
 def markdown(groups: Mapping[str, Figures]) -> str:
-    """Return a row a group."""
+    """Return a Markdown table with a row a group."""
     rows = [
         [
             name, str(f["starts"]), *(_number(f[each]) for each in ERRORS),
@@ -104,7 +104,7 @@ def markdown(groups: Mapping[str, Figures]) -> str:
 
 
 def accepted(groups: Mapping[str, Figures], conditions: str) -> Iterable[Figure]:
-    """Yield the figures of our method on the town's sets that are compared with accepted ones."""
+    """Yield the figures of our method on the town's sets, to compare with accepted ones."""
     for group, row in groups.items():
         if not group.endswith(" lane") or group.split()[0] not in KINDS:
             continue
@@ -113,12 +113,12 @@ def accepted(groups: Mapping[str, Figures], conditions: str) -> Iterable[Figure]
         yield Figure(what=f"{where}: yaw mean", ours=row["yaw"], unit="deg", least=LEAST_DEG)
         yield Figure(
             what=f"{where}: right", ours=100.0 * row["right"], unit="%", more_is_better=True,
-            chance=SAME,
+            chance=EXACT_CHANCE,
         )  # fmt: skip
 
 
-# The paper's figures, m and degrees: of its Table I, the distances of DY from X and Y; the real
-# site from the text of section IV.A.
+# The paper's figures, m and degrees: of its Table I (distances of DY follow from its X and Y); of
+# the real site from section IV.A.
 PAPER: Mapping[str, Figures] = {
     "DY": {"flat_mean": 0.75, "flat_median": 0.95, "height": 1.06, "yaw": 0.38},
     "DO": {"flat_mean": 1.65, "flat_median": 0.55, "roll": 0.28, "pitch": 0.33, "yaw": 0.75},
@@ -137,24 +137,24 @@ OF_SITE = {
 }
 
 
-def readme(by_conditions: Mapping[str, Mapping[str, Figures]]) -> str:
-    """Return the page's table: starts within 10 m and no heading, under each of some conditions."""
+def accuracy_table(by_conditions: Mapping[str, Mapping[str, Figures]]) -> str:
+    """Return the table of docs/accuracy.md: guesses within 10 m, no heading, by conditions."""
     rows = []
     for set_name, own in PAPER.items():
-        rows.append(_readme_row(ABOUT[set_name], "near" if set_name in SETS else "", own))
+        rows.append(_accuracy_row(ABOUT[set_name], "near" if set_name in SETS else "", own))
         for method in ("icp", "lane") if set_name in SETS else ():
             for conditions, groups in by_conditions.items():
                 if found := groups.get(f"any {set_name} {method}"):
                     about = f"{OF_METHOD[method]}, {conditions}"
-                    rows.append(_readme_row(about, str(found["starts"]), found))
+                    rows.append(_accuracy_row(about, str(found["starts"]), found))
     rows += [
-        _readme_row(about, str(found["starts"]), found)
+        _accuracy_row(about, str(found["starts"]), found)
         for name, about in OF_SITE.items()
         for groups in by_conditions.values()
         if (found := groups.get(f"site {name} lane"))
     ]
     rows += [
-        _readme_row(f"ours, random places, {conditions}", str(found["starts"]), found)
+        _accuracy_row(f"ours, random places, {conditions}", str(found["starts"]), found)
         for conditions, groups in by_conditions.items()
         if (found := groups.get("random lane"))
     ]
@@ -162,7 +162,9 @@ def readme(by_conditions: Mapping[str, Mapping[str, Figures]]) -> str:
     return markdown_table(heads, rows)
 
 
-def _readme_row(about: str, starts: str, f: Figures) -> list[str]:
+def _accuracy_row(about: str, starts: str, f: Figures) -> list[str]:
+    """Return a row of that table."""
+
     def of(unit: str, *names: str) -> str:
         values = [_number(f[name]) for name in names if not math.isnan(f.get(name, math.nan))]
         return f"{', '.join(values)} {unit}" if values else ""

@@ -1,9 +1,8 @@
-"""The town: a small one of our own, with six radars as in the paper's Table I.
+"""A simulated town with six radars, after the paper's Table I.
 
 A main road with two lanes each way crosses a junction with lights and ends in a roundabout; side
-streets wind up and down the slope. Six masts stand where a road authority would put them. In the
-set DY all sensors are mounted alike and only their yaw differs; in DO they hang as they like, with
-roll, pitch and another yaw.
+streets bend on a slope. In the set DY all sensors have the same pitch and no roll, and only yaw
+differs; in DO pitch, roll and yaw differ.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import TypedDict
 import numpy as np
 import shapely
 from conditions import CONDITIONS, TEXTBOOK
-from places import ORIGIN, OUT, UTM, WINDOW_S, made, make_place, write_moving
+from places import ORIGIN, OUT, UTM, WINDOW_S, make_place, up_to_date, write_moving
 from scipy.interpolate import CubicSpline
 
 import gis_radar as gr
@@ -30,25 +29,26 @@ VIEW = gr.View(azimuth_deg=120.0, elevation_deg=30.0, max_range_m=200.0)
 TERRAIN = Terrain(
     origin=ORIGIN, height_m=374.0, slope=(0.011, 0.017), wave_m=0.5, wave_length_m=310.0
 )
-PER_HOUR = 2600.0
+PER_HOUR = 2600.0  # vehicles
 SEED = 4
-RING = np.array([190.0, 30.0])
+RING = np.array([190.0, 30.0])  # middle of the roundabout on the plan, metres
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mast:
-    """A mast of the town.
+    """A mast of the town with its radar.
 
     Parameters
     ----------
     sensor : str
-        The radar on it.
+        Name of the radar.
     near, towards : tuple of float
-        Where it stands (the nearest verge), and what it looks at, on the plan.
+        Places on the plan, metres: it stands on the verge nearest to the one, and looks at the
+        other.
     turned_deg : float
-        Yaw of set DO less that of DY.
+        Yaw in set DO minus that in DY.
     pitch_deg, roll_deg : float
-        Of set DO.
+        Angles in set DO.
     """
 
     sensor: str
@@ -76,7 +76,7 @@ MASTS = (
 
 
 class Wide(TypedDict):
-    """What the main road has."""
+    """Options of `StreetPlan.street` for the main road."""
 
     lanes: tuple[int, int]
     median_m: float
@@ -84,7 +84,7 @@ class Wide(TypedDict):
 
 
 def town_plan() -> StreetPlan:
-    """Return the streets."""
+    """Return the streets of the town."""
     plan = StreetPlan(name="town", lane_width_m=3.25)
     places = {"W": (-185.0, -18.0), "C": (0.0, 0.0), "NW": (-165.0, 150.0), "N": (12.0, 160.0),
               "NE": (205.0, 165.0), "S": (-18.0, -150.0)}  # fmt: skip
@@ -138,7 +138,7 @@ def _through(*points: Floats | tuple[float, float]) -> Floats:
 
 
 def masts_of(scene: Scene, *, free: bool) -> list[gr.Pose]:
-    """Return the six true poses in a scene of the town; `free` for those of set DO."""
+    """Return the six true poses in a scene of the town: of set DO if `free`, else of DY."""
     houses = [shapely.Polygon(b.outline).buffer(1.0) for b in scene.buildings]
     verge = scene.road.buffer(4.5).difference(shapely.union_all([*houses, scene.road.buffer(2.0)]))
     return [_pose(scene, mast, verge, free=free) for mast in MASTS]
@@ -163,15 +163,15 @@ def _pose(scene: Scene, mast: Mast, verge: shapely.Geometry, *, free: bool) -> g
 
 
 def town_folder(conditions: str = TEXTBOOK) -> Path:
-    """Return a folder with map, road, and the sets' recordings and poses; made where missing.
+    """Return a folder with map, road, recordings and poses of both sets, made where needed.
 
-    The sets see different 100 s of the same traffic; `conditions` is a name of `CONDITIONS`.
+    The sets record different 100 s of the same traffic; `conditions` is a name of `CONDITIONS`.
     """
     folder, under = OUT / "town" / conditions, CONDITIONS[conditions]
 
     def make() -> None:
         place = make_place(
-            town_plan(), seed=SEED, terrain=TERRAIN, manners=under.manners(PER_HOUR),
+            town_plan(), seed=SEED, terrain=TERRAIN, settings=under.traffic(PER_HOUR),
             duration_s=len(SETS) * WINDOW_S,
         )  # fmt: skip
         for k, set_name in enumerate(SETS):
@@ -182,4 +182,4 @@ def town_folder(conditions: str = TEXTBOOK) -> Path:
                 pose.write(folder / f"{set_name}_{pose.sensor}.json")
         place.write_ground(folder, seed=SEED)
 
-    return made(folder, make, "town", "places", "conditions")
+    return up_to_date(folder, make, "town", "places", "conditions")

@@ -1,4 +1,4 @@
-"""Trials: a sensor of a place, a start, a method; and what came of it."""
+"""Trials of localization: a sensor, a guess and a method, with the result."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from places import Ground, disc, errors, read_ground
+from places import Ground, disc_offsets, errors, read_ground
 
 import gis_radar as gr
 
 METHODS = ("lane", "icp")
 COMPONENTS = ("easting", "northing", "height", "roll", "pitch", "yaw")
-RIGHT_M, RIGHT_DEG = 1.0, 1.0
-NEAR_M, COMPASS_DEG = 10.0, 22.5  # half the angle between two words of a compass
+RIGHT_M, RIGHT_DEG = 1.0, 1.0  # errors of a right answer, at most
+# How far guesses are off: in place; in yaw (half the angle between two of eight compass words).
+NEAR_M, COMPASS_DEG = 10.0, 22.5
 PROCESSES = 2
 Given = TypeVar("Given")
 Made = TypeVar("Made")
@@ -28,22 +29,22 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """One localization to be made.
+    """A localization to run.
 
     Parameters
     ----------
     group : str
-        What it is compared with.
+        Row of the table in which it counts.
     folder : Path
-        Of the place, with map and road.
+        Folder of the place, with map and road.
     name : str
-        Of the recording and the pose, without ending.
+        File name of recording and pose, without suffix.
     method : str
         `lane` or `icp`.
     offset : (float, float)
-        Of the guess from the truth, metres to the east and to the north.
+        Guess minus truth, metres to the east and to the north.
     heading_off : float or None
-        Of the heading from the true yaw, degrees; None where none is given.
+        Heading minus true yaw, degrees; None: no heading is given.
     """
 
     group: str
@@ -56,7 +57,7 @@ class Trial:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What came of a trial.
+    """Result of a trial.
 
     Parameters
     ----------
@@ -66,13 +67,13 @@ class Result:
         East, north, height (m) and roll, pitch, yaw (degrees), found minus true; empty where the
         answer was refused.
     observable : bool
-        What the answer states of itself.
+        Whether the answer says that the scene fixes it.
     sigma : tuple of float
         One standard deviation of each component; empty where none is given.
     nees : float
         Squared error in units of the covariance; NaN where none is given.
     seconds : float
-        Of the processor, all threads; a clock on the wall would count the neighbours too.
+        CPU time, all threads.
     """
 
     trial: Trial
@@ -84,7 +85,7 @@ class Result:
 
     @property
     def refused(self) -> bool:
-        """Whether there is no answer."""
+        """Whether the answer was refused."""
         return not self.error
 
     @property
@@ -96,12 +97,12 @@ class Result:
 
     @property
     def wrong(self) -> bool:
-        """Whether it is answered, said to be fixed, and not right."""
+        """Whether the answer says `observable` and is not right."""
         return bool(self.error) and self.observable and not self.right
 
 
 def run(trial: Trial) -> Result:
-    """Make one trial."""
+    """Run a trial."""
     true, ground = gr.read_pose(trial.folder / f"{trial.name}.json"), _ground(trial.folder)
     guess = (true.easting + trial.offset[0], true.northing + trial.offset[1])
     heading = None if trial.heading_off is None else true.yaw + trial.heading_off
@@ -127,6 +128,7 @@ def run(trial: Trial) -> Result:
 
 
 def _nees(error: np.ndarray, covariance: Any) -> float:
+    """Return the normalised estimation error squared (NEES); 6 in the mean if consistent."""
     off = np.append(error[:3], np.radians(error[3:]))
     return float(off @ np.linalg.solve(np.array(covariance), off))
 
@@ -137,17 +139,17 @@ def _ground(folder: Path) -> Ground:
 
 
 def run_all(trials: Sequence[Trial]) -> list[Result]:
-    """Make trials on all processes; they come back in their order."""
+    """Run trials on all processes; return the results in their order."""
     return in_workers(run, trials)
 
 
 def in_workers(work: Callable[[Given], Made], given: Sequence[Given]) -> list[Made]:
-    """Do some work in new processes of one thread each; return what is made in order."""
+    """Call `work` with each item in new processes of one thread; return results in order."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     begin = time.perf_counter()
     made: list[Made] = []
-    # neighbours in the list share map and recording: a worker takes some at a time
+    # neighbours in the list share map and recording: a worker takes five at a time
     with multiprocessing.get_context("spawn").Pool(PROCESSES) as pool:
         for each in pool.imap(work, given, chunksize=5):
             made.append(each)
@@ -161,23 +163,23 @@ def spread(
     folder: Path, names: Iterable[str], group: str, *, method: str, count: int, seed: int,
     heading_deg: float | None = None,
 ) -> list[Trial]:  # fmt: skip
-    """Return trials from starts all over a disc around the truth, for each recording.
+    """Return trials with guesses spread over a disc around the truth, for each recording.
 
     Parameters
     ----------
     folder, names, group, method
         As in :class:`Trial`.
     count : int
-        Starts a recording; the first so many of an endless list, the same for every method.
+        Guesses a recording; fewer are the first ones of more, the same for every method.
     seed : int
-        Decides where.
+        Seed of the guesses.
     heading_deg : float or None
-        The heading is off by up to so much; None gives no heading.
+        Largest error of the heading; None gives no heading.
     """
     trials = []
     for number, name in enumerate(names):
         place, turn = np.random.default_rng([seed, number]).spawn(2)
-        offsets = np.vstack([disc(place, 1, NEAR_M) for _ in range(count)])
+        offsets = np.vstack([disc_offsets(place, 1, NEAR_M) for _ in range(count)])
         turns = turn.uniform(-1.0, 1.0, count)
         for (east, north), share in zip(offsets.tolist(), turns.tolist(), strict=True):
             off = None if heading_deg is None else share * heading_deg

@@ -1,4 +1,4 @@
-"""Parts of the search for vehicles, and how each is switched off from outside."""
+"""Parts of the tracker by name, with the patches that switch each off."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from gis_radar.tracking.size import Size
 from gis_radar.tracking.start import bodies, passes, track_management
 from gis_radar.tracking.start.detectability import Detectability
 
-# what they import counts as theirs here
+# as Any: the names that these modules import are patched in them, too
 moves: Any = posterior_module
 estimate: Any = estimate_module
 tracker: Any = tracker_module
-# Each gives a context in which something is off.
+# Functions that each return a context; within all of them the part is off.
 Part = tuple[Callable[[], AbstractContextManager[Any]], ...]
 
 
@@ -77,7 +77,7 @@ def _as_it_is(detections: Any, rows: Any, states: Any) -> Any:
 
 
 class _Persons:
-    """Tells persons in all calls, or in none: the first call of a block comes before the start."""
+    """Test of persons that finds none in the first (1) or last (0) of the two calls of a block."""
 
     def __init__(self, off: int) -> None:
         self.calls, self.off = 0, off

@@ -1,16 +1,16 @@
-"""Vehicles and occupancy, measured against the true traffic of simulated scenes.
+"""Errors of vehicles and occupancy beside the true traffic of simulated scenes.
 
-    python bench/vehicles                                        all methods, development scenes
+    python bench/vehicles                                        all methods, scenes not held out
     python bench/vehicles --scene town --methods hits,true       some methods on some scenes
     python bench/vehicles --scene town --set start.links.END_COST=0    with changed constants
-    python bench/vehicles --scene tee-982 --off as-is,no-cut           without parts of the search
-    python bench/vehicles --scene town --score-only dataset/     a dataset, or a table
-    python bench/vehicles --into docs/accuracy.md                its tables, from what is kept
+    python bench/vehicles --scene tee-982 --off as-is,no-cut     without parts of the tracker
+    python bench/vehicles --scene town --score-only dataset/     scores of a dataset, or of a table
+    python bench/vehicles --into docs/accuracy.md    writes that page's tables from kept figures
 
-From Python, with bench/vehicles in the path: `from scenes import scene`, `from score import
-score_occupancy`; `score_occupancy(scene("town").truth(), table)`. A scene has `.map`, `.scan`,
-`.recordings`, `.poses` (true ones), `.tiles()`, `.truth()`, `.traffic()`. What is found is kept in
-out/bench-vehicles/bench.json. Needs Eclipse SUMO to make scenes.
+Methods: hits (hit share, as in the paper), soup (Stone Soup), true and found (the package with true
+and with found poses), oracle (true footprints between detections on them). From Python, with
+bench/vehicles in the path: `score.score_occupancy(scenes.scene("town").truth(), table)`. Figures
+are kept in out/bench-vehicles/bench.json. Needs Eclipse SUMO to make scenes.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ KEPT = OUT / "bench.json"
 
 
 def main() -> None:
-    """Run what is asked for, print tables, keep figures."""
+    """Score the scenes as the options say; print tables, keep the figures of methods."""
     options = _options()
     if options.into:
-        pages.put(options.into, {"vehicles": tables.readme(kept())})
+        pages.put(options.into, {"vehicles": tables.accuracy_tables(kept())})
         return
     changes = dict(each.split("=", 1) for each in options.set)
     for name in filter(is_there, options.scene.split(",")):
@@ -94,14 +94,14 @@ def _options() -> argparse.Namespace:
 
 
 def score(name: str, given: Path) -> dict[str, Any]:
-    """Return the figures of a dataset, or of a table of occupancy, on a scene."""
+    """Return the figures of a dataset (a folder) or of a table of occupancy (Parquet)."""
     if given.is_dir():
         return figures_of_dataset(scene(name), given)
     return figures_of_table(scene(name), pd.read_parquet(given))
 
 
 def compare(name: str, methods: list[str]) -> dict[str, dict[str, Any]]:
-    """Run methods on a scene, one after the other; return and keep their figures."""
+    """Run methods on a scene; keep and return their figures."""
     rows = {}
     for method in methods:
         try:
@@ -114,12 +114,12 @@ def compare(name: str, methods: list[str]) -> dict[str, dict[str, Any]]:
 
 
 def kept() -> dict[str, Any]:
-    """Return all figures so far, by scene and method."""
+    """Return the kept figures by scene and method."""
     return dict(json.loads(KEPT.read_text())) if KEPT.exists() else {}
 
 
 def keep(name: str, method: str, row: dict[str, Any]) -> None:
-    """Add figures to those kept."""
+    """Add the figures of a method on a scene to those kept."""
     report = kept()
     report.setdefault(name, {})[method] = _finite(row)
     KEPT.parent.mkdir(parents=True, exist_ok=True)
@@ -128,7 +128,7 @@ def keep(name: str, method: str, row: dict[str, Any]) -> None:
 
 
 def _finite(value: Any) -> Any:
-    """Return a record with None for what is no number."""
+    """Return a record with None in place of NaN and infinity."""
     if isinstance(value, dict):
         return {name: _finite(each) for name, each in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,10 +1,9 @@
-"""The demo's true occupancy beside the estimated one and the difference, and how far it is off.
+"""Picture of the demo's true and estimated occupancy and their difference, with the errors.
 
     gis-radar demo -o demo
     python bench/vehicles/demo_picture.py demo docs/occupancy.png --into docs/limits.md
 
-Both maps have the colours of all heat maps. With `--into`, the figures are put below the picture in
-a page, between its marks.
+With `--into`, the errors are put below the picture in a page, between its marks.
 """
 
 from __future__ import annotations
@@ -34,10 +33,10 @@ from gis_radar.products.heatmap.style import RAMP, legend
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
 import pages
 
-# Light is less, dark is more: its two ends are not alike in grey.
+# Light is less, dark is more: so that its two ends differ in grey, too.
 LESS_TO_MORE = LinearSegmentedColormap.from_list("off", ["#bfe0ff", "#a4a8ac", "#7a0c1f"])
-OFF = 25.0  # percentage points at which the colours of errors end
-AROUND = (690_335.0, 690_505.0, 5_336_110.0, 5_336_262.0)  # of its far ends little is in sight
+OFF_POINTS = 25.0  # percentage points at which the colours of errors end
+AROUND = (690_335.0, 690_505.0, 5_336_110.0, 5_336_262.0)  # west, east, south, north of the maps
 WIDTH_PX = 1600
 
 
@@ -61,7 +60,7 @@ def main() -> None:
 
 
 def caption(score: OccupancyScore) -> str:
-    """Return what the picture is off by, in words."""
+    """Return the errors of the occupancy as a caption."""
     return (
         f"*Over {score.tiles:,} tiles in sight and 100 s: rank correlation {score.rank:.2f}, "
         f"sum of the estimates\nover the sum of the truth {score.scale:.2f}, mean error "
@@ -79,7 +78,7 @@ def draw(corners: pd.Series, true: pd.Series, given: pd.Series) -> Figure:
     for ax, values, title in zip(
         axes, (true, given), ("true occupancy", "estimated by the demo"), strict=False
     ):
-        # The least above a break belongs to the class below, and 0 to its own.
+        # A value on a break belongs to the class below it; 0 is a class of its own.
         below = pd.Series(np.nextafter(values, -1.0), index=values.index)
         _add(ax, corners, below, cmap=shares[0], norm=shares[1])
         ax.set_title(title)
@@ -89,7 +88,7 @@ def draw(corners: pd.Series, true: pd.Series, given: pd.Series) -> Figure:
     handles.append(Patch(facecolor=NOT_OBSERVED, label="not in sight"))
     axes[0].legend(handles=handles, loc="lower right", fontsize="small", frameon=False)
     off = 100.0 * (given - true).dropna()
-    drawn = _add(axes[2], corners, off, cmap=LESS_TO_MORE, clim=(-OFF, OFF))
+    drawn = _add(axes[2], corners, off, cmap=LESS_TO_MORE, clim=(-OFF_POINTS, OFF_POINTS))
     axes[2].set_title("estimated less true, percentage points")
     figure.colorbar(drawn, ax=axes[2], shrink=0.7, extend="both", format="%+d")
     return figure

@@ -1,11 +1,11 @@
-"""Are errors as large as they are said to be? Stated standard errors beside true errors.
+"""Stated standard errors beside true errors, as a picture and a table.
 
     python bench/vehicles/error_bars.py --scene town-991,tee-932 docs/error_bars.png
 
-Occupancy of tiles, by their distance from the nearest radar and by how often a vehicle is on them,
-and volumes of lanes by minute, of scenes with found poses. A point is the root mean square of a
-sixth of a class, of what is stated and of the errors: where standard errors are right it lies on
-the diagonal. With `--into`, the table is put into a page, between its marks.
+Occupancy of tiles in classes of distance from the nearest radar and of true occupancy, and volumes
+of lanes by minute, of scenes with found poses. Each class is sorted by the stated error and divided
+into six bins; a point is the root mean square of stated and of true errors in one, and lies on the
+diagonal where standard errors are right. With `--into`, the table is put into a page.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ import gis_radar as gr
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
 import pages
 
+# Classes by name, with the largest value in each.
 RANGES_M = {"up to 40 m": 40.0, "40 to 80 m": 80.0, "80 to 140 m": 140.0, "farther": np.inf}
 BUSY = {"up to 5 %": 5.0, "5 to 20 %": 20.0, "over 20 %": np.inf}
 VOLUMES = {"none": 0.5, "1 to 5": 5.5, "over 5": np.inf}
@@ -39,10 +40,10 @@ PANELS = {
     "traffic": "occupancy of tiles by true occupancy, points",
     "lanes": "volumes of lanes by minute by true volume, vehicles",
 }
-BINS, LEAST_ROWS = 6, 60
-LEAST_DRAWN = 0.05  # the axes are logarithmic
+BINS, LEAST_ROWS = 6, 60  # of a class; smaller classes are not drawn
+LEAST_DRAWN = 0.05  # smaller values are drawn here: the axes are logarithmic
 COLORS = ("#1f4e79", "#3f8f8f", "#c98a1b", "#b5482a")  # differ in grey, too
-MARKS = "os^D"
+MARKS = "os^D"  # markers of the classes
 WIDTH_PX = 1600
 
 
@@ -65,7 +66,7 @@ def main() -> None:
 
 
 def errors(site: SceneFiles) -> Iterator[pd.DataFrame]:
-    """Yield tables `panel kind stated error` of a scene measured with found poses."""
+    """Yield a table `panel kind stated error` a panel, of a scene measured with found poses."""
     with tempfile.TemporaryDirectory() as folder:
         dataset = measured(site, Path(folder) / "dataset", found=True)
         tiles, lanes = of_tiles(site, dataset), of_lanes(site, dataset)
@@ -75,7 +76,7 @@ def errors(site: SceneFiles) -> Iterator[pd.DataFrame]:
 
 
 def classed(values: pd.Series, uppers: dict[str, float]) -> pd.Series:
-    """Return the class of each value, by the largest values of the classes."""
+    """Return the name of the class of each value; `uppers` are their largest values."""
     return pd.cut(values, [-np.inf, *uppers.values()], labels=list(uppers)).astype(str)
 
 
@@ -90,9 +91,9 @@ def of_tiles(site: SceneFiles, dataset: gr.Dataset) -> pd.DataFrame:
 
 
 def of_lanes(site: SceneFiles, dataset: gr.Dataset) -> pd.DataFrame:
-    """Return `stated error true`, vehicles, of the minutes in which lanes are visible."""
+    """Return `stated error true`, vehicles, of lanes near radars by minute, where visible."""
     network = lane_volumes.network_of(dataset)
-    near = network.lane[lane_volumes.near_lines(site, network)]
+    near = network.lane[lane_volumes.lanes_near_radars(site, network)]
     rows = lane_volumes.minutes(dataset, near, lane_volumes.true_crossings(site, network))
     rows = rows[rows["visible_share"] > lane_volumes.WHOLE_SHARE]
     return pd.DataFrame(
@@ -118,7 +119,7 @@ def _rms(values: pd.Series) -> float:
 
 
 def in_order(rows: pd.DataFrame) -> Iterator[tuple[tuple[str, str], pd.DataFrame]]:
-    """Yield the panel and the class, and its rows."""
+    """Yield the rows of each class that has any, after the names of its panel and class."""
     for panel, kinds in zip(PANELS, (RANGES_M, BUSY, VOLUMES), strict=True):
         for kind in kinds:
             part = rows[(rows["panel"] == panel) & (rows["kind"] == kind)]
@@ -127,7 +128,7 @@ def in_order(rows: pd.DataFrame) -> Iterator[tuple[tuple[str, str], pd.DataFrame
 
 
 def draw(rows: pd.DataFrame) -> Figure:
-    """Return a panel for each kind of classes: stated errors across, true ones up."""
+    """Draw the panels: stated errors on the x axis, true ones on the y axis."""
     figure = Figure(figsize=(12, 4.4), layout="constrained")
     axes = dict(zip(PANELS, figure.subplots(1, len(PANELS)), strict=True))
     for (panel, kind), part in in_order(rows):
@@ -146,7 +147,7 @@ def draw(rows: pd.DataFrame) -> Figure:
 
 
 def _draw_class(axes: Axes, kind: str, part: pd.DataFrame) -> None:
-    """Draw the errors of a class, bin by bin of what is stated."""
+    """Draw the errors of a class by bins of the stated error."""
     if len(part) < LEAST_ROWS:
         return
     rank = np.argsort(np.argsort(part["stated"].to_numpy(), kind="stable"), kind="stable")

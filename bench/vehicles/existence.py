@@ -1,9 +1,9 @@
-"""Is `p_exists` what it says? Vehicles by the probability stated, and the share that is true.
+"""Stated probability of existence (`p_exists`) beside the true share, in classes of it.
 
     python bench/vehicles/existence.py --scene town,harsh,town02
 
-With true poses, by vehicle: the share of its time due in which its body overlaps a true vehicle
-that no other one stands for (the assignment of the largest overlaps, each half second).
+With true poses. A vehicle is true in the share of its due time (`tracks.py`) in which it is matched
+with a true vehicle: each half second by the assignment with the largest sum of overlaps.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from scenes import SceneFiles, scene
 from scipy.optimize import linear_sum_assignment
 from tracks import by_step, compared, similarity
 
-BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
+BIN_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 
 
 def stated_and_true(site: SceneFiles) -> pd.DataFrame:
-    """Return of each vehicle `scene stated true`; those that are never due are left out."""
+    """Return `scene stated true` of each vehicle; those that are never due are left out."""
     with tempfile.TemporaryDirectory() as folder:
         dataset = measured(site, Path(folder) / "dataset", found=False)
         states, vehicles = estimated_states(dataset), dataset.vehicles()
@@ -41,12 +41,12 @@ def stated_and_true(site: SceneFiles) -> pd.DataFrame:
 
 
 def main() -> None:
-    """Print a table of all scenes together, and the means of each."""
+    """Print the table of all scenes together, and the means of each scene."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scene", required=True)
     names = parser.parse_args().scene.split(",")
     table = pd.concat([stated_and_true(scene(name)) for name in names], ignore_index=True)
-    part = table.groupby(pd.cut(table["stated"], BINS), observed=True)
+    part = table.groupby(pd.cut(table["stated"], BIN_EDGES), observed=True)
     print(part.agg(vehicles=("true", "size"), stated=("stated", "mean"), true=("true", "mean")))
     print(table.groupby("scene").agg(
         vehicles=("true", "size"), stated=("stated", "mean"), true=("true", "mean")

@@ -1,7 +1,7 @@
-"""What is scored: the vehicles of a dataset, or those that a peer found.
+"""Found vehicles with their passages and occupancy: those of a dataset, or of a peer.
 
-A peer gives states alone. Tiles that they occupy and lanelets that they pass follow by the truth's
-own rules, over the steps that are truly visible: what differs from the truth is the vehicles alone.
+A peer finds states alone. The tiles that these occupy and the lanelets that they pass follow by the
+same code as the truth's, over the steps that are truly visible: only the vehicles differ.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ESTIMATES = ["tile_id", "occupied_s", "visible_s", "occupancy", "occupancy_se"]
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """Vehicles, and what follows from them.
+    """Found vehicles, their passages and occupancy.
 
     Parameters
     ----------
@@ -36,8 +36,8 @@ class Found:
     passages : DataFrame
         `lanelet_id step`.
     occupancy : DataFrame
-        `tile_id occupied_s visible_s occupancy`, of a dataset `occupancy_se`; tiles that were
-        visible.
+        `tile_id occupied_s visible_s occupancy` of the visible tiles; of a dataset `occupancy_se`,
+        too.
     """
 
     states: pd.DataFrame = field(repr=False)
@@ -46,7 +46,7 @@ class Found:
 
 
 def found_in(dataset: gr.Dataset) -> Found:
-    """Return what a dataset holds."""
+    """Return the vehicles of a dataset."""
     passages = pd.concat(each.to_pandas() for each in dataset.batches(PASSAGES))
     return Found(
         states=estimated_states(dataset), passages=passages[["lanelet_id", "step"]],
@@ -55,7 +55,7 @@ def found_in(dataset: gr.Dataset) -> Found:
 
 
 def estimated_states(dataset: gr.Dataset) -> pd.DataFrame:
-    """Return the states of a dataset's vehicles at each step; one that goes on keeps its number."""
+    """Return the states of a dataset's vehicles at each step; numbers go on over the hours."""
     parts = []
     for vehicles, states in states_of(dataset):
         length = states["vehicle"].map(vehicles.set_index("vehicle")["length_m"])
@@ -75,7 +75,7 @@ def estimated_occupancy(dataset: gr.Dataset) -> pd.DataFrame:
 
 
 def found_by_peer(site: SceneFiles, states: pd.DataFrame) -> Found:
-    """Return what follows from the states that a peer found on a scene: `COLUMNS`, `width`."""
+    """Return the vehicles of a peer on a scene, from its states: `COLUMNS` and `width`."""
     lanes = lanes_of(site.tiles(), gr.read_map(site.map))
     traffic, truth = traffic_of_states(states), site.truth()
     occupied = occupied_by(traffic, site.tiles(), truth)
@@ -88,7 +88,7 @@ def found_by_peer(site: SceneFiles, states: pd.DataFrame) -> Found:
 
 
 def traffic_of_states(states: pd.DataFrame) -> TrueTraffic:
-    """Return states as traffic, on whichever level of the road."""
+    """Return states as traffic without heights, so that they occupy tiles of every level."""
     reach, heading = states["length"] / 2.0, states["heading"]
     table = states.assign(
         front_e=states["easting"] + reach * np.cos(heading),
@@ -98,7 +98,7 @@ def traffic_of_states(states: pd.DataFrame) -> TrueTraffic:
 
 
 def occupied_by(traffic: TrueTraffic, tiles: gpd.GeoDataFrame, truth: TrueOccupancy) -> Booleans:
-    """Return (tiles, steps) of the truth: what traffic occupies."""
+    """Return (tiles, steps) as in the truth: which tiles traffic occupies."""
     count = truth.occupied.shape[1]
     inside = traffic.within(truth.first_step, truth.first_step + count - 1)
     seen = tiles[tiles["tile_id"].isin(truth.tile_id)]

@@ -1,8 +1,8 @@
-"""Volumes, speeds, turns and queues of lanes beside the true ones, minute by minute.
+"""Volumes, speeds, turns and queues of lanes by minute, beside the true ones.
 
-True crossings are found apart from the package: along the likeliest chain of lanelets
-of each true vehicle (`passages.py`), one vehicle and one tile at a time. Only lanes count whose
-counting line lies within 100 m of a radar, and minutes in which it is visible for a fifth.
+True crossings of counting lines follow from the likeliest chain of lanelets of each true vehicle
+(`passages.py`), apart from the package. Only lanes count whose counting line lies within 100 m of a
+radar, and minutes in which they are visible for a fifth.
 """
 
 from __future__ import annotations
@@ -22,21 +22,22 @@ from gis_radar.dataset import LaneTraffic
 from gis_radar.measures import LaneNetwork
 
 WITHIN_M = 100.0  # of a radar, for which accuracy is stated
-LEAST_SHARE = 0.2  # of a minute, for which a lane is visible
-WHOLE_SHARE = 0.95  # the same, of minutes that are compared whole
-QUEUE_M = 7.5  # of the target for the back of a queue: a vehicle and its gap
-SIGNAL_S, CYCLE_S = 60.0, 2.0  # cycle of simulated signals, and how far off one that is told may be
-SLOW, SLOW_STEPS, JOINED_M, OVER_M = 5.0 / 3.6, 20, 10.0, 2.0  # the definitions of a queue
+LEAST_SHARE = 0.2  # of a minute in which a lane is visible, for it to count
+WHOLE_SHARE = 0.95  # the same, for volumes and queues
+QUEUE_M = 7.5  # target for the error of a queue's back: a vehicle and its gap
+CYCLE_S, CYCLE_ERROR_S = 60.0, 2.0  # of simulated signals; error of a right one, at most
+# The definition of a queue: speed and time of standing, gap to the next, front past the line.
+SLOW_MPS, SLOW_STEPS, MOST_GAP_M, PAST_LINE_M = 5.0 / 3.6, 20, 10.0, 2.0
 
 
 def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
-    """Return what lanes and turns are off, over all minutes that are visible."""
+    """Return the errors of lanes and turns as texts by name."""
     network = network_of(dataset)
     true = true_crossings(site, network)
-    near = network.lane[near_lines(site, network)]
+    near = network.lane[lanes_near_radars(site, network)]
     lanes = minutes(dataset, near, true)
     count, speed = lanes["true"], lanes["true_speed"]
-    # what passed while nothing of the minute was recorded belongs to no estimate of it
+    # vehicles that pass in a part of the minute that was not recorded cannot be counted
     whole = lanes["visible_share"] > WHOLE_SHARE
     error = (lanes["volume"] - count)[whole]
     spread = lanes["volume_se"][whole]
@@ -55,11 +56,11 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
     backs = true_backs(site, network)
     keys = zip(queues["lane"], queues["begin"].dt.tz_convert("UTC"), strict=True)
     true_m = np.array([backs.get(key, 0.0) for key in keys])
-    # who queues out of sight is of no queue that can be seen
+    # a queue is compared as far as the lane is in sight
     true_m = np.minimum(true_m, queues["sight_m"].to_numpy())
     waits = (true_m > 0.0) | (queues["queue_max_m"] > 0.0).to_numpy()
     backs_m = np.minimum(queues["queue_max_m"], queues["sight_m"]).to_numpy()
-    short = (backs_m - true_m)[waits]
+    off_m = (backs_m - true_m)[waits]
     pairs = turns.assign(true=turns["true"].fillna(0.0)).groupby(["from_lane", "to_lane"])
     sums = pairs[["volume", "true"]].sum()
     turns_off = (sums["volume"] - sums["true"]).abs().sum()
@@ -70,7 +71,7 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
         "off": f"{off / max(by_lane['true'].sum(), 1.0):.1%}",
         "within_2_se": f"{(error.abs() <= 2.0 * spread + 1e-9).mean():.0%} of {len(error)}",
         "speed_off_kmh": f"{faster.abs().mean():.1f} (bias {faster.mean():+.1f})",
-        "queues": _queues(short),
+        "queues": _queues(off_m),
         "cycles": _cycles(dataset, near),
         "turns": f"{len(sums)}",
         "turns_off": f"{turns_off / sums['true'].sum():.1%}" if len(sums) else "none",
@@ -84,32 +85,32 @@ def network_of(dataset: gr.Dataset) -> LaneNetwork:
 
 
 def minutes(dataset: gr.Dataset, lane: Integers, true: pd.DataFrame) -> pd.DataFrame:
-    """Return some lanes by minute as the dataset measures them, and `true` and `true_speed`."""
+    """Return the measures of some lanes by minute, with the columns `true` and `true_speed`."""
     lanes = dataset.traffic("1min")
     lanes = lanes[lanes["lane"].isin(lane) & (lanes["visible_share"] >= LEAST_SHARE)]
     lanes = lanes.join(by_minute(true, ["lane"]), on=["lane", "begin"])
     return pd.DataFrame(lanes.fillna({"true": 0.0}))
 
 
-def _queues(short: Floats) -> str:
-    """Return how far the backs of queues are off, from their errors in metres."""
-    if len(short) == 0:
+def _queues(off_m: Floats) -> str:
+    """Return number and errors of the backs of queues as text; `off_m`: found minus true."""
+    if len(off_m) == 0:
         return "none"
-    within = np.mean(np.abs(short) <= QUEUE_M)
+    within = np.mean(np.abs(off_m) <= QUEUE_M)
     return (
-        f"{len(short)}, {within:.0%} within {QUEUE_M} m "
-        f"(mean {np.abs(short).mean():.1f}, bias {short.mean():+.1f})"
+        f"{len(off_m)}, {within:.0%} within {QUEUE_M} m "
+        f"(mean {np.abs(off_m).mean():.1f}, bias {off_m.mean():+.1f})"
     )
 
 
 def by_minute(true: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """Return `true` and `true_speed` by lane or turn and minute."""
+    """Return number (`true`) and mean speed (`true_speed`) of crossings by keys and minute."""
     groups = true.assign(begin=true["time"].dt.floor("min")).groupby([*keys, "begin"])["speed"]
     return pd.DataFrame({"true": groups.size(), "true_speed": groups.mean()})
 
 
-def near_lines(site: SceneFiles, network: LaneNetwork) -> list[int]:
-    """Return the lanes whose counting line lies near a radar and truly in sight."""
+def lanes_near_radars(site: SceneFiles, network: LaneNetwork) -> list[int]:
+    """Return the rows of lanes whose counting line lies near a radar and truly in sight."""
     tiles = site.tiles().set_index("tile_id").geometry
     line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
     eyes = shapely.MultiPoint([pose.position[:2] for pose in site.poses])
@@ -121,9 +122,9 @@ def near_lines(site: SceneFiles, network: LaneNetwork) -> list[int]:
 
 
 def true_crossings(site: SceneFiles, network: LaneNetwork) -> pd.DataFrame:
-    """Return the fronts over the lines of lanes: `lane to_lane time speed vehicle`.
+    """Return when fronts cross the lines of lanes: `lane to_lane time speed vehicle`.
 
-    -1 without an exit.
+    `to_lane` is -1 where the vehicle takes no exit.
     """
     lanes, rows = lanes_of(site.tiles(), gr.read_map(site.map)), []
     tree, truth = cKDTree(lanes.middle), site.truth()
@@ -159,19 +160,21 @@ def true_crossings(site: SceneFiles, network: LaneNetwork) -> pd.DataFrame:
 
 
 def _cycles(dataset: gr.Dataset, near: Integers) -> str:
-    """Return of how many stop lines a cycle is told, and right, in the hour with most begins."""
+    """Return as text for how many stop lines a cycle is found, and is right."""
     found = dataset.signal_cycles()
     length = found[found["lane"].isin(near)].groupby("lane")["cycle_s"].max()
-    right = (length - SIGNAL_S).abs() <= CYCLE_S
-    return f"{length.notna().sum()} of {len(length)} told, {right.sum()} within {CYCLE_S:.0f} s"
+    right = (length - CYCLE_S).abs() <= CYCLE_ERROR_S
+    return (
+        f"{length.notna().sum()} of {len(length)} told, {right.sum()} within {CYCLE_ERROR_S:.0f} s"
+    )
 
 
 def true_standing(
     site: SceneFiles, network: LaneNetwork
 ) -> dict[tuple[int, int], list[tuple[float, float]]]:
-    """Return who stands, by way to a stop line and step: metres to the line, and lengths.
+    """Return the standing vehicles by approach and step: metres from front to line, and lengths.
 
-    A way is named by the strip at its far end.
+    An approach (the way along strips to a stop line) is named by its last strip.
     """
     lanes, strips = lanes_of(site.tiles(), gr.read_map(site.map)), network.queue_strips
     places: dict[int, list[tuple[int, float]]] = {}
@@ -186,7 +189,7 @@ def true_standing(
         if not way:
             continue
         rows = np.array([row for row, *_ in way])
-        slow = states["speed"].to_numpy() < SLOW
+        slow = states["speed"].to_numpy() < SLOW_MPS
         for k in np.flatnonzero(states["step"].to_numpy() % 20 == 0).tolist():
             if k < SLOW_STEPS or not slow[k - SLOW_STEPS : k + 1].all() or k < rows[0]:
                 continue
@@ -204,12 +207,12 @@ def true_standing(
 
 
 def true_backs(site: SceneFiles, network: LaneNetwork) -> dict[tuple[int, pd.Timestamp], float]:
-    """Return the farthest back of each queue by lane and minute, looked at each second."""
+    """Return the farthest back of the queue, metres, by lane and minute; looked at each second."""
     backs: dict[tuple[int, pd.Timestamp], float] = {}
     for (end, step), fronts in true_standing(site, network).items():
         back = 0.0
-        for front, length in sorted(each for each in fronts if each[0] >= -OVER_M):
-            if front - back > JOINED_M:
+        for front, length in sorted(each for each in fronts if each[0] >= -PAST_LINE_M):
+            if front - back > MOST_GAP_M:
                 break
             back = front + length
         minute = pd.Timestamp(step_begin(step)).floor("min")
@@ -221,7 +224,7 @@ def true_backs(site: SceneFiles, network: LaneNetwork) -> dict[tuple[int, pd.Tim
 def lane_way(
     lanes: Lanes, tree: cKDTree, states: pd.DataFrame, network: LaneNetwork
 ) -> list[tuple[int, int, float]]:
-    """Return rows, lanes and metres along them of a vehicle, a metre apart."""
+    """Return (row of the states, row of the lane, metres along it) of a vehicle at every metre."""
     front: Floats = states[["front_e", "front_n"]].to_numpy()
     rows, chain = followed(lanes, tree, front, states["heading"].to_numpy())
     refs = np.array([lanelet for lanelet, _ in chain], np.int64)

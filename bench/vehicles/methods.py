@@ -29,7 +29,7 @@ Figures = dict[str, Any]
 
 
 class NotThereError(Exception):
-    """A method that cannot run here; its text is the reason."""
+    """Error of a method that cannot run here; its text is the reason."""
 
 
 def figures_of_table(site: SceneFiles, table: pd.DataFrame) -> Figures:
@@ -47,7 +47,7 @@ def figures_of_dataset(site: SceneFiles, folder: Path) -> Figures:
 
 
 def figures_of(site: SceneFiles, found: Found) -> Figures:
-    """Return all figures of vehicles that were found."""
+    """Return the figures of found vehicles: occupancy, states, passages."""
     figures = figures_of_table(site, found.occupancy)
     scored = compared(site.tiles(), site.truth(), site.traffic(), found.states)
     figures["vehicles"] = score_tracks(scored)
@@ -58,15 +58,16 @@ def figures_of(site: SceneFiles, found: Found) -> Figures:
 
 
 def with_constants(site: SceneFiles, values: Mapping[str, Any]) -> Figures:
-    """Return the figures with other constants of the search for vehicles.
+    """Return the figures with other constants of the tracker.
 
     Parameters
     ----------
     site : SceneFiles
         A scene.
     values : mapping
-        By module and name, such as ``start.links.END_COST``, also in each module that imports it.
-        Compiled code takes them when it is first called: one process a set of values.
+        Values by module and name, such as ``start.links.END_COST``. A module that imports the
+        constant is given on its own. Compiled code reads constants when it is first called: use a
+        new process for other values.
     """
     changes = []
     for place, value in values.items():
@@ -76,12 +77,12 @@ def with_constants(site: SceneFiles, values: Mapping[str, Any]) -> Figures:
 
 
 def without(site: SceneFiles, off: str) -> Figures:
-    """Return the figures without parts of the search, named as in `PARTS` with + between them."""
+    """Return the figures without parts of the tracker: names of `PARTS` with + between them."""
     return _changed(site, [change() for name in off.split("+") for change in PARTS[name]])
 
 
 def _changed(site: SceneFiles, changes: Iterable[AbstractContextManager[Any]]) -> Figures:
-    """Return the figures with true poses while something is changed."""
+    """Return the figures with true poses within some contexts."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         for change in changes:
             stack.enter_context(change)

@@ -1,4 +1,4 @@
-"""The package's own commands on a scene: found poses, the dataset, and what they cost."""
+"""Runs of the package's commands on a scene: found poses, datasets, CPU time and memory."""
 
 from __future__ import annotations
 
@@ -14,26 +14,25 @@ from scenes import SceneFiles
 import gis_radar as gr
 
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
-from figures import Ran, run_alone
+from figures import ProcessResult, run_alone
 
-GUESS_M, GUESS_DEG = 6.0, 8.0  # what a user is off by who reads map and compass
+GUESS_M, GUESS_DEG = 6.0, 8.0  # errors of a user's guess from a map and a compass
 
 
-def run(*arguments: object) -> Ran:
+def run(*arguments: object) -> ProcessResult:
     """Run a command of the package on one core, as a process of its own."""
     return run_alone("-m", "gis_radar", *arguments, "--json", check=False)
 
 
-def messages(ran: Ran, kind: str) -> list[str]:
-    """Return what a command said: its errors (`error`) or its warnings (`warning`)."""
+def messages(ran: ProcessResult, kind: str) -> list[str]:
+    """Return the messages of a command: its errors (`error`) or its warnings (`warning`)."""
     return [event["message"] for event in ran.lines if kind in (event["event"], event.get("level"))]
 
 
 def found_poses(site: SceneFiles) -> list[Path]:
-    """Return pose files, kept: as `gis-radar localize` finds them, else the true ones.
+    """Return kept pose files: as `gis-radar localize` finds them with a guess 6 m, 8 deg off.
 
-    The guess is as far off as a user's: six metres, eight degrees. Where the answer is refused, or
-    says itself that the place along the road cannot be found, a user has the sensor surveyed.
+    Where the answer is refused or not `observable` it is the true one: a user has it surveyed.
     """
     folder = site.kept / "found"
     folder.mkdir(exist_ok=True)
@@ -49,7 +48,7 @@ def found_poses(site: SceneFiles) -> list[Path]:
 
 
 def _found(site: SceneFiles, number: int, recording: Path, surveyed: Path) -> Path:
-    """Return the pose file of a sensor, found before or now."""
+    """Return the pose file of a sensor, which is found where it is not kept."""
     folder, pose = surveyed.parent.parent / "found", gr.read_pose(surveyed)
     output, refused = folder / surveyed.name, folder / f"{pose.sensor}.refused"
     if not output.exists() and not refused.exists():
@@ -80,7 +79,7 @@ def true_pose_files(site: SceneFiles) -> list[Path]:
 
 
 def pose_errors(site: SceneFiles, files: Sequence[Path]) -> dict[str, list[float]]:
-    """Return by sensor how far a pose is off, metres and degrees of yaw; 0 where surveyed."""
+    """Return the errors of poses by sensor: metres on the plane, degrees of yaw."""
     known = {pose.sensor: pose for pose in site.poses}
     found = {}
     for path in files:
@@ -93,14 +92,14 @@ def pose_errors(site: SceneFiles, files: Sequence[Path]) -> dict[str, list[float
 
 
 def measured(site: SceneFiles, folder: Path, *, found: bool) -> gr.Dataset:
-    """Measure a scene into a folder with found or with true poses, which are not checked again."""
+    """Measure a scene into a folder with found or with true poses, without the check of poses."""
     poses = [gr.read_pose(path) for path in found_poses(site)] if found else site.poses
     return gr.measure(
         site.recordings, poses, site.tiles(), site.map, folder, scans=[site.scan], check=False
     )
 
 
-def measure(site: SceneFiles, files: Sequence[Path], folder: Path) -> Ran:
+def measure(site: SceneFiles, files: Sequence[Path], folder: Path) -> ProcessResult:
     """Run `gis-radar measure` on a scene with some pose files."""
     return run("measure", *_sources(site, files), "-o", folder)
 
@@ -116,8 +115,8 @@ def _sources(site: SceneFiles, files: Sequence[Path]) -> list[object]:
     return [*given, "--tiles", tiles, "--map", site.map, "--scan", site.scan]
 
 
-def costs(site: SceneFiles, files: Sequence[Path], whole: Ran) -> dict[str, float]:
-    """Return CPU seconds a sensor-minute, also beside those of hits alone, and memory."""
+def costs(site: SceneFiles, files: Sequence[Path], whole: ProcessResult) -> dict[str, float]:
+    """Return CPU seconds a sensor-minute, the ratio to those of hits alone, and memory."""
     with tempfile.TemporaryDirectory() as folder:
         plain = run("measure", *_sources(site, files), "--hits-only", "-o", Path(folder) / "hits")
     return {

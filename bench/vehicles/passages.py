@@ -1,7 +1,8 @@
 """True passages: which lanelets each vehicle follows, and when its front passes their middles.
 
-The way is the likeliest chain of lanelets (Viterbi): fronts near the middle of a lanelet and headed
-as it is; from one to itself, its successors, or, at a price, to another.
+The route is the chain of lanelets with the least cost (Viterbi algorithm). A lanelet costs more the
+farther the front is from its centre line and the more the heading differs; a change to a lanelet
+that does not follow costs extra.
 """
 
 from __future__ import annotations
@@ -19,34 +20,34 @@ import gis_radar as gr
 from gis_radar.base import Floats, Integers
 from gis_radar.hdmap import quads
 
-MOVE_M = 1.0  # the way is looked at so often
-ACROSS_M, HEADING = 0.8, 0.35  # standard deviations from the middle of a lanelet, and rad
-NEAR_M, TURNED = 3.5, 1.0
-OTHER, BESIDE = 30.0, 12.0  # prices of lanelets that do not follow
-JOINED_M = 0.5  # between the end of a lanelet and the begin of the next
-WITHIN_STEPS = 20  # 1 s; two passages of a lanelet are one
+LOOK_EVERY_M = 1.0  # distance along the route between looks at the vehicle
+ACROSS_SIGMA_M, HEADING_SIGMA_RAD = 0.8, 0.35  # of fronts from the centre line of their lanelet
+NEAR_M, MOST_TURNED_RAD = 3.5, 1.0  # of tiles that a front may be on
+OTHER_COST, BESIDE_COST = 30.0, 12.0  # of a change to a lanelet that does not follow, or is beside
+JOINED_M = 0.5  # from the end of a lanelet to the begin of the next, at most
+WITHIN_STEPS = 20  # between a true and an estimated passage that agree: 1 s
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lanes:
-    """The lanelets as tiles in order.
+    """Lanelets as tiles.
 
     Parameters
     ----------
     lanelet : Integers
-        Of each tile.
+        Lanelet of each tile.
     index, tile_id : Integers
-        Place in its lanelet, and its number.
+        Index in its lanelet, and id of each tile.
     middle : Floats
-        (n, 2)
+        Middles of the tiles, (n, 2), metres.
     heading : Floats
-        Of the lane, rad.
+        Heading of the lanelet at each tile, rad.
     width : Floats
-        Metres.
+        Width of each tile, metres.
     half : dict
-        By lanelet, the tile index at which half of it is passed.
+        By lanelet, the index of its middle tile.
     follows : set of (int, int)
-        Lanelets and their successors.
+        Pairs of a lanelet and a successor.
     """
 
     lanelet: Integers
@@ -79,7 +80,7 @@ def lanes_of(tiles: gpd.GeoDataFrame, roads: gr.LaneletMap) -> Lanes:
 
 
 def joined(tiles: gpd.GeoDataFrame) -> set[tuple[int, int]]:
-    """Return lanelets and those that begin where they end, shared nodes or not."""
+    """Return pairs of a lanelet and one that begins where it ends, with or without shared nodes."""
     right0, right1, left1, left0 = np.moveaxis(quads(tiles), 1, 0)
     begin, end = (right0 + left0) / 2.0, (right1 + left1) / 2.0
     lanelet, index = tiles["lanelet_id"].to_numpy(), tiles["index"].to_numpy()
@@ -92,13 +93,13 @@ def joined(tiles: gpd.GeoDataFrame) -> set[tuple[int, int]]:
     ):
         for other in first[near]:
             turn = (heading[other] - heading[row] + np.pi) % (2.0 * np.pi) - np.pi
-            if abs(turn) < HEADING and lanelet[other] != lanelet[row]:
+            if abs(turn) < HEADING_SIGMA_RAD and lanelet[other] != lanelet[row]:
                 pairs.add((int(lanelet[row]), int(lanelet[other])))
     return pairs
 
 
 def true_passages(lanes: Lanes, traffic: TrueTraffic, truth: TrueOccupancy) -> pd.DataFrame:
-    """Return the passages that are visible: ``vehicle lanelet_id step speed heavy``."""
+    """Return the visible passages: ``vehicle lanelet_id step speed heavy``."""
     tree, rows = cKDTree(lanes.middle), []
     sight = {t: k for k, t in enumerate(truth.tile_id.tolist())}
     last = truth.first_step + truth.occupied.shape[1] - 1
@@ -119,7 +120,7 @@ def true_passages(lanes: Lanes, traffic: TrueTraffic, truth: TrueOccupancy) -> p
 
 
 def way_of(lanes: Lanes, tree: cKDTree, states: pd.DataFrame) -> list[tuple[int, int]]:
-    """Return the lanelets whose middles a vehicle passes, each with the row in which it does."""
+    """Return the lanelets whose middles a vehicle passes, each with the row of its states."""
     front = states[["front_e", "front_n"]].to_numpy()
     rows, chain = followed(lanes, tree, front, states["heading"].to_numpy())
     passed = []
@@ -136,9 +137,11 @@ def way_of(lanes: Lanes, tree: cKDTree, states: pd.DataFrame) -> list[tuple[int,
 def followed(
     lanes: Lanes, tree: cKDTree, front: Floats, heading: Floats
 ) -> tuple[Integers, list[tuple[int, int]]]:
-    """Return the rows in which a vehicle was looked at, and (lanelet, tile index) of each."""
+    """Return the rows at which the route is known, and (lanelet, tile index) at each."""
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(front, axis=0).T))])
-    looks = np.unique(np.searchsorted(driven, np.arange(0.0, driven[-1] + MOVE_M, MOVE_M)))
+    looks = np.unique(
+        np.searchsorted(driven, np.arange(0.0, driven[-1] + LOOK_EVERY_M, LOOK_EVERY_M))
+    )
     looks = looks[looks < len(front)]
     options = [_options(lanes, tree, front[k], heading[k]) for k in looks]
     kept = [k for k, found in enumerate(options) if found]
@@ -146,15 +149,15 @@ def followed(
 
 
 def _entered_before(index: int, one: int, other: int, lanes: Lanes) -> bool:
-    """Tell whether a vehicle that comes to a lanelet past its half passes that half.
+    """Return whether a vehicle that enters a lanelet beyond its middle passes that middle.
 
-    From its predecessor it does; from one beside it, only where it was before the half there.
+    It does if it comes from a predecessor, or from the first half of a lanelet beside it.
     """
     return (one, other) in lanes.follows or index < lanes.half[one]
 
 
 def _first_past(lanes: Lanes, lanelet: int, points: Floats) -> int:
-    """Return how many of the points come before the middle of a lanelet."""
+    """Return how many points lie before the middle of a lanelet."""
     tile = np.flatnonzero((lanes.lanelet == lanelet) & (lanes.index == lanes.half[lanelet]))[0]
     turn = lanes.heading[tile]
     along = (points - lanes.middle[tile]) @ np.array([np.cos(turn), np.sin(turn)])
@@ -164,7 +167,7 @@ def _first_past(lanes: Lanes, lanelet: int, points: Floats) -> int:
 def _options(
     lanes: Lanes, tree: cKDTree, place: Floats, heading: float
 ) -> dict[int, tuple[int, float]]:
-    """Return the lanelets that a front may be on: index of the nearest tile, and the price."""
+    """Return the lanelets that a front may be on: index of the nearest tile, and the cost."""
     found: dict[int, tuple[int, float]] = {}
     near = np.array(tree.query_ball_point(place, NEAR_M), np.int64)
     if len(near) == 0:
@@ -173,24 +176,24 @@ def _options(
     away = place - lanes.middle[near]
     cos, sin = np.cos(lanes.heading[near]), np.sin(lanes.heading[near])
     along, across = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
-    good = (np.abs(turn) < TURNED) & (np.abs(along) < 0.6)
+    good = (np.abs(turn) < MOST_TURNED_RAD) & (np.abs(along) < 0.6)
     good &= np.abs(across) < lanes.width[near] / 2.0 + 1.0
-    price = (across / ACROSS_M) ** 2 / 2.0 + (turn / HEADING) ** 2 / 2.0
-    for k in np.flatnonzero(good)[np.argsort(-price[good])]:
-        found[int(lanes.lanelet[near[k]])] = (int(lanes.index[near[k]]), float(price[k]))
+    cost = (across / ACROSS_SIGMA_M) ** 2 / 2.0 + (turn / HEADING_SIGMA_RAD) ** 2 / 2.0
+    for k in np.flatnonzero(good)[np.argsort(-cost[good])]:
+        found[int(lanes.lanelet[near[k]])] = (int(lanes.index[near[k]]), float(cost[k]))
     return found
 
 
 def _likeliest(lanes: Lanes, options: list[dict[int, tuple[int, float]]]) -> list[tuple[int, int]]:
-    """Return the chain of (lanelet, tile index) with the least price."""
-    best = {k: price for k, (_, price) in options[0].items()}
+    """Return the chain of (lanelet, tile index) with the least cost."""
+    best = {k: cost for k, (_, cost) in options[0].items()}
     come: list[dict[int, int]] = []
     for now in options[1:]:
         step, source = {}, {}
-        for lanelet, (_, price) in now.items():
-            costs = {b: cost + _change(lanes, b, lanelet, now) for b, cost in best.items()}
+        for lanelet, (_, cost) in now.items():
+            costs = {b: past + _change_cost(lanes, b, lanelet, now) for b, past in best.items()}
             source[lanelet] = min(costs, key=lambda k: costs[k])
-            step[lanelet] = costs[source[lanelet]] + price
+            step[lanelet] = costs[source[lanelet]] + cost
         best, come = step, [*come, source]
     lanelet = min(best, key=lambda k: best[k])
     chain = [lanelet]
@@ -199,15 +202,15 @@ def _likeliest(lanes: Lanes, options: list[dict[int, tuple[int, float]]]) -> lis
     return [(k, found[k][0]) for k, found in zip(chain[::-1], options, strict=True)]
 
 
-def _change(lanes: Lanes, one: int, other: int, now: dict[int, tuple[int, float]]) -> float:
-    """Return the price of going from one lanelet to another."""
+def _change_cost(lanes: Lanes, one: int, other: int, now: dict[int, tuple[int, float]]) -> float:
+    """Return the cost of a change from one lanelet to another."""
     if one == other or (one, other) in lanes.follows:
         return 0.0
-    return BESIDE if one in now else OTHER
+    return BESIDE_COST if one in now else OTHER_COST
 
 
 def score_passages(true: pd.DataFrame, given: pd.DataFrame) -> dict[str, float]:
-    """Return how passages agree: by lanelet counted, and each within a second of a true one.
+    """Return errors of the counts by lanelet, and the shares of passages within 1 s of a true one.
 
     Parameters
     ----------
@@ -233,7 +236,7 @@ def score_passages(true: pd.DataFrame, given: pd.DataFrame) -> dict[str, float]:
 
 
 def _pairs(one: Integers, other: Integers) -> int:
-    """Return how many of two ascending lists pair within a second."""
+    """Return the number of pairs of two ascending lists of steps that are within a second."""
     count = at = 0
     for step in one:
         while at < len(other) and other[at] < step - WITHIN_STEPS:

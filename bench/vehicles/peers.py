@@ -1,4 +1,4 @@
-"""Peers: other ways from a scene's recordings to an occupancy, on the same poses and tiles."""
+"""Peers: hit share as in the paper, and the best occupancy that the detections allow."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from true_occupancy import HIDDEN_STEPS, occupied_pairs
 import gis_radar as gr
 from gis_radar.base import STEP_S, Booleans, Floats, step_of
 
-BESIDE_M = 0.5  # a detection may lie so far beside its vehicle
+BESIDE_M = 0.5  # how far beside its vehicle a detection may lie
 
 
 def hits(site: SceneFiles) -> pd.DataFrame:
-    """Return hit share, the paper's."""
+    """Return the hit share (the paper's occupancy) as ``tile_id occupied_s visible_s``."""
     wide = gr.make_heatmap(_hits_only(site)).wide()
     renamed = {"hit_s": "occupied_s", "observed_s": "visible_s"}
     return pd.DataFrame(wide[["tile_id", *renamed]]).rename(columns=renamed)
 
 
 def _hits_only(site: SceneFiles) -> gr.Dataset:
-    """Return the hits of a scene; made again only where its files have changed."""
+    """Return a dataset of a scene's hits, measured again only where its files have changed."""
     return gr.measure(
         site.recordings, site.poses, site.tiles(), None, site.kept / "hits", scans=[site.scan],
         hits_only=True, only=True,
@@ -29,10 +29,9 @@ def _hits_only(site: SceneFiles) -> gr.Dataset:
 
 
 def oracle(site: SceneFiles) -> pd.DataFrame:
-    """Return the occupancy of true footprints between detections on them: perfect association.
+    """Return the occupancy of true footprints, as far as detections show them: a tracker's best.
 
-    A vehicle counts from its first detection to its last, but for gaps of over ten seconds. What is
-    missing here no tracker has data for.
+    A vehicle counts from its first detection to its last, without gaps of over ten seconds.
     """
     truth, traffic, tiles = site.truth(), site.traffic(), site.tiles()
     count = truth.occupied.shape[1]
@@ -57,7 +56,7 @@ def oracle(site: SceneFiles) -> pd.DataFrame:
 
 
 def steps_with_detections(site: SceneFiles, states: pd.DataFrame) -> pd.DataFrame:
-    """Return ``vehicle at hit``: the steps in which a detection lies on a vehicle, by step."""
+    """Return the steps in which a detection lies on a vehicle: ``vehicle at hit`` (both: step)."""
     states = states.sort_values("step", kind="stable")
     steps = states["step"].to_numpy()
     columns = ["easting", "northing", "heading", "length", "width", "vehicle"]
@@ -77,7 +76,7 @@ def steps_with_detections(site: SceneFiles, states: pd.DataFrame) -> pd.DataFram
 
 
 def _inside(places: Floats, boxes: Floats) -> Booleans:
-    """Return (places, boxes): whether a place is in a footprint, or so far beside it."""
+    """Return (places, boxes): whether a place is in a footprint, or up to `BESIDE_M` beside it."""
     away = places[:, None] - boxes[:, :2]
     cos, sin = np.cos(boxes[:, 2]), np.sin(boxes[:, 2])
     along = np.abs(cos * away[..., 0] + sin * away[..., 1])

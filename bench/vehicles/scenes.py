@@ -1,9 +1,8 @@
 """Scenes: small simulated sites with their truth, made where missing and kept.
 
 A scene is a folder: map.osm, scan.laz, R1.parquet ... with R1.json ... (true poses),
-vehicles.parquet (the true traffic), standing.npz (what hides). Those that end in ``-held`` are held
-out: other streets, seeds and masts, not to be looked at while a setting is chosen. The shared towns
-are scenes too, where they are there.
+vehicles.parquet (true traffic), standing.npz (walls and parked cars). Scenes that end in ``-held``
+are held out: no setting is chosen on them. The towns of `simulated.py` are scenes, too.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ from passages import lanes_of, true_passages  # noqa: E402
 from places import (  # noqa: E402
     ORIGIN,
     UTM,
-    Manners,
     Place,
-    made,
+    TrafficSettings,
     make_place,
+    up_to_date,
     write_moving,
 )
 from simulated import true_pose  # noqa: E402
@@ -52,33 +51,33 @@ from simulation.street_plans import PLANS, StreetPlan, axis  # noqa: E402
 
 OUT = ROOT / "out" / "bench-vehicles"
 SHARED = ("town01", "town02", "town04")
-WIDE = ", wide map"
+WIDE = ", wide map"  # after the name of a plan: the map's lanelets are wider than its lanes
 TOWN_MASTS = {mast.sensor: k for k, mast in enumerate(MASTS)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """How a scene is made.
+    """Settings from which a scene is made.
 
     Parameters
     ----------
     plan : str
-        ``town``, ``motorway``, or the name of a random plan, with `WIDE` after it where its map is
-        wider than its lanes.
+        ``town``, ``motorway``, or the name of a random plan; `WIDE` may follow.
     seed : int
-        Of everything.
+        Seed of all random numbers.
     per_hour : float
-        Vehicles an hour, over all ways in.
+        Vehicles an hour, sum of all entries.
     radars : tuple of str or int
-        Masts of the town, or how many at random.
+        Names of masts of the town, or the number of masts placed at random.
     conditions : str
         A name of `CONDITIONS`.
     minutes, warm_up_s : float
-        How long is recorded, and how long traffic builds up before.
+        Length of the recordings; how long traffic builds up before.
     free : bool
-        Whether the town's sensors hang as they like.
+        Whether the town's sensors have the poses of set DO; else of DY.
     stand_m, aim_deg : tuple of float, float
-        Distance from the plan's middle of masts at random, and how well they look at it.
+        Of masts placed at random: least and greatest distance from the plan's middle; standard
+        deviation of the yaw from the direction to it.
     """
 
     plan: str
@@ -125,7 +124,7 @@ RECIPES: Mapping[str, Recipe] = {
     ),
     "wide-held": Recipe(plan="junction, wide map", seed=150, per_hour=700, radars=2),
 }
-USUAL: Mapping[str, Mapping[str, Any]] = {
+SCENE_KINDS: Mapping[str, Mapping[str, Any]] = {
     "town": {"plan": "town", "per_hour": 2500, "radars": ("R2", "R4", "R6")},
     "tee": {"plan": "tee", "per_hour": 1600, "radars": 1, "minutes": 3.0},
     "arterial": {"plan": "arterial", "per_hour": 2400, "radars": 2},
@@ -134,63 +133,48 @@ USUAL: Mapping[str, Mapping[str, Any]] = {
     "junction": {"plan": "junction", "per_hour": 1500, "radars": 2},
     "bend": {"plan": "bend", "per_hour": 1500, "radars": 2},
 }
-"""Further scenes, by the kind in a name such as `tee-932`; the number is their seed."""
-_ODD = ("R1", "R3", "R5")
-OTHERWISE: Mapping[str, Mapping[str, Any]] = {
-    "town-921": {"radars": _ODD, "minutes": 3.0},
-    "arterial-923": {"minutes": 3.0},
-    "gridlock-924": {"minutes": 3.0},
-    "roundabout-925": {"minutes": 3.0},
-    "town-931": {"minutes": 10.0},
+"""Settings of further scenes by the kind in a name such as `tee-932`; the number is the seed."""
+SCENE_CHANGES: Mapping[str, Mapping[str, Any]] = {
     "tee-932": {"minutes": 10.0},
     "arterial-933": {"minutes": 10.0},
     "gridlock-934": {"minutes": 10.0},
-    "town-941": {"radars": _ODD, "minutes": 2.5, "warm_up_s": 420.0},
+    "town-941": {"radars": ("R1", "R3", "R5"), "minutes": 2.5, "warm_up_s": 420.0},
     "town-951": {"minutes": 2.5, "warm_up_s": 420.0},
-    "town-961": {"radars": _ODD, "minutes": 2.5, "warm_up_s": 420.0},
-    "town-971": {"minutes": 2.5, "warm_up_s": 420.0},
-    "gridlock-944": {"minutes": 2.5},
     "gridlock-956": {"minutes": 2.5},
-    "gridlock-973": {"minutes": 2.5},
     "town-981": {"warm_up_s": 420.0},
     "arterial-984": {"warm_up_s": 300.0},
     "roundabout-985": {"radars": 1},
     "town-991": {"radars": ("R2", "R4"), "minutes": 10.0, "warm_up_s": 420.0},
     "junction-993": {"per_hour": 2600, "minutes": 20.0, "warm_up_s": 300.0},
-    "gridlock-3002": {"minutes": 4.0},
-    "tee-3011": {"minutes": 4.0, "warm_up_s": 300.0},
     "gridlock-3012": {"minutes": 3.0},
-    "gridlock-3013": {
-        "plan": "town", "per_hour": 9000, "radars": ("R1", "R3"), "warm_up_s": 900.0, "free": False
-    },
     "town-3014": {
         "per_hour": 2600, "radars": ("R2", "R4", "R5"), "minutes": 3.0, "warm_up_s": 420.0
     },
     **{f"bend-{seed}": {"per_hour": 900} for seed in (8301, 8303, 8305, 8401, 8403)},
 }  # fmt: skip
-"""What differs from the usual in those that pages name."""
+"""What differs from these settings in the scenes that the documentation names."""
 
 
 def recipe_of(name: str) -> Recipe | None:
-    """Return how a scene is made; None where no scene has the name."""
+    """Return the settings of a scene; None where no scene has the name."""
     kind, _, seed = name.partition("-")
-    if name in RECIPES or kind not in USUAL or not seed.isdecimal():
+    if name in RECIPES or kind not in SCENE_KINDS or not seed.isdecimal():
         return RECIPES.get(name)
-    return Recipe(seed=int(seed), **{**USUAL[kind], **OTHERWISE.get(name, {})})
+    return Recipe(seed=int(seed), **{**SCENE_KINDS[kind], **SCENE_CHANGES.get(name, {})})
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneFiles:
-    """A scene.
+    """Files of a scene.
 
     Parameters
     ----------
     name : str
-        As given on the command line.
+        Its name, as given on the command line.
     folder : Path
-        Where its files are.
+        Folder of its files.
     kept : Path
-        A folder for what is made of it.
+        Folder for what is made from them.
     """
 
     name: str
@@ -222,7 +206,7 @@ class SceneFiles:
         return read_traffic(self.folder / "vehicles.parquet")
 
     def tiles(self) -> gpd.GeoDataFrame:
-        """Return the tiles, which are kept too: `tiles.gpkg`."""
+        """Return the tiles, kept in `tiles.gpkg`."""
         path = self.kept / "tiles.gpkg"
         if not path.exists():
             roads = gr.read_map(self.map)
@@ -230,7 +214,7 @@ class SceneFiles:
         return gr.read_tiles(path)
 
     def truth(self) -> TrueOccupancy:
-        """Return the true occupancy, which is kept too."""
+        """Return the true occupancy, which is kept."""
         path = self.kept / f"truth-{_digest('true_traffic', 'true_occupancy', 'standing')}.npz"
         if path.exists():
             return _read_truth(path)
@@ -240,7 +224,7 @@ class SceneFiles:
         return truth
 
     def passages(self) -> pd.DataFrame:
-        """Return the true passages, which are kept too."""
+        """Return the true passages, which are kept."""
         code = ("true_traffic", "true_occupancy", "standing", "passages")
         path = self.kept / f"passages-{_digest(*code)}.parquet"
         if not path.exists():
@@ -249,14 +233,14 @@ class SceneFiles:
         return pd.read_parquet(path)
 
     def lanelets_in_sight(self) -> Integers:
-        """Return the lanelets whose middles are truly in sight: passages of others do not count."""
+        """Return the lanelets whose middles are truly in sight; only their passages count."""
         tiles, seen = self.tiles(), self.truth().tile_id
         half = (tiles.groupby("lanelet_id")["index"].transform("max") + 1) // 2
         middle = (tiles["index"] == half) & tiles["tile_id"].isin(seen)
         return np.asarray(tiles.loc[middle, "lanelet_id"], np.int64)
 
     def sensors(self) -> list[Sensor]:
-        """Return the sensors with what they have truly in sight."""
+        """Return the sensors with the tiles that they have truly in sight."""
         tiles = self.tiles()
         return [
             Sensor(
@@ -308,29 +292,31 @@ def scene(name: str) -> SceneFiles:
                 path.unlink()
         _make(recipe, kept)
 
-    made(kept, make, settings=str(recipe))
+    up_to_date(kept, make, settings=str(recipe))
     return SceneFiles(name=name, folder=kept, kept=kept)
 
 
 def is_there(name: str) -> bool:
-    """Tell whether a scene is there or can be made."""
+    """Return whether a scene is there or can be made."""
     return recipe_of(name) is not None or (ROOT.parent / "shared" / "data" / name).exists()
 
 
 def _digest(*names: str) -> str:
+    """Return a digest of modules of this folder: what they make is made again when they change."""
     here = Path(__file__).parent
     code = b"".join((here / f"{name}.py").read_bytes() for name in names)
     return hashlib.sha256(code).hexdigest()[:8]
 
 
 def _make(recipe: Recipe, folder: Path) -> None:
+    """Write the files of a scene."""
     rng = np.random.default_rng([20261122, recipe.seed])
     under = CONDITIONS[recipe.conditions]
     place = make_place(
         _plan(recipe.plan, rng),
         seed=recipe.seed,
         terrain=TERRAIN,
-        manners=Manners(
+        settings=TrafficSettings(
             per_hour=recipe.per_hour,
             kinds=under.kinds,
             keeping=under.keeping,
@@ -358,14 +344,14 @@ def _make(recipe: Recipe, folder: Path) -> None:
 
 
 def _roadside(plan: str) -> Roadside | None:
-    """Return how roads are lined, where that is not as usual."""
+    """Return what stands along a motorway; None: the usual."""
     if plan == "motorway":
         return Roadside(house_setback_m=40.0, car_share=0.0)
     return None
 
 
 def _radar(recipe: Recipe, under: Conditions) -> RadarModel:
-    """Return the radar; the textbook's with all its fixed returns."""
+    """Return the radar's model; the textbook's with its full number of fixed detections."""
     return TEXTBOOK if recipe.conditions == "textbook" else under.model
 
 
@@ -390,7 +376,7 @@ def _motorway(rng: np.random.Generator) -> StreetPlan:
 
 
 def _masts(recipe: Recipe, place: Place, rng: np.random.Generator) -> list[gr.Pose]:
-    """Return the true poses."""
+    """Return the true poses of the sensors."""
     if not isinstance(recipe.radars, int):
         all_of_them = masts_of(place.scene, free=recipe.free)
         return [all_of_them[TOWN_MASTS[name]] for name in recipe.radars]

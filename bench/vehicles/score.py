@@ -16,14 +16,14 @@ import gis_radar as gr
 from gis_radar.base import STEP_S, Booleans, Floats
 
 RANGES_M = (0.0, 50.0, 100.0, 200.0)
-HIDDEN = 0.1  # share of the visible time in which other vehicles hide a tile
-STANDS_S = 2.0  # a tile on which vehicles stay so long on average is one where they stand
-WITHIN = 2.0  # standard errors; 95 % of the errors should be
+HIDDEN_SHARE = 0.1  # of the visible time: other vehicles hide a tile of the group `hidden` longer
+STANDING_S = 2.0  # mean time for which a vehicle occupies a tile of the group `standing`, at least
+WITHIN_SIGMAS = 2.0  # 95 % of the errors should be
 
 
 @dataclass(frozen=True, kw_only=True)
 class OccupancyScore:
-    """How well an estimated occupancy agrees with the truth.
+    """Agreement of an estimated occupancy with the truth.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class OccupancyScore:
     true_mean : float
         Their mean true occupancy.
     answered : float
-        Share of them, by visible time, for which there is an estimate; what follows is over these.
+        Share of them, by visible time, for which there is an estimate; the rest is over these.
     rank : float
         Spearman's rank correlation.
     scale : float
@@ -61,7 +61,7 @@ def score_occupancy(truth: TrueOccupancy, table: pd.DataFrame) -> OccupancyScore
     Parameters
     ----------
     truth : TrueOccupancy
-        What is true.
+        The truth.
     table : DataFrame
         ``tile_id`` and ``occupancy`` in [0, 1], NaN where there is none, or ``occupied_s`` and
         ``visible_s``; where there is, ``occupancy_se``.
@@ -87,12 +87,12 @@ def score_occupancy(truth: TrueOccupancy, table: pd.DataFrame) -> OccupancyScore
         answered=float(answered),
         **agreement(estimate, exact),
         beyond=float(1.0 - given["tile_id"].isin(true["tile_id"]).mean()) if len(given) else np.nan,
-        within_2_se=float((error < WITHIN).mean()) if np.isfinite(error).any() else np.nan,
+        within_2_se=float((error < WITHIN_SIGMAS).mean()) if np.isfinite(error).any() else np.nan,
     )
 
 
 def with_occupancy(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table with the column ``occupancy``, from the seconds where it is not there."""
+    """Return a table with the column ``occupancy``, computed from seconds where it is missing."""
     if "occupancy" in table:
         return table
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -115,7 +115,7 @@ def agreement(estimate: Floats, exact: Floats) -> dict[str, float]:
 def score_by_tiles(
     truth: TrueOccupancy, table: pd.DataFrame, tiles: gpd.GeoDataFrame, poses: Sequence[gr.Pose]
 ) -> dict[str, dict[str, float]]:
-    """Return the agreement on groups of tiles: by range, what hides them, and how traffic flows."""
+    """Return the agreement by groups of tiles: by range, hidden or not, moving or standing."""
     given = with_occupancy(table).set_index("tile_id")["occupancy"]
     true = truth.table()
     estimate, exact = true["tile_id"].map(given).to_numpy(np.float64), true["occupancy"].to_numpy()
@@ -127,16 +127,16 @@ def score_by_tiles(
 def _tile_groups(
     tiles: gpd.GeoDataFrame, truth: TrueOccupancy, poses: Sequence[gr.Pose]
 ) -> dict[str, Booleans]:
-    """Return groups of the truth's tiles."""
+    """Return by group which of the truth's tiles are in it."""
     place = middle_lines(tiles.set_index("tile_id").loc[truth.tile_id]).mean(axis=1)
     eyes = np.array([pose.position[:2] for pose in poses])
     reach = np.hypot(*np.moveaxis(place[:, None] - eyes, -1, 0)).min(axis=1)
-    hidden = (truth.blocked & truth.visible).sum(axis=1) > HIDDEN * truth.visible.sum(axis=1)
+    hidden = (truth.blocked & truth.visible).sum(axis=1) > HIDDEN_SHARE * truth.visible.sum(axis=1)
     begins = truth.occupied[:, 0] + (truth.occupied[:, 1:] & ~truth.occupied[:, :-1]).sum(axis=1)
     stays = truth.occupied.sum(axis=1) * STEP_S / np.maximum(begins, 1)
     busy = begins > 0
     return {
         **{f"{a:.0f}-{b:.0f} m": (a <= reach) & (reach < b) for a, b in pairwise(RANGES_M)},
-        "plain view": ~hidden, "hidden": hidden, "moving": busy & (stays < STANDS_S),
-        "standing": busy & (stays >= STANDS_S), "empty": ~busy,
+        "plain view": ~hidden, "hidden": hidden, "moving": busy & (stays < STANDING_S),
+        "standing": busy & (stays >= STANDING_S), "empty": ~busy,
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""True sight: what stands between a sensor and a tile, from the simulator or from the scan."""
+"""True sight: which tiles walls, parked cars and buildings hide from a sensor."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from gis_radar.base import Booleans, Floats
 from simulation.scene import Scene
 from simulation.sight import Boxes, Walls, building_walls, parked_boxes
 
-BUILDING = 6
-CELL_M, GROUND_CELLS, HIGH_M, LOW_M, SAMPLES = 1.0, 11, 2.5, 0.5, 2
+BUILDING = 6  # ASPRS class
+# Of a scan: size of cells, and how many around one give the ground; heights over it of what may
+# hide, and of what shows the ground; samples of a line of sight that must be blocked.
+CELL_M, GROUND_CELLS, HIGH_M, LOW_M, LEAST_SAMPLES = 1.0, 11, 2.5, 0.5, 2
 WALLS, CARS = ("begin", "end", "top"), ("centre", "heading", "size")
 
 
@@ -28,10 +30,10 @@ def write_standing(scene: Scene, path: Path) -> None:
 
 
 def in_sight(tiles: gpd.GeoDataFrame, pose: gr.Pose, site: Path) -> Booleans:
-    """Return which tiles a sensor would see were there no traffic.
+    """Return which tiles a sensor would see without traffic.
 
-    By the simulator's own walls and parked cars where these are kept beside the site, else by the
-    buildings in its scan.
+    By the simulated walls and parked cars where a site has `standing.npz`, else by the buildings in
+    its scan.
     """
     points = sight_points(tiles, pose)
     seen = (pose.view or gr.View()).sees(pose.to_sensor(points))
@@ -64,7 +66,7 @@ def hidden_by_scan(points: Floats, eye: Floats, scan: Path) -> Booleans:
         high &= kind == BUILDING
         np.maximum.at(top, tuple(cell[high].T), xyz[high, 2])
     else:
-        # crowns let light through: somewhere near the ground is seen between their leaves
+        # without classes: a high cell with points at the ground beside it is a tree, not a house
         np.maximum.at(top, tuple(cell[high].T), xyz[high, 2])
         floor = np.zeros(shape)
         floor[tuple(cell[over < LOW_M].T)] = 1.0
@@ -73,7 +75,7 @@ def hidden_by_scan(points: Floats, eye: Floats, scan: Path) -> Booleans:
 
 
 def _behind(points: Floats, eye: Floats, top: Floats, origin: Floats) -> Booleans:
-    """Return which lines of sight run below the tops of cells in two samples and more."""
+    """Return which points are hidden: their lines of sight run below the tops of cells."""
     hidden = np.zeros(len(points), np.bool_)
     for k, point in enumerate(points):
         reach = float(np.hypot(*(point - eye)[:2]))
@@ -82,5 +84,5 @@ def _behind(points: Floats, eye: Floats, top: Floats, origin: Floats) -> Boolean
         cell = np.floor((way[:, :2] - origin) / CELL_M).astype(np.int64)
         inside = ((cell >= 0) & (cell < top.shape)).all(axis=1)
         below = way[inside, 2] < top[tuple(cell[inside].T)]
-        hidden[k] = below.sum() >= SAMPLES
+        hidden[k] = below.sum() >= LEAST_SAMPLES
     return hidden

@@ -1,9 +1,8 @@
-"""The peer that others would build: DBSCAN, Kalman filters and Hungarian assignment.
+"""Stone Soup as a peer: DBSCAN, Kalman filters and Hungarian assignment, as in its tutorials.
 
-Stone Soup's components as its tutorials put them together: clusters of moving detections on the
-lanes, their middles as measurements, constant velocity, global nearest neighbours in two
-dimensions, birth after three clusters, death after two seconds without one, and its smoother. A
-radar at rest cannot distinguish standing vehicles from what is built, so this has moving ones only.
+DBSCAN finds clusters of moving detections on the lanes; their means are the measurements. The model
+is constant velocity; a track begins after three clusters, ends after two seconds without one, and
+is smoothed. Standing vehicles are not found: their detections look like those of buildings.
 """
 
 from __future__ import annotations
@@ -38,16 +37,17 @@ import gis_radar as gr
 from gis_radar.base import STEP_S, Floats, step_of
 from gis_radar.hdmap import TileGrid, quads
 
-WINDOW_STEPS = 2
-MOVING_MPS = 0.5
-NEAR_M, LEAST = 2.0, 2  # of DBSCAN
-PLACE_M, ACCEL = 1.0, 1.5  # of a cluster's middle; of the noise of velocity, m/s per root second
-GATE = 4.0  # Mahalanobis
-CONFIRMED, SILENT_S = 3, 2.0
-REACH_M = 8.0  # clusters farther from a prediction are not looked at
-CAR_M, LONGEST_M, WIDTH_M = 4.2, 18.0, 1.8
-BLIND_M = 0.6  # extents of clusters fall short by so much
-SLOW_MPS = 1.0  # below, a heading is the last one
+WINDOW_STEPS = 2  # whose detections are clustered together
+MOVING_MPS = 0.5  # range rate of moving detections, at least
+CLUSTER_M, LEAST_POINTS = 2.0, 2  # of DBSCAN: `eps`, `min_samples`
+PLACE_SIGMA_M = 1.0  # of a cluster's mean
+ACCELERATION_NOISE = 1.5  # of the velocity, m/s per root second
+GATE_SIGMAS = 4.0  # Mahalanobis distance
+CONFIRM_CLUSTERS, SILENT_S = 3, 2.0  # after which a track begins, and ends
+REACH_M = 8.0  # clusters farther from a prediction are not compared
+CAR_M, LONGEST_M, WIDTH_M = 4.2, 18.0, 1.8  # least and greatest length, and width, of a vehicle
+EXTENT_MISSING_M = 0.6  # by which the extent of a cluster is less than the vehicle's length
+SLOW_MPS = 1.0  # slower states have the heading of faster ones
 
 
 def stone_soup(site: SceneFiles, poses: Sequence[gr.Pose]) -> pd.DataFrame:
@@ -58,8 +58,7 @@ def stone_soup(site: SceneFiles, poses: Sequence[gr.Pose]) -> pd.DataFrame:
 def clusters(
     site: SceneFiles, poses: Sequence[gr.Pose]
 ) -> Iterator[tuple[int, list[tuple[Floats, Floats]]]]:
-    """Yield by window the middles of clusters of moving detections on lanes, and their points."""
-
+    """Yield the step of each window, and means and points of its clusters."""
     grid = TileGrid(quads(site.tiles()))
     steps, places = [], []
     for pose, path in zip(poses, site.recordings, strict=True):
@@ -77,20 +76,19 @@ def clusters(
         points = place[slice(*np.searchsorted(window, [now, now + 1]))]
         found = []
         if len(points):
-            label = DBSCAN(eps=NEAR_M, min_samples=LEAST).fit_predict(points)
+            label = DBSCAN(eps=CLUSTER_M, min_samples=LEAST_POINTS).fit_predict(points)
             groups = (points[label == k] for k in range(label.max() + 1))
             found = [(group.mean(axis=0), group) for group in groups]
         yield now * WINDOW_STEPS, found
 
 
 def _tracked(site: SceneFiles, poses: Sequence[gr.Pose]) -> tuple[list[Any], Any, Floats]:
-    """Return the tracks, how they move, and the origin of their coordinates."""
-
+    """Return the tracks, their model of motion, and the origin of their coordinates."""
     origin = np.mean([pose.position[:2] for pose in poses], axis=0)
-    moves = CombinedLinearGaussianTransitionModel([ConstantVelocity(ACCEL**2)] * 2)
-    measured = LinearGaussian(4, (0, 2), np.eye(2) * PLACE_M**2)
+    moves = CombinedLinearGaussianTransitionModel([ConstantVelocity(ACCELERATION_NOISE**2)] * 2)
+    measured = LinearGaussian(4, (0, 2), np.eye(2) * PLACE_SIGMA_M**2)
     predictor, updater = KalmanPredictor(moves), KalmanUpdater(measured)
-    near = DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=GATE)
+    near = DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=GATE_SIGMAS)
     associator = DetectionKDTreeGNN2D(near, predictor, updater, max_distance=REACH_M)
     prior = GaussianState([[0], [0], [0], [0]], np.diag([0.0, 100.0, 0.0, 100.0]))
 
@@ -106,7 +104,7 @@ def _tracked(site: SceneFiles, poses: Sequence[gr.Pose]) -> tuple[list[Any], Any
     tracker = MultiTargetTracker(
         initiator=MultiMeasurementInitiator(
             prior, UpdateTimeDeleter(timedelta(seconds=0.5)), associator, updater,
-            measurement_model=measured, min_points=CONFIRMED,
+            measurement_model=measured, min_points=CONFIRM_CLUSTERS,
         ),
         deleter=UpdateTimeDeleter(timedelta(seconds=SILENT_S)),
         detector=detections(), data_associator=associator, updater=updater,
@@ -118,8 +116,7 @@ def _tracked(site: SceneFiles, poses: Sequence[gr.Pose]) -> tuple[list[Any], Any
 
 
 def _smoothed(tracked: tuple[list[Any], Any, Floats]) -> list[dict[str, Floats]]:
-    """Return of each track steps, smoothed states and extents."""
-
+    """Return steps, smoothed states and length of each track."""
     tracks, moves, origin = tracked
     smoother, found = KalmanSmoother(moves), []
     for track in tracks:
@@ -138,14 +135,14 @@ def _smoothed(tracked: tuple[list[Any], Any, Floats]) -> list[dict[str, Floats]]
             {
                 "step": step_of(np.array(time)), "place": vectors[:, [0, 2]] + origin,
                 "speed": np.hypot(vectors[:, 1], vectors[:, 3]), "heading": heading,
-                "length": np.clip(np.quantile(extents, 0.9) + BLIND_M, CAR_M, LONGEST_M),
+                "length": np.clip(np.quantile(extents, 0.9) + EXTENT_MISSING_M, CAR_M, LONGEST_M),
             }
         )  # fmt: skip
     return found
 
 
 def _headings(east: Floats, north: Floats) -> Floats:
-    """Return unwrapped headings, those of slow states from the faster ones nearest in time."""
+    """Return unwrapped headings; a slow state has that of the nearest faster one in time."""
     speed, row = np.hypot(east, north), np.arange(len(east))
     fast = np.flatnonzero(speed > min(SLOW_MPS, float(speed.max())) - 1e-9)
     near = fast[np.abs(row[:, None] - fast).argmin(axis=1)]

@@ -1,4 +1,4 @@
-"""Markdown tables of what the bench measured, from its JSON alone."""
+"""Markdown tables of the bench's figures, from its JSON."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
-from figures import SAME, Figure, table
+from figures import EXACT_CHANCE, Figure, table
 
 Report = Mapping[str, Any]
 
-# What is printed of each part, and how.
+# Figures that are printed by part, with their formats.
 PARTS: Mapping[str, Mapping[str, str]] = {
     "occupancy": {
         "tiles": "d", "true_mean": ".1%", "answered": ".0%", "rank": ".2f", "scale": ".2f",
@@ -30,6 +30,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     },
     "costs": {"cpu_s": ".2f", "times_occupancy": ".1f", "peak_mib": ".0f"},
 }  # fmt: skip
+# Rank, scale and mean error of the occupancy that are aimed at, by scene.
 TARGETS = {
     "town": ">= .95 / .95-1.05 / <= 2 %",
     "harsh": ".92 / .93-1.07 / 3 %",
@@ -38,7 +39,7 @@ TARGETS = {
     "wide-light": ".95 / .93-1.07 / 0.4 %",
     "light": ".95 / .93-1.07 / 0.4 %",
 }
-READERS = {
+METHOD_TITLES = {
     "hits": "hits",
     "soup": "Stone Soup",
     "true": "`vehicles`, true poses",
@@ -55,7 +56,7 @@ def shown(value: object, form: str) -> str:
 
 
 def everything(rows: Mapping[str, Report]) -> str:
-    """Return all tables of some rows: a part each, and occupancy by groups of tiles."""
+    """Return a table for each part of the figures, and one of occupancy by groups of tiles."""
     made = []
     for part, forms in PARTS.items():
         there = {name: row[part] for name, row in rows.items() if part in row}
@@ -73,12 +74,13 @@ def everything(rows: Mapping[str, Report]) -> str:
 
 
 def _cell(figures: Report) -> str:
+    """Return rank, scale and mean error as text."""
     names = {"rank": ".2f", "scale": ".2f", "mae_percent": ".1f"}
     return " / ".join(shown(figures.get(name), form) for name, form in names.items())
 
 
 def accepted(report: Mapping[str, Report]) -> Iterator[Figure]:
-    """Yield the figures of scenes that are compared with accepted ones."""
+    """Yield the figures of scenes, to compare with accepted ones."""
     for scene, methods in report.items():
         found = methods.get("found", {}).get("occupancy")
         peer = methods.get("soup", {}).get("occupancy", {})
@@ -86,7 +88,7 @@ def accepted(report: Mapping[str, Report]) -> Iterator[Figure]:
             continue
         yield Figure(
             what=f"occupancy, {scene}: rank", ours=found["rank"], peer=peer.get("rank"),
-            peer_name="Stone Soup", more_is_better=True, chance=SAME,
+            peer_name="Stone Soup", more_is_better=True, chance=EXACT_CHANCE,
         )  # fmt: skip
         yield Figure(
             what=f"occupancy, {scene}: mean error", ours=found["mae_percent"], unit="% of the time",
@@ -94,13 +96,14 @@ def accepted(report: Mapping[str, Report]) -> Iterator[Figure]:
         )  # fmt: skip
 
 
-def readme(scenes: Mapping[str, Report]) -> str:
-    """Return the tables of docs/accuracy.md from the bench's JSON: occupancy, then vehicles."""
+def accuracy_tables(scenes: Mapping[str, Report]) -> str:
+    """Return the tables of docs/accuracy.md: of occupancy, and of vehicles."""
     first = table(
-        ["rank / scale / mean error, % of the time", "true mean", *READERS.values(), "target"],
+        ["rank / scale / mean error, % of the time", "true mean", *METHOD_TITLES.values(),
+         "target"],
         (
             [name, shown(_mean(rows), ".1%"),
-             *(_cell(rows.get(method, {}).get("occupancy", {})) for method in READERS),
+             *(_cell(rows.get(method, {}).get("occupancy", {})) for method in METHOD_TITLES),
              TARGETS.get(name.removesuffix("-held"), "")]
             for name, rows in scenes.items()
         ),
@@ -116,7 +119,7 @@ def readme(scenes: Mapping[str, Report]) -> str:
         ("costs", "times_occupancy"): ("times decoding + hit share", ".1f"),
     }
     second = table(
-        [READERS["found"], "poses off by, m", *(head for head, _ in heads.values())],
+        [METHOD_TITLES["found"], "poses off by, m", *(head for head, _ in heads.values())],
         (
             [name, _poses(row.get("pose_errors", {})), *(shown(row.get(part, {}).get(key), form)
                      for (part, key), (_, form) in heads.items())]
@@ -127,7 +130,7 @@ def readme(scenes: Mapping[str, Report]) -> str:
 
 
 def _poses(errors: Mapping[str, Sequence[float]]) -> str:
-    """Return how far the poses are off; a sensor whose pose cannot be found is surveyed."""
+    """Return the errors of poses on the plane as text; a pose without any was surveyed."""
     return ", ".join(f"{apart:.2f}" if apart else "surveyed" for apart, _ in errors.values())
 
 

@@ -1,10 +1,10 @@
-"""Vehicles, lanes and tiles within 100 m of a radar, by the measures that traffic engineers state.
+"""Errors of vehicles, lanes and tiles within 100 m of a radar, by measures of traffic engineering.
 
     python bench/vehicles/targets.py --scene town-991,gridlock-983 [--poses found]
 
-A row a scene: volumes, speeds, turns and queues of lanes (`lane_volumes.py`), occupancy of lanes
-and of tiles, and vehicles: found, real, standing, heavy. With `--poses found`, poses are those that
-`gis-radar localize` finds; else the true ones.
+For each scene: volumes, speeds, turns and queues of lanes (`lane_volumes.py`), occupancy of
+lanelets and tiles, recall and precision of vehicles, also of standing ones. With `--poses found`,
+poses are those that `gis-radar localize` finds; else the true ones.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from tracks import Scored, compared, score_tracks
 
 from gis_radar.base import Floats
 
-STANDS_MPS = 0.5
-LEAST_S = 30.0  # for which a tile is visible, in truth and by the estimate
+STANDS_MPS = 0.5  # slower vehicles stand
+LEAST_S = 30.0  # for which a tile is visible, truly and by the estimate
 
 
 def figures_of(site: SceneFiles, *, found: bool) -> dict[str, str]:
-    """Measure a scene with found or with true poses and return its figures."""
+    """Measure a scene with found or with true poses; return its figures as texts."""
     with tempfile.TemporaryDirectory() as folder:
         dataset = measured(site, Path(folder) / "dataset", found=found)
         given = found_in(dataset)
@@ -47,7 +47,7 @@ def from_radar(site: SceneFiles, easting: pd.Series, northing: pd.Series) -> Flo
 
 
 def near_only(site: SceneFiles, scored: Scored) -> Scored:
-    """Return both sides with what is due restricted to places near a radar."""
+    """Return the states with only those due that are near a radar."""
     true, given = (
         side.assign(
             due=side["due"]
@@ -59,7 +59,7 @@ def near_only(site: SceneFiles, scored: Scored) -> Scored:
 
 
 def occupancy(site: SceneFiles, given: pd.DataFrame) -> dict[str, str]:
-    """Return how far the occupancy of near tiles and lanelets is off."""
+    """Return the errors of occupancy of near tiles and lanelets."""
     both = beside_truth(site, given)
     both = both[both["away_m"] < lane_volumes.WITHIN_M]
     error = both["occupancy_given"] - both["occupancy"]
@@ -77,7 +77,7 @@ def occupancy(site: SceneFiles, given: pd.DataFrame) -> dict[str, str]:
 
 
 def beside_truth(site: SceneFiles, given: pd.DataFrame) -> pd.DataFrame:
-    """Return the true table of the tiles that both see, with `..._given` and `away_m`."""
+    """Return the truth of tiles visible in both, with `..._given` and `away_m` (to radars)."""
     both = site.truth().table().merge(given, on="tile_id", suffixes=("", "_given"))
     both = both[(both["visible_s"] > LEAST_S) & (both["visible_s_given"] > LEAST_S)]
     middle = site.tiles().set_index("tile_id").centroid.loc[both["tile_id"]]
@@ -86,7 +86,7 @@ def beside_truth(site: SceneFiles, given: pd.DataFrame) -> pd.DataFrame:
 
 
 def vehicles(scored: Scored) -> dict[str, str]:
-    """Return which vehicles are found and real, all and standing, and how often heavy is right."""
+    """Return recall and precision of all and of standing vehicles, and how often heavy is right."""
     every = score_tracks(scored)
     still = score_tracks(
         replace(scored, true=_standing(scored.true), given=_standing(scored.given))
@@ -99,7 +99,7 @@ def vehicles(scored: Scored) -> dict[str, str]:
 
 
 def _standing(side: pd.DataFrame) -> pd.DataFrame:
-    """Return a side on which only who stands is due; a mover may be matched with it."""
+    """Return states of which only standing ones are due; others may still be matched."""
     return side.assign(due=side["due"] & (side["speed"] < STANDS_MPS))
 
 

@@ -1,7 +1,7 @@
-"""Estimated vehicles beside the true ones: found or not, and how far off.
+"""Recall, precision and errors of estimated vehicles beside the true ones.
 
-Only what is due counts: a vehicle whose middle is on a tile that is visible in the step. A vehicle
-that is not due may be matched, and is neither missed nor false.
+Only states that are *due* count: the vehicle's middle is on a tile that is visible in the step. A
+state that is not due may be matched, and is neither missed nor false.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from true_traffic import HEAVY_M, TrueTraffic
 
 from gis_radar.base import Booleans, Floats, Integers
 
-CUT_M = 4.0  # states farther apart are not of one vehicle
-DOUBLE_M = 8.0  # a second one so near to a true vehicle is of that
-EVERY = 10  # steps; states are compared so often
-ON_TILE_M = 2.0  # a lane's half and a little
+MATCH_M = 4.0  # distance of states of one vehicle, at most
+DOUBLE_M = 8.0  # a false vehicle so near to a true one is its double
+EVERY_STEPS = 10  # in which states are compared
+ON_TILE_M = 2.0  # from a tile's middle to a vehicle on it: half of a lane and a little
 ASIDE_M = 1.5  # vehicles farther apart across the lane do not overlap
-SEEN_S, FOUND = 1.0, 0.5  # vehicles due for less do not count; found or real in half of the time
+LEAST_DUE_S = 1.0  # vehicles that are due for less do not count
+FOUND_SHARE = 0.5  # of its due time in which a found or real vehicle is matched, at least
 COLUMNS = ("vehicle", "step", "easting", "northing", "heading", "speed", "length")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scored:
-    """What is compared, a row a vehicle and step.
+    """States that are compared, a row a vehicle and step.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ class Scored:
 def compared(
     tiles: gpd.GeoDataFrame, truth: TrueOccupancy, traffic: TrueTraffic, given: pd.DataFrame
 ) -> Scored:
-    """Return the states that are compared, with what is due."""
+    """Return the states that are compared, with whether they are due."""
     seen = tiles[tiles["tile_id"].isin(truth.tile_id)]
     middles = middle_lines(seen).mean(axis=1)
     tree = cKDTree(middles)
@@ -52,7 +53,7 @@ def compared(
     sides = {}
     for name, table in (("true", traffic.states[list(COLUMNS)]), ("given", given)):
         inside = table["step"].between(truth.first_step, last)
-        rows = table[inside & ((table["step"] - truth.first_step) % EVERY == 0)]
+        rows = table[inside & ((table["step"] - truth.first_step) % EVERY_STEPS == 0)]
         rows = rows.sort_values(["step", "vehicle"], ignore_index=True)
         place = rows[["easting", "northing"]].to_numpy()
         away, tile = tree.query(place, distance_upper_bound=ON_TILE_M)
@@ -92,8 +93,8 @@ def matched(scored: Scored) -> tuple[pd.DataFrame, pd.DataFrame]:
     Returns
     -------
     true, given : DataFrame
-        The rows, with ``match`` (the row of the other side, -1 where there is none); of the given
-        ones ``doubled``, whether one that is not matched is near a true one.
+        The rows, with ``match`` (the row of the other table, -1: none); of the given ones
+        ``doubled``: not matched, and near a true one.
     """
     true = scored.true.assign(match=-1)
     given = scored.given.assign(match=-1, doubled=False)
@@ -112,8 +113,8 @@ def matched(scored: Scored) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 def assign(apart: Floats) -> tuple[Integers, Integers]:
     """Return the pairs within 4 m of the best assignment, from all distances."""
-    row, column = linear_sum_assignment(np.minimum(apart, CUT_M) ** 2)
-    near = apart[row, column] < CUT_M
+    row, column = linear_sum_assignment(np.minimum(apart, MATCH_M) ** 2)
+    near = apart[row, column] < MATCH_M
     return row[near], column[near]
 
 
@@ -137,14 +138,14 @@ def _share(flags: Booleans, among: Booleans) -> float:
 
 
 def _vehicles(table: pd.DataFrame, good: Booleans) -> float:
-    """Return the share of the vehicles that are matched in half of the time they are due."""
+    """Return the share of the vehicles that are matched in half of their due time."""
     rows = pd.Series(good[table["due"]]).groupby(table.loc[table["due"], "vehicle"].to_numpy())
-    share = rows.mean()[rows.size() * EVERY * 0.05 >= SEEN_S]
-    return float((share >= FOUND).mean()) if len(share) else float("nan")
+    share = rows.mean()[rows.size() * EVERY_STEPS * 0.05 >= LEAST_DUE_S]
+    return float((share >= FOUND_SHARE).mean()) if len(share) else float("nan")
 
 
 def _errors(true: pd.DataFrame, given: pd.DataFrame) -> dict[str, float]:
-    """Return errors of place, speed and length of what is due and matched."""
+    """Return errors of place, speed and length of states that are due and matched."""
     pair = true[true["due"] & (true["match"] >= 0)]
     if len(pair) == 0:
         names = ("along_m", "across_m", "speed_mps", "length_m", "length_bias_m")

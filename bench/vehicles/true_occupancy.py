@@ -1,6 +1,6 @@
-"""True occupancy: which tiles are occupied, seen and hidden in which steps.
+"""True occupancy: which tiles are occupied, visible and hidden in which steps.
 
-Written apart from the package, which it judges: shapely and plain arrays, no trick.
+Written apart from the package, with shapely and plain arrays: the package is judged by it.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ import gis_radar as gr
 from gis_radar.base import STEP_S, Booleans, Floats, Integers, step_of
 from gis_radar.hdmap import quads
 
-OVERLAP_M, LEVEL_M = 0.5, 2.0
-HIDDEN_STEPS = 200  # 10 s
-OVER_ROAD_M = 0.6
-HOLD_S = 0.1
-EVERY = 4  # steps; where vehicles stand in the way is looked at so often
+OVERLAP_M, LEVEL_M = 0.5, 2.0  # of `occupied`, as the glossary defines it
+HIDDEN_STEPS = 200  # for which a hidden tile stays visible: 10 s
+OVER_ROAD_M = 0.6  # of the point of a tile that must be in sight
+VALIDITY_S = 0.1  # of a frame
+EVERY_STEPS = 4  # in which hiding by vehicles is computed
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrueOccupancy:
-    """What is true of the tiles that some sensor has in sight.
+    """Truth about the tiles that a sensor has in sight.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class TrueOccupancy:
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """A sensor as the truth needs it.
+    """A sensor with its true pose and sight.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class Sensor:
     in_sight : Booleans
         For each tile, whether it is in view and nothing that stands hides it.
     times : Floats
-        Of its frames, UNIX seconds, ascending.
+        Times of its frames, UNIX seconds, ascending.
     """
 
     pose: gr.Pose
@@ -83,16 +83,16 @@ class Sensor:
 def true_occupancy(
     tiles: gpd.GeoDataFrame, sensors: list[Sensor], traffic: TrueTraffic
 ) -> TrueOccupancy:
-    """Return the truth about the tiles that some sensor has in sight.
+    """Return the truth about the tiles that a sensor has in sight.
 
     Parameters
     ----------
     tiles : GeoDataFrame
         All tiles.
     sensors : list of Sensor
-        Who looks.
+        The sensors.
     traffic : TrueTraffic
-        Who drives.
+        The true traffic.
     """
     seen = np.any([sensor.in_sight for sensor in sensors], axis=0)
     first = min(int(step_of(s.times[:1])[0]) for s in sensors)
@@ -120,27 +120,25 @@ def true_occupancy(
     )
 
 
-def hidden_too_long(blocked: Booleans, most: int = HIDDEN_STEPS) -> Booleans:
-    """Return where a tile has been hidden for more than `most` steps on end."""
+def hidden_too_long(blocked: Booleans) -> Booleans:
+    """Return where a tile has been hidden for more than `HIDDEN_STEPS` on end."""
     count = np.zeros(len(blocked), np.int64)
     late = np.zeros_like(blocked)
     for step in range(blocked.shape[1]):
         count = np.where(blocked[:, step], count + 1, 0)
-        late[:, step] = count > most
+        late[:, step] = count > HIDDEN_STEPS
     return late
 
 
-def frames_valid(
-    times: Floats, first_step: int, count: int, validity_s: float = HOLD_S
-) -> Booleans:
-    """Return the steps in which frames are valid, up to the next frame."""
+def frames_valid(times: Floats, first_step: int, count: int) -> Booleans:
+    """Return in which steps a frame is valid: up to the next one, at most `VALIDITY_S`."""
     steps = step_of(times)
     until = np.minimum(np.append(steps[1:] - 1, np.iinfo(np.int64).max),
-                       step_of(times + validity_s))  # fmt: skip
-    covers = np.zeros(count, np.bool_)
+                       step_of(times + VALIDITY_S))  # fmt: skip
+    valid = np.zeros(count, np.bool_)
     for begin, end in zip(steps - first_step, until - first_step, strict=True):
-        covers[max(begin, 0) : max(end, begin, -1) + 1] = True
-    return covers
+        valid[max(begin, 0) : max(end, begin, -1) + 1] = True
+    return valid
 
 
 def middle_lines(tiles: gpd.GeoDataFrame) -> Floats:
@@ -152,10 +150,7 @@ def middle_lines(tiles: gpd.GeoDataFrame) -> Floats:
 def occupied_pairs(
     tiles: gpd.GeoDataFrame, traffic: TrueTraffic, first_step: int
 ) -> dict[str, Integers]:
-    """Return which tiles (row), steps (from the first) and vehicles belong together.
-
-    A footprint covers a tile at the step's begin.
-    """
+    """Return tile (row), step (from the first) and vehicle wherever a footprint occupies a tile."""
     lines = middle_lines(tiles)
     tree = shapely.STRtree(np.asarray(shapely.linestrings(lines)))
     level = tiles["height_m"].to_numpy(np.float64)
@@ -186,7 +181,7 @@ def occupied_pairs(
 def _all_steps(
     tile: Integers, still: pd.DataFrame, runs: Integers, first_step: int
 ) -> tuple[Integers, Integers, Integers]:
-    """Return tile, step and vehicle of all steps in which vehicles stand still."""
+    """Return tile, step and vehicle for all steps of runs in which vehicles do not move."""
     within = np.arange(runs.sum()) - np.repeat(np.cumsum(runs) - runs, runs)
     step = np.repeat(still["step"].to_numpy() - first_step, runs) + within
     return np.repeat(tile, runs), step, np.repeat(still["vehicle"].to_numpy(), runs)
@@ -195,7 +190,7 @@ def _all_steps(
 def occupied_steps(
     tiles: gpd.GeoDataFrame, traffic: TrueTraffic, first_step: int, count: int
 ) -> Booleans:
-    """Return (tiles, steps): whether a footprint covers a tile at the step's begin."""
+    """Return (tiles, steps): whether a footprint occupies a tile at the step's begin."""
     occupied = np.zeros((len(tiles), count), np.bool_)
     pairs = occupied_pairs(tiles, traffic, first_step)
     occupied[pairs["tile"], pairs["step"]] = True
@@ -216,7 +211,7 @@ def strips(states: pd.DataFrame, rows: Integers) -> np.ndarray[tuple[int], np.dt
 
 
 def overlap_m(lines: Floats, states: pd.DataFrame) -> Floats:
-    """Return how much of each line (n, 2, 2) lies in the straight footprint beside it, metres."""
+    """Return the length of each line (n, 2, 2) within the footprint of its row, metres."""
     middle = states[["easting", "northing"]].to_numpy()[:, None]
     heading = states["heading"].to_numpy()[:, None]
     cos, sin = np.cos(heading), np.sin(heading)
@@ -242,9 +237,9 @@ def blocked_steps(
     reach = np.hypot(*(points[:, :2] - pose.position[:2]).T).max(initial=0.0)
     bodies = traffic.bodies
     away = np.hypot(bodies["easting"] - pose.easting, bodies["northing"] - pose.northing)
-    bodies = bodies[(away < reach) & ((bodies["step"] - first_step) % EVERY == 0)]
+    bodies = bodies[(away < reach) & ((bodies["step"] - first_step) % EVERY_STEPS == 0)]
     bodies = bodies.sort_values("step", kind="stable")
-    at = np.arange(first_step, first_step + count + EVERY, EVERY)
+    at = np.arange(first_step, first_step + count + EVERY_STEPS, EVERY_STEPS)
     begins = np.searchsorted(bodies["step"].to_numpy(), at)
     columns = ["easting", "northing", "height", "heading", "length", "width", "tall"]
     boxes = np.ascontiguousarray(bodies[columns].to_numpy(np.float64))
@@ -252,11 +247,11 @@ def blocked_steps(
     points[:, :2] -= pose.position[:2]
     lines = middle_lines(tiles) - pose.position[:2]
     hidden = _hidden(points, lines.reshape(-1, 4), boxes, begins, pose.height)
-    return np.repeat(hidden, EVERY, axis=1)[:, :count]
+    return np.repeat(hidden, EVERY_STEPS, axis=1)[:, :count]
 
 
 def sight_points(tiles: gpd.GeoDataFrame, pose: gr.Pose) -> Floats:
-    """Return the (n, 3) points that must be in sight: 0.6 m over the middles of tiles."""
+    """Return the (n, 3) points that must be in sight: 0.6 m over the tiles' centres."""
     centres = shapely.centroid(tiles.geometry.array)
     road = tiles["height_m"].to_numpy(np.float64)
     road = np.where(np.isnan(road), pose.height - 6.0, road)
@@ -267,7 +262,7 @@ def sight_points(tiles: gpd.GeoDataFrame, pose: gr.Pose) -> Floats:
 def _hidden(
     points: Floats, lines: Floats, boxes: Floats, begins: Integers, eye_z: float
 ) -> Booleans:
-    """Return (points, moments): whether the way from (0, 0, eye_z) to a point meets a box."""
+    """Return (points, moments): whether a box blocks the line from (0, 0, eye_z) to a point."""
     found = np.zeros((len(points), len(begins) - 1), np.bool_)
     for moment in range(len(begins) - 1):
         for k in range(len(points)):
@@ -280,7 +275,7 @@ def _hidden(
 
 @numba.njit(cache=True)
 def _clip(x0: float, y0: float, x1: float, y1: float, box: Floats) -> tuple[float, float]:
-    """Return from where to where, as shares, a line lies in a box's rectangle."""
+    """Return begin and end, as shares of a line, of its part inside a box's rectangle."""
     cos, sin = np.cos(box[3]), np.sin(box[3])
     x0, y0, x1, y1 = x0 - box[0], y0 - box[1], x1 - box[0], y1 - box[1]
     u0, u1 = cos * x0 + sin * y0, cos * x1 + sin * y1

@@ -1,7 +1,7 @@
 """True traffic of a simulated site: every vehicle's footprint at the begin of every step.
 
-A vehicle is what the contract calls one: walkers and cyclists are left out. A vehicle over 12 m is
-the strip of its width along the path that its front took.
+Walkers and cyclists are no vehicles. The footprint of a vehicle over 12 m is the strip of its width
+along the path that its front took.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import shapely
 
 from gis_radar.base import Floats, Integers, step_of
 
-# the shared towns' files; ours have the long names
-SHORT = {"L": "length", "W": "width", "H": "vehicle_height"}
+# Column names, begin (UNIX seconds) and height of the ground in the files of the towns.
+SHORT_NAMES = {"L": "length", "W": "width", "H": "vehicle_height"}
 SHARED_START, SHARED_GROUND_M = 1_700_000_000.0, 372.0
 NO_VEHICLES = ("walker", "cyclist")
-LONG_M = 12.0  # from here on a vehicle bends
-HEAVY_M = 7.0
+LONG_M = 12.0  # footprints of longer vehicles follow the path of the front
+HEAVY_M = 7.0  # longer vehicles are heavy
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrueTraffic:
-    """The vehicles.
+    """True vehicles.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ class TrueTraffic:
         the footprint were it straight), ``height`` of the road, ``heading`` (rad), ``speed`` (m/s),
         ``length width`` (m), ``front_e front_n``.
     bodies : DataFrame
-        The same with a row a body (a trailer is one), and ``tall`` (m): what hides.
+        The same with a row a body (a trailer is one), and its height ``tall`` (m): these hide.
     kinds : dict
-        By vehicle, what it is; empty where not known.
+        Kind by vehicle; empty where not known.
     """
 
     states: pd.DataFrame = field(repr=False)
@@ -58,15 +58,15 @@ def read_traffic(path: Path) -> TrueTraffic:
 
 
 def traffic_of(table: pd.DataFrame) -> TrueTraffic:
-    """Return the traffic of a table of vehicles at every 50 ms, ours or a shared town's.
+    """Return the traffic in a table of vehicles at every 50 ms.
 
     Parameters
     ----------
     table : DataFrame
-        ``t id easting northing heading speed`` and ``length width vehicle_height height`` (or
-        ``L W H z``), where there are ``kind part whole_length``.
+        ``t id easting northing heading speed``, ``length width vehicle_height height`` (of the
+        towns ``L W H z``); where they are there, ``kind part whole_length``.
     """
-    table = table.rename(columns=SHORT)
+    table = table.rename(columns=SHORT_NAMES)
     if "height" not in table:
         table = table.assign(height=table["z"] + SHARED_GROUND_M, t=table["t"] + SHARED_START)
     kind = table["kind"] if "kind" in table else pd.Series("", index=table.index)
@@ -93,7 +93,7 @@ def traffic_of(table: pd.DataFrame) -> TrueTraffic:
 
 
 def _states(drawing: pd.DataFrame) -> pd.DataFrame:
-    """Return whole vehicles from the bodies in front."""
+    """Return the states of whole vehicles from those of their first bodies."""
     ahead = np.column_stack([np.cos(drawing["heading"]), np.sin(drawing["heading"])])
     front = drawing[["easting", "northing"]].to_numpy() + ahead * (
         drawing["length"].to_numpy()[:, None] / 2.0
@@ -120,7 +120,7 @@ def rectangles(states: pd.DataFrame) -> Floats:
 
 
 def strip(path: Floats, length_m: float, width_m: float, heading: float) -> shapely.Geometry:
-    """Return the strip behind the last point of a path, drawn out straight where it is too short.
+    """Return the strip behind the last point of a path; a path that is too short begins straight.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def strip(path: Floats, length_m: float, width_m: float, heading: float) -> shap
     length_m, width_m : float
         Of the vehicle.
     heading : float
-        Radians; of the vehicle at the first point, where it came from.
+        Heading of the vehicle at the first point, radians.
     """
     before = path[0] - length_m * np.array([np.cos(heading), np.sin(heading)])
     back = np.vstack([before, path])[::-1]

@@ -1,10 +1,10 @@
-"""The demo's volumes of lanes beside the true ones.
+"""Picture of the demo's volumes of lanelets beside the true ones.
 
     gis-radar demo -o demo
     python bench/vehicles/volumes_picture.py demo docs/volumes.png --into README.md
 
-Passages of lanelets whose middles are truly in sight and near a radar.
-With `--into`, these are put below the picture in a page, between its marks.
+Counted are passages of lanelets whose middles are truly in sight and near a radar. With `--into`,
+the figures are put below the picture in a page, between its marks.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 import shapely
 from found import found_in
+from lane_volumes import WITHIN_M
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scenes import SceneFiles
@@ -26,7 +27,6 @@ import gis_radar as gr
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
 import pages
 
-WITHIN_M = 100.0  # of a radar, for which accuracy is stated
 WIDTH_PX = 1600
 TRUE, FOUND = "#b5482a", "#1f4e79"  # differ in grey and for the colour-blind
 
@@ -62,7 +62,7 @@ def volumes(site: SceneFiles, given: pd.DataFrame) -> pd.DataFrame:
 
 
 def caption(counts: pd.DataFrame) -> str:
-    """Return the picture in words."""
+    """Return the figures of the picture as a caption."""
     off, true = (counts["found"] - counts["true"]), int(counts["true"].sum())
     return (
         f"*Volumes of the sample's {len(counts)} lanelets in sight within {WITHIN_M:.0f} m of a "
@@ -73,7 +73,7 @@ def caption(counts: pd.DataFrame) -> str:
 
 
 def draw(counts: pd.DataFrame) -> Figure:
-    """Return a row of lanelets with both counts over each."""
+    """Draw both counts of each lanelet."""
     figure = Figure(figsize=(12, 3.6), layout="constrained")
     axes = figure.subplots()
     place = np.arange(len(counts))

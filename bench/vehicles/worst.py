@@ -1,11 +1,11 @@
-"""The vehicles that are missed, and those that are none, for longest: by cause.
+"""Vehicles that are missed and false tracks: time by cause, and the longest cases.
 
     python bench/vehicles/worst.py --scene town-991,gridlock-934 [--poses found] [--dataset DATASET]
 
 Within 100 m of a radar. A true vehicle is missed while no track is within 4 m of its middle, a
-track is false while no vehicle is. Whose bodies lie on it meanwhile tells the cause: a part of a
-long vehicle is followed as a short one, two are followed as one long one, a vehicle is followed
-twice, or nobody is there.
+track is false while no vehicle is. The cause follows from the other side's bodies that overlap it:
+a long vehicle is followed as a short one or as two, one track follows several vehicles, a vehicle
+is followed twice, or nobody is there.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from found import estimated_states
 from own import measured
 from scenes import SceneFiles, scene
 from targets import STANDS_MPS, near_only
-from tracks import EVERY, Scored, compared, matched
+from tracks import EVERY_STEPS, Scored, compared, matched
 
 import gis_radar as gr
 from gis_radar.base import STEP_S, Floats
 
 LONG_M, SMALL_M = 7.0, 3.0  # lorries and buses are longer, motorcycles and bicycles shorter
-ASIDE_M = 1.7  # bodies farther aside are in another lane
-LISTED = 20
+ASIDE_M = 1.7  # bodies farther aside do not overlap
+LISTED = 20  # cases that are printed
 AS_SHORT = "a long one is followed as a short one"
 AS_TWO, IN_PLACE = "a long one is followed as two", "a long one is followed in place of several"
 
 
 def main() -> None:
-    """Print the shares of causes, and the worst."""
+    """Print the time by cause, and the longest cases."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def _of_scene(site: SceneFiles, poses: str, dataset: Path | None) -> pd.DataFrame:
-    """Return the errors of a scene, which is measured where no dataset is given."""
+    """Return the cases of a scene, which is measured where no dataset is given."""
     with tempfile.TemporaryDirectory() as folder:
         if dataset is None:
             opened = measured(site, Path(folder) / "dataset", found=poses == "found")
@@ -80,11 +80,11 @@ def errors_of(scored: Scored) -> pd.DataFrame:
             length=("length", "median"), seconds=("step", "size"), begin_s=("begin_s", "min")
         ).reset_index())  # fmt: skip
     found = pd.concat(parts, ignore_index=True)
-    return found.assign(seconds=found["seconds"] * EVERY * STEP_S)
+    return found.assign(seconds=found["seconds"] * EVERY_STEPS * STEP_S)
 
 
 def _causes(side: str, bad: pd.DataFrame, others: pd.DataFrame) -> list[str]:
-    """Return why each row matches none, by the other side's bodies in the same step."""
+    """Return the cause of each unmatched row, from the other side's bodies in the same step."""
     by_step = dict(tuple(others.groupby("step")))
     none = others.iloc[:0]
     return [
@@ -93,7 +93,7 @@ def _causes(side: str, bad: pd.DataFrame, others: pd.DataFrame) -> list[str]:
 
 
 def _cause(side: str, row: pd.Series, bodies: pd.DataFrame) -> str:
-    """Return why a row matches none, from the other side's bodies on it."""
+    """Return the cause of an unmatched row, from the other side's bodies that overlap it."""
     stands = "stands" if row["speed"] < STANDS_MPS else "drives"
     if bodies.empty:
         return _nobody(side, row, stands)
@@ -106,12 +106,12 @@ def _cause(side: str, row: pd.Series, bodies: pd.DataFrame) -> str:
     track_is_short = (~long).any() if side == "missed" else not is_long
     if true_is_long and track_is_short:
         return AS_SHORT
-    alone = true_is_long and len(bodies) == 1  # a long one that is followed as it is, farther on
+    alone = true_is_long and len(bodies) == 1  # followed with its length, but too far away
     return IN_PLACE if track_is_long and not alone else f"off its place, {stands}"
 
 
 def _nobody(side: str, row: pd.Series, stands: str) -> str:
-    """Return what a row is on which no body of the other side lies."""
+    """Return the cause of a row that no body of the other side overlaps."""
     if side == "false":
         return f"nobody there, {stands}"
     small = ", motorcycle or bicycle" if row["length"] < SMALL_M else ""
@@ -119,7 +119,7 @@ def _nobody(side: str, row: pd.Series, stands: str) -> str:
 
 
 def on_body(row: pd.Series, others: pd.DataFrame) -> pd.DataFrame:
-    """Return the bodies that overlap that of a row."""
+    """Return the bodies that overlap a row's."""
     cos, sin = np.cos(row["heading"]), np.sin(row["heading"])
     east, north = (others[c].to_numpy() - row[c] for c in ("easting", "northing"))
     along: Floats = np.abs(cos * east + sin * north)
@@ -130,7 +130,7 @@ def on_body(row: pd.Series, others: pd.DataFrame) -> pd.DataFrame:
 
 
 def shares(errors: pd.DataFrame) -> pd.DataFrame:
-    """Return seconds and share of each side by cause, the largest first."""
+    """Return seconds, number of vehicles and share by side and cause, the largest first."""
     sums = errors.groupby(["side", "cause"])["seconds"].agg(["sum", "size"])
     sums["share"] = sums["sum"] / sums.groupby("side")["sum"].transform("sum")
     sums = sums.sort_values(["side", "sum"], ascending=False)
