@@ -332,7 +332,6 @@ def test_a_straight_road_says_nothing_about_the_place_along_it(tmp_path):
     ("shift", "said"),
     [
         ({"easting": 3.5}, "sensor"),
-        ({"yaw": 5.0, "easting": 2.0}, "lanes|sensor"),
         ({"yaw": 180.0}, "lanes"),
         ({"easting": -35.0, "northing": 30.0}, "lanes|sensor"),
     ],
