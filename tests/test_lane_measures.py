@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from forks import APPROACH, LEFT, STRAIGHT, fork, strip
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from maps import EAST, NORTH, UTM
 from shapely import LineString
@@ -393,6 +393,7 @@ def brute_back(cars, step):
 
 @given(st.lists(st.tuples(st.floats(8.0, 59.5), st.integers(0, 200)), max_size=5))
 @settings(max_examples=15)
+@example(places=[(59.0, 0), (43.5, 0)])  # 11 m apart
 def test_queues_are_those_found_car_by_car(places):
     cars = [
         (STRAIGHT, BEGIN + 4 * late, metres)
