@@ -26,6 +26,7 @@ from gis_radar.scans import find_pdal
 from gis_radar.scans.pdal import VARIABLE
 
 FETCHED = Path(__file__).parents[1] / ".pdal" / "bin" / "pdal"
+PICTURED = {"test_heatmap_files.py", "test_heatmap_occupancy.py", "test_same_bytes.py"}
 NONE = "none was found, and `make pdal` fetched none"
 os.environ["LANGUAGE"] = "en"  # whatever this machine speaks
 
@@ -145,8 +146,9 @@ def sumo_installed():
 
 def pytest_configure(config):
     # a first call compiles, and other processes have the cores, too
-    hypothesis.settings.register_profile("no deadline", hypothesis.settings(), deadline=None)
-    hypothesis.settings.load_profile("no deadline")
+    profile = {"deadline": None, "max_examples": 50}
+    hypothesis.settings.register_profile("of this suite", hypothesis.settings(), **profile)
+    hypothesis.settings.load_profile("of this suite")
     if find_pdal() is None and FETCHED.is_file():
         os.environ[VARIABLE] = str(FETCHED)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -283,11 +285,14 @@ def without_pdf(monkeypatch):
     monkeypatch.setattr(writing, "write_pdf", lambda _, path: path.write_bytes(b"%PDF"))
 
 
-@pytest.fixture
-def without_picture(monkeypatch):
-    """Leave the picture of heat maps empty where a test looks at other files: most of the time."""
-    place = "gis_radar.products.heatmap.heatmap.write_figure"
-    monkeypatch.setattr(place, lambda _heat, path, _reporter: path.touch())
+@pytest.fixture(scope="module", autouse=True)
+def heatmap_pictures(request):
+    """Leave pictures of heat maps empty but in PICTURED, which look at them: one takes a second."""
+    with pytest.MonkeyPatch.context() as here:
+        if request.path.name not in PICTURED:
+            place = "gis_radar.products.heatmap.heatmap.write_figure"
+            here.setattr(place, lambda _heat, path, _reporter: path.touch())
+        yield
 
 
 @pytest.fixture

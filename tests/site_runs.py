@@ -43,6 +43,7 @@ def only_pictures(looked_at=""):
         here.setattr(Figure, "savefig", leave_empty)
         here.setattr(Figure, "draw", lambda *_: None)
         here.setattr(writing, "write_pdf", lambda _, path: path.write_bytes(b"%PDF"))
+        here.setattr(writing, "draw_sights", lambda _: [])
 
     with pytest.MonkeyPatch.context() as here:
         blank()

@@ -119,7 +119,7 @@ def test_links_within_the_repository_lead_somewhere(name):
     assert [link for link in inside if not (ROOT / link).exists()] == []
 
 
-def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch, without_picture):
+def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch):
     sample = gr.sample_folder()
     monkeypatch.chdir(tmp_path)
     mpl.use("Agg")

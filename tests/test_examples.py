@@ -21,7 +21,7 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
 @pytest.fixture
-def elsewhere(tmp_path, monkeypatch, measured_once, without_picture):
+def elsewhere(tmp_path, monkeypatch, measured_once):
     """A folder to work in; pictures of `write` stay empty, those of `plot` are drawn."""
     monkeypatch.chdir(tmp_path)
     mpl.use("Agg")

@@ -80,7 +80,7 @@ def test_a_style_that_was_saved_survives(path):
     assert read_styles(path) == ours | {"sensors": MINE}
 
 
-def test_styles_of_heat_maps_survive(tmp_path, without_picture):
+def test_styles_of_heat_maps_survive(tmp_path):
     heat = gr.make_heatmap(two_sensors().dataset)
     heat.write(tmp_path / "map")
     package = tmp_path / "map" / "heatmap.gpkg"

@@ -17,8 +17,6 @@ from gis_radar.base import UsageError
 from gis_radar.dataset import TILE_COUNTS
 from gis_radar.products import make_heatmap
 
-pytestmark = pytest.mark.usefixtures("without_picture")
-
 
 @pytest.fixture(scope="module")
 def heatmap():

@@ -13,8 +13,6 @@ from counted_sites import T0, two_sensors
 
 import gis_radar as gr
 
-pytestmark = pytest.mark.usefixtures("without_picture")
-
 
 @pytest.fixture(scope="module")
 def site():

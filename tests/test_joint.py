@@ -98,23 +98,15 @@ def matched(recordings, **poses):
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def found(true, recordings):
-    guesses = [tuple(pose.position[:2] + [4.0, -3.0]) for pose in true.values()]
-    return locate_all(
-        list(recordings.values()), LONG.roads(), LONG.road_points(), guesses=guesses
-    )  # fmt: skip
-
-
-def test_a_sensor_on_a_straight_road_is_fixed_along_it_by_its_neighbour(found, true):
-    pose = found.found["R2"].pose
+def test_a_sensor_on_a_straight_road_is_fixed_along_it_by_its_neighbour(written, true):
+    pose = gr.read_pose(written["outputs"][1])
     gained = pose.evidence["together"]["gained"]
     before, after = (
         np.hypot(gained["easting"][when], gained["northing"][when]) for when in ("before", "after")
     )
     assert before > 5.0
     assert after < 1.0
-    assert found.found["R2"].observable
+    assert pose.evidence["observable"]
     error, sigma = errors(pose, true["R2"]), pose.evidence["sigma"]
     assert (np.abs(error) < 2.0 * np.array([sigma[name] for name in COMPONENTS])).all()
 
@@ -132,7 +124,7 @@ def test_no_sigma_grows_where_the_poses_agree(recordings, true, spread_m):
 def test_errors_are_as_large_as_stated(recordings, true):
     """NEES of the joint poses, single answers drawn from their covariance: chi-square of 3."""
     nees = []
-    for seed in range(8):
+    for seed in range(5):
         rng = np.random.default_rng(seed)
         drawn = {}
         for name, pose in true.items():
@@ -237,8 +229,7 @@ def late_and_loose(street, folder, true, ahead_s, **traffic):
     return solved, mine["R2"]
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("ahead_s", [-1.5, 0.6, 1.0])
+@pytest.mark.parametrize(("ahead_s", "seed"), [(-1.5, 1), (0.6, 2), (1.0, 3)])
 def test_a_clock_that_is_off_is_no_other_place(true, tmp_path, ahead_s, seed):
     """Vehicles of one direction alone fit another place: seen late, or from elsewhere."""
     solved, _ = late_and_loose(LONG, tmp_path, true, ahead_s, vehicles=40, seed=seed)
@@ -250,12 +241,9 @@ def test_a_clock_that_is_off_is_no_other_place(true, tmp_path, ahead_s, seed):
     assert float(told.split()[5]) == pytest.approx(abs(ahead_s), abs=0.05)
 
 
-@pytest.mark.parametrize("ahead_s", [0.0, 1.0])
-def test_traffic_of_one_direction_and_speed_places_no_sensor_whose_clock_may_be_off(
-    true, tmp_path, ahead_s
-):
+def test_traffic_of_one_direction_and_speed_places_no_sensor_whose_clock_may_be_off(true, tmp_path):
     street = replace(LONG, lanes=(LONG.lanes[0], *LONG.lanes[2:]))
-    solved, mine = late_and_loose(street, tmp_path, true, ahead_s, vehicles=60, speeds=(9.9, 10.1))
+    solved, mine = late_and_loose(street, tmp_path, true, 1.0, vehicles=60, speeds=(9.9, 10.1))
     assert solved.poses["R2"] == mine
     assert "traffic in both directions" in solved.unmatched["R2"]
 
@@ -371,8 +359,7 @@ def test_of_several_poses_the_neighbour_tells_the_right_one(recordings, true, ri
     assert abs(errors(solved.poses["R2"], true["R2"])[:2] @ ALONG) < 0.6
 
 
-@pytest.mark.parametrize("spread_m", [0.0, 6.0])
-@pytest.mark.parametrize("seed", [77, 81])
+@pytest.mark.parametrize(("seed", "spread_m"), [(77, 6.0), (81, 0.0)])
 def test_a_sensor_that_sees_other_traffic_keeps_its_answer(
     recordings, true, tmp_path, seed, spread_m
 ):
@@ -548,21 +535,30 @@ def guess_words(true):
     ]
 
 
-@pytest.fixture
-def scene_map(monkeypatch):
-    monkeypatch.setattr(
-        "gis_radar.calibration.single.localization.read_map", lambda *_, **__: LONG.roads()
-    )
+@pytest.fixture(scope="module")
+def scene_map():
+    with pytest.MonkeyPatch.context() as here:
+        here.setattr(
+            "gis_radar.calibration.single.localization.read_map", lambda *_, **__: LONG.roads()
+        )
+        yield
 
 
-@pytest.mark.usefixtures("scene_map")
-def test_the_command_writes_a_pose_for_each_sensor(files, true, tmp_path):
-    done = invoke(files, tmp_path / "poses", *guess_words(true))
+@pytest.fixture(scope="module")
+def written(files, true, scene_map, tmp_path_factory):
+    """What the command says, which finds both poses."""
+    folder = tmp_path_factory.mktemp("written") / "poses"
+    headings = [word for pose in true.values() for word in ("--heading", f"{pose.yaw + 8:.1f}")]
+    done = invoke(files, folder, *guess_words(true), *headings)
     assert done.exception is None
     result = json.loads(done.stdout.splitlines()[-1])
-    assert result["outputs"] == [str(tmp_path / "poses" / f"{name}.json") for name in true]
-    assert "vehicles shared with R1" in result["summary"]["R2"]
-    for path, pose in zip(result["outputs"], true.values(), strict=True):
+    assert result["outputs"] == [str(folder / f"{name}.json") for name in true]
+    return result
+
+
+def test_the_command_writes_a_pose_for_each_sensor(written, true):
+    assert "vehicles shared with R1" in written["summary"]["R2"]
+    for path, pose in zip(written["outputs"], true.values(), strict=True):
         assert (np.abs(errors(gr.read_pose(path), pose)[:2]) < 1.0).all()
 
 

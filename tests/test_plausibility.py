@@ -41,8 +41,8 @@ def tiles():
 
 @pytest.fixture(scope="module")
 def rows(first_seconds):
-    """Rows of half a minute of both sensors."""
-    return {n: pd.read_parquet(first_seconds(SAMPLE / f"{n}.parquet", 30)) for n in POSES}
+    """Rows of both sensors: enough traffic to tell a mistake."""
+    return {n: pd.read_parquet(first_seconds(SAMPLE / f"{n}.parquet", 24)) for n in POSES}
 
 
 @pytest.fixture(scope="module")
@@ -71,10 +71,10 @@ def some_infinite(table):
 def frozen(table):
     """Repeat one frame for five seconds."""
     frames = np.unique(table["time"])
-    one = table[table["time"] == frames[400]]
-    again = [one.assign(time=time) for time in frames[400:500]]
+    one = table[table["time"] == frames[300]]
+    again = [one.assign(time=time) for time in frames[300:400]]
     return pd.concat(
-        [table[table["time"] < frames[400]], *again, table[table["time"] > frames[499]]]
+        [table[table["time"] < frames[300]], *again, table[table["time"] > frames[399]]]
     )
 
 
@@ -288,14 +288,14 @@ def test_a_doubt_stays_with_the_recording_that_it_is_of(tmp_path, tiles, rows):
     assert measured([first, later], []) == {}
 
 
-def test_from_half_way_on_it_is_another_sensor(tmp_path, tiles, minute):
+def test_from_half_way_on_it_is_another_sensor(tmp_path, tiles, minute, rows):
     middle = minute["R1"]["time"].iloc[0] + 30.0
     parts = [
         minute["R1"][minute["R1"]["time"] < middle],
         minute["R2"][minute["R2"]["time"] >= middle],
     ]
     pd.concat(parts).to_parquet(tmp_path / "A.parquet", index=False)
-    minute["R2"].to_parquet(tmp_path / "B.parquet", index=False)
+    rows["R2"].to_parquet(tmp_path / "B.parquet", index=False)
     files = [tmp_path / "A.parquet", tmp_path / "B.parquet"]
     with pytest.raises(ImplausibleError, match=r"R1: does not fit: from .*07:30:\S+ on: .* of R2"):
         gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True)

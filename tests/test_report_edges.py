@@ -38,7 +38,7 @@ def results(once):
     return once("whole run", write_whole_run)
 
 
-def test_text_of_others_stays_text(tmp_path, without_pdf):
+def test_text_of_others_stays_text(tmp_path, blank_paper):
     folder = write_results(tmp_path, names=(HOSTILE, FORMULA), interval=None, steps=400)
     write_run(folder, title=f"Site {HOSTILE} & \"quotes'")
     gr.write_report(folder)
@@ -97,7 +97,7 @@ def test_a_pose_in_another_plane_is_told(results, tmp_path, blank_paper):
     assert told in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_dataset_of_other_tiles_is_left_out_or_refused(results, tmp_path, without_pdf):
+def test_a_dataset_of_other_tiles_is_left_out_or_refused(results, tmp_path, blank_paper):
     shutil.copytree(results / "heatmap", tmp_path / "run" / "heatmap")
     other = write_dataset(tmp_path / "run" / "dataset").folder
     remarks = gr.write_report(tmp_path / "run").summary["remarks"]
@@ -222,7 +222,7 @@ def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path, blank_pap
     assert (tmp_path / "map" / "quality.csv").read_text() == "mine"
 
 
-def test_a_full_disk_leaves_no_new_folder(results, tmp_path, monkeypatch):
+def test_a_full_disk_leaves_no_new_folder(results, tmp_path, monkeypatch, blank_paper):
     def full(_):
         raise OSError(errno.ENOSPC, "No space left on device")
 

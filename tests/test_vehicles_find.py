@@ -16,7 +16,7 @@ from gis_radar.tracking.map_check import describe_map
 SAMPLE = gr.sample_folder()
 
 
-SECONDS = 25.0  # of the sample's hundred: enough traffic
+SECONDS = 18.0  # of the sample's hundred: enough traffic
 
 
 def begin_of(path, seconds=SECONDS):
@@ -97,7 +97,7 @@ def test_most_moving_vehicles_near_the_sensors_are_followed(whole):
             at["easting"] - row.easting, at["northing"] - row.northing
         ).min()  # fmt: skip
         hit.append(apart < 4.0)
-    assert sum(detected) > 200
+    assert sum(detected) > 100
     assert np.mean(hit) > 0.7
     assert np.mean(np.array(hit)[detected]) > 0.85
 

@@ -22,7 +22,7 @@ from gis_radar.cli import group
 
 FIRST = HOUR // 24 * 24 - 13 * 24  # 2023-11-01, 0 h
 MONTH = "2023-11"
-HOURS = [FIRST + 24 * day + hour for day in range(4) for hour in (7, 17)]  # Wednesday on
+HOURS = [FIRST + 24 * day + hour for day in range(3) for hour in (7, 17)]  # Wednesday on
 BEFORE = [hour - 28 * 24 for hour in HOURS]  # the same weekdays of October
 PHONE = 390
 

@@ -7,7 +7,7 @@ from measured import EDGE_S, cut, measured
 
 import gis_radar as gr
 
-FIRST_S, LAST_S = 22.0, 36.0
+FIRST_S, LAST_S = 24.0, 34.0
 EDGE_AT_S = 28.35
 WHOLE_S = -971.65  # no edge, and steps that begin alike
 NEAR_S = 0.5  # as the tracker may see one passage from another window
@@ -49,7 +49,7 @@ def test_passages_are_those_without_an_edge(hours):
         on="at_s", by="lanelet_id", tolerance=NEAR_S, direction="nearest",
     )  # fmt: skip
     changed = int(matched["known"].isna().sum())
-    assert len(whole) > 25
+    assert len(whole) > 15
     assert abs(len(parted) - len(whole)) <= 1
     assert changed <= 2  # which the tracker itself sees otherwise from other blocks
     continued = hours[EDGE_AT_S].continued()
