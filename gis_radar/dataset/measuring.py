@@ -42,8 +42,8 @@ from gis_radar.dataset.files.manifest import (
     remove_dataset,
     require_same_settings,
 )
+from gis_radar.dataset.files.pose_book import PoseBook
 from gis_radar.dataset.files.registry import (
-    PoseBook,
     RecordingEntry,
     Registry,
     entry_of,

@@ -6,15 +6,14 @@ it. An hour that a recording reaches into and does not list has to be made again
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -33,13 +32,13 @@ from gis_radar.calibration import SensorClock
 from gis_radar.dataset.files.parts import (
     digest_of,
     hour_of_step,
-    part_path,
     single_file,
     write_single_file,
 )
-from gis_radar.dataset.files.tables import POSES, RECORDINGS, SIGHTS
-from gis_radar.measures import PlacedRecording, PoseSight, digest_of_sights, pose_names
-from gis_radar.poses import ANGLES, POSITION, PoseTrack, pose_from_dict
+from gis_radar.dataset.files.pose_book import PoseBook
+from gis_radar.dataset.files.tables import RECORDINGS
+from gis_radar.measures import PlacedRecording, PoseSight, digest_of_sights
+from gis_radar.poses import PoseTrack
 from gis_radar.recordings import Recording, has_height, open_recording
 
 LONGEST_GAP_S = 24 * 3600.0
@@ -128,37 +127,6 @@ class RecordingEntry:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseBook:
-    """Pose tracks of a dataset, and the sights of their poses.
-
-    Parameters
-    ----------
-    tracks : dict
-        By name; a single pose is a track of one.
-    sights : dict
-        By the same name, the sight of each pose.
-    """
-
-    tracks: dict[str, PoseTrack] = field(default_factory=dict)
-    sights: dict[str, Sequence[PoseSight]] = field(default_factory=dict)
-
-    def joined(self, other: PoseBook) -> PoseBook:
-        """Return a book with the poses of both."""
-        return PoseBook(tracks=self.tracks | other.tracks, sights=self.sights | other.sights)
-
-    def of(self, names: Iterable[str]) -> PoseBook:
-        """Return a book with some of the tracks."""
-        tracks = {name: self.tracks[name] for name in sorted(set(names))}
-        return PoseBook(tracks=tracks, sights={name: self.sights[name] for name in tracks})
-
-    @property
-    def by_pose(self) -> dict[str, PoseSight]:
-        """Sights by the name of their pose, each once."""
-        found = {each.name: each for sights in self.sights.values() for each in sights}
-        return dict(sorted(found.items()))
-
-
-@dataclass(frozen=True, kw_only=True)
 class Registry:
     """Recordings and poses of a dataset.
 
@@ -201,9 +169,8 @@ class Registry:
         InputError
             If a table is damaged, or of another dataset.
         """
-        recordings, poses, sights = (
-            single_file(table, folder, fingerprint).read() for table in (RECORDINGS, POSES, SIGHTS)
-        )
+        recordings = single_file(RECORDINGS, folder, fingerprint).read()
+        book = PoseBook.read(folder, fingerprint)
         if hour is not None:  # a year's recordings as Python objects take seconds
             recordings = recordings.filter(_near_hour(recordings, hour, margin))
         try:
@@ -213,25 +180,15 @@ class Registry:
             ]
             if hour is not None:
                 entries = [each for each in entries if hour in each.reached_hours(margin)]
-            book = _poses_from(poses, sights, folder)
             book.of(each.pose for each in entries)  # raises KeyError if one is missing
         except (ValueError, KeyError, TypeError) as error:
             raise InputError("{}: damaged: {}", folder, f"{error!r:.200}") from error
-        for each in entries:
-            if each.sights not in (None, digest_of_sights(book.sights[each.pose])):
-                raise InputError(
-                    "{}: is not of the run that measured {}, or poses.parquet is not",
-                    part_path(folder, SIGHTS),
-                    each.path,
-                    hint="bring back the files of this dataset, or measure into a new folder",
-                )
         entries.sort(key=attrgetter("key"))
         return cls(folder=folder, fingerprint=fingerprint, entries=tuple(entries), poses=book)
 
     def write_poses(self, poses: PoseBook) -> None:
         """Write poses and their sights, replacing the present tables."""
-        write_single_file(SIGHTS, self.folder, _sights_table(poses), self.fingerprint)
-        write_single_file(POSES, self.folder, _poses_table(poses), self.fingerprint)
+        poses.write(self.folder, self.fingerprint)
 
     def write_recordings(self) -> None:
         """Write the table of recordings, with the hours that were made with each."""
@@ -419,60 +376,6 @@ def _refuse_gap(recording: Recording, last: float, then: float) -> None:
         hint="convert and name recordings of different days one by one; or, if the sensor's clock "
         "was set, cut it there",
     )
-
-
-def _poses_table(poses: PoseBook) -> Mapping[str, Any]:
-    rows = []
-    for name, track in poses.tracks.items():
-        names = pose_names(name, len(track.poses))
-        since = [each if math.isfinite(each) else None for each in track.since.tolist()]
-        for own, pose, begin, sight in zip(
-            names, track.poses, since, poses.sights[name], strict=True
-        ):
-            rows.append(
-                {
-                    "pose": own, "sensor": pose.sensor, "track": name, "since": begin,
-                    **{part: getattr(pose, part) for part in (*POSITION, *ANGLES)},
-                    "sight": sight.name,
-                    "road_m": sight.road_m if math.isfinite(sight.road_m) else None,
-                    "document": json.dumps(pose.as_dict(), sort_keys=True),
-                }
-            )  # fmt: skip
-    rows.sort(key=lambda row: str(row["pose"]))
-    return {name: [row[name] for row in rows] for name in POSES.names}
-
-
-def _sights_table(poses: PoseBook) -> Mapping[str, Any]:
-    names = [*poses.by_pose]
-    tiles = [each.tile_id for each in poses.by_pose.values()]
-    return {
-        "pose": np.repeat(np.array([*names, ""], object)[:-1], [len(each) for each in tiles]),
-        "tile_id": np.concatenate([np.empty(0, np.int64), *tiles]),
-    }
-
-
-def _poses_from(poses: pa.Table, sights: pa.Table, folder: Path) -> PoseBook:
-    """Return the poses of a dataset from its tables."""
-    frame, pairs = poses.to_pandas(), sights.to_pandas()
-    tiles = {name: rows.to_numpy(np.int64) for name, rows in pairs.groupby("pose")["tile_id"]}
-    book = PoseBook()
-    for name, rows in frame.groupby("track", sort=True):
-        track_poses = tuple(
-            pose_from_dict(json.loads(text), what=f"{folder}: {name}") for text in rows["document"]
-        )
-        since = rows["since"].fillna(-math.inf).to_numpy(np.float64)
-        book.tracks[str(name)] = PoseTrack(poses=track_poses, since=since)
-        sight_names = set(rows["sight"])
-        own_sights = {
-            own: PoseSight(
-                name=own, pose=pose, road_m=float(road_m),
-                tile_id=tiles.get(own, np.empty(0, np.int64)),
-            )
-            for own, pose, road_m in zip(rows["pose"], track_poses, rows["road_m"], strict=True)
-            if own in sight_names
-        }  # fmt: skip
-        book.sights[str(name)] = tuple(own_sights[head] for head in rows["sight"])
-    return book
 
 
 def refuse_swapped(recordings: Sequence[Recording], tracks: Sequence[PoseTrack]) -> None:

@@ -16,8 +16,8 @@ import pyogrio
 from gis_radar.base import InputError, UsageError, opened_package, step_at, zone_of
 from gis_radar.dataset.files.manifest import TILES, Manifest, tiles_of_dataset
 from gis_radar.dataset.files.parts import MEASURE_AGAIN, hour_of_step, hour_text, single_file
+from gis_radar.dataset.files.pose_book import PoseBook
 from gis_radar.dataset.files.records import HourRecord, Span, read_hours
-from gis_radar.dataset.files.registry import Registry
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import CONTINUED, POSES, SIGHTS
 from gis_radar.dataset.files.units import convert_units
@@ -134,7 +134,7 @@ class DatasetFiles:
     def single_table(self, table: TableSchema) -> pa.Table:
         """Read a table that is one file, with its columns: recordings, poses or sights."""
         if table in (POSES, SIGHTS):  # refuses those of another run
-            Registry.read(self.folder, self.manifest.fingerprint)
+            PoseBook.read(self.folder, self.manifest.fingerprint)
         return single_file(table, self.folder, self.manifest.fingerprint).read()
 
     def _step(self, value: Moment, what: str) -> int | None:
