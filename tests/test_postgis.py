@@ -219,9 +219,10 @@ def test_a_reader_reads_and_writes_nothing_and_listeners_hear_of_it(database, as
 def test_a_sensor_stands_where_its_last_recording_was_made(database, asked, first_hour, tmp_path):
     dataset = gr.open_dataset(shutil.copytree(first_hour.folder, tmp_path / "data"))
     for name, changes in (
-        ("poses", {"pose": "R1-new", "track": "R1-new", "height": 9.5}),
+        ("poses", {"pose": "R1-new", "track": "R1-new", "sight": "R1-new", "height": 9.5}),
         ("recordings",
-         {"pose": "R1-new", "path": "later.parquet", "last_time": 1.8e9, "sights": None}),
+         {"pose": "R1-new", "path": "later.parquet", "last_time": 1.8e9, "digest": "f",
+          "sights": None}),
     ):  # fmt: skip
         old = pq.read_table(dataset.folder / f"{name}.parquet")
         row = pa.Table.from_pylist([old.to_pylist()[0] | changes], old.schema)
