@@ -16,7 +16,13 @@ from shapely import LineString
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
-from gis_radar.dataset import LaneTraffic, part_path, read_hours, write_record
+from gis_radar.dataset import (
+    LaneTraffic,
+    part_path,
+    read_hours,
+    write_record,
+    write_single_file,
+)
 from gis_radar.dataset.files.tables import TABLES
 from gis_radar.products.postgis import VERSION
 
@@ -214,11 +220,14 @@ def test_a_sensor_stands_where_its_last_recording_was_made(database, asked, firs
     dataset = gr.open_dataset(shutil.copytree(first_hour.folder, tmp_path / "data"))
     for name, changes in (
         ("poses", {"pose": "R1-new", "track": "R1-new", "height": 9.5}),
-        ("recordings", {"pose": "R1-new", "path": "later.parquet", "last_time": 1.8e9}),
-    ):
+        ("recordings",
+         {"pose": "R1-new", "path": "later.parquet", "last_time": 1.8e9, "sights": None}),
+    ):  # fmt: skip
         old = pq.read_table(dataset.folder / f"{name}.parquet")
         row = pa.Table.from_pylist([old.to_pylist()[0] | changes], old.schema)
-        pq.write_table(pa.concat_tables([row, old]), dataset.folder / f"{name}.parquet")
+        rows = pa.concat_tables([row, old])
+        rows = rows.sort_by([(column, "ascending") for column in TABLES[name].order])
+        write_single_file(TABLES[name], dataset.folder, rows, dataset.manifest.fingerprint)
     gr.publish(gr.open_dataset(dataset.folder), database)
     assert asked("SELECT pose, height FROM gis_radar.sensors") == [("R1-new", 9.5)]
 

@@ -438,11 +438,11 @@ def test_a_clearance_over_a_road_without_heights(files, tmp_path):
         )  # fmt: skip
 
 
-def said_of(tmp_path, change):
+def said_of(tmp_path, change, **options):
     """Measure R1 as changed, over 3 s, and return what is said of it."""
     listener = Listener()
     path = cut(tmp_path / "odd.parquet", "R1", 10.0, 13.0, edge_s=-300.0, change=change)
-    hits_of(tmp_path / "site", ("R1", path), reporter=listener)
+    hits_of(tmp_path / "site", ("R1", path), reporter=listener, **options)
     return "\n".join(map(str, listener.lines))
 
 
@@ -457,6 +457,13 @@ def test_rounded_times_are_named(tmp_path, grid_s):
 
     named = f"all times are multiples of {grid_s:g} s" in said_of(tmp_path, rounded)
     assert named == (grid_s > 0.05)
+
+
+def test_times_on_the_grid_of_the_stated_cycle_are_right(tmp_path):
+    def slow(rows):
+        return rows.assign(time=np.floor(rows["time"] / 0.1) * 0.1)
+
+    assert "multiples" not in said_of(tmp_path, slow, cycles={"R1": 0.1})
 
 
 @pytest.mark.parametrize("later_s", [0.0, 5.0])

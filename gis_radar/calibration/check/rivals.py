@@ -42,7 +42,7 @@ MOST_CACHED = 4  # places whose lanes are held in memory, 25 MB each
 SAME_PLACE_M, SAME_DEG, TURNS = 2.0, (2.0, 3.0, 5.0), ("yaw", "pitch", "roll")
 # A pose with a single mistake has either place or yaw right, up to these errors of the search.
 ONE_MISTAKE_M, ONE_MISTAKE_DEG = 3.0, 3.0
-TILTED_DEG = 2.0  # of roll or pitch: more than the search is off
+TILTED_DEG = 10.0  # of roll or pitch: at a wrong place the search is off by 4 deg
 SEARCHED = 3  # number of likeliest poses taken from a search
 STEP_DEG, NEAR_DEG = 10.0, 20.0  # of tried yaws: step, and least distance from the given yaw
 

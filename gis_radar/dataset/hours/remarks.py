@@ -206,17 +206,23 @@ def _cycle_warnings(examined: Examined) -> Iterator[str]:
 
 
 def _rounding_warnings(examined: Examined) -> Iterator[str]:
-    """Yield a warning where times were rounded, so that frames of one time may be several."""
+    """Yield a warning where times were rounded, so that frames of one time may be several.
+
+    Frames whose stated cycle is as long are valid for longer than it.
+    """
     time = np.unique(next(examined.source.recording.read()).time)
     for grid_s in ROUNDED_S:
         off = np.abs(time / grid_s - np.rint(time / grid_s))
         if len(time) >= LEAST_TIMES and off.max() < ROUNDED_SHARE:
-            yield Text(
-                "{}: all times are multiples of {:g} s: were they rounded? Then frames are joined "
-                "into one, and hits and places are wrong; write six decimals",
-                examined.source.recording.path.name,
-                grid_s,
-            )
+            if examined.entry.validity_s <= grid_s:
+                yield Text(
+                    "{}: all times are multiples of {:g} s: were they rounded? Then frames are "
+                    "joined into one, and hits and places are wrong; write six decimals, or, if "
+                    "that is the radar's cycle, give {}",
+                    examined.source.recording.path.name,
+                    grid_s,
+                    Text("--cycle {}={}ms", examined.entry.sensor, round(1000 * grid_s)),
+                )
             return
 
 
