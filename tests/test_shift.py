@@ -7,8 +7,14 @@ from maps import Listener
 
 import gis_radar as gr
 from gis_radar.base import Grid
-from gis_radar.scans import SightScan, SightTiles, find_sight, open_scan, read_shifted
-from gis_radar.scans.columns import ScanColumns
+from gis_radar.scans import (
+    ScanColumns,
+    SightScan,
+    SightTiles,
+    find_sight,
+    open_scan,
+    read_shifted,
+)
 from gis_radar.scans.roads import roads_of_map
 from gis_radar.scans.shift import warn_shifted
 
