@@ -168,6 +168,12 @@ def test_a_stop_line_that_nothing_names_ends_the_lane_before_it_only(tmp_path):
     assert stops["lane_m"].to_numpy() == pytest.approx([20.0], abs=0.01)
 
 
+def test_a_lane_with_a_stop_line_at_its_begin_leads_somewhere(tmp_path):
+    lanes = two_lanes(tmp_path, stop=((0.0, 2.8), (0.0, 0.2))).lanes().set_index("lane")
+    assert lanes.loc[100, "stop_line_m"] < 0.1
+    assert lanes.loc[100, "direction"] == "east"
+
+
 # Names of streets.
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sites import START, crossing, pose, recording
 
-from gis_radar.base import InputError, UsageError
+from gis_radar.base import InputError, UsageError, in_language
 from gis_radar.dataset import measure
 from gis_radar.products import measure_quality
 from gis_radar.products.quality.counting import hour_begins
@@ -199,6 +199,9 @@ def test_written_tables_are_in_utc(tmp_path):
     quality.write(tmp_path / "q.csv")
     text = (tmp_path / "q.csv").read_text().splitlines()
     assert "2023-11-14T22:00:00Z,2023-11-14T23:00:00Z,2023-11-14,23,Tuesday" in text[1]
+    with in_language("de"):  # of the terminal
+        quality.write(tmp_path / "again.csv")
+    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "q.csv").read_bytes()
     quality.write(tmp_path / "german.csv", csv_locale="de")
     german = pd.read_csv(tmp_path / "german.csv", sep=";", decimal=",", encoding="utf-8-sig")
     assert german.loc[0, ["weekday", "verdict"]].tolist() == ["Dienstag", "in Ordnung"]

@@ -6,8 +6,17 @@ import shapely
 from maps import Listener
 
 import gis_radar as gr
-from gis_radar.scans import SightScan, SightTiles, find_sight, open_scan, read_shifted
+from gis_radar.base import Grid
+from gis_radar.scans import (
+    ScanColumns,
+    SightScan,
+    SightTiles,
+    find_sight,
+    open_scan,
+    read_shifted,
+)
 from gis_radar.scans.roads import roads_of_map
+from gis_radar.scans.shift import warn_shifted
 
 SAMPLE = gr.sample_folder()
 SCAN = SAMPLE / "scan.laz"
@@ -16,16 +25,6 @@ SCAN = SAMPLE / "scan.laz"
 @pytest.fixture(scope="module")
 def roads():
     return gr.read_map(SAMPLE / "junction.osm")
-
-
-def moved(roads, shift):
-    """Return the map with its roads moved (m)."""
-    frames = roads.lanelets.assign(**{
-        side: shapely.transform(roads.lanelets[side].to_numpy(), lambda xy: xy + shift)
-        for side in ("left", "right")
-    })  # fmt: skip
-    place = shapely.transform(frames.geometry.to_numpy(), lambda xy: xy + shift)
-    return gr.LaneletMap(**{**vars(roads), "lanelets": frames.set_geometry(place, crs=roads.crs)})
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (2.0, -1.0), (10.0, 0.0), (-6.0, 8.0)])
@@ -48,3 +47,15 @@ def test_tiles_beside_their_place_are_named_where_a_scan_gives_sight(roads, shif
     listener, road = Listener(), SightTiles.of(tiles)
     find_sight(gr.read_pose(SAMPLE / "R1.json"), road, SightScan([SCAN], road, reporter=listener))
     assert any("fit the scan" in each for each in listener.lines) == (shift > 0.0)
+
+
+@pytest.mark.parametrize("strays", [0, 1])
+def test_an_avenue_in_open_fields_is_in_its_place(strays):
+    """Crowns reach over the road, and nothing stands beside it: that it fits there says nothing."""
+    columns = ScanColumns(grid=Grid(cell_m=1.0, west=0, south=0, columns=80, rows=300))
+    columns.low[:] = 0.0
+    columns.top[:] = 0.0
+    columns.top[38:43, ::3] = 6.0
+    columns.top[52, : 2 * strays : 2] = 6.0
+    middle = np.stack(np.meshgrid(np.arange(39.5, 42.0), np.arange(20.5, 280.0)), -1).reshape(-1, 2)
+    assert not warn_shifted(columns, middle, "avenue.laz", Listener())

@@ -219,7 +219,8 @@ def measure(
             reporter.warn(line)
     folder = Path(folder)
     with locked_for_writing(folder, reporter):
-        if only and Manifest.is_there(folder) and Manifest.read(folder) != given.manifest:
+        is_there = Manifest.is_there(folder)
+        if only and is_there and not Manifest.read(folder).is_as(given.manifest):
             made = _replace(given, folder, processes, reporter, before_hour=before_hour)
         else:
             made = _add(given, folder, processes, reporter, only=only, before_hour=before_hour)
@@ -460,6 +461,7 @@ def _merged_registry(before: Registry, given: _Inputs, *, only: bool) -> Registr
     margin = given.settings.margin
     paths = {each.path for each in given.entries}
     digests = {each.digest: each for each in given.entries}
+    sights = {each.pose: each.sights for each in given.entries}
     kept, replaced = list[RecordingEntry](), list[RecordingEntry]()
     added = list(given.entries)
     for entry in before.entries:
@@ -471,8 +473,8 @@ def _merged_registry(before: Registry, given: _Inputs, *, only: bool) -> Registr
             kept.append(replace(entry, path=given_entry.path))
         elif only or given_entry is not None or entry.path in paths:
             replaced.append(entry)
-        else:
-            kept.append(entry)
+        else:  # another version may find other sights of the same pose, which replace its own
+            kept.append(replace(entry, sights=sights.get(entry.pose, entry.sights)))
     entries = tuple(sorted([*kept, *added], key=lambda each: each.key))
     poses = before.poses.joined(given.poses).of(each.pose for each in entries)
     joined = replace(before, entries=entries, poses=poses)

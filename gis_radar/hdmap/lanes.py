@@ -219,7 +219,11 @@ def _centre_line(parts: list[shapely.LineString]) -> shapely.LineString:
 
 
 def _exit_vector(line: shapely.LineString, end_m: float) -> tuple[float, float]:
-    """Return the vector (east, north), metres, of the last `LANE_EXIT_M` of a line to `end_m`."""
+    """Return the vector (east, north), metres, of the last `LANE_EXIT_M` of a line to `end_m`.
+
+    Where `end_m` is nearer to the line's begin, it is that of the first `LANE_EXIT_M`.
+    """
+    end_m = max(end_m, min(LANE_EXIT_M, line.length))
     end, before = line.interpolate(end_m), line.interpolate(max(end_m - LANE_EXIT_M, 0.0))
     return end.x - before.x, end.y - before.y
 

@@ -20,8 +20,9 @@ from gis_radar.scans.scan import Scan, box_with_margin
 HIGH_M, AROUND_M = 2.5, 2.5  # over the lowest point around: higher than most cars
 STEP_M, REACH_M = 1.0, 16.0  # of the places that are tried
 # Places within `SAME_M` are one. Where the roads are, this share of what stands over them at any
-# other place stands over them at most: 0.07 to 0.36 on four simulated sites.
-SAME_M, OPEN_SHARE, LEAST_HIGH = 4.0, 0.5, 0.05
+# other place stands over them at most: 0.07 to 0.36 on four simulated sites. Where there are two
+# with less than `LEAST_ELSEWHERE`, as beside an avenue in fields, the scan does not tell the place.
+SAME_M, OPEN_SHARE, LEAST_HIGH, LEAST_ELSEWHERE = 4.0, 0.5, 0.05, 0.01
 LEAST_POINTS, MOST_POINTS = 400, 5000  # of the roads that are compared
 EDGE_M = 1.25  # of roads, over which crowns and roofs reach
 NEAR_M = 200.0  # of a sensor
@@ -61,6 +62,7 @@ def warn_shifted(columns: ScanColumns, xy: Floats, path: str | Path, reporter: R
     here, best = share[len(share) // 2], moves[share.argmin()]
     elsewhere = share[np.hypot(*(moves - best).T) >= SAME_M].min()
     is_open_elsewhere = share.min() <= OPEN_SHARE * elsewhere
+    is_open_elsewhere &= bool(elsewhere >= LEAST_ELSEWHERE)
     if here < LEAST_HIGH or np.hypot(*best) < SAME_M or not is_open_elsewhere:
         return False
     reporter.warn(

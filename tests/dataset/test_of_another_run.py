@@ -1,5 +1,6 @@
 """Files of a dataset that come from another run, or were edited, are refused by name."""
 
+import json
 import shutil
 from dataclasses import replace
 
@@ -7,10 +8,12 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from measured import MAP, cut, sample_pose, tiles
+from maps import Listener
+from measured import MAP, contents, cut, sample_pose, tiles
 
 import gis_radar as gr
 from gis_radar.dataset import write_single_file
+from gis_radar.dataset.files.pose_book import PoseBook
 from gis_radar.dataset.files.tables import SIGHTS
 
 
@@ -58,7 +61,7 @@ def test_sights_by_another_scan(dataset, tmp_path):
         dataset.sights()
 
 
-def test_sights_without_their_digest_are_read(dataset):
+def test_sights_without_their_digest_are_read(dataset, recording):
     """A dataset of an earlier version has none."""
     path = dataset.folder / "recordings.parquet"
     with pq.ParquetFile(path) as file:
@@ -66,13 +69,72 @@ def test_sights_without_their_digest_are_read(dataset):
     metadata = {key: each for key, each in metadata.items() if key != b"ARROW:schema"}
     pq.write_table(table.drop_columns(["sights"]).replace_schema_metadata(metadata), path)
     assert len(dataset.sights())
+    assert dataset.recordings()["sights"].isna().all()
+    assert len(dataset.query("SELECT sights FROM recordings")) == 1
+    listener = Listener()
+    site_of(dataset.folder, recording, reporter=listener)
+    assert not any("made again" in str(each) for each in listener.lines)
     dataset.withdraw(sensor="R1")
+    assert len(dataset.recordings()) == 0
+
+
+def other_sights(patched):
+    """Find sights as another version of gis_radar, or another processor, may."""
+    patched.setattr("gis_radar.measures.pose_sights.road_near", lambda *_: 1.0)
+
+
+def test_sights_that_another_version_finds_of_the_same_pose(dataset, tmp_path, monkeypatch):
+    later = cut(tmp_path / "later.parquet", "R1", 12.0, 13.0, edge_s=-300.0 - 7200.0)
+    other_sights(monkeypatch)
+    site_of(dataset.folder, later)
+    assert len(dataset.sights())
+    assert len(dataset.recordings()) == 2
+    dataset.withdraw([later])
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_a_run_that_is_killed_while_sights_change_is_resumed(
+    dataset, recording, tmp_path, monkeypatch, when
+):
+    write = PoseBook.write
+
+    def killed(*given):
+        if when == "after":
+            write(*given)
+        raise KeyboardInterrupt
+
+    other_sights(monkeypatch)
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(PoseBook, "write", killed)
+        site_of(dataset.folder, recording)
+    site_of(dataset.folder, recording)
+    site_of(tmp_path / "never", recording)
+    assert contents(dataset.folder) == contents(tmp_path / "never")
+
+
+def test_a_dataset_without_a_digest_of_heights_is_not_made_anew(dataset, recording):
+    path, note = dataset.folder / "dataset.json", dataset.folder / "note.txt"
+    document = json.loads(path.read_text())
+    del document["heights"]
+    path.write_text(json.dumps(document))
+    note.write_text("it is the same folder")
+    site_of(dataset.folder, recording, only=True)
+    assert note.exists()
+    site_of(dataset.folder, recording, only=True, of=tiles(), timezone="Europe/Berlin")
+    assert not note.exists()
+
+
+def test_heights_that_are_unknown_are_those_of_the_file(recording, tmp_path):
+    """A NaN of a calculation may have a sign, which no file keeps."""
+    unknown = tiles().assign(height_m=-np.nan)
+    assert np.signbit(unknown["height_m"]).all()
+    assert site_of(tmp_path / "site", recording, of=unknown).tiles()["height_m"].isna().all()
 
 
 def test_tiles_of_another_run(dataset, recording, tmp_path):
     """The other run's tiles have other heights, by which detections become hits."""
     other = site_of(tmp_path / "other", recording, of=lower(tiles()))
-    with pytest.raises(gr.InputError, match="was made with another heights of the road"):
+    with pytest.raises(gr.InputError, match="was made with another set of road heights"):
         site_of(dataset.folder, recording, of=lower(tiles()))
     shutil.copy(other.folder / "tiles.gpkg", dataset.folder / "tiles.gpkg")
     for use in (dataset.tiles, dataset.lanes, lambda: dataset.withdraw(sensor="R1")):

@@ -344,3 +344,19 @@ def test_what_a_killed_run_withdrew_is_completed(files, two_days, tmp_path, monk
     with pytest.raises(gr.InputError, match="has no recording"):
         dataset.withdraw([files["R1", DAY]])
     assert contents(tmp_path / "site") == contents(tmp_path / "never")
+
+
+def test_hours_of_what_a_killed_run_withdrew_are_removed(files, two_days, tmp_path, monkeypatch):
+    """No recording reaches into them any more, so that none of them is missing."""
+    dataset = gr.open_dataset(shutil.copytree(two_days.folder, tmp_path / "site"))
+
+    def killed(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr("gis_radar.dataset.hours.making.remove_record", killed)
+        dataset.withdraw(list(files.values()))
+    assert read_hours(dataset.folder)
+    with pytest.raises(gr.InputError, match="has no recording"):
+        dataset.withdraw([files["R1", DAY]])
+    assert not read_hours(dataset.folder)

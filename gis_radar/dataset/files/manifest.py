@@ -7,7 +7,7 @@ import json
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -75,6 +75,13 @@ class Manifest:
     checks: dict[str, dict[str, str]] = field(default_factory=dict, compare=False)
     schema: int = SCHEMA
     heights: str = ""
+
+    def is_as(self, other: Manifest) -> bool:
+        """Return whether another is of the same site and settings, where both state heights."""
+        heights = self.heights or other.heights
+        return replace(self, heights=heights) == replace(
+            other, heights=other.heights or self.heights
+        )
 
     @property
     def findings(self) -> dict[str, Finding]:
@@ -182,6 +189,7 @@ def create_dataset(
 def heights_digest(tiles: gpd.GeoDataFrame) -> str:
     """Return the digest of the road heights of tiles."""
     heights = tiles.sort_values("tile_id")["height_m"].to_numpy(np.float64)
+    heights = np.where(np.isnan(heights), np.nan, heights + 0.0)  # as a file gives them back
     return hashlib.blake2b(heights.tobytes(), digest_size=16).hexdigest()
 
 
@@ -231,7 +239,7 @@ def require_same_site(
         ("coordinate system", present.crs, crs),
         ("map", present.map, map_digest),
         ("tiles", present.fingerprint, fingerprint),
-        ("heights of the road", present.heights or heights, heights or present.heights),
+        ("set of road heights", present.heights or heights, heights or present.heights),
     )
     for what, own, given in pairs:
         if own != given:

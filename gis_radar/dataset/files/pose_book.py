@@ -63,15 +63,14 @@ class PoseBook:
         InputError
             If a table is damaged, or of another run than the recordings.
         """
+        # Recordings first: a run that adds some meanwhile writes their poses before them.
+        recordings = single_file(RECORDINGS, folder, fingerprint).read(["pose", "sights", "path"])
         poses, sights = (
             single_file(table, folder, fingerprint).read() for table in (POSES, SIGHTS)
         )
-        recordings = single_file(RECORDINGS, folder, fingerprint).read(["pose", "sights", "path"])
         try:
             book = _poses_from(poses, sights, folder)
             known = {name: digest_of_sights(each) for name, each in book.sights.items()}
-            if "sights" not in recordings.column_names:  # an earlier version has written them
-                return book
             stated = recordings.filter(recordings["sights"].is_valid())
             tracks = stated.group_by(["pose", "sights"]).aggregate([("path", "min")]).to_pylist()
             other = [each["path_min"] for each in tracks if known[each["pose"]] != each["sights"]]

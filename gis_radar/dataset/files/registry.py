@@ -180,7 +180,12 @@ class Registry:
             ]
             if hour is not None:
                 entries = [each for each in entries if hour in each.reached_hours(margin)]
-            book.of(each.pose for each in entries)  # raises KeyError if one is missing
+            used = book.of(each.pose for each in entries)  # raises KeyError if one is missing
+            digests = {name: digest_of_sights(each) for name, each in used.sights.items()}
+            entries = [  # an earlier version has stated none
+                replace(each, sights=digests[each.pose]) if each.sights is None else each
+                for each in entries
+            ]
         except (ValueError, KeyError, TypeError) as error:
             raise InputError("{}: damaged: {}", folder, f"{error!r:.200}") from error
         entries.sort(key=attrgetter("key"))

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from operator import attrgetter
 from pathlib import Path
@@ -95,15 +95,19 @@ def update_dataset(
     margin = site.settings.margin
     records, just_read = read_hours(site.folder), list(just_read)
     validity_s = validity_by_sensor(after.entries)
-    placed = attrgetter("key", "pose", "sights")
-    before_placed = set(map(placed, before.entries))
-    added = [each for each in after.entries if placed(each) not in before_placed]
+    just_read_paths, placed = {each.path for each in just_read}, attrgetter("key", "pose")
+    before_sights = {placed(each): each.sights for each in before.entries}
+    added = [
+        each for each in after.entries
+        if placed(each) not in before_sights
+        or (each.path in just_read_paths and before_sights[placed(each)] != each.sights)
+    ]  # fmt: skip
     for each in added:
         _refuse_dropped(each.path, each.reached_hours(margin), records)
     missing = hours_to_make(after, records, margin, touched_hours(after.hours, just_read, margin))
     missing = [hour for hour in missing if before_hour is None or hour < before_hour]
     _refuse_dropped(site.folder, missing, records)
-    _require_recordings(after, missing, margin, {each.path for each in just_read})
+    _require_recordings(after, missing, margin, just_read_paths)
     reaching = after.by_hour(margin)
     placings = {hour: [after.placing(each) for each in reaching[hour]] for hour in missing}
     present = (records[hour] for hour in missing if hour in records)
@@ -113,6 +117,7 @@ def update_dataset(
     after = after.without_hours(missing)
     all_poses = before.poses.joined(after.poses)
     if added:
+        _forget_sights(before.without_hours(missing), after)
         after.write_poses(all_poses)
     if after.entries != before.entries:
         after.write_recordings()
@@ -141,6 +146,17 @@ def update_dataset(
     else:
         _update_tables(site.folder, records, records)  # an earlier run may have been killed here
     return sorted(made, key=lambda each: each.hour)
+
+
+def _forget_sights(before: Registry, after: Registry) -> None:
+    """Leave open what poses see whose sights change, so that a run may be killed on the way."""
+    sights = {each.pose: each.sights for each in after.entries}
+    entries = tuple(
+        each if sights.get(each.pose, each.sights) == each.sights else replace(each, sights=None)
+        for each in before.entries
+    )
+    if entries != before.entries:
+        replace(before, entries=entries).write_recordings()
 
 
 def _make_and_record(

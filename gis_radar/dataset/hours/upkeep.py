@@ -121,7 +121,9 @@ def withdraw(
                 _recording_named(before, each) for each in recordings
             ] or _recordings_of_sensor(before, sensor)
         except InputError:
-            if before.missing_hours(settings.margin):  # a killed run has withdrawn it
+            left = {hour for hour, each in read_hours(folder).items() if not each.dropped}
+            # a killed run has withdrawn it
+            if before.missing_hours(settings.margin) or left - set(before.hours):
                 site = site_of(folder, manifest)
                 update_dataset(site, before, before, processes=processes, reporter=reporter)
             raise

@@ -182,7 +182,7 @@ class Quality:
         """
         path = Path(path)
         require_table_name(path)
-        language = "de" if csv_locale == "de" else None
+        language = "de" if csv_locale == "de" else "en"  # not that of the terminal
         with csv_for(csv_locale), in_language(language), atomic_write(path) as part:
             if path.suffix.lower() == ".csv":
                 self.write_rows(part)
