@@ -219,8 +219,7 @@ def measure(
             reporter.warn(line)
     folder = Path(folder)
     with locked_for_writing(folder, reporter):
-        is_there = Manifest.is_there(folder)
-        if only and is_there and not Manifest.read(folder).is_as(given.manifest):
+        if only and Manifest.is_there(folder) and not Manifest.read(folder).is_as(given.manifest):
             made = _replace(given, folder, processes, reporter, before_hour=before_hour)
         else:
             made = _add(given, folder, processes, reporter, only=only, before_hour=before_hour)
@@ -462,8 +461,7 @@ def _merged_registry(before: Registry, given: _Inputs, *, only: bool) -> Registr
     paths = {each.path for each in given.entries}
     digests = {each.digest: each for each in given.entries}
     sights = {each.pose: each.sights for each in given.entries}
-    kept, replaced = list[RecordingEntry](), list[RecordingEntry]()
-    added = list(given.entries)
+    kept, replaced, added = list[RecordingEntry](), list[RecordingEntry](), list(given.entries)
     for entry in before.entries:
         given_entry = digests.get(entry.digest)
         if given_entry is not None and given_entry.sensor != entry.sensor:

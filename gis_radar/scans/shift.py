@@ -26,7 +26,7 @@ SAME_M, OPEN_SHARE, LEAST_HIGH, LEAST_ELSEWHERE = 4.0, 0.5, 0.05, 0.01
 LEAST_POINTS, MOST_POINTS = 400, 5000  # of the roads that are compared
 EDGE_M = 1.25  # of roads, over which crowns and roofs reach
 NEAR_M = 200.0  # of a sensor
-CELL_M, MOST_CELLS = 1.0, 16_000_000  # of the scan where it is read for this alone
+CELL_M, MOST_CELLS = 1.0, 4_000_000  # of the scan where it is read for this alone
 
 
 def warn_shifted(columns: ScanColumns, xy: Floats, path: str | Path, reporter: Reporter) -> bool:

@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
@@ -14,6 +15,7 @@ from measured import MAP, contents, cut, sample_pose, tiles
 import gis_radar as gr
 from gis_radar.dataset import write_single_file
 from gis_radar.dataset.files.pose_book import PoseBook
+from gis_radar.dataset.files.schema import column_digest
 from gis_radar.dataset.files.tables import SIGHTS
 
 
@@ -180,3 +182,14 @@ def test_edited_lane_measures_are_named(recording, tmp_path):
     edit(path, "lane", lambda values: pc.add(values, 1))
     with pytest.raises(gr.InputError, match=r"day\.parquet: column lane was changed"):
         gr.make_traffic(dataset)
+
+
+@pytest.mark.parametrize(
+    "other", [["R1", None, "", "Ü"], ["R1", "", None, "Ü"], ["R", "1", "", "Ü"]]
+)
+def test_a_digest_is_of_the_values_not_of_how_they_are_stored(other):
+    texts = ["R1", None, "", "Ü", None]
+    whole = column_digest(pa.chunked_array([texts]))
+    parts = pa.chunked_array([["x", *texts[:2]], [], [*texts[2:], "y"]], pa.string())
+    assert column_digest(parts.slice(1, 5)) == whole
+    assert (column_digest(pa.chunked_array([[*other, None]])) == whole) == (other == texts[:4])

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from gis_radar.base import (
@@ -26,7 +25,7 @@ from gis_radar.base import (
     output_errors,
     writing_errors,
 )
-from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.schema import TableSchema, column_digest
 from gis_radar.dataset.files.tables import SCHEMA
 
 HOURS_PER_DAY = 24
@@ -355,20 +354,6 @@ class TableFile:
             stated[self.keyed] = json.dumps(dict(sorted(keys.items())))
         write_part(self.table, self.path, rows, self.metadata | stated)
         move_to_place(self.path)
-
-
-def column_digest(column: pa.ChunkedArray) -> str:
-    """Return the digest of the values of a column, however a file stores them."""
-    digest = hashlib.blake2b(column.is_valid().to_numpy().tobytes(), digest_size=16)
-    values = column.drop_null()
-    if pa.types.is_list(column.type):
-        digest.update(pc.list_value_length(values).to_numpy().tobytes())
-        values = pc.list_flatten(values)
-    if pa.types.is_string(values.type):
-        digest.update(json.dumps(values.to_pylist()).encode())
-    else:
-        digest.update(values.to_numpy().tobytes())
-    return digest.hexdigest()
 
 
 def single_file(table: TableSchema, folder: Path, fingerprint: str) -> TableFile:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -170,3 +171,21 @@ def _ascends(columns: list[pa.ChunkedArray]) -> bool:
         before, after = column.slice(0, max(len(column) - 1, 0)), column.slice(1)
         ascends = pc.or_(pc.greater(after, before), pc.and_(pc.equal(after, before), ascends))
     return bool(pc.all(ascends, min_count=0).as_py())
+
+
+def column_digest(column: pa.ChunkedArray) -> str:
+    """Return the digest of the values of a column, however a file stores them."""
+    digest = hashlib.blake2b(column.is_valid().to_numpy().tobytes(), digest_size=16)
+    values = column.drop_null()
+    if pa.types.is_list(column.type):
+        digest.update(pc.list_value_length(values).to_numpy().tobytes())
+        values = pc.list_flatten(values)
+    if pa.types.is_string(values.type):
+        digest.update(pc.binary_length(values).to_numpy().tobytes())
+        for chunk in filter(len, values.chunks):  # a year's recordings as Python text take seconds
+            _, offsets, text = chunk.buffers()
+            place = np.frombuffer(offsets, np.int32)[chunk.offset : chunk.offset + len(chunk) + 1]
+            digest.update(memoryview(text or b"")[place[0] : place[-1]])
+    else:
+        digest.update(values.to_numpy().tobytes())
+    return digest.hexdigest()

@@ -95,13 +95,8 @@ def update_dataset(
     margin = site.settings.margin
     records, just_read = read_hours(site.folder), list(just_read)
     validity_s = validity_by_sensor(after.entries)
-    just_read_paths, placed = {each.path for each in just_read}, attrgetter("key", "pose")
-    before_sights = {placed(each): each.sights for each in before.entries}
-    added = [
-        each for each in after.entries
-        if placed(each) not in before_sights
-        or (each.path in just_read_paths and before_sights[placed(each)] != each.sights)
-    ]  # fmt: skip
+    just_read_paths = {each.path for each in just_read}
+    added = _added(before, after, just_read_paths)
     for each in added:
         _refuse_dropped(each.path, each.reached_hours(margin), records)
     missing = hours_to_make(after, records, margin, touched_hours(after.hours, just_read, margin))
@@ -157,6 +152,17 @@ def _forget_sights(before: Registry, after: Registry) -> None:
     )
     if entries != before.entries:
         replace(before, entries=entries).write_recordings()
+
+
+def _added(before: Registry, after: Registry, just_read: set[str]) -> list[RecordingEntry]:
+    """Return the recordings that are new, placed otherwise, or read just now with other sights."""
+    placed = attrgetter("key", "pose")
+    sights = {placed(each): each.sights for each in before.entries}
+    return [
+        each for each in after.entries
+        if placed(each) not in sights
+        or (each.path in just_read and sights[placed(each)] != each.sights)
+    ]  # fmt: skip
 
 
 def _make_and_record(
