@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 import shapely
 from driven import FIRST, drive, straight_tiles
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from shapely.affinity import rotate, translate
 from sites import pose
@@ -133,6 +133,7 @@ def test_rectangles_cover_what_shapely_says(lanes, cars):
     length=st.sampled_from([12.5, 18.0, 25.0]),
     driven=st.integers(0, 39),
 )
+@example(turns=[0.0, 4.0] + 18 * [0.0], line=(1.9375, 0.0, 0.0, 2.0), length=18.0, driven=20)
 def test_a_strip_overlaps_as_the_buffer_of_its_path(turns, line, length, driven):
     """The path goes on by 1 m and a turn; the oracle buffers its last metres."""
     heading = np.radians(np.cumsum([0.0, *turns]))[: driven + 1]
@@ -156,11 +157,14 @@ def test_a_strip_overlaps_as_the_buffer_of_its_path(turns, line, length, driven)
     taken = shapely.LineString(np.concatenate([[[-60.0, 0.0]], fronts]))
     last = np.subtract(taken.coords[-1], taken.coords[-2])
     beyond = shapely.LineString([*taken.coords, fronts[-1] + last / np.hypot(*last)])
-    # a line within a centimetre of the edge may count or not
+    # A line within a centimetre of the edge may count or not; the rear end is cut at the heading
+    # before or after a turn.
+    rear_m = 1.25 * np.tan(np.radians(np.abs(turns).max()))
     least, most = (
         ends.intersection(
-            shapely.ops.substring(beyond, taken.length - length - e, taken.length + e)
-            .buffer(1.25 + e, cap_style="flat", join_style="round", quad_segs=64)
+            shapely.ops.substring(
+                beyond, taken.length - length - e - np.copysign(rear_m, e), taken.length + e
+            ).buffer(1.25 + e, cap_style="flat", join_style="round", quad_segs=64)
         ).length
         for e in (-0.01, 0.01)
     )  # fmt: skip
