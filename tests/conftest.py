@@ -146,9 +146,8 @@ def sumo_installed():
 
 def pytest_configure(config):
     # a first call compiles, and other processes have the cores, too
-    profile = {"deadline": None, "max_examples": 50}
-    hypothesis.settings.register_profile("of this suite", hypothesis.settings(), **profile)
-    hypothesis.settings.load_profile("of this suite")
+    hypothesis.settings.register_profile("no deadline", hypothesis.settings(), deadline=None)
+    hypothesis.settings.load_profile("no deadline")
     if find_pdal() is None and FETCHED.is_file():
         os.environ[VARIABLE] = str(FETCHED)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -132,7 +132,7 @@ def crossed(cars, line, lane=None):
 
 
 @given(traffic())
-@settings(max_examples=25)
+@settings(max_examples=60)
 def test_volumes_are_the_fronts_over_the_lines(cars):
     lanes, turns = measured(cars, GRID)
     assert lanes.loc[APPROACH, "counted"].tolist() == crossed(cars, 60.0)
@@ -146,7 +146,7 @@ def test_volumes_are_the_fronts_over_the_lines(cars):
 
 
 @given(traffic())
-@settings(max_examples=25)
+@settings(max_examples=60)
 def test_times_and_distances_are_those_of_all_cars(cars):
     lanes, _ = measured(cars, GRID)
     whole, _ = measured(cars, WHOLE)
@@ -170,7 +170,7 @@ def test_times_and_distances_are_those_of_all_cars(cars):
 
 
 @given(traffic())
-@settings(max_examples=25)
+@settings(max_examples=60)
 def test_in_minus_out_is_the_change_inside(cars):
     """Between the stop line and the lines behind it, at the end of each interval."""
     lanes, _ = measured(cars, GRID)
@@ -392,7 +392,7 @@ def brute_back(cars, step):
 
 
 @given(st.lists(st.tuples(st.floats(8.0, 59.5), st.integers(0, 200)), max_size=5))
-@settings(max_examples=15)
+@settings(max_examples=40)
 @example(places=[(59.0, 0), (43.5, 0)])  # 11 m apart
 def test_queues_are_those_found_car_by_car(places):
     cars = [

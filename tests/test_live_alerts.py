@@ -205,7 +205,7 @@ def test_alerts_that_nobody_takes_are_counted_and_hold_nothing_up(monkeypatch):
     said, receiver = Lines(), Receiver()
     receiver.shutdown()  # takes connections, and answers nothing
     monkeypatch.setattr(alerts, "TIMEOUT_S", 0.5)
-    hook = Webhook(receiver.address, retries_s=(), reporter=said)
+    hook = Webhook(receiver.address, retries_s=(0.01,), reporter=said)
     begin = time.monotonic()
     for _ in range(5):
         hook.put(b"{}")

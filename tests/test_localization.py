@@ -155,7 +155,7 @@ def test_the_evidence_is_written_and_read(answer, tmp_path):
 def test_errors_keep_to_their_sigma(scene, answer, tmp_path):
     street, pose, _ = scene
     ratios = []
-    for seed in range(3):  # the scene is that of seed 0
+    for seed in range(4):  # the scene is that of seed 0
         path = street.record(tmp_path / f"{seed}.parquet", pose, seed=seed)
         found = (find(street, path, near(pose), heading=pose.yaw) if seed else answer).pose
         sigma = found.evidence["sigma"]
@@ -164,6 +164,21 @@ def test_errors_keep_to_their_sigma(scene, answer, tmp_path):
     assert np.mean(np.abs(ratios) < 2.0) > 0.7  # few and small scenes: a check for sanity
     assert np.abs(ratios).max() < 6.0
     assert np.abs(ratios).max() > 0.05  # a sigma beyond all errors would say nothing
+
+
+def test_a_straight_road_fixes_no_place_along_it(tmp_path):
+    street = Street(lanes=STRAIGHT, turn_deg=30.0)
+    pose = street.pose(place=(0.0, 9.0), yaw=-60.0)
+    street.record(tmp_path / "R1.parquet", pose)
+    found = find(street, tmp_path / "R1.parquet", near(pose, 3.0, 2.0), heading=pose.yaw + 9.0)
+    assert not found.observable
+    covariance = np.array(found.pose.evidence["covariance"])[:2, :2]
+    along = np.array([np.cos(np.radians(30.0)), np.sin(np.radians(30.0))])
+    across = np.array([-along[1], along[0]])
+    assert np.sqrt(along @ covariance @ along) > 2.0
+    assert np.sqrt(across @ covariance @ across) < 0.5
+    assert abs(errors(found.pose, pose)[:2] @ across) < 0.4
+    assert found.eigenvalues[0] < found.eigenvalues[-1] / 100.0
 
 
 def test_a_mirrored_recording_is_refused(tmp_path):

@@ -181,18 +181,18 @@ def test_the_sign_of_the_quaternion_does_not_jump(still, tmp_path):
 
 @pytest.fixture(scope="module")
 def moved(seen, once):
-    def knocked_at_42_s(folder):
+    def knocked_at_62_s(folder):
         after = knocked(seen[3])
-        path = record(folder / "R1.parquet", seen, [(42.0, np.inf, after)], until=66.0)
+        path = record(folder / "R1.parquet", seen, [(62.0, np.inf, after)])
         return follow(path, start(seen[3])), after, path
 
-    return once("moved", knocked_at_42_s)
+    return once("moved", knocked_at_62_s)
 
 
 def test_a_knock_is_told_with_its_time(moved, seen):
     found, after, _ = moved
-    assert times(found, "moved") == [pytest.approx(42.0, abs=2.0)]
-    at = found.poses.at(START + np.array([35.0, 46.0, 65.0]))
+    assert times(found, "moved") == [pytest.approx(62.0, abs=2.0)]
+    at = found.poses.at(START + np.array([55.0, 66.0, 99.0]))
     before, soon, last = (found.poses.poses[i] for i in at)
     assert abs(errors(before, seen[3])[5]) < 0.2
     for pose in (soon, last):
@@ -332,6 +332,7 @@ def test_a_straight_road_says_nothing_about_the_place_along_it(tmp_path):
     ("shift", "said"),
     [
         ({"easting": 3.5}, "sensor"),
+        ({"yaw": 5.0, "easting": 2.0}, "lanes|sensor"),
         ({"yaw": 180.0}, "lanes"),
         ({"easting": -35.0, "northing": 30.0}, "lanes|sensor"),
     ],

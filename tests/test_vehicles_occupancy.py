@@ -159,7 +159,10 @@ def test_a_strip_overlaps_as_the_buffer_of_its_path(turns, line, length, driven)
     beyond = shapely.LineString([*taken.coords, fronts[-1] + last / np.hypot(*last)])
     # A line within a centimetre of the edge may count or not; the rear end is cut at the heading
     # before or after a turn.
-    rear_m = 1.25 * np.tan(np.radians(np.abs(turns).max()))
+    rear = max(len(fronts) - 1 - length, 0.0)
+    near = np.abs(np.arange(1, len(heading)) - rear) < 1.0
+    turn = np.abs(np.diff(heading)[near]).max(initial=0.0)
+    rear_m = 1.25 * np.tan(turn)
     least, most = (
         ends.intersection(
             shapely.ops.substring(

@@ -432,9 +432,9 @@ def add_layer(table: gpd.GeoDataFrame, path: Path, layer: str, **options: Any) -
 
 def _refuse_archive(path: Path) -> None:
     """Raise where GDAL would write elsewhere, or not at all."""
-    if not str(path.resolve()).isprintable() and _is_in_archive(path.resolve()):
-        raise OSError(_LINE_BREAK)
-    if _is_in_archive(path.resolve()):
+    if _is_in_archive(place := path.resolve()):
+        if not str(place).isprintable():
+            raise OSError(_LINE_BREAK)
         raise OSError(
             "its name, or its folder's, stands for a file in an archive: no ! and no .zip"
         )

@@ -61,9 +61,8 @@ def warn_shifted(columns: ScanColumns, xy: Floats, path: str | Path, reporter: R
     share = np.nanmean(over, axis=1)
     here, best = share[len(share) // 2], moves[share.argmin()]
     elsewhere = share[np.hypot(*(moves - best).T) >= SAME_M].min()
-    is_open_elsewhere = share.min() <= OPEN_SHARE * elsewhere
-    is_open_elsewhere &= bool(elsewhere >= LEAST_ELSEWHERE)
-    if here < LEAST_HIGH or np.hypot(*best) < SAME_M or not is_open_elsewhere:
+    is_alone = elsewhere >= max(share.min() / OPEN_SHARE, LEAST_ELSEWHERE)
+    if here < LEAST_HIGH or np.hypot(*best) < SAME_M or not is_alone:
         return False
     reporter.warn(
         "{}: the roads of the map fit the scan {:.0f} m to the east and {:.0f} m to the north of "
@@ -95,9 +94,11 @@ def read_shifted(
     area: Any = roads.area
     if near is not None:
         area = shapely.intersection(area, shapely.Point(near).buffer(NEAR_M))
+    if area.is_empty:
+        return False
     box = box_with_margin(area.bounds, REACH_M + AROUND_M)
     grid = Grid.around(np.array(box[::2]), np.array(box[1::2]), CELL_M)
-    if area.is_empty or grid.columns * grid.rows > MOST_CELLS:
+    if grid.columns * grid.rows > MOST_CELLS:
         return False
     columns = ScanColumns(grid=grid)
     read_columns(scans, [columns], box, roads.crs)

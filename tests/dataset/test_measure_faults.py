@@ -455,7 +455,7 @@ def test_rounded_times_are_named(tmp_path, grid_s):
         since = since * (1.0 if grid_s < 1.0 else 8.0)  # over 20 s
         return rows.assign(time=np.floor((rows["time"].iloc[0] + since) / grid_s) * grid_s)
 
-    named = f"all times are multiples of {grid_s:g} s" in said_of(tmp_path, rounded)
+    named = f"its first times are all multiples of {grid_s:g} s" in said_of(tmp_path, rounded)
     assert named == (grid_s > 0.05)
 
 

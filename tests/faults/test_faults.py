@@ -19,7 +19,7 @@ from faults.inputs import KINDS
 from gis_radar.cli.console import UNFORESEEN
 
 ALL = os.environ.get("GIS_RADAR_FAULTS") == "all"
-SAMPLE = 12
+SAMPLE = 20
 CASES = [(kind, fault) for kind in KINDS for fault in faults_of(kind.path)]
 CHOSEN = CASES if ALL else random.Random(16).sample(CASES, SAMPLE)  # noqa: S311 - a sample
 LONGEST_LINE = 700
@@ -72,7 +72,7 @@ def some(cases, count):
 SOUND = {kind.words.replace("{}", kind.path): kind for kind in KINDS}  # each command once
 
 
-@pytest.mark.parametrize("kind", some(list(SOUND.values()), 1), ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", some(list(SOUND.values()), 5), ids=lambda kind: kind.name)
 def test_what_is_sound_is_read(runner, inputs, tmp_path, kind):
     folder = shutil.copytree(inputs, tmp_path / "case")
     answer = runner.run(folder, words_of(kind, folder))

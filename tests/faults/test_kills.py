@@ -49,8 +49,7 @@ COMMANDS = {
 }
 EACH = 4
 CASES = [(name, number) for name in COMMANDS for number in range(EACH)]
-# Of `measure` any kill is looked at in dataset/test_measure_faults.py.
-CHOSEN = CASES if ALL else [("mask", 0), ("heatmap", 1), ("project gpkg", 2)]
+CHOSEN = CASES if ALL else [("mask", 0), ("heatmap", 1), ("project gpkg", 2), ("measure", 3)]
 OLD = b"old"
 # Several files that are moved one after the other, which the next run ends.
 MAIN = {"mask": "out.laz", "report": "out/report.html"}

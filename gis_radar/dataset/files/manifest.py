@@ -78,10 +78,9 @@ class Manifest:
 
     def is_as(self, other: Manifest) -> bool:
         """Return whether another is of the same site and settings, where both state heights."""
-        heights = self.heights or other.heights
-        return replace(self, heights=heights) == replace(
-            other, heights=other.heights or self.heights
-        )
+        if not (self.heights and other.heights):
+            other = replace(other, heights=self.heights)
+        return self == other
 
     @property
     def findings(self) -> dict[str, Finding]:

@@ -423,7 +423,7 @@ def _damage_as_input_error(path: Path, hint: str) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except (pa.ArrowException, OSError, KeyError) as error:
+    except (pa.ArrowException, OSError, KeyError, ValueError) as error:
         raise InputError("{}: damaged: {}", path, first_line(error), hint=hint) from error
 
 

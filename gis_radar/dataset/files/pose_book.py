@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from gis_radar.base import InputError
 from gis_radar.dataset.files.parts import part_path, single_file, write_single_file
-from gis_radar.dataset.files.tables import POSES, RECORDINGS, SIGHTS
+from gis_radar.dataset.files.tables import POSES, SIGHTS
 from gis_radar.measures import PoseSight, digest_of_sights, pose_names
 from gis_radar.poses import ANGLES, POSITION, PoseTrack, pose_from_dict
 
@@ -55,16 +55,23 @@ class PoseBook:
         write_single_file(POSES, folder, _poses_table(self), fingerprint)
 
     @classmethod
-    def read(cls, folder: Path, fingerprint: str) -> PoseBook:
+    def read(cls, folder: Path, fingerprint: str, recordings: pa.Table) -> PoseBook:
         """Read the poses of a dataset and their sights.
+
+        Parameters
+        ----------
+        folder : Path
+            Folder of the dataset.
+        fingerprint : str
+            Fingerprint of its tiles.
+        recordings : pyarrow.Table
+            Its table of recordings, read before: a run that adds some writes their poses first.
 
         Raises
         ------
         InputError
             If a table is damaged, or of another run than the recordings.
         """
-        # Recordings first: a run that adds some meanwhile writes their poses before them.
-        recordings = single_file(RECORDINGS, folder, fingerprint).read(["pose", "sights", "path"])
         poses, sights = (
             single_file(table, folder, fingerprint).read() for table in (POSES, SIGHTS)
         )

@@ -170,7 +170,7 @@ class Registry:
             If a table is damaged, or of another dataset.
         """
         recordings = single_file(RECORDINGS, folder, fingerprint).read()
-        book = PoseBook.read(folder, fingerprint)
+        book = PoseBook.read(folder, fingerprint, recordings)
         if hour is not None:  # a year's recordings as Python objects take seconds
             recordings = recordings.filter(_near_hour(recordings, hour, margin))
         try:

@@ -19,7 +19,7 @@ from gis_radar.dataset.files.parts import MEASURE_AGAIN, hour_of_step, hour_text
 from gis_radar.dataset.files.pose_book import PoseBook
 from gis_radar.dataset.files.records import HourRecord, Span, read_hours
 from gis_radar.dataset.files.schema import TableSchema
-from gis_radar.dataset.files.tables import CONTINUED, POSES, SIGHTS
+from gis_radar.dataset.files.tables import CONTINUED, POSES, RECORDINGS, SIGHTS
 from gis_radar.dataset.files.units import convert_units
 from gis_radar.hdmap import TILES_LAYER
 
@@ -133,9 +133,11 @@ class DatasetFiles:
 
     def single_table(self, table: TableSchema) -> pa.Table:
         """Read a table that is one file, with its columns: recordings, poses or sights."""
+        fingerprint = self.manifest.fingerprint
         if table in (POSES, SIGHTS):  # refuses those of another run
-            PoseBook.read(self.folder, self.manifest.fingerprint)
-        return single_file(table, self.folder, self.manifest.fingerprint).read()
+            recordings = single_file(RECORDINGS, self.folder, fingerprint)
+            PoseBook.read(self.folder, fingerprint, recordings.read(["pose", "sights", "path"]))
+        return single_file(table, self.folder, fingerprint).read()
 
     def _step(self, value: Moment, what: str) -> int | None:
         if isinstance(value, int) and value not in _STEPS_TODAY:

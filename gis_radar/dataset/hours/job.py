@@ -220,13 +220,18 @@ def read_sensors(
         for _, found in sorted(by_sensor.items())
     ]
     refuse_equal_frames(sensors)
+    _count_repeated(sensors)
+    return sensors
+
+
+def _count_repeated(sensors: Sequence[SensorHour]) -> None:
+    """Count for each recording the frames that are equal to an earlier one of their sensor."""
     for each in sensors:
         rich = np.flatnonzero(each.frames.detections >= LEAST_RICH)
         first = rich[np.unique(each.frames.hash[rich], return_index=True)[1]]
         repeated = np.bincount(each.source[np.setdiff1d(rich, first)], minlength=len(each.evidence))
         for counts, number in zip(each.evidence, repeated.tolist(), strict=True):
             counts.repeated = number
-    return sensors
 
 
 def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from gis_radar.dataset.traffic.shifts import lanes_across
 from gis_radar.hdmap import TILES_LAYER
 from gis_radar.measures import PlacedRecording, RecordingCounts, SightBook, valid_steps
 from gis_radar.poses import View
-from gis_radar.recordings import FARTHEST_RADAR_M, RangeCounts, time_warnings
+from gis_radar.recordings import FARTHEST_RADAR_M, Detections, RangeCounts, time_warnings
 from gis_radar.scans import (
     JUDGED_FRAMES,
     MovingHits,
@@ -61,6 +61,11 @@ class Examined:
     source: PlacedRecording
     evidence: RecordingCounts
 
+    @cached_property
+    def first_rows(self) -> Detections:
+        """Its first batch."""
+        return next(self.source.recording.read())
+
 
 def remark_on_recordings(
     examined: Sequence[Examined],
@@ -85,7 +90,10 @@ def remark_on_recordings(
     if gaps := gap_warning(find_gaps(hits, book.road)):
         reporter.warn(gaps)
     for each in examined:
-        for line in chain.from_iterable(warnings(each) for warnings in _WARNINGS):
+        for line in (
+            *_view_warnings(each), *_cycle_warnings(each), *_rounding_warnings(each),
+            *_repetition_warnings(each), *_placing_warnings(each),
+        ):  # fmt: skip
             reporter.warn(line)
     recorded: dict[str, list[tuple[float, float, Path]]] = {}
     for each in examined:
@@ -156,7 +164,7 @@ def _view_warnings(examined: Examined) -> Iterator[str]:
             beyond,
             FARTHEST_RADAR_M,
         )
-    rows = next(examined.source.recording.read())
+    rows = examined.first_rows
     outside = ~view.sees(rows.points[rows.present])
     if len(outside) >= LEAST_VIEWED and (share := float(outside.mean())) > OUTSIDE_SHARE:
         yield Text(
@@ -210,14 +218,14 @@ def _rounding_warnings(examined: Examined) -> Iterator[str]:
 
     Frames whose stated cycle is as long are valid for longer than it.
     """
-    time = np.unique(next(examined.source.recording.read()).time)
+    time = np.unique(examined.first_rows.time)
     for grid_s in ROUNDED_S:
         off = np.abs(time / grid_s - np.rint(time / grid_s))
         if len(time) >= LEAST_TIMES and off.max() < ROUNDED_SHARE:
             if examined.entry.validity_s <= grid_s:
                 yield Text(
-                    "{}: all times are multiples of {:g} s: were they rounded? Then frames are "
-                    "joined into one, and hits and places are wrong; write six decimals, or, if "
+                    "{}: its first times are all multiples of {:g} s: were they rounded? Then frames "
+                    "are joined into one, and hits and places are wrong; write six decimals, or, if "
                     "that is the radar's cycle, give {}",
                     examined.source.recording.path.name,
                     grid_s,
@@ -259,8 +267,3 @@ def _placing_warnings(examined: Examined) -> Iterator[str]:
             begin,
             sensor,
         )
-
-
-_WARNINGS = (
-    _view_warnings, _cycle_warnings, _rounding_warnings, _repetition_warnings, _placing_warnings,
-)  # fmt: skip

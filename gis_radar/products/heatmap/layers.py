@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
@@ -214,15 +215,14 @@ def own_styles(
 
 def _interval_titles(columns: Iterable[str]) -> Iterator[tuple[str, str]]:
     """Yield the columns of intervals with titles such as `Occupied (s) 2025-06-12T07:30Z`."""
-    for name in columns:
-        prefix, _, stamp = name.partition("_")
-        if prefix in _OF_INTERVALS and stamp[:8].isdigit():
-            day, clock = stamp.split("T")
-            day, time = f"{day[:4]}-{day[4:6]}-{day[6:]}", f"{clock[:2]}:{clock[2:4]}"
-            time += f":{clock[4:6]}" * (len(clock) > 4) + f".{clock[6:]}" * (len(clock) > 6)
-            yield name, f"{_TITLES[_OF_INTERVALS[prefix]]} {day}T{time}Z"
+    for found in filter(None, map(_OF_INTERVAL.fullmatch, columns)):
+        measure, year, month, day, hour, minute, second, rest = found.groups(default="")
+        seconds = f":{second}" * bool(second) + f".{rest}" * bool(rest)
+        title = _TITLES[_OF_INTERVALS[measure]]
+        yield found[0], f"{title} {year}-{month}-{day}T{hour}:{minute}{seconds}Z"
 
 
+_OF_INTERVAL = re.compile(r"(hit|occ)_(\d{4})(\d\d)(\d\d)T(\d\d)(\d\d)(?:(\d\d)(\d+)?)?", re.ASCII)
 _TIMES = {BEGIN: "Begin (UTC)", END: "End (UTC)"}
 _OF_HITS = ("hit_s", "observed_s", "hit_share")
 _OF_INTERVALS = {"hit": "hit_s", "occ": "occupied_s"}

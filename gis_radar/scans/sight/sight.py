@@ -172,6 +172,7 @@ class SightScan:
         self.tiles, self.cache = tiles, cache
         self.scans: list[Scan] = [open_scan(scan, crs=scan_crs) for scan in scans]
         self._reporter = reporter
+        self._is_shifted = False  # whether that was told
         self._windows: dict[Box, Obstacles] = {}
 
     @cached_property
@@ -270,8 +271,10 @@ class SightScan:
             self.scans, windows, box_with_margin(box, 1.0), crs, reporter=self._reporter
         )
         middle = self.tiles.quads.mean(axis=1)
-        any(warn_shifted(each, middle, self.scans[0].path, self._reporter) for each in windows)
         for window in windows:
+            self._is_shifted = self._is_shifted or warn_shifted(
+                window, middle, self.scans[0].path, self._reporter
+            )
             bounds = window.grid.bounds
             if window.points == 0:
                 pose = next(p for p in poses if self._window(p).bounds == bounds)
