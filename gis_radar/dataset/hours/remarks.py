@@ -224,9 +224,9 @@ def _rounding_warnings(examined: Examined) -> Iterator[str]:
         if len(time) >= LEAST_TIMES and off.max() < ROUNDED_SHARE:
             if examined.entry.validity_s <= grid_s:
                 yield Text(
-                    "{}: its first times are all multiples of {:g} s: were they rounded? Then frames "
-                    "are joined into one, and hits and places are wrong; write six decimals, or, if "
-                    "that is the radar's cycle, give {}",
+                    "{}: its first times are all multiples of {:g} s: were they rounded? Then "
+                    "frames are joined into one, and hits and places are wrong; write six "
+                    "decimals, or, if that is the radar's cycle, give {}",
                     examined.source.recording.path.name,
                     grid_s,
                     Text("--cycle {}={}ms", examined.entry.sensor, round(1000 * grid_s)),
