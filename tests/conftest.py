@@ -145,9 +145,12 @@ def sumo_installed():
 
 
 def pytest_configure(config):
-    # a first call compiles, and other processes have the cores, too
-    hypothesis.settings.register_profile("no deadline", hypothesis.settings(), deadline=None)
-    hypothesis.settings.load_profile("no deadline")
+    # No deadline: a first call compiles, and other processes have the cores, too. `make test` draws
+    # the same examples each time, so that it fails only by a change; `make faults` draws others.
+    hypothesis.settings.register_profile(
+        "ours", deadline=None, derandomize=os.environ.get("GIS_RADAR_FAULTS") != "all"
+    )
+    hypothesis.settings.load_profile("ours")
     if find_pdal() is None and FETCHED.is_file():
         os.environ[VARIABLE] = str(FETCHED)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

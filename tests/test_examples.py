@@ -25,6 +25,7 @@ def elsewhere(tmp_path, monkeypatch, measured_once):
     """A folder to work in; pictures of `write` stay empty, those of `plot` are drawn."""
     monkeypatch.chdir(tmp_path)
     mpl.use("Agg")
+    plt.close("all")  # what other tests of this process left
     yield tmp_path
     plt.close("all")
 
