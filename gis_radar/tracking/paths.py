@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +18,7 @@ TURN_ERROR_RAD = 0.35  # largest error of the difference of two states' headings
 # bends, lane changes, and swinging bodies.
 DIRECTION_RAD = 0.05
 SMOOTHING_M = 3  # sigma of the normal kernel by which a path is smoothed, whole metres
+ROUNDING_M = 1e-6  # more than distances of a few kilometres are off by rounding
 ANCHORS = 5  # states that are tried as a start of the path: hardly all of them are outliers
 
 
@@ -85,20 +87,28 @@ class Path:
 def _project(
     points: Floats, guess: Floats, line: Floats, s_m: Floats, reach_m: float
 ) -> tuple[Floats, Floats]:  # pragma: no cover - compiled
+    """Return what `project` does; segments are passed over that are farther than the best one.
+
+    No place within `a` metres along the path of a vertex at distance `d` is nearer than ``d - a``.
+    """
     along, left = np.empty(len(points)), np.empty(len(points))
     last = len(s_m) - 2
-    lengths = np.empty(last + 1)
-    for k in range(last + 1):
-        bx, by = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
-        lengths[k] = np.sqrt(bx * bx + by * by)
     for i in range(len(points)):
         low = max(min(np.searchsorted(s_m, guess[i] - reach_m) - 1, last), 0)
         high = max(min(np.searchsorted(s_m, guess[i] + reach_m), last + 1), low + 1)
-        best = 1e18
-        for k in range(low, high):
-            bx, by = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+        near = min(max(np.searchsorted(s_m, guess[i]), low), high - 1)
+        least = math.hypot(points[i, 0] - line[near, 0], points[i, 1] - line[near, 1]) + ROUNDING_M
+        best, k = 1e18, low
+        while k < high:
             dx, dy = points[i, 0] - line[k, 0], points[i, 1] - line[k, 1]
-            length = lengths[k]
+            beyond = s_m[k] + math.sqrt(dx * dx + dy * dy) - least
+            if 0 < k < last and s_m[k + 1] < beyond:
+                k += 1
+                while k < min(high, last) and s_m[k + 1] < beyond:
+                    k += 1
+                continue
+            bx, by = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+            length = np.sqrt(bx * bx + by * by)
             t = (dx * bx + dy * by) / (length * length)
             if k > 0:
                 t = max(t, 0.0)
@@ -107,8 +117,10 @@ def _project(
             ex, ey = dx - t * bx, dy - t * by
             if ex * ex + ey * ey < best:
                 best = ex * ex + ey * ey
+                least = min(least, math.sqrt(best) + ROUNDING_M)
                 along[i] = s_m[k] + t * length
                 left[i] = (bx * dy - by * dx) / length
+            k += 1
     return along, left
 
 

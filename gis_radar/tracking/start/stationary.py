@@ -366,15 +366,18 @@ def _gains(weights: Floats) -> Floats:  # pragma: no cover - compiled
     count = weights.shape[1]
     reach = int(4.0 * END_M / CELL_M)
     body = np.log((1.0 - END_SHARE) / 5.0)
+    inside, outside = np.empty(2 * reach), np.empty(2 * reach)  # by distance in cells from -reach on
+    for j in range(2 * reach):
+        off = (j - reach + 0.5) * CELL_M
+        peak = END_SHARE * np.exp(-0.5 * (off / END_M) ** 2) / (END_M * 2.5066)
+        inside[j] = np.log(peak + (1.0 - END_SHARE) / 5.0) - body
+        outside[j] = max(np.log(peak + 1e-9) - LOG_CLUTTER, 0.0)
     gains = np.zeros((2, count + 1))
     for k in range(count + 1):
         for j in range(max(k - reach, 0), min(k + reach, count)):
-            off = (j + 0.5 - k) * CELL_M
-            peak = END_SHARE * np.exp(-0.5 * (off / END_M) ** 2) / (END_M * 2.5066)
-            inside = np.log(peak + (1.0 - END_SHARE) / 5.0) - body
-            outside = max(np.log(peak + 1e-9) - LOG_CLUTTER, 0.0)
-            gains[0, k] += weights[0, j] * (inside if off < 0.0 else outside)
-            gains[1, k] += weights[1, j] * (inside if off > 0.0 else outside)
+            at = j - k + reach
+            gains[0, k] += weights[0, j] * (inside[at] if j < k else outside[at])
+            gains[1, k] += weights[1, j] * (inside[at] if j >= k else outside[at])
     return gains
 
 
