@@ -6,6 +6,7 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shapely.ops import substring
 
 import gis_radar as gr
 from gis_radar.hdmap import lane_graph
@@ -373,6 +374,34 @@ def test_a_path_gives_back_what_is_laid_on_it(s, left):
     along, beside = path.project(np.array([[s, left]]), np.array([s]), 10.0)
     assert along[0] == pytest.approx(s, abs=1e-9)
     assert beside[0] == pytest.approx(left, abs=1e-9)
+
+
+@given(
+    turns=st.lists(st.floats(-0.9, 0.9), min_size=2, max_size=40),
+    steps=st.lists(st.floats(0.2, 6.0), min_size=40, max_size=40),
+    guess=st.floats(0.0, 120.0),
+    off=st.tuples(st.floats(-25.0, 25.0), st.floats(-25.0, 25.0)),
+    reach=st.floats(1.0, 40.0),
+)
+def test_a_place_on_a_path_is_the_nearest_one_about_the_guess(turns, steps, guess, off, reach):
+    """Shapely is the oracle: no place within reach of the guess is nearer, ends go on straight."""
+    heading, step = np.cumsum(turns), np.array(steps[: len(turns)])
+    ways = step[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    path = Path(np.vstack([[0.0, 0.0], np.cumsum(ways, axis=0)]))
+    guess = min(guess, float(path.s_m[-1]))
+    place, _ = path.at(np.array([guess]))
+    point = place[0] + off
+    along, left = path.project(point[None], np.array([guess]), reach)
+    nearest, _ = path.at(along)
+    beyond = 200.0 * np.column_stack([np.cos(heading), np.sin(heading)])[[0, -1]]
+    line = shapely.LineString([-beyond[0], *path.points, path.points[-1] + beyond[1]])
+    within = substring(line, 200.0 + guess - reach, 200.0 + guess + reach)
+    found_m = float(np.hypot(*(point - nearest[0])))
+    assert found_m <= within.distance(shapely.Point(point)) + 1e-6
+    assert abs(left[0]) <= found_m + 1e-6
+    # at most one segment farther than the reach, or beyond an end, where the path goes on
+    inside = 0.0 <= along[0] <= path.s_m[-1]
+    assert not inside or abs(along[0] - guess) <= reach + max(steps)
 
 
 def test_a_map_without_lanes_for_vehicles_is_refused():

@@ -59,12 +59,12 @@ def _without_heights(motions: Any, detections: Any, *rest: Any) -> Any:
 
 
 def _straight(*given: Any) -> Any:
-    frame, shape = _bent(*given)
+    shape = _bent(*given)
     shape[:, 7:9] = 0.0
-    return frame, shape
+    return shape
 
 
-_bent = estimate.motion_states
+_bent = estimate.motion_shapes
 
 
 def _forward_alone(detections: Any, graph: Any) -> Any:
@@ -116,7 +116,7 @@ PARTS: dict[str, Part] = {
     "no-kinds": _off((estimate, "CLASS_PRIOR", 1e12)),
     "no-still": _off((Background, "learn_fixed", lambda *_: None)),
     "no-heights": _off((tracker, "improve", _without_heights)),
-    "no-bends": _off((estimate, "motion_states", _straight)),
+    "no-bends": _off((estimate, "motion_shapes", _straight)),
     "no-exists": _off(*((each, "VEHICLE_COST", 0.0) for each in (cuts, neighbours))),
     "no-end-cost": _off((cuts, "MOST_END_COST", 0.0)),
     "no-partly": _off((cuts, "PARTLY_COST", 0.0)),

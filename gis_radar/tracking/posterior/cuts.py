@@ -39,7 +39,7 @@ def cut(posterior: Posterior) -> list[Motion]:
         for k in np.argsort(posterior.vehicle_gains(), kind="stable").tolist():
             kept[k] = _windows_to_keep(posterior, k)
             rows = posterior.states.rows(k)
-            window = posterior.states.window[rows]
+            window = posterior.windows(rows)
             gone = ~kept[k][window - window.min()] if len(window) else np.zeros(0, np.bool_)
             posterior.delete_states(rows.start + np.flatnonzero(gone & posterior.alive[rows]))
     return [part for k in range(count) for part in _parts(posterior, k, kept[k])]
@@ -51,7 +51,7 @@ def _window_gains(posterior: Posterior, vehicle: int) -> tuple[Floats, Floats]:
     if part.start == part.stop:
         return np.zeros(0), np.zeros(0)
     found = posterior.own_gains(vehicle)
-    window = states.window[part][np.diff(states.group[part], prepend=-1) > 0]
+    window = posterior.windows(part)[np.diff(states.group[part], prepend=-1) > 0]
     window -= window.min()
     value, expected = (np.bincount(window, found[:, k]).astype(np.float64) for k in (0, 1))
     return value, expected
@@ -79,7 +79,8 @@ def _overlapped_share(posterior: Posterior, vehicle: int) -> Floats:
     states, part = posterior.states, posterior.states.rows(vehicle)
     rows = part.start + np.flatnonzero(np.diff(states.group[part], prepend=-1))
     share = overlap(rows, states.frame, states.shape, posterior.alive, *posterior.by_frame)
-    window = states.window[rows] - states.window[rows].min()
+    window = posterior.windows(rows)
+    window = window - window.min()
     return np.asarray(np.bincount(window, share) / np.maximum(np.bincount(window), 1))
 
 
@@ -136,7 +137,7 @@ def _parts(posterior: Posterior, vehicle: int, kept: Booleans) -> list[Motion]:
     motion = posterior.motions[vehicle]
     if kept.all():
         return [motion] if len(kept) else []
-    base = int(posterior.states.window[posterior.states.rows(vehicle)].min())
+    base = int(posterior.windows(posterior.states.rows(vehicle)).min())
     found = []
     for low, high in _runs(kept):
         first, after = (_step_of(base + each) for each in (low, high))

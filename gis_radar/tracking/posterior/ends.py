@@ -95,20 +95,20 @@ def with_undetected_ends(
     longest = [_predicted(_predicted(each, graphs[1], 1), graphs[-1], -1) for each in motions]
     posterior.set_vehicles(longest)
     overlapping = posterior.overlapping([(each.first_step, each.last_step) for each in motions])
-    time, cost = posterior.cost_of_silence()
-    step, extended_motions = time * STEPS_PER_SECOND, []
-    cost[overlapping] = math.inf
-    for k, motion in enumerate(motions):
+    extended_motions = []
+    for k, (motion, cost) in enumerate(zip(motions, posterior.costs_of_silence(), strict=True)):
         rows = posterior.states.rows(k)
+        cost[overlapping[rows]] = math.inf
+        step = posterior.frames.time[posterior.states.frame[rows]] * STEPS_PER_SECOND
         detected = posterior.detections.time[motion.rows] * STEPS_PER_SECOND
         speed = motion.speed[[0, -1]]
         # until the speed may have changed by half, at ACCELERATION_MPS2
         reliable = 0.5 * speed / ACCELERATION_MPS2 * STEPS_PER_SECOND
         reliable[speed <= STANDS_MPS] = math.inf
         before, after = (
-            _undetected_steps(past, cost[rows], most)
+            _undetected_steps(past, cost, most)
             for past, most in zip(
-                (detected.min() - step[rows], step[rows] - detected.max()),
+                (detected.min() - step, step - detected.max()),
                 reliable.tolist(),
                 strict=True,
             )

@@ -5,7 +5,7 @@ A *gain* is a log likelihood ratio in nats: of the detections with a vehicle ove
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -16,7 +16,7 @@ from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, give_ba
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.background import Background
-from gis_radar.tracking.posterior.frames import SPEED, Frames, States, motion_states
+from gis_radar.tracking.posterior.frames import SPEED, Frames, States, motion_shapes
 from gis_radar.tracking.posterior.likelihood import (
     CELL_M,
     CLASSES,
@@ -161,29 +161,45 @@ class Posterior:
         These arrays are most of the memory of a block: each old one is freed before the new one is
         made.
         """
-        placed = [self._placed.get(_state_key(each)) or self._computed(each) for each in motions]
-        self.motions = list(motions)
-        frame, shape = [each[0] for each in placed], [each[1] for each in placed]
-        class_cells, begins, density, row = ([each[k] for each in placed] for k in range(2, 6))
-        placed, self._placed, self.states = [], {}, States.of([], [], self.frames)
+        placed = [self._placed.get(_state_key(each)) for each in motions]
+        self.motions, self._placed = list(motions), {}
+        self.states = States.of([], self.frames)
         self.visible_share = self._pair_rate = self._expected = np.zeros(0)
-        self.sensor = self._by_frame = self._pair_state = np.zeros(0, np.int64)
+        self._by_frame = self._pair_state = np.zeros(0, np.int64)
         give_back_memory()
-        class_cell = _joined(class_cells, np.zeros((0, 2), np.int64))
+        frame_of = [
+            self.frames.during(motion) if known is None else known[0]
+            for motion, known in zip(motions, placed, strict=True)
+        ]
+        self.states = states = States.of(frame_of, self.frames)
+        del frame_of
+        class_cell = np.empty((len(states.frame), 2), np.int64)
+        pairs: list[list[NDArray[Any]]] = [[], [], []]
+        for k, motion in enumerate(motions):
+            rows = states.rows(k)
+            states.shape[rows], class_cell[rows], *found = (
+                placed[k] or self._computed(motion, states.frame[rows])
+            )[1:]
+            placed[k] = None  # frees its arrays
+            for part, each in zip(pairs, found, strict=True):
+                part.append(each)
+        self._set_pairs(*pairs)
         self._state_class, self._state_cell = class_cell[:, 0], class_cell[:, 1]
-        self._pair_density = _joined(density, np.zeros(0))
-        self._pair_row = _joined(row, np.zeros(0, np.int64))
-        self.states = states = States.of(frame, shape, self.frames)
-        del frame, shape
-        self.sensor = self.frames.sensor[states.frame]
         self.alive = np.ones(len(states.frame), np.bool_)
-        count = _joined([np.diff(each) for each in begins], np.zeros(0, np.int64))
-        self._pair_begin = np.concatenate([[0], np.cumsum(count)])
-        self._pair_state = np.repeat(np.arange(len(count)), count)
         self._placed = {
             _state_key(each): self._view_of(k, class_cell) for k, each in enumerate(motions)
         }
         self._update_visible_share()
+
+    def _set_pairs(
+        self, begins: list[Integers], density: list[Floats], row: list[Integers]
+    ) -> None:
+        """Set the pairs of all states from those of each vehicle."""
+        count = _joined([np.diff(each) for each in begins], np.zeros(0, np.int64))
+        self._pair_begin = np.concatenate([[0], np.cumsum(count)])
+        self._pair_state = np.repeat(np.arange(len(count)), count)
+        self._pair_density = _joined(density, np.zeros(0))
+        self._pair_row = _joined(row, np.zeros(0, np.int64))
 
     def _view_of(self, vehicle: int, class_cell: Integers) -> Placed:
         """Return a vehicle's states and pairs as views of the arrays of all vehicles."""
@@ -195,9 +211,9 @@ class Posterior:
             self._pair_density[pairs], self._pair_row[pairs],
         )  # fmt: skip
 
-    def _computed(self, motion: Motion) -> Placed:
+    def _computed(self, motion: Motion, frame: Integers) -> Placed:
         """Return the states and pairs of a motion that was not placed before."""
-        frame, shape = motion_states(motion, self.frames)
+        shape = motion_shapes(motion, self.frames.time[frame])
         class_cell = classes_and_cells(shape, self.frames.sensor[frame], self.rate_model)
         return (frame, shape, class_cell, *find_pairs(shape, frame, self.detection_arrays))
 
@@ -218,6 +234,10 @@ class Posterior:
             self._by_frame, self._frame_begin, self.frames.sensor, states.shape,
             self.frames.sensor_xy, self.visible_share,
         )  # fmt: skip
+
+    def windows(self, rows: slice | Integers) -> Integers:
+        """Return the number of the half second of each of some states."""
+        return np.asarray(self.frames.window[self.states.frame[rows]])
 
     @property
     def by_frame(self) -> tuple[Integers, Integers]:
@@ -294,13 +314,14 @@ class Posterior:
         (groups, 2) array
             For each sensor and half second.
         """
+        frame = self.states.frame[rows]
         return window_gains(
-            self.states.group[rows], self.states.frame[rows], self.sensor[rows], shape,
+            self.states.group[rows], frame, self.frames.sensor[frame], shape,
             self.visible_share[rows], self.rate_model, self.detection_arrays, self.alpha, add,
         )  # fmt: skip
 
-    def cost_of_silence(self) -> tuple[Floats, Floats]:
-        """Return the time of each state, UNIX seconds, and the cost if it is not detected, nats.
+    def costs_of_silence(self) -> Iterator[Floats]:
+        """Yield for each vehicle the cost of each of its states if it is not detected, nats.
 
         The factor of its cell is that of all other vehicles alone. A vehicle without a detection in
         a half second costs ``alpha ln(1 + mu / alpha)`` where ``mu`` detections are expected
@@ -309,20 +330,24 @@ class Posterior:
         by_class = self._class_rate[self._state_class] * self.visible_share
         responsibility = self._pair_rate / self.total_rate[self._pair_row]
         explained = np.bincount(self._pair_state, responsibility, len(by_class))
-        vehicle = np.repeat(np.arange(len(self.motions)), np.diff(self.states.first))
-        count = len(self._cell_factor)
-        own, at = np.unique(vehicle * count + self._state_cell, return_inverse=True)
-        got, want = (
-            np.bincount(self._state_cell, each, count)[self._state_cell]
-            - np.bincount(at, each, len(own))[at]
+        del responsibility
+        of_all = [
+            np.bincount(self._state_cell, each, len(self._cell_factor))
             for each in (explained, by_class)
-        )
-        factor = (got + OTHERS_PRIOR) / (want + OTHERS_PRIOR)
-        expected = by_class * np.minimum(factor, MOST_FACTOR)
-        group, slow = self.states.group, self.states.shape[:, SPEED] < STANDS_MPS
-        of_group, alpha = np.bincount(group, expected)[group], self.alpha[slow.astype(np.int64)]
-        cost = alpha * np.log1p(of_group / alpha) * expected / np.maximum(of_group, 1e-12)
-        return self.frames.time[self.states.frame], np.asarray(cost)
+        ]
+        for begin, end in pairwise(self.states.first.tolist()):
+            rows = slice(begin, end)
+            cell, at = np.unique(self._state_cell[rows], return_inverse=True)
+            got, want = (
+                (total[cell] - np.bincount(at, each[rows], len(cell)))[at]
+                for total, each in zip(of_all, (explained, by_class), strict=True)
+            )
+            factor = (got + OTHERS_PRIOR) / (want + OTHERS_PRIOR)
+            expected = by_class[rows] * np.minimum(factor, MOST_FACTOR)
+            group = self.states.group[rows] - self.states.group[rows][:1]
+            slow = self.states.shape[rows, SPEED] < STANDS_MPS
+            of_group, alpha = np.bincount(group, expected)[group], self.alpha[slow.astype(np.int64)]
+            yield alpha * np.log1p(of_group / alpha) * expected / np.maximum(of_group, 1e-12)
 
     def overlapping(self, spans: Sequence[tuple[int, int]]) -> Booleans:
         """Return which states overlap another vehicle while that is within its span.
@@ -333,11 +358,11 @@ class Posterior:
             First and last step of each vehicle.
         """
         states = self.states
-        step = self.frames.time[states.frame] * STEPS_PER_SECOND
-        inside, share = np.zeros(len(step), np.bool_), np.zeros(len(step))
+        inside, share = np.zeros(len(states.frame), np.bool_), np.zeros(len(states.frame))
         for k, (first, last) in enumerate(spans):
             rows = states.rows(k)
-            inside[rows] = (step[rows] > first - 0.5) & (step[rows] < last + 0.5)
+            step = self.frames.time[states.frame[rows]] * STEPS_PER_SECOND
+            inside[rows] = (step > first - 0.5) & (step < last + 0.5)
         for begin, end in pairwise(states.first.tolist()):
             mine = np.arange(begin, end)
             if len(mine):
@@ -384,14 +409,13 @@ class Posterior:
         within : (float, float), optional
             UNIX seconds; only its states between them count.
         """
-        frame, shape = motion_states(motion, self.frames)
+        frame = self.frames.during(motion)
         if within is not None:
             time = self.frames.time[frame]
-            inside = (time > within[0]) & (time < within[1])
-            frame, shape = frame[inside], shape[inside]
-        sensor = self.frames.sensor[frame]
+            frame = frame[(time > within[0]) & (time < within[1])]
         found = window_gains(
-            self.frames.group[frame], frame, sensor, shape, np.ones(len(frame)), self.rate_model,
+            self.frames.group[frame], frame, self.frames.sensor[frame],
+            motion_shapes(motion, self.frames.time[frame]), np.ones(len(frame)), self.rate_model,
             self.detection_arrays, self.alpha, add,
         )  # fmt: skip
         return float(found[:, 0].sum())

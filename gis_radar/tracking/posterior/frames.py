@@ -67,6 +67,10 @@ class Frames:
             window=window, group=groups_of(of, window), sensor_xy=detections.sensor_positions(),
         )  # fmt: skip
 
+    def during(self, motion: Motion) -> Integers:
+        """Return the frames of all sensors within the time of a motion, by sensor and time."""
+        return self.between((motion.first_step - 0.5) * STEP_S, (motion.last_step + 0.5) * STEP_S)
+
     def between(self, begin: float, end: float) -> Integers:
         """Return the frames of all sensors between two times, by sensor and time."""
         spans = zip(self.begin[:-1].tolist(), self.begin[1:].tolist(), strict=True)
@@ -96,8 +100,8 @@ class States:
 
     Parameters
     ----------
-    vehicle, frame, window : (n,) int64 arrays
-        Its vehicle, frame and half second.
+    frame : (n,) int64 array
+        Its frame.
     shape : (n, 9) array
         Its shape: east and north of the middle, cosine and sine of the heading, speed, length,
         width, and curvature of the path behind the middle and ahead of it, 1/m, with which the body
@@ -108,25 +112,26 @@ class States:
         Number of its group: the states of one vehicle and sensor in one half second.
     """
 
-    vehicle: Integers
     frame: Integers
-    window: Integers
     shape: Floats
     first: Integers
     group: Integers
 
     @classmethod
-    def of(cls, frame_of: Sequence[Integers], shape_of: Sequence[Floats], frames: Frames) -> States:
-        """Join the states of vehicles, from the frames and shapes of each."""
-        sizes = [len(each) for each in frame_of]
+    def of(cls, frame_of: Sequence[Integers], frames: Frames) -> States:
+        """Join the states of vehicles, from the frames of each; shapes have to be filled in."""
+        first = np.cumsum([0, *map(len, frame_of)])
         frame = np.concatenate([np.zeros(0, np.int64), *frame_of])
-        vehicle = np.repeat(np.arange(len(sizes)), sizes)
+        vehicle = np.repeat(np.arange(len(frame_of)), np.diff(first))
         return cls(
-            vehicle=vehicle, frame=frame, window=frames.window[frame],
-            shape=np.concatenate([np.zeros((0, len(COLUMNS))), *shape_of]),
-            first=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+            frame=frame, shape=np.empty((len(frame), len(COLUMNS))), first=first,
             group=groups_of(vehicle, frames.group[frame]),
         )  # fmt: skip
+
+    @property
+    def vehicle(self) -> Integers:
+        """The vehicle of each state, (n,)."""
+        return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
     def rows(self, vehicle: int) -> slice:
         """Return the slice of the states of a vehicle."""
@@ -147,14 +152,13 @@ def groups_of(*columns: Integers) -> Integers:
     return np.cumsum(changes) - 1
 
 
-def motion_states(motion: Motion, frames: Frames) -> tuple[Integers, Floats]:
-    """Return the frames within the time of a motion, and its shape in each."""
-    frame = frames.between((motion.first_step - 0.5) * STEP_S, (motion.last_step + 0.5) * STEP_S)
-    s_m, speed = motion.at(frames.time[frame])
+def motion_shapes(motion: Motion, time: Floats) -> Floats:
+    """Return the shapes of a motion at times (n,), UNIX seconds, as of :class:`States`."""
+    s_m, speed = motion.at(time)
     rear, front = (motion.path.heading_at(s_m + way * BEND_M) for way in (-1.0, 1.0))
-    shape = np.empty((len(frame), len(COLUMNS)))
+    shape = np.empty((len(time), len(COLUMNS)))
     shape[:, :COS], heading = motion.path.at(s_m)
     shape[:, COS], shape[:, SIN], shape[:, SPEED] = np.cos(heading), np.sin(heading), speed
     shape[:, LENGTH], shape[:, WIDTH] = motion.length_m, motion.width_m
     shape[:, BEHIND], shape[:, AHEAD] = (heading - rear) / BEND_M, (front - heading) / BEND_M
-    return frame, shape
+    return shape

@@ -75,16 +75,16 @@ def _outside(first: Motion, second: Motion, posterior: Posterior) -> list[Motion
 def _neighbours(posterior: Posterior) -> list[tuple[int, int]]:
     """Return pairs of vehicles that may be one body for most of the time of the shorter track."""
     states = posterior.states
-    count = len(posterior.motions)
-    _, rows = np.unique(states.vehicle * (1 << 40) + states.window, return_index=True)
-    windows_of = np.bincount(states.vehicle[rows], minlength=count)
-    rows = rows[np.argsort(states.window[rows], kind="stable")]
-    edges = np.flatnonzero(np.diff(states.window[rows], prepend=-1, append=-1))
+    count, vehicle, window = len(posterior.motions), states.vehicle, posterior.windows(slice(None))
+    _, rows = np.unique(vehicle * (1 << 40) + window, return_index=True)
+    windows_of = np.bincount(vehicle[rows], minlength=count)
+    rows = rows[np.argsort(window[rows], kind="stable")]
+    edges = np.flatnonzero(np.diff(window[rows], prepend=-1, append=-1))
     pairs = []
     for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         states_now = rows[low:high]
         a, b = _may_be_one(states.shape[states_now])
-        one, other = states.vehicle[states_now[a]], states.vehicle[states_now[b]]
+        one, other = vehicle[states_now[a]], vehicle[states_now[b]]
         pairs.append(np.minimum(one, other) * count + np.maximum(one, other))
     keys, times = np.unique(np.concatenate([np.zeros(0, np.int64), *pairs]), return_counts=True)
     shorter = np.minimum(windows_of[keys // count], windows_of[keys % count])

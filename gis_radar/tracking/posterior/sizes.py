@@ -103,9 +103,9 @@ def gains_of_sizes(
         Length, and how far ahead its middle is then, metres.
     """
     table = np.array([(length, width_of(length), ahead) for length, ahead in sizes])
-    states = posterior.states
+    states, frame = posterior.states, posterior.states.frame[rows]
     return _sum_gains(
-        states.group[rows], states.frame[rows], posterior.sensor[rows],
+        states.group[rows], frame, posterior.frames.sensor[frame],
         states.shape[rows], posterior.visible_share[rows], table, posterior.rate_model,
         posterior.detection_arrays, posterior.alpha,
     )  # fmt: skip
@@ -210,10 +210,14 @@ def sample(posterior: Posterior, vehicles: Sequence[int]) -> list[Integers]:
     """
     states = posterior.states
     parts = [states.rows(each) for each in vehicles]
-    slow = states.window[parts[0]][states.shape[parts[0], SPEED] < STANDS_MPS]
-    windows = np.unique(np.concatenate([states.window[each] for each in parts]))
+    windows_of = [posterior.windows(each) for each in parts]
+    slow = windows_of[0][states.shape[parts[0], SPEED] < STANDS_MPS]
+    windows = np.unique(np.concatenate(windows_of))
     standing = np.isin(windows, slow)
     parts_of_time = (windows[~standing], windows[standing])
     every = [max(-(-len(each) // MOST_WINDOWS), 1) for each in parts_of_time]
     sampled = np.concatenate([each[::n] for each, n in zip(parts_of_time, every, strict=True)])
-    return [part.start + np.flatnonzero(np.isin(states.window[part], sampled)) for part in parts]
+    return [
+        part.start + np.flatnonzero(np.isin(window, sampled))
+        for part, window in zip(parts, windows_of, strict=True)
+    ]

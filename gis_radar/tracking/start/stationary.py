@@ -366,7 +366,7 @@ def _gains(weights: Floats) -> Floats:  # pragma: no cover - compiled
     count = weights.shape[1]
     reach = int(4.0 * END_M / CELL_M)
     body = np.log((1.0 - END_SHARE) / 5.0)
-    inside, outside = np.empty(2 * reach), np.empty(2 * reach)  # by distance in cells from -reach on
+    inside, outside = np.empty(2 * reach), np.empty(2 * reach)  # by cell, from -reach on
     for j in range(2 * reach):
         off = (j - reach + 0.5) * CELL_M
         peak = END_SHARE * np.exp(-0.5 * (off / END_M) ** 2) / (END_M * 2.5066)
