@@ -1,11 +1,10 @@
 """The alarm of `track`: how often it is false, and whether it notices a small move in ten minutes.
 
 Minutes of the sample junction are simulated detection by detection, with radars and drivers as
-recorded, walkers and cyclists. Two change detectors see them: one of stationary targets, one of
-vehicles.
+recorded, walkers and cyclists.
 
 - Moved: the sensor is moved by 0.3 m in eight directions or turned by half a degree, at the begin
-  of each batch of ten minutes after the first three. Counted is which change detector notices it.
+  of each batch of ten minutes after the first three. Counted is how often that is noticed.
 - At rest: whole days are drawn from those minutes (`alarm_hours.py`) with what changes in a day.
   The rate of false alarms comes from a generalised Pareto distribution, fitted to the largest
   scores of half an hour.
@@ -27,25 +26,18 @@ from typing import Any
 
 import numpy as np
 import pages
-from alarm_hours import APART_MINUTES, CHANGING, DrawnHours, Minute, fit_false_alarms
+from alarm_hours import CHANGING, DrawnHours, Minute, fit_false_alarms
 from figures import ROOT, SHARE_CHANCE, TARGET, Figure, report, table
 from scipy.spatial.transform import Rotation
 
-import gis_radar as gr
 from gis_radar.base import Floats
-from gis_radar.calibration import MIN_SPEED_MPS
-from gis_radar.calibration.monitoring import alarm
-from gis_radar.calibration.monitoring.alarm import Alarm, ChangeDetector, detectors
-from gis_radar.calibration.monitoring.lane_places import Cells, LanePlaces, cells_along, lane_places
 from gis_radar.calibration.monitoring.stationary_targets import (
     BLOCK_S,
     GATE,
     SEARCH_BLOCKS,
     StationaryTargets,
 )
-from gis_radar.calibration.registration.lanes import sample_lanes
 from gis_radar.calibration.registration.state import State
-from gis_radar.calibration.registration.traces import Moving
 from simulation.demand import ALL_KINDS, Flow
 from simulation.driving import DrivenRoads, LaneKeeping
 from simulation.network import RoadNetwork, build_network, read_network
@@ -63,23 +55,18 @@ import street_plan
 OUT = ROOT / "out" / "bench-alarm"
 MINUTES = 10  # of a batch, which is simulated at once
 STREETS_SEED = 77  # of where drivers keep in each lane: the same in all batches
-WINDOW_S = 100.0  # of detections that show where vehicles drive
-FIRST_MOVED = 3  # batches before the first move, from which the change detectors learn
+FIRST_MOVED = 3  # batches before the first move, in which targets are learned
 
-# Change detectors, by the field of `Scores`; what moves by group of their names.
-DETECTORS = {
-    "whole": "both, as `track` asks them",
-    "still": "still returns alone",
-    "vehicles": "traffic alone",
-}
 TRAFFIC = {"ordinary": "2600 vehicles an hour", "light": "650 vehicles an hour"}
 SIZES = {
     "0.3": "0.3 m, any direction",
     "yaw": "yaw by 0.5 degrees",
     "tilt": "pitch or roll by 0.5 degrees",
 }
-# By kind of move: the trials, and how many of them each change detector noticed in ten minutes.
-Noticed = dict[str, dict[str, int]]
+# By kind of move: the trials, and how many of them were noticed in ten minutes.
+Noticed = dict[str, tuple[int, int]]
+# Largest score of each minute, as a share of the gate: over 1 is an alarm.
+Scores = list[float]
 
 
 class SameStreets(LaneKeeping):
@@ -103,7 +90,7 @@ def main() -> None:
     parser.add_argument("--into", type=Path, metavar="MD", help="put the tables into this page")
     arguments = parser.parse_args()
     moved: dict[str, Noticed] = {}
-    days: list[list[Scores]] = []
+    days: list[Scores] = []
     for name, first, share, masts in (("ordinary", 0, 1.0, (0, 1)), ("light", 100, 0.25, (0,))):
         for mast in masts:
             numbers = range(first, first + getattr(arguments, name))
@@ -113,16 +100,13 @@ def main() -> None:
             _add(moved.setdefault(name, {}), noticed(sensor, made))
             if name == "ordinary":
                 days += rest(sensor, made, arguments.days, arguments.seed)
-    tails = {
-        who: fit_false_alarms([[getattr(each, who) for each in day] for day in days])
-        for who in DETECTORS
-    }
-    text = "\n\n".join([_noticed_table(moved), _false_table(tails, days)])
+    tail = fit_false_alarms(days)
+    text = "\n\n".join([_noticed_table(moved), _false_table(tail)])
     print(text)
     if arguments.into is not None:
         pages.put(arguments.into, {"alarm": text})
     what = "false alarms of a sensor at rest, a month, 95 % below"
-    most = tails["whole"].get("monthly_95", (0.0, 0.0))[1]
+    most = tail.get("monthly_95", (0.0, 0.0))[1]
     report("alarm", [Figure(what=what, ours=most, peer=1.0, peer_name=TARGET, chance=SHARE_CHANCE,
                             least=0.1)])  # fmt: skip
 
@@ -199,44 +183,20 @@ class Detected:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scores:
-    """Largest score of each change detector in a minute; over 1 is an alarm.
-
-    `still_decides` tells whether stationary targets are sensitive enough to decide alone.
-    """
-
-    still: float
-    vehicles: float
-    still_decides: bool
-
-    @property
-    def whole(self) -> float:
-        """Score of both, decided as in :func:`gis_radar.calibration.monitoring.watch.decided`."""
-        return self.still if self.still_decides else max(self.still, self.vehicles)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """Radar of the sample with its true pose, and the cells of the lanes around it."""
+    """Radar of the sample with its true pose."""
 
     name: str
-    cells: Cells
     state: State
 
     @classmethod
     def of(cls, mast: int) -> Sensor:
         """Return the radar on a mast, given by its number."""
-        folder = gr.sample_folder()
         pose = make_samples.MASTS[mast].pose()
-        mask = gr.mask_road([folder / "scan.laz"], folder / "junction.osm", engine="laspy")
-        lanes = sample_lanes(
-            gr.read_map(folder / "junction.osm").lanelets, mask.points, place=pose.position[:2],
-            reach_m=200.0,
-        )  # fmt: skip
         turn = Rotation.from_quat(pose.quaternion).as_matrix()
         place = np.array([0.0, 0.0, pose.height])
         state = State(position=place, R_map_sensor=turn, reflection=0.5)
-        return cls(name=pose.sensor, cells=cells_along(lanes), state=state)
+        return cls(name=pose.sensor, state=state)
 
     def load(self, path: Path) -> Detected:
         """Return a batch."""
@@ -252,50 +212,24 @@ class Sensor:
         points = (self.state.to_map(batch.points) - moved.position) @ moved.R_map_sensor
         return replace(batch, points=points)
 
-    def driven(self, batch: Detected, minute: int) -> LanePlaces:
-        """Return where in their lanes vehicles drove in a minute of a batch."""
-        now = 60.0 * (minute + 1)
-        window = batch.between(now - WINDOW_S, now)
-        drives = np.abs(window.rate) > MIN_SPEED_MPS
-        moving = Moving(
-            time=window.time[drives], points=window.points[drives], range_rate=window.rate[drives],
-            frames=2000, begin=now - WINDOW_S, end=now,
-        )  # fmt: skip
-        since, until = now - 60.0 - alarm.SETTLE_S, now - alarm.SETTLE_S
-        return lane_places(moving, self.cells, self.state, since=since, until=until)
 
-    def detectors(self) -> tuple[ChangeDetector, ChangeDetector]:
-        """Return the change detectors of vehicles: across the lane, and in height."""
-        return detectors(self.cells, self.state.position[:2])
-
-
-class BothDetectors:
-    """Both change detectors of a sensor, asked as `track` asks them.
+class Detector:
+    """The change detector of a sensor, asked as `track` asks it.
 
     Parameters
     ----------
-    sensor : Sensor
-        The sensor.
     known : (StationaryTargets, array of int) or None
         Stationary targets, and the rows of those to use; no others are searched then.
     """
 
-    def __init__(
-        self, sensor: Sensor, known: tuple[StationaryTargets, np.ndarray] | None = None
-    ) -> None:
-        self.vehicles = Alarm(sensor.cells, sensor.state.position[:2])
+    def __init__(self, known: tuple[StationaryTargets, np.ndarray] | None = None) -> None:
         self.still = StationaryTargets(search_blocks=SEARCH_BLOCKS if known is None else 2**62)
         if known is not None:
             self.still.set_targets(known[0].place[known[1]], known[0].rate[known[1]])
 
-    def batch(self, sensor: Sensor, batch: Detected, clock: float) -> list[Scores]:
-        """Process a batch that begins at `clock` (s); return the scores minute by minute."""
-        scores = []
-        for minute in range(MINUTES):
-            seen = self.summaries(batch, minute)
-            places = sensor.driven(batch, minute)
-            scores.append(self.minute(places, seen, clock + 60.0 * (minute + 1)))
-        return scores
+    def batch(self, batch: Detected) -> Scores:
+        """Process a batch; return the scores minute by minute."""
+        return [self.minute(self.summaries(batch, minute)) for minute in range(MINUTES)]
 
     def summaries(self, batch: Detected, minute: int) -> Iterator[Floats]:
         """Yield where stationary targets are, block by block of a minute.
@@ -307,17 +241,14 @@ class BothDetectors:
             self.still.push(part.time, part.points, part.rate)
             yield self.still.summary()
 
-    def minute(self, places: LanePlaces, still: Iterable[Floats], now: float) -> Scores:
-        """Process a minute; return its largest scores, divided by their gates."""
-        largest, still_decides = 0.0, False
-        for part in still:
-            self.still.process(part)
-            told = self.still.tested
-            still_decides = any(each.sensitive for each in told)
-            largest = max([largest, *(each.displacement.score / GATE for each in told)])
-        driven = self.vehicles.push(places, now)
-        by_vehicles = 0.0 if driven is None else driven.score / alarm.GATE
-        return Scores(still=largest, vehicles=by_vehicles, still_decides=still_decides)
+    def minute(self, blocks: Iterable[Floats]) -> float:
+        """Process the blocks of a minute; return the largest score, divided by the gate."""
+        largest = 0.0
+        for block in blocks:
+            self.still.process(block)
+            tested = self.still.tested
+            largest = max([largest, *(each.displacement.score / GATE for each in tested)])
+        return largest
 
 
 def moves() -> dict[str, Floats]:
@@ -335,78 +266,55 @@ def moves() -> dict[str, Floats]:
 
 
 def noticed(sensor: Sensor, batches: Sequence[Path]) -> Noticed:
-    """Count which moves at the begin of each later batch each change detector notices."""
-    settled, found = BothDetectors(sensor), Noticed()
+    """Count which moves at the begin of each later batch are noticed."""
+    settled, found = Detector(), Noticed()
     for number, path in enumerate(batches):
-        batch, clock = sensor.load(path), 60.0 * MINUTES * number
+        batch = sensor.load(path)
         for name, step in moves().items() if number >= FIRST_MOVED else ():
-            scores = copy.deepcopy(settled).batch(sensor, sensor.moved(batch, step), clock)
-            who = {each: int(max(getattr(s, each) for s in scores) > 1.0) for each in DETECTORS}
-            _add(found, {name.split(" ")[0]: {"trials": 1, **who}})
-        settled.batch(sensor, batch, clock)
+            scores = copy.deepcopy(settled).batch(sensor.moved(batch, step))
+            _add(found, {name.split(" ")[0]: (1, int(max(scores) > 1.0))})
+        settled.batch(batch)
     return found
 
 
 def _add(counts: Noticed, more: Noticed) -> None:
     """Add counts to others."""
-    for name, each in more.items():
-        row = counts.setdefault(name, dict.fromkeys(each, 0))
-        for who, count in each.items():
-            row[who] += count
+    for name, (trials, seen) in more.items():
+        before = counts.get(name, (0, 0))
+        counts[name] = (before[0] + trials, before[1] + seen)
 
 
-def learn_minutes(
-    sensor: Sensor, batches: Sequence[Path]
-) -> tuple[StationaryTargets, list[Minute]]:
-    """Return the still targets of all batchs, and what both change detectors see in each minute."""
-    first, parts = BothDetectors(sensor), [sensor.load(path) for path in batches]
-    for batch in parts:
-        for minute in range(MINUTES):
-            for seen in first.summaries(batch, minute):
-                first.still.process(seen)
-    again = BothDetectors(sensor, (first.still, np.arange(len(first.still))))
-    minutes = [
-        Minute(
-            places=sensor.driven(batch, minute),
-            still=list(again.summaries(batch, minute)),
-        )
-        for batch in parts
-        for minute in range(MINUTES)
-    ]
-    return first.still, minutes
-
-
-def rest(sensor: Sensor, batches: Sequence[Path], days: int, seed: int) -> list[list[Scores]]:
+def rest(sensor: Sensor, batches: Sequence[Path], days: int, seed: int) -> list[Scores]:
     """Draw days in which the sensor stays where it is; return the scores of their minutes."""
-    targets, minutes = learn_minutes(sensor, batches)
-    hours = DrawnHours(minutes, sensor.detectors(), sensor.state.R_map_sensor, seed)
-    every, passed = np.arange(len(targets)), []
+    first, parts = Detector(), [sensor.load(path) for path in batches]
+    for batch in parts:
+        first.batch(batch)
+    targets, every = first.still, np.arange(len(first.still))
+    again = Detector((targets, every))
+    minutes: list[Minute] = [
+        list(again.summaries(batch, minute)) for batch in parts for minute in range(MINUTES)
+    ]
+    hours, passed = DrawnHours(minutes, sensor.state.R_map_sensor, seed), []
     for _ in range(days):
-        both = BothDetectors(sensor, (targets, every))
-        drawn = enumerate(hours.drawn(24.0, CHANGING))
-        passed.append([both.minute(each.places, each.still, 60.0 * k) for k, each in drawn])
+        detector = Detector((targets, every))
+        passed.append([detector.minute(each) for each in hours.drawn(24.0, CHANGING)])
     return passed
 
 
 def _noticed_table(moved: Mapping[str, Noticed]) -> str:
     rows = [
-        [f"{size}; {about}", *(f"{row[who]} of {row['trials']}" for who in DETECTORS)]
+        [f"{size}; {about}", "{1} of {0}".format(*moved[traffic][move])]
         for traffic, about in TRAFFIC.items()
         for move, size in SIZES.items()
-        if (row := moved.get(traffic, {}).get(move))
+        if move in moved.get(traffic, {})
     ]
-    return table(["move within ten minutes", *DETECTORS.values()], rows)
+    return table(["move within ten minutes", "noticed"], rows)
 
 
-def _false_table(tails: Mapping[str, Mapping[str, Any]], days: Sequence[Sequence[Scores]]) -> str:
-    rows = [
-        [DETECTORS[who], f"{f['hours']:.0f}", str(f["alarms"]), f"{f['largest']:.2f}", _monthly(f)]
-        for who, f in tails.items()
-    ]
-    heads = ["false alarms", "hours", "alarms", "largest score of the gate", "a month (95 %)"]
-    still_decides = np.mean([[each.still_decides for each in day[APART_MINUTES:]] for day in days])
-    said = f"In {still_decides:.0%} of the minutes of these days the still returns decided alone."
-    return f"{table(heads, rows)}\n\n{said}"
+def _false_table(tail: Mapping[str, Any]) -> str:
+    row = [f"{tail['hours']:.0f}", str(tail["alarms"]), f"{tail['largest']:.2f}", _monthly(tail)]
+    heads = ["hours at rest", "false alarms", "largest score of the gate", "a month (95 %)"]
+    return table(heads, [row])
 
 
 def _monthly(figures: Mapping[str, Any]) -> str:

@@ -1,24 +1,22 @@
 """Hours in which a sensor stays where it is, drawn from simulated minutes.
 
-Three minutes on end are drawn at a time. The deviations of vehicles from the mean of their lane,
-and of stationary targets from their mean place, get a random sign, the same in these minutes: a
-wild cluster bootstrap, which keeps spread and correlation. A :class:`Day` adds what changes.
+Three minutes on end are drawn at a time. The deviations of stationary targets from their mean place
+get a random sign, the same in these minutes: a wild cluster bootstrap, which keeps spread and
+correlation. A :class:`Day` adds what changes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.stats import genpareto
 
 from gis_radar.base import Booleans, Floats
 from gis_radar.calibration import DRIFT
-from gis_radar.calibration.monitoring.alarm import ChangeDetector
 from gis_radar.calibration.monitoring.kalman_filter import HOUR_S
-from gis_radar.calibration.monitoring.lane_places import WITHIN_M, LanePlaces
 from gis_radar.calibration.monitoring.stationary_targets import (
     GATE_M,
     GATE_RAD,
@@ -30,11 +28,7 @@ from gis_radar.calibration.monitoring.stationary_targets import (
 RUN_MINUTES = 3  # drawn together
 MONTH_H = 720.0
 APART_MINUTES = 30  # between independent scores: the longest time that a test looks at
-TRAFFIC_SHARES = (  # of the busiest hour's traffic, hour by hour of a day
-    0.06, 0.04, 0.04, 0.05, 0.1, 0.3, 0.7, 1.0, 1.0, 0.8, 0.7, 0.7,
-    0.75, 0.75, 0.8, 0.9, 1.0, 1.0, 0.85, 0.6, 0.45, 0.3, 0.2, 0.1,
-)  # fmt: skip
-SLOW_H, SWAY_S = 2.0, 120.0  # correlation times: of habits and targets; of a mast in the wind
+SLOW_H, SWAY_S = 2.0, 120.0  # correlation times: of targets; of a mast in the wind
 SWAY_SIGMA = (0.005, 0.005, 0.002, np.radians(0.03), np.radians(0.03), np.radians(0.02))  # m, rad
 WET_H = 1.0  # for which rain hides targets
 CAR_RADIUS_M = 5.0  # targets so near to each other may be of one parked car
@@ -44,20 +38,9 @@ BESIDE_SIGMA = np.array([0.5, GATE_RAD / 2.0, START_SIGMA_RAD[1]])
 MATCH_GATE = np.array([GATE_M, GATE_RAD, np.inf])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Minute:
-    """What both change detectors see in a minute.
-
-    Parameters
-    ----------
-    places : LanePlaces
-        Where vehicles drove.
-    still : sequence of (targets, 3) arrays
-        Range (m), azimuth and elevation (rad) of each stationary target by block; NaN: not seen.
-    """
-
-    places: LanePlaces
-    still: Sequence[Floats]
+# Range (m), azimuth and elevation (rad) of each stationary target (targets, 3), by the blocks of a
+# minute; NaN: not seen.
+Minute: TypeAlias = list[Floats]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,13 +49,6 @@ class Day:
 
     Parameters
     ----------
-    shares : tuple of float
-        Traffic as a share of the busiest, hour by hour.
-    stretch_m, common_m, breadth_m : float
-        Standard deviations of slow changes: of where drivers keep on a stretch and everywhere, and
-        of how far from their middle vehicles reflect.
-    obstacles : float
-        Obstacles an hour: on a stretch all keep aside by 0.3 to 1 m, for 5 to 60 minutes.
     drift, sway : float
         Of the mast: drift as a multiple of what the settings allow, sway in the wind of
         `SWAY_SIGMA`.
@@ -87,11 +63,6 @@ class Day:
         Showers an hour: all targets are displaced at once, and 40 % are lost for `WET_H`.
     """
 
-    shares: tuple[float, ...] = (1.0,)
-    stretch_m: float = 0.0
-    common_m: float = 0.0
-    breadth_m: float = 0.0
-    obstacles: float = 0.0
     drift: float = 0.0
     sway: float = 0.0
     wander: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -100,10 +71,7 @@ class Day:
     wet: float = 0.0
 
 
-CHANGING = Day(
-    shares=TRAFFIC_SHARES, stretch_m=0.05, common_m=0.03, breadth_m=0.02, obstacles=0.5, drift=1.0,
-    sway=1.0, wander=(START_SIGMA_M, *START_SIGMA_RAD), parked=0.33, wet=0.1,
-)  # fmt: skip
+CHANGING = Day(drift=1.0, sway=1.0, wander=(START_SIGMA_M, *START_SIGMA_RAD), parked=0.33, wet=0.1)
 
 
 class DrawnHours:
@@ -113,66 +81,34 @@ class DrawnHours:
     ----------
     minutes : sequence of Minute
         Simulated minutes to draw from.
-    detectors : (ChangeDetector, ChangeDetector)
-        Those of vehicles: across the lane, and in height.
     turn : (3, 3) array
         R_map_sensor.
     seed : int
         Seed of all random numbers.
     """
 
-    def __init__(
-        self,
-        minutes: Sequence[Minute],
-        detectors: tuple[ChangeDetector, ChangeDetector],
-        turn: Floats,
-        seed: int,
-    ) -> None:
-        self.minutes, self.detectors, self.turn = minutes, detectors, turn
+    def __init__(self, minutes: Sequence[Minute], turn: Floats, seed: int) -> None:
+        self.minutes, self.turn = minutes, turn
         self.rng = np.random.default_rng(seed)
-        cells = len(detectors[0].stretch)
-        places = [minute.places for minute in minutes]
-        self.mean = [_means([(m.cell, _values(m)[k]) for m in places], cells) for k in range(2)]
-        self.middle = np.nanmedian([part for minute in minutes for part in minute.still], axis=0)
+        self.middle = np.nanmedian([part for minute in minutes for part in minute], axis=0)
 
     def drawn(self, hours: float, day: Day) -> Iterator[Minute]:
-        """Yield minutes of a day that begins at a random time of the day."""
-        rng, slow = self.rng, _SlowChanges(self.rng, day, self.detectors[0], self.middle)
-        first = int(rng.integers(24 * 60))
+        """Yield the minutes of a day."""
+        rng, slow = self.rng, _SlowChanges(self.rng, day, self.middle)
         used: list[int] = []
-        place, signs = 0, np.ones(3)
+        place, sign = 0, 1.0
         for minute in range(round(60.0 * hours)):
             if minute % RUN_MINUTES == 0:
                 place = self._draw(used)
                 used = [*used, place][-APART_MINUTES // RUN_MINUTES :]
-                signs = rng.choice([-1.0, 1.0], 3)
-            seen = self.minutes[place + minute % RUN_MINUTES]
-            share = day.shares[(first + minute) // 60 % len(day.shares)]
+                sign = float(rng.choice([-1.0, 1.0]))
             slow.step()
             shift = np.kron(np.eye(2), self.turn.T) @ slow.moved
             common = by_move(self.middle) @ shift
-            still = [
-                self.middle + signs[2] * (part - self.middle) + common + slow.targets()
-                for part in seen.still
+            yield [
+                self.middle + sign * (part - self.middle) + common + slow.targets()
+                for part in self.minutes[place + minute % RUN_MINUTES]
             ]
-            yield Minute(places=self._driven(seen.places, share, signs, slow), still=still)
-
-    def _driven(
-        self, seen: LanePlaces, share: float, signs: Floats, slow: _SlowChanges
-    ) -> LanePlaces:
-        kept = self.rng.random(seen.vehicles)[seen.vehicle] < share
-        values = []
-        for mean, sign, detector, value in zip(
-            self.mean, signs, self.detectors, _values(seen), strict=False
-        ):
-            own = sign * (value - mean[seen.cell])
-            values.append((mean + slow.change(detector))[seen.cell] + own)
-        kept &= np.abs(values[0]) < WITHIN_M
-        return LanePlaces(
-            vehicle=np.unique(seen.vehicle[kept], return_inverse=True)[1],
-            cell=seen.cell[kept], across_m=values[0][kept], over_m=values[1][kept],
-            count=seen.count[kept],
-        )  # fmt: skip
 
     def _draw(self, used: Sequence[int]) -> int:
         """Return the first minute of the next run; none is used again within half an hour."""
@@ -181,33 +117,14 @@ class DrawnHours:
         return int(self.rng.choice(free or places))
 
 
-def _values(seen: LanePlaces) -> tuple[Floats, Floats]:
-    return seen.across_m, seen.over_m
-
-
-def _means(parts: Sequence[tuple[np.ndarray, Floats]], cells: int) -> Floats:
-    cell, value = (np.concatenate(part) for part in zip(*parts, strict=True))
-    count = np.bincount(cell, minlength=cells)
-    return np.asarray(np.bincount(cell, value, minlength=cells) / np.maximum(count, 1))
-
-
 class _SlowChanges:
     """State of what a `Day` changes, minute by minute."""
 
-    def __init__(
-        self, rng: np.random.Generator, day: Day, across: ChangeDetector, still: Floats
-    ) -> None:
+    def __init__(self, rng: np.random.Generator, day: Day, still: Floats) -> None:
         self._rng, self._day = rng, day
-        self._stretches = int(across.stretch.max()) + 1
-        sigma = np.full(self._stretches + 2, day.stretch_m)
-        sigma[-2:] = day.common_m, day.breadth_m
-        self._habits, self._sway = (
-            _SlowProcess(rng, sigma, SLOW_H),
-            _SlowProcess(rng, day.sway * np.array(SWAY_SIGMA), SWAY_S / HOUR_S),
-        )
+        self._sway = _SlowProcess(rng, day.sway * np.array(SWAY_SIGMA), SWAY_S / HOUR_S)
         self._still = _SlowProcess(rng, np.tile(day.wander, (len(still), 1)), SLOW_H)
         self._drift = np.zeros(6)
-        self._obstacles: list[tuple[int, float, int]] = []
         self._cars = _cars(still, day.parked, rng)
         self._parked = np.zeros_like(still)
         self._until = rng.exponential(60.0 * day.stay_h, len(self._cars))
@@ -222,15 +139,10 @@ class _SlowChanges:
     def step(self) -> None:
         """Advance by a minute."""
         rng, day = self._rng, self._day
-        for each in (self._habits, self._sway, self._still):
-            each.step()
+        self._sway.step()
+        self._still.step()
         hourly = day.drift * DRIFT
         self._drift = self._drift + hourly * rng.normal(size=6) * np.sqrt(60.0 / HOUR_S)
-        self._obstacles = [(s, by, left - 1) for s, by, left in self._obstacles if left > 1]
-        if rng.random() < day.obstacles / 60.0:
-            by = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 1.0))
-            stretch, lasts = int(rng.integers(self._stretches)), int(rng.integers(5, 61))
-            self._obstacles.append((stretch, by, lasts))
         self._park()
         self._wet_left -= 1
         if rng.random() < day.wet / 60.0:
@@ -254,17 +166,6 @@ class _SlowChanges:
         """Return how far each stationary target is from its mean place; NaN: it is not seen."""
         lost = self._lost & (self._wet_left > 0)
         return np.where(lost[:, None], np.nan, self._still.value + self._parked)
-
-    def change(self, detector: ChangeDetector) -> Floats:
-        """Return how far the mean of each cell of the lanes is changed, metres."""
-        changed = detector.by_move @ self.moved[list(detector.moved)]
-        habits = self._habits.value
-        if len(detector.moved) == 2:  # heights: habits of the same size, and no obstacles
-            return np.asarray(changed + habits[detector.stretch] + habits[-2])
-        changed = changed + habits[detector.stretch] + detector.by_habit @ habits[-2:]
-        for stretch, by, _ in self._obstacles:
-            changed = changed + by * (detector.stretch == stretch)
-        return np.asarray(changed)
 
 
 class _SlowProcess:

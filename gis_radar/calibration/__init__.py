@@ -12,9 +12,8 @@ From the data to the answers (*in* names the module that calls the others):
   paper's) find poses, in `localization`;
 - `several` adjusts the poses of several sensors: `correspondences` pairs their vehicles, `placing`
   chooses among poses, `adjustment` adjusts them, `network` decides, in `joint`;
-- `monitoring` follows a pose: `windows` registers a window, `kalman_filter` takes it in, `moves`,
-  `alarm` (by `lane_places`) and `stationary_targets` notice moves, `watch` asks the latter two, in
-  `monitor`;
+- `monitoring` follows a pose: `windows` registers a window, `kalman_filter` takes it in, `moves`
+  notices large and `stationary_targets` small moves, in `monitor`;
 - `check` tells whether recordings, poses and map fit together: `excerpt` reads, `scene_change`,
   `explanations` (by `rivals`), `nearly_right` (by `fitted_pose` and `offsets`) and `odd_clocks`
   look, in `plausibility`.

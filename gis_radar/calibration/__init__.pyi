@@ -17,7 +17,6 @@ from .monitoring.monitor import LOST_S, Follower, start_estimate, track
 from .monitoring.pose_track import MOVED, Track, track_of
 from .monitoring.windows import WindowFitter
 from .range_scale import measure_range_scale
-from .registration.traces import MIN_SPEED_MPS
 from .scan.scan_check import check_against_scan, require_scans_near
 from .scan.scan_check_result import ScanCheck
 from .several.joint import JointCalibration, adjust_poses, gain_line, localize_together
@@ -35,7 +34,6 @@ __all__ = [
     "FITS",
     "HEADS",
     "LOST_S",
-    "MIN_SPEED_MPS",
     "MOVED",
     "SENSOR_STATES",
     "UNKNOWN",

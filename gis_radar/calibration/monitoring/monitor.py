@@ -24,7 +24,6 @@ from gis_radar.base import (
     seconds_from_iso,
     step_of,
 )
-from gis_radar.calibration.monitoring.alarm import SETTLE_S, Displacement
 from gis_radar.calibration.monitoring.kalman_filter import (
     CYCLE_S,
     KNOCK,
@@ -47,7 +46,7 @@ from gis_radar.calibration.monitoring.pose_track import (
     Track,
     track_of,
 )
-from gis_radar.calibration.monitoring.watch import Watch
+from gis_radar.calibration.monitoring.stationary_targets import Displacement, Watch
 from gis_radar.calibration.monitoring.windows import WindowFit, WindowFitter, WindowTraffic
 from gis_radar.calibration.registration.hypotheses import REFLECTION_M
 from gis_radar.calibration.registration.traces import FRAMES, LEAST_FRAMES
@@ -250,7 +249,7 @@ class Follower:
         self.confirmed = False
         self._fitter = fitter
         self._name, self._reporter = name, reporter
-        self.watch, self.scatter = Watch(fitter), Scatter()
+        self.watch, self.scatter = Watch(), Scatter()
         self._window = MovingWindow()
         self._past: deque[Estimate] = deque([start])
         self._reflection_m = REFLECTION_M
@@ -292,8 +291,7 @@ class Follower:
             )
             self._append(row if suspected is None else _widened_row(row, suspected.move))
         self._give_up_if_lost(time)
-        full_window = traffic if self.confirmed and self._window.full and traffic.vehicles else None
-        move = self.watch.look(full_window, self.now.state(self._reflection_m), time)
+        move = self.watch.look(self.now.state(self._reflection_m).R_map_sensor, time)
         if move is not None and self.confirmed:
             self._apply_move(move, time)
         self._vehicles = max(self._vehicles, traffic.vehicles)
@@ -353,7 +351,7 @@ class Follower:
 
     def _apply_move(self, displacement: Displacement, time: float) -> None:
         """Move the pose by a displacement, from the begin of its blocks on; restart the watch."""
-        since = time - SETTLE_S - displacement.seconds
+        since = time - displacement.seconds
         earlier = [row.estimate for row in self.rows if row.estimate.time <= since]
         before = predicted((earlier or [self.rows[0].estimate])[-1], since)
         new = displaced(before, displacement.move, displacement.covariance)

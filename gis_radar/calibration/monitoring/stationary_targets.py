@@ -19,9 +19,9 @@ import numpy as np
 from scipy.ndimage import maximum_filter, uniform_filter
 
 from gis_radar.base import Booleans, Floats, Integers
-from gis_radar.calibration.monitoring.alarm import Displacement
 from gis_radar.calibration.monitoring.kalman_filter import DRIFT, HOUR_S, KNOCK
 from gis_radar.calibration.registration.traces import MIN_SPEED_MPS
+from gis_radar.recordings import Detections
 
 # Reach and cells of the map of hits by range and azimuth: finer than the variation of a target.
 REACH_M = 300.0
@@ -67,11 +67,43 @@ LEAST_SCATTER = (0.004, math.radians(0.005), math.radians(0.02))
 # Scale of the Cauchy weights of residuals, in units of the noise: a car may replace another.
 OUTLIER = 2.0
 ROUNDS = 10  # iterations of weights and noise; both converge in seven
-# Targets are sensitive to a move if its standard deviation is below this share of it.
+# A move would be noticed if its standard deviation is below this share of it.
 SENSITIVE_SHARE = 0.34
+# Number of newest blocks that are tested for a blow, and from which the size of a move is measured.
+BLOW_BLOCKS = 1
+LATEST_BLOCKS = 3
 
 NONE = -1
 PLANE_AND_ANGLES = [0, 1, 3, 4, 5]  # tested components of a move; height moves nothing off its lane
+
+
+@dataclass(frozen=True, kw_only=True)
+class Displacement:
+    """Move of a sensor, estimated from displacements of its targets.
+
+    Parameters
+    ----------
+    score : float
+        Chi-square of the move, reduced for the heavy tails of few targets.
+    seconds : float
+        Length of the newest time that was tested, seconds.
+    move : (6,) array
+        Metres, and a turn about the axes in radians.
+    covariance : (6, 6) array
+        Covariance of the move.
+    """
+
+    score: float
+    seconds: float
+    move: Floats
+    covariance: Floats
+
+    def turned(self, turn: Floats) -> Displacement:
+        """Rotate a displacement from the sensor's axes to the map's by `turn` = `R_map_sensor`."""
+        rotation = np.kron(np.eye(2), turn)
+        return replace(
+            self, move=rotation @ self.move, covariance=rotation @ self.covariance @ rotation.T
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,16 +114,63 @@ class Verdict:
     ----------
     displacement : Displacement
         The likeliest move, in the sensor frame, with its score.
-    sensitive : bool
-        Whether a move of `WANTED_M` in the plane or of `WANTED_RAD` about any axis would be
-        detected.
     at_rest : bool
         Whether a move of `KNOCK` would be detected, and none is.
     """
 
     displacement: Displacement
-    sensitive: bool
     at_rest: bool
+
+
+class Watch:
+    """Watches a sensor for small moves while its pose is followed."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Reset targets and means, after the sensor was moved."""
+        self._targets = StationaryTargets()
+        self._block_since = np.nan
+        self._newest: Verdict | None = None
+
+    def push(self, batch: Detections) -> None:
+        """Add the next detections, moving and stationary ones."""
+        self._targets.push(batch.time, batch.points, batch.range_rate)
+
+    @property
+    def unmoved(self) -> bool:
+        """Whether stationary targets show that the sensor was not moved, up to the last block."""
+        return self._newest is not None and self._newest.at_rest
+
+    def look(self, turn: Floats, time: float) -> Displacement | None:
+        """Return the significant move up to a time, if any, in the map's axes.
+
+        Parameters
+        ----------
+        turn : (3, 3) array
+            `R_map_sensor`.
+        time : float
+            UNIX seconds.
+        """
+        if np.isnan(self._block_since):
+            self._block_since = time
+        if time - self._block_since < BLOCK_S:
+            return None
+        self._block_since = time
+        self._targets.end_block()
+        self._newest = self._targets.verdict(BLOW_BLOCKS)
+        tested = (each.displacement for each in self._targets.tested)
+        move = max(tested, key=lambda each: each.score, default=None)
+        if move is None or move.score <= GATE:
+            return None
+        # measured by the latest blocks only: earlier ones may be from before the move
+        latest = self._targets.verdict(LATEST_BLOCKS)
+        if latest is not None:
+            move = replace(
+                move, move=latest.displacement.move, covariance=latest.displacement.covariance
+            )
+        return move.turned(turn)
 
 
 def polar_of(points: Floats) -> Floats:
@@ -312,7 +391,6 @@ class StationaryTargets:
         chi2 = float(move @ np.linalg.solve(covariance, move))
         count = int(usable.sum())
         sigma = np.sqrt(np.diag(covariance))[PLANE_AND_ANGLES]
-        wanted = np.repeat([WANTED_M, WANTED_RAD], [2, 3])
         score = count * float(np.log1p(chi2 / count))
         displacement = Displacement(
             score=score,
@@ -322,7 +400,6 @@ class StationaryTargets:
         )
         return Verdict(
             displacement=displacement,
-            sensitive=bool((sigma < SENSITIVE_SHARE * wanted).all()),
             at_rest=score < GATE
             and bool((sigma < SENSITIVE_SHARE * KNOCK[PLANE_AND_ANGLES]).all()),
         )

@@ -193,7 +193,7 @@ class WindowFitter:
         self._model = MODEL
         self._reflections: tuple[float, float] | None = None  # mean and information
 
-    def lanes(self, samples: Samples) -> Lanes:
+    def _lanes_for(self, samples: Samples) -> Lanes:
         """Return the lanes within reach of samples."""
         reach_m = float(np.percentile(np.hypot(*samples.points[:, :2].T), 99.5))
         if self._lanes is None or reach_m > self._reach_m:
@@ -205,7 +205,10 @@ class WindowFitter:
     def scene(self, samples: Samples) -> Scene:
         """Return the scene of samples and the lanes within their reach."""
         return Scene(
-            lanes=self.lanes(samples), samples=samples, lane_sigma_m=(0.0, 0.0), keeps_lanes=False
+            lanes=self._lanes_for(samples),
+            samples=samples,
+            lane_sigma_m=(0.0, 0.0),
+            keeps_lanes=False,
         )
 
     def fit(
