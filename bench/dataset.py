@@ -273,7 +273,7 @@ def write_repeated(
     With a seed, x gets an error of 2 cm: equal frames of two sensors would be refused.
     """
     after = once["time"].to_numpy() - once["time"].iloc[0]
-    span = float(after[-1]) + 0.05
+    span = np.ceil(after[-1] + 0.05)  # equal for sensors of one site: else their clocks go apart
     if seed is not None:
         rng = np.random.default_rng(seed)
         once = once.assign(x=once["x"] + rng.normal(0.0, 0.02, len(once)).astype(np.float32))
