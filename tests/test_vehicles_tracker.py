@@ -65,7 +65,15 @@ def driving(speed, begin_s, end_s, start_m, rng, left_m=0.0, length_m=4.5):
 
 def test_lanelets_that_share_no_nodes_follow_each_other(straight):
     assert [each.tolist() for each in straight.successors] == [[1], [], []]
-    assert [each.tolist() for each in straight.reversed().successors] == [[], [0], []]
+    assert [each.tolist() for each in straight.reversed.successors] == [[], [0], []]
+
+
+def test_points_by_metre_lie_in_the_middle_of_the_lane(straight):
+    for lane, begin in ((0, 0.0), (1, 100.0)):
+        points, left = straight.by_metre(lane)
+        assert points[:, 0] + straight.origin[0] == pytest.approx(begin + 0.5 + np.arange(100.0))
+        assert left == pytest.approx(np.tile([0.0, 1.0], (100, 1)), abs=1e-9)
+        assert straight.by_metre(lane)[0] is points
 
 
 @given(x=st.floats(-5, 205), y=st.floats(-6, 8))

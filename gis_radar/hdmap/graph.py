@@ -71,8 +71,9 @@ class LaneGraph:
         """The graph as arrays for compiled code, which finds the lanes at a point."""
         return LaneField.of(self)
 
+    @cached_property
     def reversed(self) -> LaneGraph:
-        """Return the graph as it is driven when time runs backward."""
+        """The graph as it is driven when time runs backward."""
         spans = pairwise(self.first.tolist())
         order = np.concatenate([np.arange(end - 1, begin - 1, -1) for begin, end in spans])
         lane = np.repeat(np.arange(len(self.lanelet_id)), np.diff(self.first))
@@ -103,6 +104,21 @@ class LaneGraph:
         s = self.s_m[part]
         points = np.column_stack([np.interp(s_m, s, self.points[part, k]) for k in range(2)])
         return points, np.interp(s_m, s, self._unwrapped[part])
+
+    def by_metre(self, lane: int) -> tuple[Floats, Floats]:
+        """Return points (k, 2) at 0.5, 1.5, ... m along a lanelet, and unit vectors to its left.
+
+        They are kept: lines along lanes ask for them again and again.
+        """
+        if lane not in self._by_metre:
+            points, heading = self.place(lane, np.arange(0.5, float(self.length_m[lane])))
+            left = np.column_stack([-np.sin(heading), np.cos(heading)])
+            self._by_metre[lane] = points, left
+        return self._by_metre[lane]
+
+    @cached_property
+    def _by_metre(self) -> dict[int, tuple[Floats, Floats]]:
+        return {}
 
     @cached_property
     def _unwrapped(self) -> Floats:

@@ -53,7 +53,7 @@ def lengthen(posterior: Posterior, graph: LaneGraph) -> list[Motion]:
     graph : LaneGraph
         The lanes.
     """
-    graphs = {1: graph, -1: graph.reversed()}
+    graphs = {1: graph, -1: graph.reversed}
     found = list(posterior.motions)
     for k in np.argsort([-len(each.rows) for each in found], kind="stable").tolist():
         for direction in (1, -1):
@@ -91,7 +91,7 @@ def with_undetected_ends(
     list of Motion
         In the same order, with the same detections.
     """
-    graphs = {1: graph, -1: graph.reversed()}
+    graphs = {1: graph, -1: graph.reversed}
     longest = [_predicted(_predicted(each, graphs[1], 1), graphs[-1], -1) for each in motions]
     posterior.set_vehicles(longest)
     overlapping = posterior.overlapping([(each.first_step, each.last_step) for each in motions])
@@ -244,8 +244,12 @@ def _line(graph: LaneGraph, chain: list[int], s_m: float, d_m: float, place: Flo
     """Return a line from a place along lanes, at its distance `d_m` left of their middle."""
     parts, begin = [place[None]], s_m + 1.0
     for lane in chain:
-        points, heading = graph.place(lane, np.arange(begin, float(graph.length_m[lane]), 1.0))
-        parts.append(points + d_m * np.column_stack([-np.sin(heading), np.cos(heading)]))
+        if begin == 0.5:
+            points, left = graph.by_metre(lane)
+        else:
+            points, heading = graph.place(lane, np.arange(begin, float(graph.length_m[lane])))
+            left = np.column_stack([-np.sin(heading), np.cos(heading)])
+        parts.append(points + d_m * left)
         begin = max(begin - float(graph.length_m[lane]), 0.5)
     return np.vstack(parts)
 

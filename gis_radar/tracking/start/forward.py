@@ -162,7 +162,7 @@ def follow_both_ways(
         As `ForwardFilter.push` returns them, for each direction.
     """
     number, state = ForwardFilter(graph).push(detections)
-    backward = ForwardFilter(graph.reversed())
+    backward = ForwardFilter(graph.reversed)
     number_back, state_back = backward.push(detections.reversed())
     number_back, state_back = number_back[::-1].copy(), state_back[::-1].copy()
     state_back[:, HEADING] += np.pi
