@@ -68,12 +68,13 @@ def test_lanelets_that_share_no_nodes_follow_each_other(straight):
     assert [each.tolist() for each in straight.reversed.successors] == [[], [0], []]
 
 
-def test_points_by_metre_lie_in_the_middle_of_the_lane(straight):
-    for lane, begin in ((0, 0.0), (1, 100.0)):
-        points, left = straight.by_metre(lane)
-        assert points[:, 0] + straight.origin[0] == pytest.approx(begin + 0.5 + np.arange(100.0))
-        assert left == pytest.approx(np.tile([0.0, 1.0], (100, 1)), abs=1e-9)
-        assert straight.by_metre(lane)[0] is points
+@pytest.mark.parametrize(("lane", "begin", "way"), [(0, 0.0, 1.0), (2, 200.0, -1.0)])
+def test_points_by_metre_lie_in_the_middle_of_the_lane(straight, lane, begin, way):
+    points, left = straight.by_metre(lane)
+    along = 0.5 + np.arange(100 if lane == 0 else 200)
+    assert points[:, 0] + straight.origin[0] == pytest.approx(begin + way * along, abs=1e-3)
+    assert left == pytest.approx(np.tile([0.0, way], (len(along), 1)), abs=1e-3)
+    assert straight.by_metre(lane)[0] is points
 
 
 @given(x=st.floats(-5, 205), y=st.floats(-6, 8))
