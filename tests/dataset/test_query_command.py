@@ -38,8 +38,8 @@ def test_rows_are_shown_as_they_are(run, folder):
 
 
 def test_no_number_or_time_is_broken_by_many_columns(run, folder):
-    columns = ", ".join(f"9007199254740993 AS number_{k}, time AS time_{k}" for k in range(20))
-    code, out, _ = run("query", folder, "SELECT " + columns + " FROM hits LIMIT 1")
+    columns = (f"9007199254740993 AS number_{k}, time AS time_{k}" for k in range(20))
+    code, out, _ = run("query", folder, f"FROM hits SELECT {', '.join(columns)} LIMIT 1")
     assert code == 0
     assert out.count("9007199254740993") == out.count("2023-11-14T22:00:00Z") == 20
 
