@@ -92,9 +92,14 @@ def table_of_entries(name: str, rows: Mapping[str, Mapping[str, Any]]) -> Table:
         table.add_column(Cell(as_title(title)), justify="left" if title == name else "right")
     for key, row in rows.items():
         cells = [row.get(column, "") for column in columns]
-        texts = [decimal(f"{c:.3f}") if isinstance(c, float) else _cell(c) for c in cells]
+        texts = [_entry(c) if isinstance(c, float) else _cell(c) for c in cells]
         table.add_row(Cell(key), *map(Cell, texts))
     return table
+
+
+def _entry(value: float) -> str:
+    """Return a number with three decimals; whole ones from 10 on have none: 190,000 misleads."""
+    return decimal(f"{value:.0f}" if abs(value) >= 10.0 and value.is_integer() else f"{value:.3f}")
 
 
 def _cell(value: Any) -> str:
