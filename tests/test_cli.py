@@ -376,6 +376,12 @@ def test_a_table_in_a_summary_keeps_its_digits(capfd, monkeypatch):
     assert heads.split() == ["sensors", "easting", "northing", "state", "yaw"]
     assert first.split() == ["R1", "690360.042", "5336178.091", "no", "pose", "fits", "[/b]"]
     assert second.split() == ["R2", "-1.500"]
+    result = Result(
+        outputs=[], summary={"sensors": {"R1": {"max_range_m": 190.0, "azimuth": 114.3}}}
+    )
+    with TerminalConsole() as console:
+        console.result(result)
+    assert capfd.readouterr().out.split()[-3:] == ["R1", "190", "114.300"]
 
 
 def test_a_summary_says_what_is_not_known(capfd):

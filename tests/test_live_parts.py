@@ -1,11 +1,13 @@
 """Parts of the live system without a network: messages, buffer, windows, map of now, health."""
 
+import re
 import sqlite3
 import time
 from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
+from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
@@ -82,6 +84,19 @@ def test_detections_come_out_as_they_went_in(rows):
     assert (pose, [each.time_us for each in found]) == (KEY, [1, 50_001])
     for back in found:
         assert np.array_equal(np.column_stack([back.points, back.rates, back.rcs_db]), values)
+
+
+def test_the_message_of_the_page_reads_as_it_says():
+    page = (Path(__file__).parents[1] / "docs" / "live.md").read_text(encoding="utf-8")
+    (message,) = re.findall("`(02c00badcafe[0-9a-f]+)`", page)
+    envelope, content = unpack_message(bytes.fromhex(message))
+    assert (envelope.stream.hex(), envelope.number) == ("0badcafe", 1)
+    pose, (frame,) = unpack_detections(content)
+    assert pose.hex() == "5205449f"
+    assert frame.time_us == 1_749_713_400_000_000  # 2025-06-12T07:30Z
+    assert (frame.points * 0.004).tolist() == [[12.8, -18.5, -4.8], [13.6, 10.4, 0.6]]
+    assert (frame.rates * 0.002).tolist() == [0.0, -2.5]
+    assert frame.rcs_db.tolist() == [-6, 12]
 
 
 def test_what_is_not_measured_is_not_known_again():

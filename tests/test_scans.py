@@ -152,6 +152,9 @@ def test_polygons_that_can_be_mended_are(tmp_path):
 def test_polygons_that_cannot_are_refused(tmp_path):
     bow_tie = shapely.Polygon([(0, 0), (4, 4), (4, 0), (0, 4)])
     path = write_layer(tmp_path / "bow.gpkg", shapely.box(9, 9, 10, 10), bow_tie)
+    with pytest.raises(InputError, match="has no layer 'roads'") as caught:
+        read_roads(path, layer="roads")
+    assert caught.value.hint == "it has bow"
     refused(lambda: read_roads(path), "bow.gpkg", "polygon 1", "Self-intersection")
     flat = write_layer(tmp_path / "flat.gpkg", shapely.Polygon([(0, 0), (1, 0), (2, 0)]))
     refused(lambda: read_roads(flat), "flat.gpkg", "invalid")

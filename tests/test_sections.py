@@ -1,5 +1,9 @@
 """Count sections and counts by hand, on the fork: who crosses a line is counted there once."""
 
+import sqlite3
+from contextlib import closing
+from xml.etree import ElementTree as ET
+
 import geopandas as gpd
 import numpy as np
 import pandas as pd
@@ -117,6 +121,21 @@ def test_sections_of_other_systems_are_moved_or_refused(dataset):
     twice = pd.concat([ACROSS, ACROSS])
     with pytest.raises(gr.InputError, match="two sections have one name"):
         dataset.count_sections(twice)
+
+
+def test_the_layer_of_sections_shows_their_volumes(dataset, tmp_path):
+    gr.make_traffic(dataset, sections=ACROSS, language="de").write(tmp_path / "out", language="de")
+    with closing(sqlite3.connect(tmp_path / "out" / "traffic.gpkg")) as database:
+        styles = dict(database.execute("SELECT f_table_name, styleQML FROM layer_styles"))
+    shown = {name: ET.fromstring(qml.partition("\n")[2]) for name, qml in styles.items()}  # noqa: S314 - ours
+    assert {name: each.get("labelsEnabled") for name, each in shown.items()} == {
+        "lanes": None, "turns": None, "sections": "1",
+    }  # fmt: skip
+    expression = shown["sections"].find(".//text-style").get("fieldName")
+    assert expression.endswith("' Kfz/h'")
+    assert [each.get("label") for each in shown["lanes"].iter("range")][1::6] == [
+        "50 bis 100 Kfz/h", "über 1200 Kfz/h",
+    ]  # fmt: skip
 
 
 @pytest.fixture

@@ -92,11 +92,14 @@ def read_vector(
 def _read_by_gdal(path: Path, choose: Any, columns: Sequence[str] | None) -> gpd.GeoDataFrame:
     """Read a layer: by its name, as a function chooses, or by default the first."""
     place = plain_place(path)
-    if callable(choose):
+    if choose is not None:
         layers = {str(name): str(kind or "") for name, kind in pyogrio.list_layers(place)}
         if not layers:
             raise InputError("{}: has no layer", path)
-        choose = choose(layers, path)
+        choose = choose(layers, path) if callable(choose) else choose
+        if choose not in layers:
+            known = Text("it has {}", ", ".join(layers))
+            raise InputError("{}: has no layer {}", path, repr(choose), hint=known)
     table = pyogrio.read_dataframe(place, layer=choose, columns=columns)
     if not isinstance(table, gpd.GeoDataFrame):
         raise InputError("{}: has no geometry", path)

@@ -18,6 +18,7 @@ TALLEST, FLATTEST = 0.9, 0.35  # height as a share of the width
 RADIUS = (9.0, 24.0)  # of the mark without vehicles, and of the site with most
 UNKNOWN_RADIUS = 9.0  # of the mark of a site of unknown volume
 LETTER, LINE = 8.2, 17.0  # width of a letter of a label, height of its line
+RING = 6.0  # from the edge of a mark to the outside of the dashed ring around it
 MOST_LABEL = 26  # letters of a label
 DEEP_FROM = 0.02  # occupancy from which its class has a deep colour
 FINEST = 1.0  # tolerance, in units of the map, by which lanes are simplified
@@ -117,7 +118,8 @@ def draw_city(
         UNKNOWN_RADIUS,
     )
     bar = _bar(scale, centres, height)
-    labels = _labels([each.title for each in sites], centres, radius, height, bar)
+    reach = radius + RING * np.array([each.name in faulty for each in sites])
+    labels = _labels([each.title for each in sites], centres, reach, height, bar)
     marks = [
         SiteMark(
             number=k + 1, x=round(float(centres[k, 0]), 1), y=round(float(centres[k, 1]), 1),

@@ -199,7 +199,7 @@ def change_table(changes: pd.DataFrame, sites: Sequence[SiteMonth]) -> Table:
         Column(tr("Measure"), "", lambda row: row["measure"], False),
         Column(tr("Month before"), "", lambda row: row["before"]),
         Column(tr("This month"), "", lambda row: row["after"]),
-        Column(tr("Difference"), tr("95 % within"), lambda row: row["difference"]),
+        Column(tr("Difference"), tr("95 % interval"), lambda row: row["difference"]),
         Column(tr("What it means"), "", lambda row: row["words"], False),
         Column(tr("Rests on"), "", lambda row: row["units"], False),
     ]

@@ -46,13 +46,13 @@ from gis_radar.cli.result_tables import (
     as_lines,
     as_title,
     is_table,
+    print_wide,
     table_of_answer,
     table_of_entries,
     table_of_rows,
 )
 from gis_radar.cli.usage import text_of_click
 
-LEAST_TABLE_WIDTH = 160  # characters
 # Shown with --json only: constants in effect, findings that `remarks` has as sentences, and errors
 # that follow.
 FOR_PROGRAMS = {"settings", "found", "failed"}
@@ -236,19 +236,14 @@ class TerminalConsole(Console):
             if isinstance(value, list) and value and isinstance(value[0], list):
                 tables.append((name, value))
             elif is_table(value):
-                # Wider than the terminal if need be: a number that is cut is a wrong number.
-                rich.console.Console(width=max(out.width, LEAST_TABLE_WIDTH)).print(
-                    table_of_entries(name, value)
-                )
+                print_wide(table_of_entries(name, value), out.width)
             else:
                 table.add_row(as_title(name), Cell(as_lines(name, value)))
         out.print(table)
         for name, rows in tables:
             out.print(table_of_rows(name, rows))
         if result.rows:
-            rich.console.Console(width=max(out.width, LEAST_TABLE_WIDTH)).print(
-                table_of_answer(result.rows)
-            )
+            print_wide(table_of_answer(result.rows), out.width)
         for path in result.outputs:
             out.print(tr("wrote {path}", path=path), markup=False, highlight=False, soft_wrap=True)
         if result.advice:

@@ -12,7 +12,7 @@ from gis_radar import base, products
 from gis_radar import dataset as dataset_room
 from gis_radar.base import Reporter, Text, UsageError, placed
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import DURATION, FILE, begin_end, csv_locale, language, output
+from gis_radar.cli.options import DURATION, FILE, begin_end, csv_locale, folder_output, language
 from gis_radar.cli.options import dataset as dataset_argument
 
 TOO_SHORT = Text(
@@ -48,7 +48,7 @@ def _dataset_or_city(folder: Path, reporter: Reporter) -> gr.Dataset | gr.City:
 
 @command(example="gis-radar traffic dataset/ --interval 15min -o traffic/")
 @dataset_argument
-@output
+@folder_output
 @click.option(
     "--interval", default="15min", show_default=True,
     help="Length of the intervals: 1min, 5min, 15min, 1h, 24h; they follow the site's clocks.",
@@ -62,10 +62,10 @@ def _dataset_or_city(folder: Path, reporter: Reporter) -> gr.Dataset | gr.City:
     help="CSV of counts by hand to put beside: section or lane, direction, begin, end, volume.",
 )  # fmt: skip
 @click.option("--headways", is_flag=True, help="Add headways and gaps to the lanes.")
-@click.option("--cycles", is_flag=True, help="Tell cycles of signals from the traffic.")
+@click.option("--cycles", is_flag=True, help="Find the cycles of signals from the traffic.")
 @click.option(
     "--signals", type=FILE,
-    help="CSV of green times, for cycles of these: lane, green_begin, green_end.",
+    help="CSV of green times (lane, green_begin, green_end): figures for each of these cycles.",
 )  # fmt: skip
 @click.option(
     "--service", type=click.Choice(["hcm"]),
@@ -100,7 +100,7 @@ def traffic(
 )
 @dataset_argument
 @click.argument("other", metavar="[DATASET2]", type=FILE, required=False)
-@output
+@folder_output
 @click.option("--before", metavar="T/T", help="The first period, such as 2026-09-07/2026-09-21.")
 @click.option("--after", metavar="T/T", help="The second period; of DATASET2, where it is given.")
 @click.option("--days", help="Only these days of the week, such as Mo-Fr or Sa,Su.")

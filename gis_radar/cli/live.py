@@ -33,7 +33,7 @@ def edge(*, sensor: Path, reporter: Reporter) -> Result:
 @click.argument("site", metavar="SITE.toml", type=FILE)
 @click.option(
     "--broker-files", type=FILE, metavar="DIR",
-    help="Write files for Mosquitto and systemd units, and do no more.",
+    help="Write files for Mosquitto and systemd units, and do nothing else.",
 )  # fmt: skip
 @click.option(
     "--webhook", metavar="URL",
@@ -42,7 +42,7 @@ def edge(*, sensor: Path, reporter: Reporter) -> Result:
 def live(
     *, site: Path, broker_files: Path | None, webhook: str | None, reporter: Reporter
 ) -> Result:
-    """Run the live system's middle: the map of now, recordings, and a dataset by hours.
+    """Run the centre of the live system, fusion: the map of now, recordings, a dataset by hours.
 
     It ends with Ctrl-C; hours that are over are then measured.
     """

@@ -16,6 +16,7 @@ from gis_radar.cli.options import (
     WORDS,
     begin_end,
     dataset,
+    folder_output,
     language,
     origin,
     output,
@@ -32,7 +33,12 @@ MASK_ENGINES = ("auto", "pdal", "laspy")
 @click.option("--length", "length_m", default=0.5, show_default=True, help="Tile length, m.")
 @origin
 @click.option("--road", type=FILE, help="Scanned road (LAZ) that gives the tiles' heights.")
-@click.option("--subtype", "subtypes", type=WORDS, help="Lanelets to tile, by subtype.")
+@click.option(
+    "--subtype",
+    "subtypes",
+    type=WORDS,
+    help="Only lanelets of these subtypes: road,bicycle_lane; by default those for vehicles.",
+)
 @click.option(
     "--streets",
     type=FILE,
@@ -71,17 +77,18 @@ def mask(
 
 @command(example="gis-radar heatmap dataset/ --interval 15min -o map/")
 @dataset
-@output
+@folder_output
 @click.option("--interval", help="Length of the intervals: 20s, 15min, 1h, ...")
 @begin_end
-@click.option("--month", help="The map of a month, such as 2026-10, from its roll-up.")
+@click.option(
+    "--month", help="The map of a month, such as 2026-10, from the sums that the dataset keeps."
+)
 @click.option(
     "--timezone",
-    help="Whose hours and days the intervals follow, and whose clock the picture; by default the "
-    "dataset's.",
+    help="Time zone of the intervals and of the picture; by default the dataset's.",
 )
-@click.option("--title", default="", help="Of the picture, and of a report of it.")
-@language("Of both.")
+@click.option("--title", default="", help="Title of the picture, and of a report of it.")
+@language("Of the picture and the report.")
 @click.option(
     "--source",
     "sources",

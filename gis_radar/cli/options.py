@@ -156,6 +156,9 @@ def in_order(*options: Callable[[Verb], Verb]) -> Callable[[Verb], Verb]:
 
 
 output = click.option("-o", "--output", type=FILE, required=True, help="Where the result goes.")
+folder_output = click.option(
+    "-o", "--output", metavar="DIR", type=FILE, required=True, help="Folder for the results."
+)
 origin = click.option(
     "--origin", type=numbers("E,N"), help="Map-frame position of the map's local (0, 0)."
 )
@@ -166,18 +169,16 @@ sight_scans = click.option(
 )  # fmt: skip
 view = in_order(
     click.option(
-        "--max-range", "max_range_m", type=float, help="Range of poses without a view, m."
+        "--max-range", "max_range_m", type=float, help="Range of sensors whose pose has no view, m."
     ),
-    click.option("--azimuth", "azimuth_deg", type=float, help="Full azimuth of such poses, deg."),
-    click.option(
-        "--elevation", "elevation_deg", type=float, help="Full elevation of such poses, deg."
-    ),
+    click.option("--azimuth", "azimuth_deg", type=float, help="Their full azimuth, deg."),
+    click.option("--elevation", "elevation_deg", type=float, help="Their full elevation, deg."),
 )
 frame_times = in_order(
     click.option(
         "--cycle", "cycles", type=CYCLES,
-        help="Of sensors slower than 10 Hz, the time from frame to frame: one is valid for 1.5 of "
-        "it.",
+        help="Time from frame to frame of sensors slower than 10 Hz: a frame is valid 1.5 times as "
+        "long.",
     ),
     click.option(
         "--clocks", type=FILE,
@@ -199,7 +200,12 @@ recordings = click.argument(
     "recordings", metavar="RECORDING...", type=FILE, nargs=-1, required=True
 )
 poses = click.option(
-    "--pose", "poses", type=FILE, multiple=True, required=True, help="One a recording."
+    "--pose",
+    "poses",
+    type=FILE,
+    multiple=True,
+    required=True,
+    help="Pose of each recording, in their order (JSON or pose track).",
 )
 begin_end = in_order(
     click.option("--begin", help="Only from this time on: '2025-06-12 07:30'."),

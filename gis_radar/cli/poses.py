@@ -47,12 +47,12 @@ from gis_radar.cli.options import (
 @road
 @click.option(
     "--guess", "guesses", type=POSITION, multiple=True, required=True,
-    help="Within 15 m, in the road's CRS.",
+    help="Where the sensor stands, within 15 m, in the road's CRS.",
 )  # fmt: skip
 @click.option("--guess-crs", help="CRS of the guess, where it is not the road's: EPSG:3857.")
 @click.option(
     "--heading", "headings", type=float, multiple=True,
-    help="Yaw within 25 deg: from grid east, anticlockwise.",
+    help="Where it looks, within 25 deg: from grid east, anticlockwise; without it all are tried.",
 )  # fmt: skip
 @click.option(
     "--compass", "compasses", type=BEARING, multiple=True,

@@ -18,6 +18,7 @@ from gis_radar.cli.options import (  # fmt: skip
     accept,
     csv_locale,
     dataset,
+    folder_output,
     frame_times,
     numbers,
     output,
@@ -37,7 +38,7 @@ from gis_radar.cli.options import (  # fmt: skip
 @click.option("--columns", type=PAIRS, help="Fields of a table or cloud: x=X,range_rate=-doppler.")
 @click.option(
     "--time-unit", type=click.Choice(["s", "ms", "us", "ns"]), default="s", show_default=True,
-    help="Of the times in a table, since 1970.",
+    help="Unit of the times in a table, since 1970.",
 )  # fmt: skip
 @click.option(
     "--clock", type=click.Choice(["auto", "sensor", "recorder"]), default="auto", show_default=True,
@@ -47,7 +48,7 @@ from gis_radar.cli.options import (  # fmt: skip
     "--duration", "duration_s", type=DURATION, help="How long to listen to an address: 30s, 10min."
 )
 def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **options: Any) -> Result:
-    """Make recordings of captures, ROS bags, PCD folders, tables, or udp://224.0.2.2:42102."""
+    """Make recordings from captures, ROS bags, PCD folders, tables, or udp://224.0.2.2:42102."""
     made = gr.convert(inputs, output, reporter=reporter, **options)
     return Result(outputs=made.outputs, summary=made.figures())
 
@@ -60,15 +61,19 @@ def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **opti
 @poses
 @tile_file
 @click.option(
-    "--map", "map_path", metavar="MAP.osm", type=FILE, help="The lanes; hits alone need none."
+    "--map", "map_path", metavar="MAP.osm", type=FILE, help="The lanes; --hits-only needs none."
 )
-@output
+@folder_output
 @view
 @accept
 @click.option("--hits-only", is_flag=True, help="Leave out the vehicles.")
 @click.option("--min-speed", type=float, help="Least absolute range rate of a hit, m/s.")
 @click.option("--min-rcs", type=float, help="Least radar cross section of a hit, dBm2.")
-@click.option("--clearance", type=numbers("LOW,HIGH"), help="Heights of hits over the road, m.")
+@click.option(
+    "--clearance",
+    type=numbers("LOW,HIGH"),
+    help="Heights over the road that count as hits, m: -0.5,4.5.",
+)
 @click.option(
     "--elevation-error", "elevation_error_deg", type=float, default=0.5, show_default=True,
     help="The radar's elevation error, deg (1 sigma): widens the clearance with range.",
@@ -76,8 +81,12 @@ def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **opti
 @frame_times
 @sight_scans
 @scan_crs
-@click.option("--timezone", default="UTC", show_default=True, help="The site's: Europe/Berlin.")
-@click.option("--jobs", "processes", type=click.IntRange(1), help="Processes at once; all cores.")
+@click.option(
+    "--timezone", default="UTC", show_default=True, help="Time zone of the site: Europe/Berlin."
+)
+@click.option(
+    "--jobs", "processes", type=click.IntRange(1), help="Processes at once; by default one a core."
+)
 def measure(
     *,
     recordings: tuple[Path, ...],
@@ -158,7 +167,7 @@ def clocks(
 
 @command(example="gis-radar quality dataset/ --timezone Europe/Berlin -o quality.csv")
 @dataset
-@click.option("--timezone", help="Whose hours: Europe/Berlin; by default the dataset's.")
+@click.option("--timezone", help="Time zone of the hours: Europe/Berlin; by default the dataset's.")
 @click.option(
     "-o", "--output", type=FILE, help="The table, a row a sensor and hour (CSV, Parquet)."
 )

@@ -6,10 +6,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rich.console import Console
 from rich.table import Table
 from rich.text import Text as Cell
 
 from gis_radar.base import Text, decimal, json_text, one_line, tr
+
+LEAST_TABLE_WIDTH, WIDEST = 160, 100_000  # characters
+LONGEST_UNBROKEN = 25  # characters of a value that stands on one line: a time, a number
 
 
 def is_table(value: Any) -> bool:
@@ -53,14 +57,25 @@ def table_of_rows(name: str, rows: list[list[Any]]) -> Table:
 def table_of_answer(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the rows of a query's answer as a table; whole numbers stay plain digits."""
     table = Table(box=None, pad_edge=False)
-    for name in rows[0] if rows else ():
-        table.add_column(Cell(name), overflow="fold")
-    for row in rows:
-        texts = (_number(each) if isinstance(each, float) else each for each in row.values())
-        table.add_row(
-            *(Cell("" if each is None else one_line(str(each), sys.maxsize)) for each in texts)
-        )
+    cells = [[_answer(each) for each in row.values()] for row in rows]
+    for k, name in enumerate(rows[0] if rows else ()):
+        longest = max(len(each) for each in (name, *(row[k] for row in cells)))
+        table.add_column(Cell(name), overflow="fold", min_width=min(longest, LONGEST_UNBROKEN))
+    for row in cells:
+        table.add_row(*map(Cell, row))
     return table
+
+
+def print_wide(table: Table, width: int) -> None:
+    """Print a table, wider than the terminal if need be: a number that is cut is a wrong one."""
+    least = Console(width=WIDEST).measure(table).minimum
+    Console(width=max(width, LEAST_TABLE_WIDTH, least)).print(table)
+
+
+def _answer(value: Any) -> str:
+    """Return a value of an answer as text, empty where there is none."""
+    text = _number(value) if isinstance(value, float) else str(value)
+    return "" if value is None else one_line(text, sys.maxsize)
 
 
 def _number(value: float) -> str:
@@ -77,9 +92,14 @@ def table_of_entries(name: str, rows: Mapping[str, Mapping[str, Any]]) -> Table:
         table.add_column(Cell(as_title(title)), justify="left" if title == name else "right")
     for key, row in rows.items():
         cells = [row.get(column, "") for column in columns]
-        texts = [decimal(f"{c:.3f}") if isinstance(c, float) else _cell(c) for c in cells]
+        texts = [_entry(c) if isinstance(c, float) else _cell(c) for c in cells]
         table.add_row(Cell(key), *map(Cell, texts))
     return table
+
+
+def _entry(value: float) -> str:
+    """Return a number with three decimals; whole ones from 10 on have none: 190,000 misleads."""
+    return decimal(f"{value:.0f}" if abs(value) >= 10.0 and value.is_integer() else f"{value:.3f}")
 
 
 def _cell(value: Any) -> str:

@@ -13,14 +13,14 @@ from gis_radar import city, products
 from gis_radar import site as site_room
 from gis_radar.base import Reporter, Text, UsageError, atomic_folder, refuse_inputs
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import FILE, csv_locale, language, output, template
+from gis_radar.cli.options import FILE, csv_locale, folder_output, language, output, template
 
 SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
 
 
 @command(example="gis-radar run SITE.toml -o results")
 @click.argument("site", metavar="SITE.toml", type=FILE)
-@output
+@folder_output
 @click.option(
     "--jobs",
     type=int,
@@ -95,19 +95,19 @@ def check(*, site: Path, reporter: Reporter) -> Result:
 @command(example="gis-radar report results --timezone Europe/Berlin", refuses=False)
 @click.argument("folder", metavar="DIR", type=FILE)
 @click.option("-o", "--output", type=FILE, help="Where the report goes; by default into DIR.")
-@click.option("--title", help="What it is about; by default the site's title or DIR.")
+@click.option("--title", help="Title; by default the site's title or DIR.")
 @click.option(
     "--timezone",
-    help="Whose clocks its times follow: Europe/Berlin; by default the site's, or UTC.",
+    help="Time zone of its times: Europe/Berlin; by default the site's, or UTC.",
 )
-@language("By default the site's, or that of the heat map.", default=None)
+@language("Language of the report; by default the site's, or that of the heat map.", default=None)
 @csv_locale
 @click.option(
-    "--dataset", type=FILE, help="What the heat map was made of, where it is not in DIR.",
+    "--dataset", type=FILE, help="Dataset of the heat map, where it is not in DIR.",
 )  # fmt: skip
 @click.option(
     "--no-ways", "ways", is_flag=True, flag_value=False, default=True,
-    help="Without the ways of single vehicles in the diagrams of queues.",
+    help="Leave the paths of single vehicles out of the diagrams of queues.",
 )  # fmt: skip
 @click.option("--month", help="Of a city, DIR with a dataset a site: one page of a month, 2026-10.")
 def report(*, folder: Path, month: str | None, reporter: Reporter, **options: Any) -> Result:
@@ -156,7 +156,7 @@ def qgis(*, output: Path, reporter: Reporter, **options: Any) -> Result:
 
 
 @command(example="gis-radar sample -o sample")
-@output
+@folder_output
 def sample(*, output: Path, reporter: Reporter) -> Result:
     """Copy the files of the sample junction to a folder, to try everything on."""
     source = gr.sample_folder()
@@ -172,8 +172,8 @@ def sample(*, output: Path, reporter: Reporter) -> Result:
 
 @command(example="gis-radar demo -o demo")
 @click.option(
-    "-o", "--output", type=FILE, default=Path("gis_radar_demo"), show_default=True,
-    help="Where the results go.",
+    "-o", "--output", metavar="DIR", type=FILE, default=Path("gis_radar_demo"), show_default=True,
+    help="Folder for the results.",
 )  # fmt: skip
 def demo(*, output: Path, reporter: Reporter) -> Result:
     """Run all stages on the sample junction."""

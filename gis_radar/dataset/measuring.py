@@ -212,12 +212,13 @@ def measure(
     refuse_swapped(opened, tracks)
     sources = book.place(opened, tracks, clocks, reporter)
     given = _checked_inputs(sources, book, tiles, map, cycles, settings, timezone, reporter)
+    if Manifest.is_there(folder := Path(folder)) and not only:  # the check of poses takes long
+        _as_before(given, folder)
     if check:
         given = _with_findings(given, accept, reporter)
     for each in given.entries:
         for line in given.sources[each.path].track.warn_uncertain(each.first_time, each.last_time):
             reporter.warn(line)
-    folder = Path(folder)
     with locked_for_writing(folder, reporter):
         if only and Manifest.is_there(folder) and not Manifest.read(folder).is_as(given.manifest):
             made = _replace(given, folder, processes, reporter, before_hour=before_hour)
@@ -356,8 +357,7 @@ def _lane_graph(
         graph = lane_graph(roads.lanelets)
     except NoAnswerError as error:
         reason = error.message
-    without_rates = [each.path for each in entries if not each.has_rates]
-    if without_rates:
+    if without_rates := [each.path for each in entries if not each.has_rates]:
         reason = Text("{}: has no range rates, by which vehicles are found", without_rates[0])
     if not reason:
         return graph, settings
@@ -386,9 +386,7 @@ def _add(
     """Add recordings to a dataset; the caller is its only writer."""
     is_new = not Manifest.is_there(folder)
     manifest = given.manifest if is_new else Manifest.read(folder)
-    if not is_new:
-        given = _without_vehicles_as_before(given, manifest)
-        require_same_settings(folder, manifest, given.manifest)
+    given = given if is_new else _as_before(given, folder)
     before = Registry(folder=folder, fingerprint=manifest.fingerprint)
     before = before if is_new else Registry.read(folder, manifest.fingerprint)
     _remark_on_changes(before, given, manifest, reporter)
@@ -446,13 +444,15 @@ def _layers(roads: LaneletMap | None) -> dict[str, gpd.GeoDataFrame]:
     return {"problems": roads.problems, "lanes": roads.lanes(), "stop_lines": roads.stop_lines()}
 
 
-def _without_vehicles_as_before(given: _Inputs, before: Manifest) -> _Inputs:
-    """Leave out vehicles if the dataset was made without them."""
-    if not given.settings.vehicles or before.settings.get("vehicles"):
-        return given
-    settings = replace(given.settings, vehicles=False)
-    manifest = replace(given.manifest, settings=given.manifest.settings | {"vehicles": False})
-    return replace(given, settings=settings, manifest=manifest, graph=None)
+def _as_before(given: _Inputs, folder: Path) -> _Inputs:
+    """Refuse other settings than those of a dataset; leave out vehicles if it does."""
+    before = Manifest.read(folder)
+    if given.settings.vehicles and not before.settings.get("vehicles"):
+        settings = replace(given.settings, vehicles=False)
+        manifest = replace(given.manifest, settings=given.manifest.settings | {"vehicles": False})
+        given = replace(given, settings=settings, manifest=manifest, graph=None)
+    require_same_settings(folder, before, given.manifest)
+    return given
 
 
 def _merged_registry(before: Registry, given: _Inputs, *, only: bool) -> Registry:

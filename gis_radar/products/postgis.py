@@ -244,7 +244,7 @@ def opened_session(url: str, schema: str, srid: int = 0) -> Iterator[Session]:
 
 def _hint_for(reason: str) -> Text:
     if 'extension "postgis"' in reason:
-        return Text("install PostGIS, and CREATE EXTENSION postgis in the database as its owner")
+        return Text("install PostGIS, and CREATE EXTENSION postgis in the database as a superuser")
     return Text("the database is as it was")
 
 

@@ -68,7 +68,7 @@ def write_turning_diagram(
         axes = draw_turning_diagram(figure, lanes, mean_turns(turns))
         axes.set_title(_title(turns), loc="left", color=INK, fontsize=13, fontweight="bold")
         below = f"{tr(_BELOW)}\n{tr(_UNSEEN)}"
-        axes.text(0.0, 0.0, below, transform=axes.transAxes, color=SOFT, fontsize=9)
+        axes.text(0.0, -0.01, below, transform=axes.transAxes, color=SOFT, fontsize=9, va="top")
 
 
 def draw_turning_diagram(

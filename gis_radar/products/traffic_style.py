@@ -51,19 +51,37 @@ def traffic_style(interval_s: float, titles: Mapping[str, str], layer: str) -> s
         The layer; the lines of turns are as wide as their volume, with an arrow at the end.
     """
     classes = [
-        LineClass(low, high, colour, f"{low:g} - {high:g}" if high < BREAKS[-1] else f"> {low:g}")
+        LineClass(low, high, colour, _class_label(low, high))
         for (low, high), colour in zip(pairwise(BREAKS), SHADES, strict=True)
     ]
     return _filled(
         column=VOLUMES, classes=classes, unit=f" {tr('veh/h')}", wide=layer == "turns", timed=True,
         shown_ms=max(0, round(interval_s * 1000) - _SHORTER_MS), titles=titles,
-        tip=escape(_tip(layer)),
+        tip=escape(_tip(layer)), figure=_figure() if layer == "sections" else "",
     )  # fmt: skip
 
 
 def class_style(column: str, classes: Iterable[LineClass]) -> str:
     """Return the QGIS style of a layer of lanes that are coloured by the class of a column."""
-    return _filled(column=column, classes=list(classes), unit="", wide=False, timed=False)
+    return _filled(
+        column=column, classes=list(classes), unit="", wide=False, timed=False, figure=""
+    )
+
+
+def _class_label(low: float, high: float) -> str:
+    """Return the words of a class of volumes."""
+    if high == BREAKS[-1]:
+        return tr("over {low}", low=f"{low:g}")
+    return tr("{low} to {high}", low=f"{low:g}", high=f"{high:g}")
+
+
+def _figure() -> str:
+    """Return the expression of a section's label: a line with its name, one with its volume."""
+    unit = tr("veh/h").replace("'", "''")
+    return (
+        f"\"section\" || '\\n' || \"direction\" || ': ' || "
+        f"coalesce(to_string(round(\"{VOLUMES}\")), '\u2013') || ' {unit}'"
+    )
 
 
 def _filled(**content: Any) -> str:

@@ -189,12 +189,16 @@ def test_other_tiles_and_other_settings(files, tmp_path):
     hits_of(tmp_path / "site", ("R1", files["R1"]))
     refused(
         tmp_path / "site", ("R2", files["R2"]),
-        match=r"other settings: filters.*min_speed was null, is 1\.0",
+        match=r"other settings: filters.*min_speed was not set, is now 1\.0",
         filters=gr.Filters(min_speed=1.0),
     )  # fmt: skip
     longer = gr.make_tiles(gr.read_map(MAP), length_m=1.0)
-    with pytest.raises(gr.InputError, match="another tiles"):
-        gr.measure([files["R2"]], [sample_pose("R2")], longer, MAP, tmp_path / "site")
+    heard = Listener()
+    with pytest.raises(gr.InputError, match="another set of tiles"):
+        gr.measure(
+            [files["R2"]], [sample_pose("R2")], longer, MAP, tmp_path / "site", reporter=heard
+        )
+    assert "checking poses and recordings" not in {str(stage) for stage, *_ in heard.stages}
     with pytest.raises(gr.InputError, match=r"are valid for 150 ms, those of .* for 100 ms"):
         hits_of(
             tmp_path / "site",
@@ -209,7 +213,7 @@ def test_a_dataset_of_a_version_that_listed_its_constants(files, tmp_path):
     manifest = json.loads((site / "dataset.json").read_text())
     manifest["settings"] |= {"vehicles": {"links": {"end_cost": 8.0}}, "hits": {"validity_s": 0.1}}
     (site / "dataset.json").write_text(json.dumps(manifest))
-    line = r"other settings: vehicles\.links\.end_cost was 8\.0, is null"
+    line = r"other settings: vehicles\.links\.end_cost was 8\.0, is now not set"
     for hits_only in (True, False):
         error = refused(site, ("R2", files["R2"]), match=line, hits_only=hits_only)
     assert "another version's constants" in error.hint

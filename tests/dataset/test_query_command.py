@@ -37,6 +37,13 @@ def test_rows_are_shown_as_they_are(run, folder):
     assert "9007199254740993" in out
 
 
+def test_no_number_or_time_is_broken_by_many_columns(run, folder):
+    columns = (f"9007199254740993 AS number_{k}, time AS time_{k}" for k in range(20))
+    code, out, _ = run("query", folder, f"FROM hits SELECT {', '.join(columns)} LIMIT 1")
+    assert code == 0
+    assert out.count("9007199254740993") == out.count("2023-11-14T22:00:00Z") == 20
+
+
 def test_rows_are_objects_for_programs(run, folder):
     sql = "SELECT tile_id, time, lanelets FROM hits, vehicles ORDER BY step"
     found = last_line(run("query", folder, sql, "--limit", "1", "--json"))

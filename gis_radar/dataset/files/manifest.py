@@ -235,10 +235,10 @@ def require_same_site(
         If one differs.
     """
     pairs = (
-        ("coordinate system", present.crs, crs),
-        ("map", present.map, map_digest),
-        ("tiles", present.fingerprint, fingerprint),
-        ("set of road heights", present.heights or heights, heights or present.heights),
+        (Text("coordinate system"), present.crs, crs),
+        (Text("map"), present.map, map_digest),
+        (Text("set of tiles"), present.fingerprint, fingerprint),
+        (Text("set of road heights"), present.heights or heights, heights or present.heights),
     )
     for what, own, given in pairs:
         if own != given:
@@ -282,7 +282,12 @@ def _difference(name: str, was: Any, now: Any) -> str:
         keys = sorted(was.keys() | now.keys())
         found = (_difference(f"{name}.{key}", was.get(key), now.get(key)) for key in keys)
         return next(filter(None, found), "")
-    return Text("{} was {}, is {}", name, json.dumps(was), json.dumps(now)) if was != now else ""
+    return "" if was == now else Text("{} was {}, is now {}", name, _shown(was), _shown(now))
+
+
+def _shown(setting: Any) -> str:
+    """Return the value of a setting as text."""
+    return Text("not set") if setting is None else json.dumps(setting)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from gis_radar.base import (
     NO_FIGURE,
     STEP_S,
     STEPS_PER_SECOND,
+    THIN_SPACE,
     Clock,
     Text,
     figure_text,
@@ -117,7 +118,8 @@ def facts_of(data: ReportData) -> list[Fact]:
         Fact(tr("Sensors"), str(len(sensors)) if sensors else tr(NOT_KNOWN), names),
         Fact(
             tr("Lane length visible" if measure == "occupancy" else "Lane length observed"),
-            tr("{part} of {all} m", part=figure_text(length), all=figure_text(all_m)),
+            tr("{part} of {all}", part=figure_text(length),
+               all=f"{figure_text(all_m)}{THIN_SPACE}m"),
             tr("{part} of {all} lanes", part=total[f"lanes_{base}"], all=total["lanes"]),
         ),
     ]  # fmt: skip

@@ -24,7 +24,7 @@ class CountTraffic(WorkerAlgorithm):
     GROUP = TRAFFIC
     HELP = (
         "Counts the traffic of each lane and turn by interval: volumes with their errors, speeds, "
-        "occupancy, delays, queues at stop lines. Nothing visible is empty, not 0.\n"
+        "occupancy, delays, queues at stop lines. What was not visible is empty, not 0.\n"
         "Lines that you draw across roads are count sections, with volumes by direction; a count "
         "by hand can stand beside ours.\n"
         "The result is a GeoPackage whose layers the temporal controller animates, tables (CSV and "
@@ -83,6 +83,7 @@ class ComparePeriods(WorkerAlgorithm):
     HELP = (
         "Compares the traffic of two periods by lane: what got better, what worse, and what cannot "
         "be told. Only what the same sensors saw alike in both is compared.\n"
+        "A period is written as 2026-09-07/2026-09-21, days of the week as Mo-Fr or Sa,Su.\n"
         "The result is a page, a table, maps, and a layer that colours lanes by the change of the "
         "volume, grey where none is told."
     )

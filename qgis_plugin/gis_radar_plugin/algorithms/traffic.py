@@ -107,7 +107,7 @@ class MeasureTraffic(WorkerAlgorithm):
         "or the sensor's name in the pose), and where no name fits by their order.\n"
         "The result is a dataset, a folder by the hour, for 'Heat map' and 'Data quality'. Further "
         "recordings of the same site are added to it; the hours that they touch are made again.\n"
-        "It holds tracks of single vehicles: a working file. Measures over minutes leave it."
+        "It holds tracks of single vehicles: a working file. Hand on figures over minutes."
     )
     KEYWORDS = ("fusion", "sensors", "hits", "vehicles", "tracks", "occupancy")
     PARAMETERS = (
@@ -177,7 +177,7 @@ class ShowVehicles(WorkerAlgorithm):
         "temporal controller moves half second by half second: blue are light ones, green heavy "
         "ones, hollow are those that stand, pale those whose place is inferred.\n"
         "It shows tracks of single vehicles: a working file for checks, not to be published. "
-        "Measures over minutes leave it."
+        "Hand on figures over minutes."
     )
     KEYWORDS = ("tracks", "animation", "temporal")
     PARAMETERS = (

@@ -160,7 +160,7 @@ class RadarPage(Page):
         form.addRow(tr("Looks to, degrees from north"), looks)
         form.addRow(tr("Recordings"), self._recordings())
         poses = file_box(tr("Poses") + " (*.json *.csv)")
-        poses.lineEdit().setPlaceholderText(tr("only if surveyed: then nothing is searched"))
+        poses.lineEdit().setPlaceholderText(tr("only where it was surveyed"))
         self.row(form, "pose", tr("Pose file"), poses)
         self.row(form, "cycle", tr("Cycle"), line(tr("only for radars under 10 Hz: 150ms")))
         form.addRow(self._view())
