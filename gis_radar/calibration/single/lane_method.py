@@ -189,7 +189,8 @@ def _refuse_unfit(problem: Problem, answer: Hypothesis) -> None:
             problem.name,
             GUESS_M,
             answer.fit.fitness,
-            hint="check the guess, the map, and that the recording's y axis points to the left",
+            hint="check the guess, the map, whether the recording is this sensor's, and that its y "
+            "axis points to the left",
         )
     if not answer.fit.converged:
         raise NoAnswerError("{}: the fit did not come to rest", problem.name)

@@ -17,7 +17,14 @@ from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.hours.job import MOST_EQUAL_FRAMES
 from gis_radar.dataset.traffic.shifts import lanes_across
 from gis_radar.hdmap import TILES_LAYER
-from gis_radar.measures import PlacedRecording, RecordingCounts, SightBook, valid_steps
+from gis_radar.measures import (
+    CYCLES_VALID,
+    VALIDITY_S,
+    PlacedRecording,
+    RecordingCounts,
+    SightBook,
+    valid_steps,
+)
 from gis_radar.poses import View
 from gis_radar.recordings import FARTHEST_RADAR_M, Detections, RangeCounts, time_warnings
 from gis_radar.scans import (
@@ -31,6 +38,7 @@ from gis_radar.scans import (
 )
 from gis_radar.tracking import warn_of_poses
 
+LONG_CYCLE = 2.0  # least stated cycle to warn of, in measured ones: a frame is lost now and then
 SLOW_CYCLE = 1.1  # least cycle to warn of, in validities: 10 % of the steps have no valid frame
 # A warning is given where RANGE_SHARE of the detections lies within REACH_SHARE of the view's range
 # (the contract).
@@ -193,7 +201,7 @@ def _view_warnings(examined: Examined) -> Iterator[str]:
 
 
 def _cycle_warnings(examined: Examined) -> Iterator[str]:
-    """Yield a warning where a sensor's cycle is longer than its frames are valid."""
+    """Yield warnings where a cycle is longer than frames are valid, or far shorter than stated."""
     file, sensor = examined.source.recording.path.name, examined.entry.sensor
     validity_s, cycle_us = examined.entry.validity_s, examined.evidence.times.cycle_us
     valid_us = (1 + valid_steps(validity_s)) * STEP_US
@@ -210,6 +218,18 @@ def _cycle_warnings(examined: Examined) -> Iterator[str]:
             1000 * validity_s,
             empty,
             stated,
+        )
+
+    stated_us = validity_s / CYCLES_VALID * 1e6
+    if validity_s != VALIDITY_S and stated_us > LONG_CYCLE * cycle_us:
+        yield Text(
+            "{}: {} delivers every {} ms, but its cycle is given as {} ms: up to {} ms without a "
+            "frame count as observed",
+            file,
+            sensor,
+            round(cycle_us / 1000),
+            round(stated_us / 1000),
+            round(validity_s * 1000),
         )
 
 
