@@ -118,3 +118,10 @@ def test_cycles_that_make_no_sense(tmp_path, cycles):
     with pytest.raises(UsageError, match="cycle"):
         measured(tmp_path, cycles=cycles)
     assert not (tmp_path / "a").exists()
+
+
+def test_a_clock_that_is_set_on_the_way_is_a_cause_of_missing_frames(tmp_path):
+    notes = Listener()
+    measured(tmp_path, frames=[*range(40), *range(36_040, 36_080)], reporter=notes)
+    told = "a.parquet: its frames fill 8 of 3,608 s: the others are missing, or the clock of R1 was"
+    assert any(told in line for _, line in notes.messages)

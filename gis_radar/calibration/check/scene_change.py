@@ -160,7 +160,8 @@ def share_of_alternating_scenes(time: Floats, points: Floats, range_rate: Floats
     most = np.zeros((2, sector.max() + 1))
     for kind, shares in zip(most, kinds, strict=True):
         np.maximum.at(kind, sector, shares)
-    both = (most >= LEAST_DETECTED).all(axis=0)[sector]
+    in_both: Booleans = np.asarray((most >= LEAST_DETECTED).all(axis=0))
+    both = in_both[sector]
     if np.count_nonzero(both) < LEAST_CELLS:
         return 1.0
     return float(kinds[:, both].min(axis=0).sum() / kinds[:, both].max(axis=0).sum())
