@@ -340,6 +340,10 @@ def test_a_clock_that_is_off_is_named_between_sensors_with_a_common_view(tmp_pat
         gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True)
     assert re.search(rf"R1: .* that of R2 are apart \(.* {second} behind", e.value.message)
     assert [each.sensor for each in e.value.findings] == ["R1", "R2"]
+    clocks = {"R2": SensorClock(offset_s=-1.0)}
+    with pytest.raises(ImplausibleError, match=r"this one is (1\.9|2\.0)\d ± ") as e:
+        gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", clocks=clocks)
+    assert e.value.hint.count("its times were corrected by +1.00 s: is the sign right?") == 1
     clocks = {"R2": SensorClock(offset_s=1.0)}
     gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True, clocks=clocks)
 

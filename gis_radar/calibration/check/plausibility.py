@@ -120,9 +120,18 @@ def check_plausibility(
         findings[name], excerpt = judge(name, remaining, lanes, others)
         if findings[name].verdict == FITS and len(sensors) > 1:
             lane_detections[name] = on_lanes(excerpt, lanes)
-    findings |= odd_clocks(lane_detections)
+    for name, finding in odd_clocks(lane_detections).items():
+        findings[name] = _told_correction(finding, sensors[name].clock)
     reporter.progress(STAGE, len(sensors), len(sensors))
     return tuple(findings.values())
+
+
+def _told_correction(finding: Finding, clock: SensorClock | None) -> Finding:
+    """Return a finding on a clock with the correction that was given for it, which may be wrong."""
+    if clock is None or clock.offset_s == 0.0:
+        return finding
+    corrected = Text("its times were corrected by {:+.2f} s: is the sign right?", -clock.offset_s)
+    return replace(finding, advice=Text("{}; {}", corrected, finding.advice))
 
 
 def check_recordings(
