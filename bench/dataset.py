@@ -64,7 +64,8 @@ def measure(site, folder):
     poses, tiles = [gr.read_pose(name) for name in site["poses"]], gr.read_tiles(site["tiles"])
     only = given["hits_only"]
     roads = None if only else site["map"]
-    gr.measure(site["names"], poses, tiles, roads, folder, hits_only=only)
+    # repeated traffic looks like clocks that are apart by any number of repetitions
+    gr.measure(site["names"], poses, tiles, roads, folder, hits_only=only, check=False)
 def spent_s(work):
     begin = time.process_time()
     work()

@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pytest
 from datasets import measured
@@ -289,8 +290,12 @@ def street(tmp_path_factory):
     return scene, path
 
 
-def test_localize_refuses_them(street):
+@pytest.mark.parametrize("z", [np.nan, 0.0])
+def test_localize_refuses_them(street, tmp_path, z):
     scene, path = street
+    table = pd.read_parquet(path)
+    path = tmp_path / "R1.parquet"
+    pd.concat([table] * 5).sort_values("time").assign(z=np.float32(z)).to_parquet(path)
     for method in ("lane", "icp"):
         with pytest.raises(NoAnswerError, match=r"R1\.parquet: the sensor measures no elevation"):
             gr.localize(

@@ -111,6 +111,12 @@ def test_a_sensor_on_a_straight_road_is_fixed_along_it_by_its_neighbour(written,
     assert (np.abs(error) < 2.0 * np.array([sigma[name] for name in COMPONENTS])).all()
 
 
+def test_the_same_detections_of_two_sensors_confirm_nothing(recordings, true):
+    twice = {"R1": recordings["R1"], "R2": recordings["R1"]}
+    with pytest.raises(gr.InputError, match="R1 and R2 have the same detections"):
+        matched(twice, R1=(stated(true["R1"]),), R2=(stated(true["R1"]),))
+
+
 @pytest.mark.parametrize("spread_m", [0.5, 6.0])
 def test_no_sigma_grows_where_the_poses_agree(recordings, true, spread_m):
     mine = {"R1": stated(true["R1"]), "R2": stated(true["R2"], spread_m=spread_m, along_m=0.1)}
@@ -322,9 +328,10 @@ def test_what_is_alike_on_a_stretch_is_no_evidence_of_each_vehicle():
     assert sigma[2] == pytest.approx(STRETCH_SIGMA_M[0], rel=0.2)
 
 
-def test_of_three_the_one_that_two_contradict_is_refused(recordings, true):
+def test_of_three_the_one_that_two_contradict_is_refused(recordings, true, tmp_path):
     copy = replace(true["R2"], sensor="R3")
-    whole = recordings | {"R3": recordings["R2"]}
+    beside = LONG.record(tmp_path / "R3.parquet", true["R2"], noise=2, **TRAFFIC)
+    whole = recordings | {"R3": beside}
     solved = matched(
         whole,
         R1=(stated(true["R1"]),),

@@ -215,6 +215,13 @@ def test_a_guess_far_off_is_refused(scene):
         find(street, path, near(pose, 45.0, 40.0), heading=pose.yaw)
 
 
+def test_a_heading_that_no_pose_confirms_is_named_as_a_cause(scene):
+    street, pose, path = scene
+    with pytest.raises(NoAnswerError, match=r"puts the traffic|too far off") as caught:
+        find(street, path, near(pose), heading=pose.yaw + 75.0)
+    assert "check the heading, which counts anticlockwise from grid east" in caught.value.hint
+
+
 def test_two_poses_that_fit_alike_are_refused(tmp_path):
     street = Street(lanes=CROSSING, slope=(0.0, 0.0))
     pose = street.pose(place=(-8.0, 7.0), yaw=-40.0)

@@ -82,6 +82,26 @@ def doubled(table):
     return pd.concat([table, table]).sort_values("time", kind="stable")
 
 
+def swapped(table):
+    return table.assign(y=table["z"], z=table["y"])
+
+
+def upside_down(table):
+    return table.assign(y=-table["y"], z=-table["z"])
+
+
+def constant_rate(table):
+    return table.assign(range_rate=np.float32(5.0))
+
+
+def joined(table):
+    """Join the frames of R1 and R2 in one table."""
+    other = pd.read_parquet(SAMPLE / "R2.parquet")
+    other = other[other["time"] <= table["time"].iloc[-1]]
+    return pd.concat([table, other]).sort_values("time", kind="stable")
+
+
+OTHER = replace(POSES["R2"], sensor="R1")
 YAW, PITCH = POSES["R1"].yaw, POSES["R1"].pitch
 MISTAKES = {
     "turned": (turned("yaw", YAW + 180.0), None, "yaw is off by 180 deg", "set yaw to 21.7 deg"),
@@ -91,6 +111,14 @@ MISTAKES = {
     "pitch": (turned("pitch", -PITCH), None, "pitch has the wrong sign", "set pitch to 3.2"),
     "height": (turned("height", POSES["R1"].height + 3.0), None, "height is 3", "height to 520"),
     "mirrored": (POSES["R1"], times("y", -1.0), "left and right are swapped", "the sign of y"),
+    "backward": (POSES["R1"], times("x", -1.0), "x points backward", "the sign of x"),
+    "z down": (POSES["R1"], times("z", -1.0), "z points down", "the sign of z"),
+    "y, z swapped": (POSES["R1"], swapped, "y and z are swapped", "swap y and z"),
+    "upside down": (POSES["R1"], upside_down, "roll is off by 180 deg, or y points", "y and z"),
+    "no z": (POSES["R1"], times("z", 0.0), "z was not measured", "leave z empty"),
+    "no rate": (POSES["R1"], constant_rate, "range_rate was not measured", "leave range_rate"),
+    "two sensors": (OTHER, joined, "frames of two sensors", "a recording of its own"),
+    "ellipsoid": (turned("height", POSES["R1"].height + 45.0), None, "ellipsoid", "to 520"),
     "km/h": (POSES["R1"], times("range_rate", 3.6), "range rates look like km/h", "by 3.6"),
     "cm/s": (POSES["R1"], times("range_rate", 100.0), "cm/s or mm/s", "m/s"),
     "infinite": (POSES["R1"], some_infinite, "damaged, or was converted wrongly", "has NaN"),
@@ -312,6 +340,10 @@ def test_a_clock_that_is_off_is_named_between_sensors_with_a_common_view(tmp_pat
         gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True)
     assert re.search(rf"R1: .* that of R2 are apart \(.* {second} behind", e.value.message)
     assert [each.sensor for each in e.value.findings] == ["R1", "R2"]
+    clocks = {"R2": SensorClock(offset_s=-1.0)}
+    with pytest.raises(ImplausibleError, match=r"this one is (1\.9|2\.0)\d ± ") as e:
+        gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", clocks=clocks)
+    assert e.value.hint.count("its times were corrected by +1.00 s: is the sign right?") == 1
     clocks = {"R2": SensorClock(offset_s=1.0)}
     gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True, clocks=clocks)
 

@@ -336,6 +336,18 @@ def test_where_all_approach_lost_signs_and_turned_ones_are_the_same(checked, row
     assert found["R1"][2].count("; ") == 1
 
 
+def test_vehicles_that_are_all_there_from_the_first_frame_on_tell_no_moment(
+    rows, excerpts, lanes, monkeypatch
+):
+    """None is before it, as in a queue; half of them beside the lanes."""
+    excerpt = next(excerpts(rows["R1"]))
+    excerpt = replace(excerpt, time=np.full(len(excerpt), excerpt.time[0]), scene_change=None)
+    half = np.arange(excerpt.vehicles) < excerpt.vehicles // 2
+    given = replace(score(excerpt, lanes), on_lane=half.astype(np.float64))
+    monkeypatch.setattr("gis_radar.calibration.check.plausibility.score", lambda *_: given)
+    assert judge("R1", [excerpt], lanes, {})[0].verdict == FITS
+
+
 def test_objects_that_are_left_out_leave_no_gaps(rows, excerpts):
     """What was seen from a place that is not the usual one; numbers are places of arrays."""
     since = np.array([0.0, rows["R1"]["time"].iloc[0] + 15.0])

@@ -104,6 +104,7 @@ def test_a_site_that_can_be_run_is_told_so(place):
         (("690356.0, 5336183.0", "5336183.0, 690356.0"), r"R1 stands [\d,]+ m from the nearest"),
         (('crs = "EPSG:25832"', 'crs = "EPSG:4326"'), "geographic"),
         (('"R1.parquet"', '"R9.parquet"'), "no such file"),
+        (('"R2.parquet"', '"R1.parquet"'), "R1.parquet is a recording of R1, too"),
         (("guess = [690383.0, 5336229.0]", 'pose = "other.json"'), r"in EPSG:25833, the map"),
     ],
 )
@@ -115,8 +116,12 @@ def test_what_is_refused(place, tmp_path, change, words):
     assert "\n" not in str(caught.value)
 
 
-def test_a_scan_of_another_place_is_refused(place, tmp_path):
-    site = place()
+ROAD = 'road = "scan.laz"'
+
+
+@pytest.mark.parametrize("key", ["files", "road"])
+def test_a_scan_of_another_place_is_refused(place, tmp_path, key):
+    site = place(('files = ["scan.laz"]', 'files = ["scan.laz"]' if key == "files" else ROAD))
     import laspy
 
     scan = laspy.read(SAMPLE / "scan.laz")
@@ -224,7 +229,8 @@ def test_the_table_of_a_check_is_german_for_whom_asks_for_it(place, monkeypatch)
 def test_a_recording_in_which_nothing_moves_is_named_before_a_pose_is_sought(place):
     found = gr.check_site(with_rates(place(), 0.0))
     assert found.failure is None
-    assert found.warnings == ("R2: too little traffic to tell: 0 vehicles move, 10 are needed",)
+    little = "R2: too little traffic to tell: 0 vehicles move, 10 are needed"
+    assert found.warnings == (f"{little}; all range rates are 0",)
 
 
 def test_short_and_foreign_recordings(place, tmp_path):

@@ -242,6 +242,15 @@ def test_a_scan_elsewhere_is_refused():
         with_road_heights(bridge(np.nan), scan(370.0, 376.0) + np.array([5000, 0, 0]))
 
 
+@pytest.mark.parametrize(("off_m", "told"), [(0.0, False), (25.0, True)])
+def test_a_road_that_lies_beside_the_tiles_is_told(off_m, told):
+    """As that of another map in the same coordinates does."""
+    road = scan(370.0, 376.0) + np.array([off_m, 0, 0])
+    heard = Listener()
+    with_road_heights(bridge([370.5, 376.5]), road, reporter=heard)
+    assert any("of the road's points lie on tiles" in text for _, text in heard.messages) is told
+
+
 def test_a_road_at_other_heights_is_told_from_one_elsewhere():
     with pytest.raises(InputError, match=r"differ by 50\.0 m: another vertical"):
         with_road_heights(bridge(370.0), scan(420.0, 420.0))

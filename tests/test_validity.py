@@ -87,6 +87,13 @@ def test_a_slow_radar_is_valid_by_its_stated_cycle(tmp_path):
     assert not any("delivers every" in line for _, line in notes.messages)
 
 
+def test_a_stated_cycle_far_longer_than_that_of_the_frames_is_told(tmp_path):
+    notes = Listener()
+    measured(tmp_path, cycle_s=0.05, cycles={"R1": 1.0}, reporter=notes)
+    told = "R1 delivers every 50 ms, but its cycle is given as 1000 ms: up to 1500 ms without"
+    assert any(told in line for _, line in notes.messages)
+
+
 @pytest.mark.parametrize("cycle_s", [0.05, 0.057, 0.066, 0.1, 0.15])
 def test_radars_of_usual_cycles_need_no_statement(tmp_path, cycle_s):
     notes = Listener()
@@ -111,3 +118,10 @@ def test_cycles_that_make_no_sense(tmp_path, cycles):
     with pytest.raises(UsageError, match="cycle"):
         measured(tmp_path, cycles=cycles)
     assert not (tmp_path / "a").exists()
+
+
+def test_a_clock_that_is_set_on_the_way_is_a_cause_of_missing_frames(tmp_path):
+    notes = Listener()
+    measured(tmp_path, frames=[*range(40), *range(36_040, 36_080)], reporter=notes)
+    told = "a.parquet: its frames fill 8 of 3,608 s: the others are missing, or the clock of R1 was"
+    assert any(told in line for _, line in notes.messages)

@@ -115,7 +115,7 @@ def make_tiles(
     tiles = _table(lanelets, _rungs(lanelets, length_m, reporter), roads.crs)
     numbers = tiles["lanelet_id"].map(lane_numbers(roads.lanelets)).astype(np.int64)
     tiles.insert(len(TILE_COLUMNS), LANE_COLUMN, numbers)
-    return tiles if road is None else with_road_heights(tiles, road)
+    return tiles if road is None else with_road_heights(tiles, as_points(road), reporter=reporter)
 
 
 TILE_FIELDS = {
@@ -364,10 +364,13 @@ def require_tiles(tiles: gpd.GeoDataFrame, *, what: str) -> None:
 
 
 SAME_LEVEL_M = 2.0  # of the contract; bridges are over 4 m above
+ON_TILES = 0.5  # share of a road's points to warn under: all of it with its map, of another's 0.42
 NEAR_M = 1.5  # half a lane: the nearest point is still of the same road
 
 
-def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame:
+def with_road_heights(
+    tiles: gpd.GeoDataFrame, road: Floats, *, reporter: Reporter = QUIET
+) -> gpd.GeoDataFrame:
     """Return tiles whose `height_m` is that of the scanned road.
 
     A tile takes the median height of the points in it; without any, that of the nearest point
@@ -380,6 +383,8 @@ def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame
         As from :func:`make_tiles`.
     road : (n, 3) array
         Points of the road's surface in the tiles' CRS, metres.
+    reporter : Reporter
+        Receives a warning where most of them lie beside the tiles.
 
     Raises
     ------
@@ -387,29 +392,29 @@ def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame
         If no tile gets a height: scan and map do not overlap, or lie at other heights.
     """
     map_height_m = tiles["height_m"].to_numpy(np.float64)
-    road = as_points(road)
     point, tile = TileGrid(quads(tiles)).assign(road[:, 0], road[:, 1])
+    share = len(np.unique(point)) / max(len(road), 1)
+    if 0.0 < share < ON_TILES:
+        reporter.warn("only {:.0%} of the road's points lie on tiles: of another place?", share)
     level = ~(np.abs(road[point, 2] - map_height_m[tile]) > SAME_LEVEL_M)
     inside = pd.Series(road[point[level], 2]).groupby(tile[level]).median()
     height_m = inside.reindex(np.arange(len(tiles))).to_numpy(copy=True)
     without = np.flatnonzero(np.isnan(height_m))
-    centres = tiles.geometry.centroid
-    distance, nearest = scipy.spatial.cKDTree(road[:, :2]).query(
-        np.column_stack([centres.x, centres.y])[without], distance_upper_bound=NEAR_M
-    )
+    centres = shapely.get_coordinates(tiles.geometry.centroid)[without]
+    tree = scipy.spatial.cKDTree(road[:, :2])
+    distance, nearest = tree.query(centres, distance_upper_bound=NEAR_M)
     near = np.isfinite(distance)
     height = road[np.asarray(nearest)[near], 2]
     fits = ~(np.abs(height - map_height_m[without[near]]) > SAME_LEVEL_M)
     height_m[without[near][fits]] = height[fits]
     if np.isnan(height_m).all():
-        if len(point):
-            apart_m = float(np.median(np.abs(road[point, 2] - map_height_m[tile])))
-            raise InputError(
-                "heights of the road's points and of the map differ by {:.1f} m: another vertical "
-                "datum, or feet?",
-                apart_m,
-            )
-        raise InputError("the road's points and the map do not overlap")
+        if not len(point):
+            raise InputError("the road's points and the map do not overlap")
+        raise InputError(
+            "heights of the road's points and of the map differ by {:.1f} m: another vertical "
+            "datum, or feet?",
+            float(np.median(np.abs(road[point, 2] - map_height_m[tile]))),
+        )
     return tiles.assign(height_m=np.where(np.isnan(height_m), map_height_m, height_m))
 
 

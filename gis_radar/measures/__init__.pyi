@@ -31,9 +31,18 @@ from .pose_sights import (
 )
 from .queues import JOINED_M, QueueCourse, queue_course
 from .sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
-from .validity import FrameTimes, Runs, union_of_runs, valid_steps, validity_of
+from .validity import (
+    CYCLES_VALID,
+    VALIDITY_S,
+    FrameTimes,
+    Runs,
+    union_of_runs,
+    valid_steps,
+    validity_of,
+)
 
 __all__ = [
+    "CYCLES_VALID",
     "INTERVALS",
     "JOINED_M",
     "LEAST_SHARE",
@@ -44,6 +53,7 @@ __all__ = [
     "SPEED_CLASSES",
     "SPEED_CLASS_KMH",
     "TURN_WORDS",
+    "VALIDITY_S",
     "Cycle",
     "Filters",
     "FrameCounter",

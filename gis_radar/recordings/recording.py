@@ -32,6 +32,7 @@ from gis_radar.recordings.units import refuse_positions_in_other_units, refuse_w
 
 COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
 SENSOR = b"gis_radar.sensor"  # key of a file's metadata
+LEAST_CONSTANT = 1000  # so many detections of one value are no chance
 FARTHEST_M = 1e6  # no radar sees so far, and point cloud files hold no farther coordinates
 
 
@@ -206,10 +207,11 @@ class Recording:
         return self.batches_from(begin, columns)
 
     def measures_elevation(self) -> bool:
-        """Return whether the sensor measures elevation: whether the first detection has a z."""
+        """Return whether the sensor measures elevation: whether first detections have various z."""
         for rows in self.read():
             if rows.present.any():
-                return has_height(rows)
+                z = rows.points[rows.present, 2]
+                return has_height(rows) and not (len(z) >= LEAST_CONSTANT and (z == z[0]).all())
         return True
 
     def require_elevation(self, what: str) -> None:
@@ -227,7 +229,7 @@ class Recording:
         """
         if not self.measures_elevation():
             raise NoAnswerError(
-                "{}: the sensor measures no elevation (z is empty), so {}",
+                "{}: the sensor measures no elevation (z is empty, or the same throughout), so {}",
                 self.path,
                 what,
                 hint="survey the sensor and give its pose; measure and project take it",

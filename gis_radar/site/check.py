@@ -41,7 +41,7 @@ from gis_radar.calibration import (
 from gis_radar.hdmap import LaneletMap, read_map
 from gis_radar.poses import read_track
 from gis_radar.recordings import RangeCounts, Recording, open_recording, time_warnings
-from gis_radar.scans import open_scan, read_road, road_crs
+from gis_radar.scans import open_scan, read_road
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.settings import Sensor, Site, read_site
 
@@ -222,13 +222,15 @@ def _check_scans(site: Site, roads: LaneletMap) -> None:
     """Refuse scans that are bad, or none of which touches the map."""
     if site.scan is None:
         return
-    if site.scan.road is not None:
-        road_crs(site.scan.road)
-        return
-    scans = [open_scan(path, crs=site.scan.crs) for path in site.scan.files]
     west, south, east, north = (float(each) for each in roads.lanelets.total_bounds)
-    if not any(scan.touches((west, south, east, north), roads.crs) for scan in scans):
+    if site.scan.road is not None:
+        names, place = site.scan.road.name, read_road(site.scan.road, roads.crs)[:, :2]
+        touches = bool(((place >= (west, south)) & (place <= (east, north))).all(axis=1).any())
+    else:
+        scans = [open_scan(path, crs=site.scan.crs) for path in site.scan.files]
         names = ", ".join(scan.path.name for scan in scans)
+        touches = any(scan.touches((west, south, east, north), roads.crs) for scan in scans)
+    if not touches:
         raise InputError(
             "{}: not where the map {} is",
             names,

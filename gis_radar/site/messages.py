@@ -17,6 +17,7 @@ KEYS = {
     "--accept": "accept = true in [[sensor]]",
     "--clock": "clock in [sensor.convert]",
     "--columns": "columns in [sensor.convert]",
+    "--compass": "compass in [[sensor]]",
     "--crs": "crs in [map]",
     "--cycle": "cycle in [[sensor]]",
     "--guess-crs": "guess in [[sensor]]",

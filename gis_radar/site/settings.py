@@ -291,6 +291,7 @@ class Site(TomlTable):
                     at=("sensor", place, "name"),
                 )
             names[name.casefold()] = name
+        self._require_own_recordings()
         numbers = [each.id for each in self.lane]
         for place, number in enumerate(numbers):
             if number in numbers[:place]:
@@ -306,6 +307,18 @@ class Site(TomlTable):
                 hint="add a table [scan] with files, or give poses",
             )
         return self
+
+    def _require_own_recordings(self) -> None:
+        """Refuse a file that two sensors name, unless it is converted: it may hold several."""
+        owner: dict[Path, str] = {}
+        for place, each in enumerate(self.sensor):
+            for path in set(each.recordings) - set(each.foreign):
+                if (other := owner.setdefault(path, each.name)) != each.name:
+                    raise Unfit(
+                        message=Text("{} is a recording of {}, too", path.name, other),
+                        hint=Text("each sensor has recordings of its own"),
+                        at=("sensor", place, "recordings"),
+                    )
 
     def __repr__(self) -> str:
         names = ", ".join(each.name for each in self.sensor)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers, iso_from_step, step_of
-from gis_radar.calibration.check.scene_change import SceneChange, detect_scene_change
+from gis_radar.calibration.check.scene_change import (
+    SceneChange,
+    detect_scene_change,
+    share_of_alternating_scenes,
+)
 from gis_radar.calibration.registration.traces import (
     MIN_SPEED_MPS,
     MOST_WALKERS,
@@ -22,7 +26,7 @@ from gis_radar.calibration.registration.traces import (
 from gis_radar.calibration.single.moving import NO_OFFSET, recorded_between
 from gis_radar.calibration.timing.clocks import SensorClock
 from gis_radar.poses import Pose, PoseTrack
-from gis_radar.recordings import Detections, Recording
+from gis_radar.recordings import LEAST_CONSTANT, Detections, Recording
 
 SEGMENT_S = 20.0  # length of a segment: a vehicle crosses the view in it
 LEAST_SEGMENTS = 5  # together as long as the window of a localization
@@ -55,6 +59,11 @@ class Excerpt:
         Share of the moving detections that repeat another one of their frame.
     scene_change : SceneChange or None
         Change of the static surroundings of the sensor; None where too few cells are static.
+    alternating : float
+        Share of static surroundings that two kinds of frames have in common, if they alternate; 1
+        where none do. It is low for frames of two sensors.
+    constant : dict
+        The value of those of `range_rate` and `z` that is the same in all detections, by name.
     too_fast : int
         Number of impossibly fast detections, 0 below `LEAST_TOO_FAST`; else no tracks are linked.
     time, points, range_rate : arrays
@@ -73,6 +82,8 @@ class Excerpt:
     frozen: tuple[float, float, int] | None
     duplicate_share: float
     scene_change: SceneChange | None = None
+    alternating: float = 1.0
+    constant: dict[str, float] = field(default_factory=dict)
     too_fast: int
     time: Floats
     points: Floats
@@ -255,7 +266,9 @@ def _excerpt(rows: _Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
     poses, moving_pose = _poses_in_force(moving.time, rows.source[moves], tracks)
     return Excerpt(
         moving=moving, track=track, moving_pose=moving_pose, frozen=_longest_frozen_run(rows),
-        duplicate_share=_duplicate_share(moving, rows.source[moves]), too_fast=too_fast,
+        duplicate_share=_duplicate_share(moving, rows.source[moves]),
+        alternating=share_of_alternating_scenes(rows.time, rows.points, rows.range_rate),
+        constant=_constant_columns(rows), too_fast=too_fast,
         time=moving.time[thinned],
         points=moving.points[thinned], range_rate=moving.range_rate[thinned],
         vehicle=vehicle[track[thinned]], pose=moving_pose[thinned], poses=poses,
@@ -330,6 +343,16 @@ def _longest_frozen_run(rows: _Rows) -> tuple[float, float, int] | None:
     last = int(run.argmax())
     length = int(run[last])
     return (float(frames[last - length]), float(frames[last]), length + 1) if length else None
+
+
+def _constant_columns(rows: _Rows) -> dict[str, float]:
+    """Return those of `range_rate` and `z` that are the same in all detections, with the value."""
+    constant = dict[str, float]()
+    for name, column in (("range_rate", rows.range_rate), ("z", rows.points[:, 2])):
+        known = column[np.isfinite(column)]
+        if len(known) >= LEAST_CONSTANT and (known == known[0]).all():
+            constant[name] = float(known[0]) + 0.0  # no -0
+    return constant
 
 
 def _duplicate_share(moving: Moving, source: Integers) -> float:

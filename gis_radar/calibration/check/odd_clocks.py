@@ -11,9 +11,11 @@ from itertools import combinations
 import numpy as np
 
 from gis_radar.base import NoAnswerError, Text
+from gis_radar.calibration.check.excerpt import Excerpt
+from gis_radar.calibration.check.rivals import LaneMap
 from gis_radar.calibration.findings import CLOCKS_APART, Finding, wrong
 from gis_radar.calibration.timing.clock_offsets import ClockOffset, measured_offset
-from gis_radar.calibration.timing.lane_detections import LaneDetections
+from gis_radar.calibration.timing.lane_detections import LaneDetections, placed_on_lanes
 
 # Clocks contradict each other from this offset on; a car drives its length in it.
 CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0
@@ -121,3 +123,27 @@ def _clocks_apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Find
     advice = Text("find the offset with gis-radar clocks, or cut the recording where it was set")
     finding = wrong(evidence, cause, advice)
     return replace(finding, sensor=name)
+
+
+def on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
+    """Return the detections that move along lanes, for the comparison of clocks.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        The sensor's traffic.
+    lanes : LaneMap
+        The map.
+    """
+    moving, by_pose = excerpt.moving, list[LaneDetections]()
+    for number, pose in enumerate(excerpt.poses):
+        rows, near = excerpt.moving_pose == number, lanes.around(pose, lanes.reach_m(excerpt))
+        if near is None:
+            continue
+        by_pose.append(
+            placed_on_lanes(
+                near, moving.time[rows], moving.points[rows], moving.range_rate[rows], pose
+            )
+        )
+    detections = LaneDetections.joined(by_pose)
+    return detections.take(np.argsort(detections.time, kind="stable"))

@@ -21,10 +21,14 @@ from gis_radar.calibration.check.excerpt import (
     iso,
     read_excerpts,
 )
-from gis_radar.calibration.check.explanations import compare_explanations, least_share
+from gis_radar.calibration.check.explanations import (
+    BESIDE_LANES,
+    compare_explanations,
+    least_share,
+)
 from gis_radar.calibration.check.nearly_right import judge_offset
-from gis_radar.calibration.check.odd_clocks import odd_clocks
-from gis_radar.calibration.check.rivals import AGAINST, LaneMap, on_lanes, score, signs_lost
+from gis_radar.calibration.check.odd_clocks import odd_clocks, on_lanes
+from gis_radar.calibration.check.rivals import AGAINST, LaneMap, score, signs_lost
 from gis_radar.calibration.findings import (
     FITS,
     RECORD_MORE,
@@ -50,6 +54,9 @@ LEAST_SIDE = 8  # least number of vehicles on either side of a change
 # Least log likelihood ratio of a change over none: odds of 3,000, and of 20 where a mistake
 # explains the traffic on one side.
 CHANGED, EXPLAINED = 8.0, 3.0
+TWO_SENSORS = Text("frames of two sensors are probably in one recording")
+# Two sensors have up to 0.15 of their surroundings in common where both look, one over 0.76.
+ALTERNATING = 0.3
 RATE_CAUSES = AGAINST.cause, ABSOLUTE.looks  # causes that do not move static surroundings
 
 
@@ -113,9 +120,18 @@ def check_plausibility(
         findings[name], excerpt = judge(name, remaining, lanes, others)
         if findings[name].verdict == FITS and len(sensors) > 1:
             lane_detections[name] = on_lanes(excerpt, lanes)
-    findings |= odd_clocks(lane_detections)
+    for name, finding in odd_clocks(lane_detections).items():
+        findings[name] = _told_correction(finding, sensors[name].clock)
     reporter.progress(STAGE, len(sensors), len(sensors))
     return tuple(findings.values())
+
+
+def _told_correction(finding: Finding, clock: SensorClock | None) -> Finding:
+    """Return a finding on a clock with the correction that was given for it, which may be wrong."""
+    if clock is None or clock.offset_s == 0.0:
+        return finding
+    corrected = Text("its times were corrected by {:+.2f} s: is the sign right?", -clock.offset_s)
+    return replace(finding, advice=Text("{}; {}", corrected, finding.advice))
 
 
 def check_recordings(
@@ -203,6 +219,8 @@ def _judge_excerpt(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose])
             [(finding.cause, finding.advice), (alternative.looks, alternative.advice)]
         )
         finding = replace(finding, cause=cause, advice=advice)
+    if excerpt.alternating < ALTERNATING:
+        finding = _two_sensors(finding, excerpt.alternating)
     if finding.verdict == FITS and not scale_known:
         evidence = Text(
             "{}, too few approach or recede to compare ranges with range rates", finding.evidence
@@ -213,20 +231,40 @@ def _judge_excerpt(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose])
     return finding
 
 
+def _two_sensors(finding: Finding, share: float) -> Finding:
+    """Return a finding with the cause that the frames of two sensors are in one recording."""
+    evidence = Text(
+        "{}; two kinds of frames alternate that have {:.0%} of what stands around them in common",
+        finding.evidence, share,
+    )  # fmt: skip
+    causes: list[tuple[str, str]] = [(TWO_SENSORS, Text("give each sensor a recording of its own"))]
+    if finding.cause not in {"", UNKNOWN_CAUSE, BESIDE_LANES}:
+        causes.append((finding.cause, finding.advice))
+    cause, advice = join_mistakes(causes)
+    return replace(finding, evidence=evidence, cause=cause, advice=advice)
+
+
 def _too_little_traffic(excerpt: Excerpt) -> Finding | None:
     """Return the finding that there are fewer than `LEAST_VEHICLES`, if so."""
     if excerpt.vehicles >= LEAST_VEHICLES:
         return None
     evidence = Text("{} vehicles move, {} are needed", excerpt.vehicles, LEAST_VEHICLES)
+    if "range_rate" in excerpt.constant:  # nothing moves, or the radar does not measure it
+        evidence = Text("{}; all range rates are {:g}", evidence, excerpt.constant["range_rate"])
     return Finding(sensor="", verdict=UNKNOWN, evidence=evidence, advice=RECORD_MORE)
 
 
 def _odd_recording(excerpt: Excerpt) -> Finding | None:
-    """Return the finding on frozen, repeated or impossibly fast detections, if any."""
+    """Return the finding on frozen, constant, repeated or impossibly fast values, if any."""
     if excerpt.frozen is not None and excerpt.frozen[2] >= FROZEN_FRAMES:
         begin, end, frames = excerpt.frozen
         evidence = Text("{} frames from {} to {} are the same", frames, iso(begin), iso(end))
         return wrong(evidence, Text("the recording is frozen"), Text("leave that time out"))
+    for name, value in excerpt.constant.items():
+        if name == "z" or value != 0.0:  # where nothing moves, all range rates may be 0
+            evidence = Text("{} is {:g} in all detections", name, value)
+            advice = Text("leave {} empty (NaN) where the radar does not measure it", name)
+            return wrong(evidence, Text("{} was not measured, or converted wrongly", name), advice)
     if excerpt.duplicate_share > MOST_DUPLICATES:
         evidence = Text("{:.0%} of the moving detections are twice in it", excerpt.duplicate_share)
         cause = Text("a file was joined with a copy of itself")
@@ -286,7 +324,10 @@ def _fault_from_moment(
     if gain < EXPLAINED or all(each.mean() < least_share(len(each)) for each in sides):
         return None  # where neither side fits, the fault is there all the time
     when = float(excerpt.time[first_rows[order[split]]])
-    until, since = (compare_explanations(side, lanes, others) for side in excerpt.split_at(when))
+    parts = excerpt.split_at(when)
+    if min(each.vehicles for each in parts) < LEAST_SIDE:
+        return None  # most vehicles are there from one moment on, as in a queue
+    until, since = (compare_explanations(each, lanes, others) for each in parts)
     worse = since if until.verdict == FITS else until
     if until.verdict == since.verdict or (gain < CHANGED and worse.cause == UNKNOWN_CAUSE):
         return None

@@ -24,7 +24,6 @@ from gis_radar.calibration.registration.lanes import (
 )
 from gis_radar.calibration.registration.matches import match_along
 from gis_radar.calibration.registration.traces import thin
-from gis_radar.calibration.timing.lane_detections import LaneDetections, placed_on_lanes
 from gis_radar.calibration.unit_mistakes import ABSOLUTE, UnitMistake
 from gis_radar.poses import Pose
 
@@ -44,6 +43,8 @@ SAME_PLACE_M, SAME_DEG, TURNS = 2.0, (2.0, 3.0, 5.0), ("yaw", "pitch", "roll")
 ONE_MISTAKE_M, ONE_MISTAKE_DEG = 3.0, 3.0
 TILTED_DEG = 10.0  # of roll or pitch: at a wrong place the search is off by 4 deg
 SEARCHED = 3  # number of likeliest poses taken from a search
+DATUM_M = 10.0  # larger errors of a height may be of its datum
+CHANGE_SIGN = "change the sign of {} of all detections"
 STEP_DEG, NEAR_DEG = 10.0, 20.0  # of tried yaws: step, and least distance from the given yaw
 
 
@@ -54,6 +55,9 @@ class Axes(Enum):
     MIRRORED = (0, 1, 2), (1.0, -1.0, 1.0)
     SWAPPED = (1, 0, 2), (1.0, 1.0, 1.0)
     AHEAD = (1, 0, 2), (1.0, -1.0, 1.0)
+    BACK = (0, 1, 2), (-1.0, 1.0, 1.0)
+    DOWN = (0, 1, 2), (1.0, 1.0, -1.0)
+    UPRIGHT = (0, 2, 1), (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -331,6 +335,7 @@ def usual_mistakes(
         Rival(cause=Text("x and y are swapped"), advice=Text("swap x and y"), axes=Axes.SWAPPED),
         Rival(cause=Text("x points to the right and y forward"),
               advice=Text("turn the axes: x forward, y to the left"), axes=Axes.AHEAD),
+        Rival(cause=Text("x points backward"), advice=Text(CHANGE_SIGN, "x"), axes=Axes.BACK),
         MIRRORED,
         AGAINST,
     ]  # fmt: skip
@@ -342,8 +347,11 @@ def usual_mistakes(
             Rival(cause=Text("roll has the wrong sign"),
                   advice=Text("set roll to {:.1f} deg", -pose.roll),
                   turned=lambda p: replace(p, roll=-p.roll)),
-            Rival(cause=Text("roll is off by 180 deg"),
-                  advice=Text("set roll to {:.1f} deg", roll_over),
+            Rival(cause=Text("z points down"), advice=Text(CHANGE_SIGN, "z"), axes=Axes.DOWN),
+            Rival(cause=Text("y and z are swapped"), advice=Text("swap y and z"),
+                  axes=Axes.UPRIGHT),
+            Rival(cause=Text("roll is off by 180 deg, or y points to the right and z down"),
+                  advice=Text("set roll to {:.1f} deg, or change the signs of y and z", roll_over),
                   turned=lambda p: replace(p, roll=p.roll + 180.0)),
         ]  # fmt: skip
     without_sign = signs_lost(excerpt)
@@ -427,9 +435,8 @@ def other_pose(pose: Pose, there: Pose) -> Rival:
     tilt = max(abs(there.pitch - pose.pitch), abs((there.roll - pose.roll + 180.0) % 360.0 - 180.0))
     if tilt > TILTED_DEG:
         parts = [*(parts if is_away or is_turned else []), Text("tilted by {:.0f} deg", tilt)]
-    cause = Text("its pose is off: compared with it, the sensor is {}", Text(", ").join(parts))
     return Rival(
-        cause=cause,
+        cause=Text("its pose is off: compared with it, the sensor is {}", Text(", ").join(parts)),
         advice=Text(
             "find it with gis-radar localize, near easting {:.1f}, northing {:.1f}, yaw {:.1f} deg",
             there.easting, there.northing, there.yaw,
@@ -457,6 +464,8 @@ def height_or_pitch_mistakes(excerpt: Excerpt, given: Score) -> list[Rival]:
     height = Text("height is {:.1f} m too high", high_m)
     if high_m < 0.0:
         height = Text("height is {:.1f} m too low", -high_m)
+    if abs(high_m) > DATUM_M:
+        height = Text("{}: is it of another vertical datum, as over the ellipsoid?", height)
     pitch = Text("pitch is {:.1f} deg too low: the sensor looks farther down", tilt)
     if tilt < 0.0:
         pitch = Text("pitch is {:.1f} deg too high: the sensor looks farther up", -tilt)
@@ -468,27 +477,3 @@ def height_or_pitch_mistakes(excerpt: Excerpt, given: Score) -> list[Rival]:
               advice=Text("set pitch to {:.1f} deg", pose.pitch + tilt), fitted=1,
               turned=lambda p: replace(p, pitch=p.pitch + tilt)),
     ]  # fmt: skip
-
-
-def on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
-    """Return the detections that move along lanes, for the comparison of clocks.
-
-    Parameters
-    ----------
-    excerpt : Excerpt
-        The sensor's traffic.
-    lanes : LaneMap
-        The map.
-    """
-    moving, by_pose = excerpt.moving, list[LaneDetections]()
-    for number, pose in enumerate(excerpt.poses):
-        rows, near = excerpt.moving_pose == number, lanes.around(pose, lanes.reach_m(excerpt))
-        if near is None:
-            continue
-        by_pose.append(
-            placed_on_lanes(
-                near, moving.time[rows], moving.points[rows], moving.range_rate[rows], pose
-            )
-        )
-    detections = LaneDetections.joined(by_pose)
-    return detections.take(np.argsort(detections.time, kind="stable"))

@@ -47,6 +47,7 @@ from gis_radar.calibration.single.moving import (
     common_time,
     read_span,
     read_until,
+    refuse_equal,
 )
 from gis_radar.calibration.single.result import AmbiguousError, Localization
 from gis_radar.calibration.timing.clocks import SensorClock
@@ -58,6 +59,7 @@ COMMON_S = 100.0
 
 STAGE = "finding the poses together"
 READING = "reading what moved"
+WITHOUT = Text("the other sensors have their poses; is each guess of its recording?")
 AWAY = "it did not record while the others did"
 
 
@@ -89,7 +91,7 @@ class JointCalibration:
             reason if name in reason.partition(":")[0].split() else f"{name}: {reason}": None
             for name, reason in self.refused.items()
         }
-        return NoAnswerError(Text("; ").join(reasons), hint="the other sensors have their poses")
+        return NoAnswerError(Text("; ").join(reasons), hint=WITHOUT)
 
     def figures(self) -> dict[str, str]:
         """Return one line of text for each sensor."""
@@ -384,6 +386,7 @@ def adjust_poses(
             reasons.setdefault(name, AWAY)
         clock_s = _known_sigma_s(corrections[name])
         stations.append(Station(name=name, moving=moving, poses=poses[name], clock_s=clock_s))
+    refuse_equal({each.name: each.moving for each in stations})
     reporter.progress(READING, len(spans), len(spans))
     places = np.array([pose.position[:2] for each in stations for pose in each.poses])
     lanes = _lanes_of_all([each.moving for each in stations], places, roads, road_points)

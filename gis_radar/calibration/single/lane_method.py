@@ -175,9 +175,19 @@ def _within_reach(problem: Problem, answers: list[Hypothesis], scene: Scene) -> 
             "{}: the fit went {:.0f} m from the guess, which is too far off",
             problem.name,
             distances_m[0],
-            hint=Text("guess within {:.0f} m", GUESS_M),
+            hint=_after_heading(problem, Text("guess within {:.0f} m", GUESS_M)),
         )
     return inside
+
+
+def _after_heading(problem: Problem, hint: str) -> str:
+    """Return what to do, after a check of the heading where one is given."""
+    if problem.heading is None:
+        return hint
+    return Text(
+        "check the heading, which counts anticlockwise from grid east ({} takes a bearing); {}",
+        "--compass", hint,
+    )  # fmt: skip
 
 
 def _refuse_unfit(problem: Problem, answer: Hypothesis) -> None:
@@ -189,7 +199,13 @@ def _refuse_unfit(problem: Problem, answer: Hypothesis) -> None:
             problem.name,
             GUESS_M,
             answer.fit.fitness,
-            hint="check the guess, the map, and that the recording's y axis points to the left",
+            hint=_after_heading(
+                problem,
+                Text(
+                    "check the guess, the map, whether the recording is this sensor's, and that "
+                    "its y axis points to the left"
+                ),
+            ),
         )
     if not answer.fit.converged:
         raise NoAnswerError("{}: the fit did not come to rest", problem.name)

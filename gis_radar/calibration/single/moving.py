@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from gis_radar.calibration.timing.clocks import SensorClock
 from gis_radar.recordings import Recording, RollingWindow, open_recording
 
 STAGE = "reading traces"
+# Two sensors with so many detections have none in common but by chance.
+LEAST_EQUAL, MOST_EQUAL = 100, 0.5
 NO_OFFSET = SensorClock(offset_s=0.0)  # the clock of a sensor without an offset
 
 
@@ -177,3 +180,28 @@ def read_until(spans: Sequence[Span], end: float, clock: SensorClock = NO_OFFSET
                 window.push(new)
         last = max(last, span.end)
     return window.moving()
+
+
+def refuse_equal(moving: Mapping[str, Moving]) -> None:
+    """Refuse sensors of which one has the detections of another: they would confirm each other.
+
+    Parameters
+    ----------
+    moving : mapping of str to Moving
+        Moving detections by sensor.
+
+    Raises
+    ------
+    InputError
+        Naming two such sensors.
+    """
+    places = {
+        name: np.unique(each.points[:, 0] + 1j * each.points[:, 1]) for name, each in moving.items()
+    }
+    for (name, one), (other, found) in combinations(places.items(), 2):
+        fewer, more = sorted((one, found), key=len)
+        if len(fewer) >= LEAST_EQUAL and np.isin(fewer, more).mean() > MOST_EQUAL:
+            raise InputError(
+                "{} and {} have the same detections", name, other,
+                hint="give each sensor its own recording",
+            )  # fmt: skip

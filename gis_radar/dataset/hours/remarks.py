@@ -17,7 +17,14 @@ from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.hours.job import MOST_EQUAL_FRAMES
 from gis_radar.dataset.traffic.shifts import lanes_across
 from gis_radar.hdmap import TILES_LAYER
-from gis_radar.measures import PlacedRecording, RecordingCounts, SightBook, valid_steps
+from gis_radar.measures import (
+    CYCLES_VALID,
+    VALIDITY_S,
+    PlacedRecording,
+    RecordingCounts,
+    SightBook,
+    valid_steps,
+)
 from gis_radar.poses import View
 from gis_radar.recordings import FARTHEST_RADAR_M, Detections, RangeCounts, time_warnings
 from gis_radar.scans import (
@@ -31,6 +38,9 @@ from gis_radar.scans import (
 )
 from gis_radar.tracking import warn_of_poses
 
+# So much time without frames, seconds and as a share, is no matter of frames that are lost.
+LONG_PAUSE_S, LONG_PAUSE_SHARE = 60.0, 0.1
+LONG_CYCLE = 2.0  # least stated cycle to warn of, in measured ones: a frame is lost now and then
 SLOW_CYCLE = 1.1  # least cycle to warn of, in validities: 10 % of the steps have no valid frame
 # A warning is given where RANGE_SHARE of the detections lies within REACH_SHARE of the view's range
 # (the contract).
@@ -91,8 +101,8 @@ def remark_on_recordings(
         reporter.warn(gaps)
     for each in examined:
         for line in (
-            *_view_warnings(each), *_cycle_warnings(each), *_rounding_warnings(each),
-            *_repetition_warnings(each), *_placing_warnings(each),
+            *_view_warnings(each), *_cycle_warnings(each), *_pause_warnings(each),
+            *_rounding_warnings(each), *_repetition_warnings(each), *_placing_warnings(each),
         ):  # fmt: skip
             reporter.warn(line)
     recorded: dict[str, list[tuple[float, float, Path]]] = {}
@@ -193,7 +203,7 @@ def _view_warnings(examined: Examined) -> Iterator[str]:
 
 
 def _cycle_warnings(examined: Examined) -> Iterator[str]:
-    """Yield a warning where a sensor's cycle is longer than its frames are valid."""
+    """Yield warnings where a cycle is longer than frames are valid, or far shorter than stated."""
     file, sensor = examined.source.recording.path.name, examined.entry.sensor
     validity_s, cycle_us = examined.entry.validity_s, examined.evidence.times.cycle_us
     valid_us = (1 + valid_steps(validity_s)) * STEP_US
@@ -210,6 +220,34 @@ def _cycle_warnings(examined: Examined) -> Iterator[str]:
             1000 * validity_s,
             empty,
             stated,
+        )
+
+    stated_us = validity_s / CYCLES_VALID * 1e6
+    if validity_s != VALIDITY_S and stated_us > LONG_CYCLE * cycle_us:
+        yield Text(
+            "{}: {} delivers every {} ms, but its cycle is given as {} ms: up to {} ms without a "
+            "frame count as observed",
+            file,
+            sensor,
+            round(cycle_us / 1000),
+            round(stated_us / 1000),
+            round(validity_s * 1000),
+        )
+
+
+def _pause_warnings(examined: Examined) -> Iterator[str]:
+    """Yield a warning where frames fill a recording's time by far not."""
+    times = examined.evidence.times
+    span_s = (times.last_us - times.first_us) / 1e6
+    filled_s = times.frames * times.cycle_us / 1e6
+    if span_s - filled_s > max(LONG_PAUSE_S, LONG_PAUSE_SHARE * span_s):
+        yield Text(
+            "{}: its frames fill {:,.0f} of {:,.0f} s: the others are missing, or the clock of {} "
+            "was set on the way",
+            examined.source.recording.path.name,
+            filled_s,
+            span_s,
+            examined.entry.sensor,
         )
 
 
