@@ -8,6 +8,7 @@ import importlib.util
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -356,10 +357,11 @@ def test_what_the_wizard_writes_is_a_site_file(drafts, tmp_path):
         map_source="Stadt", scans=[str(sample / "scan.laz")], scan_crs="EPSG:25832",
         scan_source="Land", attribution="Wir", footprints=True, intervals=["15min", "1h"],
     )  # fmt: skip
+    shutil.copy(sample / "R1.parquet", tmp_path / "R1_2.parquet")
     name = drafts.next_name(site.sensors)
     site.sensors.append(
         drafts.SensorDraft(
-            name, [str(sample / "R1.parquet"), str(sample / "R2.parquet")], 690356.1234, 5336183.0,
+            name, [str(sample / "R1.parquet"), str(tmp_path / "R1_2.parquet")], 690356.1234, 5336183.0,
             heading=21.66, view={"azimuth_deg": 100.0, "max_range_m": 250.0}, cycle="150ms",
         )
     )  # fmt: skip
@@ -382,7 +384,7 @@ def test_what_the_wizard_writes_is_a_site_file(drafts, tmp_path):
     assert read.heatmap.intervals == ("15min", "1h")
     one, other = read.sensor
     assert (one.name, one.guess, one.heading) == ("R1", (690356.12, 5336183.0), 21.7)
-    assert [path.name for path in one.recordings] == ["R1.parquet", "R2.parquet"]
+    assert [path.name for path in one.recordings] == ["R1.parquet", "R1_2.parquet"]
     assert (one.view.azimuth_deg, one.view.max_range_m, one.cycle) == (100.0, 250.0, 0.15)
     assert (other.pose, other.guess) == (sample / "R2.json", None)
     assert other.view is None  # the pose has one

@@ -35,7 +35,7 @@ def traffic(path, *, unseen=(), seconds=200, seed=3):
             if rng.random() < 0.4 and not any(low < at < high for low, high in unseen):
                 time.append(START + 0.05 * frame)
                 left.append(at)
-    points = np.column_stack([np.full(len(left), 100.0), left, np.full(len(left), -5.0)])
+    points = np.column_stack([np.full(len(left), 100.0), left, rng.normal(-5.0, 0.01, len(left))])
     return recording(path, np.array(time), points, range_rate=np.where(np.array(left) > 0, 5, -5.0))
 
 

@@ -21,7 +21,8 @@ from gis_radar.site.toml_file import toml_reference
 from gis_radar.site.values import lines_of, table_of
 
 ROOT = Path(__file__).parents[1]
-FILES = ("junction.osm", "scan_1.laz", "scan_2.laz", "R1_1.parquet", "R1_2.parquet", "R2.json")
+FILES = ("junction.osm", "scan_1.laz", "scan_2.laz", "R1_1.parquet", "R1_2.parquet", "R2.parquet",
+         "R2.json")  # fmt: skip
 WHOLE = """\
 title = "Junction"
 timezone = "Europe/Berlin"
@@ -46,7 +47,7 @@ view = { max_range_m = 200 }
 
 [[sensor]]
 name = "R2"
-recordings = "R1_1.parquet"
+recordings = "R2.parquet"
 pose = "R2.json"
 [sensor.view]
 azimuth_deg = 90

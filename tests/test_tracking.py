@@ -503,7 +503,8 @@ def test_who_is_lost_for_long_says_so(seen):
 def test_cycles_of_any_length_end(tmp_path, monkeypatch, cycle_s):
     """Twenty times a second, for a minute: a cycle ends at the first frame after it."""
     time = np.repeat(START + np.arange(1200) * 0.05, 2)
-    path = recording(tmp_path / "R1.parquet", time, np.ones((len(time), 3)))
+    points = np.random.default_rng(0).normal(size=(len(time), 3))
+    path = recording(tmp_path / "R1.parquet", time, points)
     pushed, ends = [], []
 
     def cycle(end):

@@ -181,7 +181,11 @@ def test_folders_that_are_no_dataset_are_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("other", "what"),
-    [({"map_digest": "1"}, "map"), ({"fingerprint": "1"}, "tiles"), ({"crs": "1"}, "coordinate")],
+    [
+        ({"map_digest": "1"}, "map"),
+        ({"fingerprint": "1"}, "set of tiles"),
+        ({"crs": "1"}, "coordinate"),
+    ],
 )
 def test_what_is_added_is_of_the_same_site(dataset, other, what):
     manifest = dataset.manifest

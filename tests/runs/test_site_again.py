@@ -203,12 +203,13 @@ def test_a_sensor_without_an_answer_and_those_with_bad_data_stop_no_other(small,
     path, out = copied
     folder = path.parent
     recording(folder / "R3.parquet", START + np.arange(150) * 0.05, np.ones((150, 3)))
+    shutil.copy(folder / "R3.parquet", folder / "R5.parquet")
     (folder / "R4.parquet").write_bytes((folder / "R1.parquet").read_bytes()[:5000])
     pose = json.loads((folder / "R2.json").read_text()) | {"sensor": "R5", "covariance": [[1.0]]}
     (folder / "R5.json").write_text(json.dumps(pose))
     text = path.read_text()
     third = '\n[[sensor]]\nname = "R3"\nrecordings = "R3.parquet"\nguess = [677990, 5403610]\n'
-    fifth = '\n[[sensor]]\nname = "R5"\nrecordings = "R3.parquet"\npose = "R5.json"\n'
+    fifth = '\n[[sensor]]\nname = "R5"\nrecordings = "R5.parquet"\npose = "R5.json"\n'
     path.write_text(text + third + third.replace("R3", "R4") + fifth)
     words = ["run", str(path), "-o", str(out), "--jobs", "1", "--json"]
     with only_pictures(), no_report():
