@@ -361,7 +361,8 @@ def test_what_the_wizard_writes_is_a_site_file(drafts, tmp_path):
     name = drafts.next_name(site.sensors)
     site.sensors.append(
         drafts.SensorDraft(
-            name, [str(sample / "R1.parquet"), str(tmp_path / "R1_2.parquet")], 690356.1234, 5336183.0,
+            name, [str(sample / "R1.parquet"), str(tmp_path / "R1_2.parquet")],
+            690356.1234, 5336183.0,
             heading=21.66, view={"azimuth_deg": 100.0, "max_range_m": 250.0}, cycle="150ms",
         )
     )  # fmt: skip
