@@ -27,6 +27,7 @@ from gis_radar.calibration import (
     adjust_poses,
     localize_together,
 )
+from gis_radar.calibration.registration.traces import Moving
 from gis_radar.calibration.several.adjustment import (
     STRETCH_SIGMA_M,
     Correspondences,
@@ -43,7 +44,7 @@ from gis_radar.calibration.several.correspondences import (
 )
 from gis_radar.calibration.several.joint import common_time, locate_all
 from gis_radar.calibration.several.network import FIRM_PAIRS
-from gis_radar.calibration.single.moving import Span, best_end, read_span
+from gis_radar.calibration.single.moving import Span, best_end, read_span, refuse_equal
 from gis_radar.cli import group
 from gis_radar.poses import COMPONENTS, View
 
@@ -115,6 +116,22 @@ def test_the_same_detections_of_two_sensors_confirm_nothing(recordings, true):
     twice = {"R1": recordings["R1"], "R2": recordings["R1"]}
     with pytest.raises(gr.InputError, match="R1 and R2 have the same detections"):
         matched(twice, R1=(stated(true["R1"]),), R2=(stated(true["R1"]),))
+
+
+def test_two_radars_of_coarse_positions_have_some_in_common():
+    """Of a metre and a degree, or of half a metre, busy lanes fill every cell."""
+    rng = np.random.default_rng(1)
+    seen = {}
+    for name in ("R1", "R2"):
+        points = np.round(rng.uniform([10.0, -8.0, -5.0], [90.0, 8.0, -5.0], (9000, 3)) * 2.0) / 2.0
+        rate = np.round(rng.normal(12.0, 3.0, 9000), 1)
+        seen[name] = Moving(
+            time=np.arange(9000.0), points=points, range_rate=rate, frames=9000, begin=0.0,
+            end=9000.0,
+        )  # fmt: skip
+    refuse_equal(seen)
+    with pytest.raises(gr.InputError, match="R1 and R3 have the same detections"):
+        refuse_equal(seen | {"R3": replace(seen["R1"], time=seen["R1"].time + 3.0)})
 
 
 @pytest.mark.parametrize("spread_m", [0.5, 6.0])

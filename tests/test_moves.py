@@ -22,7 +22,7 @@ POSE = STREET.pose()
 
 @pytest.fixture
 def constants(monkeypatch):
-    """Set constants of modules of the room: `constants(alarm={"BLOCK_S": 2.0})`."""
+    """Set constants of modules of the room: `constants(moving={"FRAMES": 300})`."""
 
     def change(**modules):
         for module, changes in modules.items():

@@ -17,12 +17,19 @@ from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
 import gis_radar as gr
-from gis_radar.calibration import Finding, LaneMap, RangeScale
-from gis_radar.calibration.check import explanations, fitted_pose, nearly_right, offsets
+from gis_radar.calibration import Finding, LaneMap, RangeScale, SensorClock
+from gis_radar.calibration.check import (
+    explanations,
+    fitted_pose,
+    nearly_right,
+    offsets,
+    plausibility,
+)
 from gis_radar.calibration.check.excerpt import read_excerpts
 from gis_radar.calibration.check.explanations import compare_explanations
-from gis_radar.calibration.check.plausibility import judge
+from gis_radar.calibration.check.plausibility import RecordedSensor, check_plausibility, judge
 from gis_radar.calibration.check.rivals import GIVEN, MIRRORED, Rival, score
+from gis_radar.calibration.check.scene_change import share_of_alternating_scenes
 from gis_radar.calibration.monitoring.kalman_filter import Measurement
 from gis_radar.calibration.registration.state import State
 from gis_radar.calibration.registration.traces import NONE
@@ -346,6 +353,34 @@ def test_vehicles_that_are_all_there_from_the_first_frame_on_tell_no_moment(
     given = replace(score(excerpt, lanes), on_lane=half.astype(np.float64))
     monkeypatch.setattr("gis_radar.calibration.check.plausibility.score", lambda *_: given)
     assert judge("R1", [excerpt], lanes, {})[0].verdict == FITS
+
+
+@pytest.mark.parametrize(("offset_s", "asked"), [(0.004, False), (-1.0, True)])
+def test_the_sign_of_a_correction_is_asked_for_where_it_can_matter(
+    rows, lanes, tmp_path, monkeypatch, offset_s, asked
+):
+    apart = Finding(sensor="R1", verdict=WRONG, evidence="", advice="find the offset")
+    monkeypatch.setattr(plausibility, "odd_clocks", lambda _: {"R1": apart})
+    quiet(rows["R1"]).to_parquet(tmp_path / "R1.parquet", index=False)
+    sensor = RecordedSensor(
+        recordings=[gr.open_recording(tmp_path / "R1.parquet")], tracks=[as_track(POSES["R1"])],
+        clock=SensorClock(offset_s=offset_s),
+    )  # fmt: skip
+    (found,) = check_plausibility({"R1": sensor}, lanes)
+    assert ("is the sign right?" in found.advice) == asked
+
+
+@pytest.mark.parametrize("far_sees_near", [0.0, 0.15, 0.3])
+def test_scans_of_near_and_far_in_turn_are_of_one_sensor(far_sees_near):
+    """The one for far sees less of what is near, or nothing."""
+    rng = np.random.default_rng(1)
+    place, frame = rng.uniform([0.0, -40.0], [100.0, 40.0], (800, 2)), np.arange(400)
+    is_far, lies_far = frame % 2 == 1, np.hypot(*place.T) > 50.0
+    chance = np.where(is_far[:, None], np.where(lies_far, 0.9, far_sees_near), 0.9 * ~lies_far)
+    frames, targets = np.nonzero(rng.random(chance.shape) < chance)
+    points = np.column_stack([place[targets], np.zeros(len(targets))])
+    still = np.zeros(len(targets))
+    assert share_of_alternating_scenes(0.05 * frames, points, still) > 0.6
 
 
 def test_objects_that_are_left_out_leave_no_gaps(rows, excerpts):

@@ -124,7 +124,7 @@ def share_of_alternating_scenes(time: Floats, points: Floats, range_rate: Floats
     Frames are divided by the first principal component of which static cells they detect. Of one
     sensor both kinds detect the same cells about as often; frames of two sensors that were joined
     in one table do not. A radar that scans near and far in turn has two kinds of frames, too: only
-    sectors in which both kinds detect something are compared.
+    ranges, azimuths and sectors in which both kinds detect something are compared.
 
     Parameters
     ----------
@@ -154,14 +154,37 @@ def share_of_alternating_scenes(time: Floats, points: Floats, range_rate: Floats
     first: Booleans = np.asarray(component > 0.0)
     if np.count_nonzero(np.diff(first)) < ALTERNATING * len(first):
         return 1.0  # of a change at one moment
-    kinds = np.array([detected[first].mean(axis=0), detected[~first].mean(axis=0)])
+    return _common_share(
+        np.array([detected[first].mean(axis=0), detected[~first].mean(axis=0)]), places
+    )
+
+
+def _common_share(kinds: Floats, places: Floats) -> float:
+    """Return how much two kinds of frames have in common where both see; 1 with too few cells.
+
+    Only what each kind detects more often than elsewhere in a sector counts, as one may be less
+    sensitive there.
+
+    Parameters
+    ----------
+    kinds : (2, n) array
+        Share of the frames of either kind in which a cell is detected.
+    places : (n, 2) array
+        The cells, metres.
+    """
     polar = np.column_stack([np.hypot(*places.T), np.degrees(np.arctan2(*places.T[::-1]))])
+    views = [polar[kind >= LEAST_DETECTED] for kind in kinds]
+    low = np.max([view.min(axis=0, initial=np.inf) for view in views], axis=0)
+    high = np.min([view.max(axis=0, initial=-np.inf) for view in views], axis=0)
+    in_views: Booleans = np.asarray(((polar >= low) & (polar <= high)).all(axis=1))
+    polar, kinds = polar[in_views], kinds[:, in_views]
     sector = np.unique(np.floor(polar / SECTOR), axis=0, return_inverse=True)[1].ravel()
-    most = np.zeros((2, sector.max() + 1))
+    most = np.zeros((2, sector.max(initial=-1) + 1))
     for kind, shares in zip(most, kinds, strict=True):
         np.maximum.at(kind, sector, shares)
-    in_both: Booleans = np.asarray((most >= LEAST_DETECTED).all(axis=0))
-    both = in_both[sector]
+    both: Booleans = np.asarray((most >= LEAST_DETECTED).all(axis=0))[sector]
     if np.count_nonzero(both) < LEAST_CELLS:
         return 1.0
-    return float(kinds[:, both].min(axis=0).sum() / kinds[:, both].max(axis=0).sum())
+    sector, kinds = sector[both], kinds[:, both]
+    relative = kinds / np.array([np.bincount(sector, kind)[sector] for kind in kinds])
+    return float(relative.min(axis=0).sum() / relative.max(axis=0).sum())

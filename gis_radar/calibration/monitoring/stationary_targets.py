@@ -36,7 +36,7 @@ SEARCH_BLOCKS = 15  # blocks between searches for new targets: five minutes
 REFERENCE_BLOCKS = 30
 BLOCKS = (6, 15)  # numbers of newest blocks that are tested for a move; longer than gusts
 LEAST_TARGETS = 12  # least number of targets of a test
-WANTED_M, WANTED_RAD = 0.3, math.radians(0.5)  # shift and turn that must be detected
+WANTED_M = 0.3  # shift that must be detected
 # Least score of a significant move, from 120 hours of changing days of one radar
 # (`bench/alarm.py --seed 1`); false alarms on other hours are in docs/limits.md.
 GATE = 28.0

@@ -59,7 +59,7 @@ COMMON_S = 100.0
 
 STAGE = "finding the poses together"
 READING = "reading what moved"
-WITHOUT = Text("the other sensors have their poses; is each guess of its recording?")
+WITHOUT = Text("the other sensors have their poses; does each guess belong to its recording?")
 AWAY = "it did not record while the others did"
 
 

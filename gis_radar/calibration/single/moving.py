@@ -195,12 +195,14 @@ def refuse_equal(moving: Mapping[str, Moving]) -> None:
     InputError
         Naming two such sensors.
     """
-    places = {
-        name: np.unique(each.points[:, 0] + 1j * each.points[:, 1]) for name, each in moving.items()
+    detected = {
+        # with range rates: radars of coarse positions have many places in common on busy lanes
+        name: {*map(tuple, np.nan_to_num(np.column_stack([each.points, each.range_rate])).tolist())}
+        for name, each in moving.items()
     }
-    for (name, one), (other, found) in combinations(places.items(), 2):
-        fewer, more = sorted((one, found), key=len)
-        if len(fewer) >= LEAST_EQUAL and np.isin(fewer, more).mean() > MOST_EQUAL:
+    for (name, one), (other, found) in combinations(detected.items(), 2):
+        fewer = min(len(one), len(found))
+        if fewer >= LEAST_EQUAL and len(one & found) > MOST_EQUAL * fewer:
             raise InputError(
                 "{} and {} have the same detections", name, other,
                 hint="give each sensor its own recording",

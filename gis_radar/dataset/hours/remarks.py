@@ -38,7 +38,7 @@ from gis_radar.scans import (
 )
 from gis_radar.tracking import warn_of_poses
 
-# So much time without frames, seconds and as a share, is no matter of frames that are lost.
+# Time without frames to warn of, seconds and as a share: frames lost now and then leave less empty.
 LONG_PAUSE_S, LONG_PAUSE_SHARE = 60.0, 0.1
 LONG_CYCLE = 2.0  # least stated cycle to warn of, in measured ones: a frame is lost now and then
 SLOW_CYCLE = 1.1  # least cycle to warn of, in validities: 10 % of the steps have no valid frame
@@ -236,7 +236,7 @@ def _cycle_warnings(examined: Examined) -> Iterator[str]:
 
 
 def _pause_warnings(examined: Examined) -> Iterator[str]:
-    """Yield a warning where frames fill a recording's time by far not."""
+    """Yield a warning where frames fill far less than a recording's time."""
     times = examined.evidence.times
     span_s = (times.last_us - times.first_us) / 1e6
     filled_s = times.frames * times.cycle_us / 1e6

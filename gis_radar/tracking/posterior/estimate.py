@@ -158,8 +158,8 @@ class Posterior:
     def _set_states(self, motions: Sequence[Motion]) -> None:
         """Compute the states of motions, their pairs with detections, and their visible shares.
 
-        These arrays are most of the memory of a block: each old one is freed before the new one is
-        made.
+        These arrays are most of the memory of a block: old ones are freed as soon as no vehicle
+        takes its part from them any more.
         """
         placed = [self._placed.get(_state_key(each)) for each in motions]
         self.motions, self._placed = list(motions), {}
@@ -180,7 +180,7 @@ class Posterior:
             states.shape[rows], class_cell[rows], *found = (
                 placed[k] or self._computed(motion, states.frame[rows])
             )[1:]
-            placed[k] = None  # frees its arrays
+            placed[k] = None  # frees its arrays, or the old ones with the last part of them
             for part, each in zip(pairs, found, strict=True):
                 part.append(each)
         self._set_pairs(*pairs)
