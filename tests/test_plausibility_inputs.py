@@ -17,7 +17,14 @@ from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
 import gis_radar as gr
-from gis_radar.calibration import Finding, LaneMap, RangeScale, SensorClock
+from gis_radar.calibration import (
+    Finding,
+    LaneMap,
+    RangeScale,
+    RecordedSensor,
+    SensorClock,
+    check_plausibility,
+)
 from gis_radar.calibration.check import (
     explanations,
     fitted_pose,
@@ -27,7 +34,7 @@ from gis_radar.calibration.check import (
 )
 from gis_radar.calibration.check.excerpt import read_excerpts
 from gis_radar.calibration.check.explanations import compare_explanations
-from gis_radar.calibration.check.plausibility import RecordedSensor, check_plausibility, judge
+from gis_radar.calibration.check.plausibility import judge
 from gis_radar.calibration.check.rivals import GIVEN, MIRRORED, Rival, score
 from gis_radar.calibration.check.scene_change import share_of_alternating_scenes
 from gis_radar.calibration.monitoring.kalman_filter import Measurement
