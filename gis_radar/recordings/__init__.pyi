@@ -4,14 +4,13 @@ from .frame_clock import AGREEING_S
 from .frames import DamagedError, Frame, ReaderContext
 from .overlaps import time_warnings
 from .raw_rows import RawRows, read_raw
-from .recording import LEAST_CONSTANT, Detections, RangeCounts, Recording, has_height
+from .recording import Detections, RangeCounts, Recording, constant_value, has_height
 from .units import FARTHEST_RADAR_M
 from .window import RollingWindow
 
 __all__ = [
     "AGREEING_S",
     "FARTHEST_RADAR_M",
-    "LEAST_CONSTANT",
     "Conversion",
     "DamagedError",
     "Detections",
@@ -23,6 +22,7 @@ __all__ = [
     "RollingWindow",
     "as_recording",
     "as_recordings",
+    "constant_value",
     "convert",
     "format_of",
     "has_height",

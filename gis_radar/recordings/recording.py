@@ -210,8 +210,7 @@ class Recording:
         """Return whether the sensor measures elevation: whether first detections have various z."""
         for rows in self.read():
             if rows.present.any():
-                z = rows.points[rows.present, 2]
-                return has_height(rows) and not (len(z) >= LEAST_CONSTANT and (z == z[0]).all())
+                return has_height(rows) and constant_value(rows.points[:, 2]) is None
         return True
 
     def require_elevation(self, what: str) -> None:
@@ -239,6 +238,14 @@ class Recording:
 def has_height(rows: Detections) -> bool:
     """Return whether the first detection, and so all of a recording, has a height."""
     return bool(np.isfinite(rows.points[rows.present, 2][0]))
+
+
+def constant_value(column: Floats) -> float | None:
+    """Return the value of a column that is the same in all of many detections; else None."""
+    known = column[np.isfinite(column)]
+    if len(known) < LEAST_CONSTANT or (known != known[0]).any():
+        return None
+    return float(known[0]) + 0.0  # no -0
 
 
 def open_table(path: Path) -> Recording:

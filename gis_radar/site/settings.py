@@ -311,9 +311,9 @@ class Site(TomlTable):
     def _require_own_recordings(self) -> None:
         """Refuse a file that two sensors name, unless it is converted: it may hold several."""
         owner: dict[Path, str] = {}
-        for place, each in enumerate(self.sensor):
-            for path in set(each.recordings) - set(each.foreign):
-                if (other := owner.setdefault(path, each.name)) != each.name:
+        for place, sensor in enumerate(self.sensor):
+            for path in (each for each in sensor.recordings if each not in sensor.foreign):
+                if (other := owner.setdefault(path, sensor.name)) != sensor.name:
                     raise Unfit(
                         message=Text("{} is a recording of {}, too", path.name, other),
                         hint=Text("each sensor has recordings of its own"),

@@ -26,7 +26,7 @@ from gis_radar.calibration.registration.traces import (
 from gis_radar.calibration.single.moving import NO_OFFSET, recorded_between
 from gis_radar.calibration.timing.clocks import SensorClock
 from gis_radar.poses import Pose, PoseTrack
-from gis_radar.recordings import LEAST_CONSTANT, Detections, Recording
+from gis_radar.recordings import Detections, Recording, constant_value
 
 SEGMENT_S = 20.0  # length of a segment: a vehicle crosses the view in it
 LEAST_SEGMENTS = 5  # together as long as the window of a localization
@@ -347,12 +347,9 @@ def _longest_frozen_run(rows: _Rows) -> tuple[float, float, int] | None:
 
 def _constant_columns(rows: _Rows) -> dict[str, float]:
     """Return those of `range_rate` and `z` that are the same in all detections, with the value."""
-    constant = dict[str, float]()
-    for name, column in (("range_rate", rows.range_rate), ("z", rows.points[:, 2])):
-        known = column[np.isfinite(column)]
-        if len(known) >= LEAST_CONSTANT and (known == known[0]).all():
-            constant[name] = float(known[0]) + 0.0  # no -0
-    return constant
+    columns = {"range_rate": rows.range_rate, "z": rows.points[:, 2]}
+    values = {name: constant_value(column) for name, column in columns.items()}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _duplicate_share(moving: Moving, source: Integers) -> float:

@@ -69,14 +69,11 @@ class Frames:
 
     def during(self, motion: Motion) -> Integers:
         """Return the frames of all sensors within the time of a motion, by sensor and time."""
-        return self.between((motion.first_step - 0.5) * STEP_S, (motion.last_step + 0.5) * STEP_S)
-
-    def between(self, begin: float, end: float) -> Integers:
-        """Return the frames of all sensors between two times, by sensor and time."""
+        edges = [(motion.first_step - 0.5) * STEP_S, (motion.last_step + 0.5) * STEP_S]
         spans = zip(self.begin[:-1].tolist(), self.begin[1:].tolist(), strict=True)
         parts = []
         for low, high in spans:
-            inside = low + np.searchsorted(self.time[low:high], [begin, end])
+            inside = low + np.searchsorted(self.time[low:high], edges)
             parts.append(np.arange(inside[0], inside[1]))
         return np.concatenate(parts)
 
