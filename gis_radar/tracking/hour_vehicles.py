@@ -115,6 +115,7 @@ def _with_motions(
     if len(first) < 2:
         for (begin, _), block in chain(first, blocks):
             yield begin, block, _motions(block.detections, graph)
+            del block  # before the next one is read
         return
     waiting = deque[tuple[int, Block, "Future[list[Motion]]"]]()
     with worker_pool(processes, _start_worker, graph) as pool:
