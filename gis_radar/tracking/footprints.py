@@ -468,4 +468,4 @@ def occupied_runs(  # noqa: PLR0917
                 out[done, 1:] = run
                 done += 1
             run[0], run[1], run[2] = now, now, stamps[tile, 2]
-    return out[:done]
+    return out[:done].copy()  # its end is empty
