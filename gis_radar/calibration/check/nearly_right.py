@@ -14,6 +14,7 @@ from gis_radar.calibration.check.fitted_pose import (
     OFF_DEG,
     OFF_M,
     TOO_FAR,
+    FittedPose,
     Off,
     discrepancy,
     fit_pose,
@@ -30,6 +31,8 @@ from gis_radar.calibration.findings import (
     Finding,
     judged,
 )
+from gis_radar.calibration.registration.hypotheses import LOOK_SCALE_M, few_samples
+from gis_radar.calibration.registration.solver import cost_at
 from gis_radar.calibration.unit_mistakes import LEAST_WRONG, RangeScale
 
 TRIED_SIGMAS = np.linspace(-2.0, 2.0, 9)  # tried scales of range, in standard errors of the measure
@@ -68,7 +71,7 @@ def judge_offset(
     if offs:
         evidence, verdict, cause = _stated(offs, finding.evidence)
         by_ranges = scale is not None and any(each.least == OFF_M for each in offs)
-        lengths = _fitting_scale(excerpt, lanes, scale) if scale and by_ranges else ()
+        lengths = _fitting_scale(excerpt, lanes, fitted, scale) if scale and by_ranges else ()
         return judged(verdict, evidence, cause, *lengths)
     open_errors = hidden(fitted.pose, fitted.seen, fitted.centre)
     if finding.cause or not open_errors:
@@ -80,14 +83,21 @@ def judge_offset(
     return judged(UNKNOWN, evidence, Cause("", Text("record more traffic, on crossing lanes, too")))
 
 
-def _fitting_scale(excerpt: Excerpt, lanes: LaneMap, measured: RangeScale) -> tuple[Cause, ...]:
+def _fitting_scale(
+    excerpt: Excerpt, lanes: LaneMap, fitted: FittedPose, measured: RangeScale
+) -> tuple[Cause, ...]:
     """Return as causes the scale of range, within its error, with which the given pose fits."""
+    few = few_samples(fitted.scene)
+
+    def cost(factor: float) -> float:
+        scaled = replace(few.samples, points=few.samples.points / factor)
+        return cost_at(few.of(scaled), fitted.centre, scale_m=LOOK_SCALE_M)
+
     factors: list[float] = (measured.factor + measured.sigma * TRIED_SIGMAS).tolist()
-    tried = [Mistake(scale=each) for each in factors]
-    best = max(tried, key=lambda each: each.score(excerpt, lanes).log_likelihood.sum())
-    if abs(best.scale - 1.0) <= LEAST_WRONG or not fits_if(excerpt, lanes, best):
+    best = min(factors, key=cost)
+    if abs(best - 1.0) <= LEAST_WRONG or not fits_if(excerpt, lanes, Mistake(scale=best)):
         return ()
-    return replace(measured, factor=best.scale).causes
+    return replace(measured, factor=best).causes
 
 
 def _stated(offs: list[Off], evidence: str) -> tuple[Text, str, Cause]:
