@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from gis_radar.base import Floats, Text
+from gis_radar.base import Floats, Integers, Text
 
 
-def detection_keys(*columns: Floats) -> NDArray[np.uint64]:
+def detection_keys(*columns: Floats | Integers) -> NDArray[np.uint64]:
     """Return a number for each detection; equal detections, by all given columns, have equal ones.
 
     Parameters
@@ -22,7 +22,7 @@ def detection_keys(*columns: Floats) -> NDArray[np.uint64]:
         Such as positions and range rates.
     """
     values = pd.DataFrame(np.nan_to_num(np.column_stack(columns)))
-    return pd.util.hash_pandas_object(values, index=False).to_numpy()
+    return np.asarray(pd.util.hash_pandas_object(values, index=False), dtype=np.uint64)
 
 
 def keys_in_common(

@@ -74,7 +74,7 @@ def _constant(rows: Rows) -> Finding | None:
 def _duplicated(rows: Rows, moves: Booleans) -> Finding | None:
     """Return the finding on moving detections that repeat another one of recording and frame."""
     keys = detection_keys(rows.source, rows.time, rows.points, rows.range_rate)[moves]
-    share = 1.0 - len(np.unique(keys)) / max(len(keys), 1)
+    share = (len(keys) - len(np.unique(keys))) / max(len(keys), 1)
     if share <= MOST_DUPLICATES:
         return None
     cause = Cause(
