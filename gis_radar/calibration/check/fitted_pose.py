@@ -301,15 +301,13 @@ def hidden(pose: Pose, seen: Measurement, centre: State) -> list[Text]:
     of_place, of_yaw = (each for each, _ in mistakes_apart(seen, centre))
     off_m, sigma_m = _aside(of_place, centre)
     values, axes = np.linalg.eigh(of_place.covariance[:2, :2])
-    widest_m, axis = OFF_SIGMAS * float(np.sqrt(values[-1])), axes[:, -1]
-    most_m = off_m + LIKELY * sigma_m
-    if most_m > widest_m:
-        axis = (of_place.position - centre.position)[:2]
+    widest = OFF_SIGMAS * float(np.sqrt(values[-1])), axes[:, -1]
+    likely = off_m + LIKELY * sigma_m, (of_place.position - centre.position)[:2]
+    most_m, axis = max(widest, likely, key=lambda each: each[0])
     found = []
-    if max(widest_m, most_m) > SHOWS_M:
+    if most_m > SHOWS_M:
         sides = side(*axis), side(*-axis)
-        shown_m = min(max(widest_m, most_m), FARTHEST_M)
-        found.append(Text("{:.1f} m to the {} or {}", shown_m, *sides))
+        found.append(Text("{:.1f} m to the {} or {}", min(most_m, FARTHEST_M), *sides))
     turns = turns_of(pose, of_yaw)
     for name, (turn, sigma), least in zip(TURNS, turns, SHOWS_DEG, strict=True):
         most_deg = max(OFF_SIGMAS * sigma, abs(turn) + LIKELY * sigma)
