@@ -36,8 +36,7 @@ from gis_radar.base import Floats
 from gis_radar.calibration import FITS, UNKNOWN, Finding, LaneMap
 from gis_radar.calibration.check.excerpt import Excerpt, read_excerpts
 from gis_radar.calibration.check.explanations import BESIDE_LANES
-from gis_radar.calibration.check.fitted_pose import fit_pose, mistakes_apart
-from gis_radar.calibration.check.offsets import OFF_SIGMAS, turns_of
+from gis_radar.calibration.check.fitted_pose import OFF_SIGMAS, fit_pose, mistakes_apart, turns_of
 from gis_radar.calibration.check.plausibility import judge
 from gis_radar.calibration.findings import UNKNOWN_CAUSE
 from gis_radar.poses import as_track
@@ -238,7 +237,7 @@ def outcome(case: Case, found: Finding) -> str:
         return "silent" if case.name not in RIGHT else ""
     if any(part in found.cause for part in case.says):
         return "right cause"
-    return "unknown" if found.cause.endswith((UNKNOWN_CAUSE, BESIDE_LANES)) else "wrong cause"
+    return "unknown" if found.cause.endswith((UNKNOWN_CAUSE, BESIDE_LANES.text)) else "wrong cause"
 
 
 def judged(place: Place, sensor: str, case: Case) -> tuple[Finding, Excerpt, float]:

@@ -14,7 +14,7 @@ import gis_radar as gr
 from gis_radar.base import Text, in_language
 from gis_radar.base.languages import catalogue
 from gis_radar.calibration import SENSOR_STATES
-from gis_radar.calibration.findings import CLOCKS_APART, wrong
+from gis_radar.calibration.findings import CLOCKS_APART, Cause, wrong
 from gis_radar.live import Fusion, Link, SensorHealth, alerts, read_live_site
 from gis_radar.live.alerts import CAUSES, HOLD_S, WELL, Alerts, Webhook
 from gis_radar.live.wire.settings import webhook_address
@@ -140,7 +140,7 @@ def test_a_link_that_comes_back_and_a_sensor_that_flaps_send_no_message_each_tim
         ({"silent": "for 9 s", "off_time": "frames of 1970"}, "clock off"),
         ({"silent": "for 9 s", "refused": "tiles a, expected b"}, "silent"),
         ({"pose": "does not fit", "clock": "+50 ms"}, "pose doubtful"),
-        ({"pose": wrong("3 s", Text(CLOCKS_APART, "R2"), "").text_with_advice}, "clock off"),
+        ({"pose": wrong("3 s", Cause(Text(CLOCKS_APART, "R2"), "")).text_with_advice}, "clock off"),
         ({"clock": "+50 ms"}, "clock off"),
         ({"damaged": "number 5", "twins": "two", "off_time": "one frame"}, "works"),
     ],

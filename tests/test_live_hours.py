@@ -16,7 +16,7 @@ from live_site import wait_for
 
 import gis_radar as gr
 from gis_radar.base import InputError, step_begin
-from gis_radar.calibration.findings import wrong
+from gis_radar.calibration.findings import Cause, wrong
 from gis_radar.dataset import hour_text, read_hours
 from gis_radar.live import HOUR_OFFSET_US, HOUR_US, QuarterMeasures, recording_path
 from gis_radar.live.hours import hour_work
@@ -120,7 +120,7 @@ def test_a_check_that_fails_loses_nothing_of_the_hour(tmp_path):
 
 
 def test_an_hour_that_is_made_again_says_nothing_of_the_pose_of_now(tmp_path):
-    made, found = SpooledSite(tmp_path), replace(wrong("few", "turned", "turn"), sensor="R1")
+    made, found = SpooledSite(tmp_path), replace(wrong("few", Cause("turned", "turn")), sensor="R1")
     later = recorded_at(made, FULL_US + HOUR_US - 5_000_000, ["R1"], seconds=4.0)
     told = make_hours(made.site, later, [HOUR + 1], check=lambda *_: (found,))
     assert list(told.doubts) == ["R1"]

@@ -91,7 +91,12 @@ def test_other_units_are_named(tmp_path, named, time, points, rate):
             "multiply x, y and z of all detections by 0.3048",
         ),
         (1.0 / 0.9144, 1.0, r"1\.09\d .* positions look like yards", "by 0.9144"),
-        (1.05, 1.0, r"1\.05\d \xb1 0\.0[01]\d times as fast as .* \(\d+ vehicles\)", "metres"),
+        (
+            1.05,
+            1.0,
+            r"1\.05\d \xb1 0\.0[01]\d times .* \(\d+ vehicles\): ranges are 5\.\d% too long, .*",
+            "by 1.05",
+        ),
         (1.0, 3.6, r"0\.27\d .* range rates look like km/h", "divide range_rate by 3.6"),
         (1.0, -1.0, r"-1\.00\d .* range rates look positive where targets approach", "the sign"),
     ],

@@ -25,8 +25,8 @@ from gis_radar.calibration import (
     check_plausibility,
     refuse_implausible,
 )
-from gis_radar.calibration.check.rivals import other_pose
-from gis_radar.calibration.findings import wrong
+from gis_radar.calibration.check.mistakes import other_pose
+from gis_radar.calibration.findings import Cause, wrong
 from gis_radar.poses import PoseTrack, as_track
 
 SAMPLE = gr.sample_folder()
@@ -117,7 +117,7 @@ MISTAKES = {
     "upside down": (POSES["R1"], upside_down, "roll is off by 180 deg, or y points", "y and z"),
     "no z": (POSES["R1"], times("z", 0.0), "z was not measured", "leave z empty"),
     "no rate": (POSES["R1"], constant_rate, "range_rate was not measured", "leave range_rate"),
-    "two sensors": (OTHER, joined, "frames of two sensors", "a recording of its own"),
+    "two sensors": (OTHER, joined, "cause unknown", "the recording is of one sensor"),
     "ellipsoid": (turned("height", POSES["R1"].height + 45.0), None, "ellipsoid", "to 520"),
     "km/h": (POSES["R1"], times("range_rate", 3.6), "range rates look like km/h", "by 3.6"),
     "cm/s": (POSES["R1"], times("range_rate", 100.0), "cm/s or mm/s", "m/s"),
@@ -159,7 +159,9 @@ def test_a_pose_a_metre_off_is_doubted_not_refused(tmp_path, tiles, rows):
 
 
 def test_who_is_accepted_lets_no_other_pass_and_each_doubt_is_told():
-    one, other = (replace(wrong("few", "turned", "turn"), sensor=name) for name in ("R1", "R2"))
+    one, other = (
+        replace(wrong("few", Cause("turned", "turn")), sensor=name) for name in ("R1", "R2")
+    )
     with pytest.raises(ImplausibleError, match=r"^R2: does not fit") as caught:
         refuse_implausible([one, other], ["R1"], Listener())
     assert caught.value.findings == (other,)
@@ -187,7 +189,7 @@ def test_findings_on_several_times_join_alike_in_any_order():
         found = reduce(Finding.joined, order)
         assert (found.evidence, found.since[:10]) == ("of day 4", "2026-10-02")
     assert reduce(Finding.joined, days[::2]) == days[2]
-    turned = replace(wrong("few", "turned", "turn"), sensor="R1")
+    turned = replace(wrong("few", Cause("turned", "turn")), sensor="R1")
     assert turned.joined(days[3]) == days[3].joined(turned) == turned
 
 
@@ -420,4 +422,4 @@ def test_a_pitch_that_the_traffic_does_not_show_is_not_said_to_fit(tmp_path, min
 )
 def test_a_pose_that_is_tilted_is_said_to_be(there, named):
     pose = replace(gr.read_pose(gr.sample_folder() / "R1.json"), yaw=0.0, pitch=3.0, roll=0.0)
-    assert named in other_pose(pose, replace(pose, **there)).cause
+    assert named in other_pose(pose, replace(pose, **there)).causes[0].text

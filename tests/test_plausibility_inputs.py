@@ -25,22 +25,17 @@ from gis_radar.calibration import (
     SensorClock,
     check_plausibility,
 )
-from gis_radar.calibration.check import (
-    explanations,
-    fitted_pose,
-    nearly_right,
-    offsets,
-    plausibility,
-)
+from gis_radar.calibration.check import explanations, fitted_pose, nearly_right, plausibility
+from gis_radar.calibration.check.evidence import score
 from gis_radar.calibration.check.excerpt import read_excerpts
 from gis_radar.calibration.check.explanations import compare_explanations
+from gis_radar.calibration.check.mistakes import MIRRORED, NONE, Mistake
 from gis_radar.calibration.check.plausibility import judge
-from gis_radar.calibration.check.rivals import GIVEN, MIRRORED, Rival, score
-from gis_radar.calibration.check.scene_change import share_of_alternating_scenes
+from gis_radar.calibration.findings import Cause
 from gis_radar.calibration.monitoring.kalman_filter import Measurement
 from gis_radar.calibration.registration.state import State
-from gis_radar.calibration.registration.traces import NONE
-from gis_radar.calibration.unit_mistakes import FEET, YARDS
+from gis_radar.calibration.registration.traces import NONE as NO_TRACK
+from gis_radar.calibration.unit_mistakes import FEET, USUAL_MISTAKES
 from gis_radar.poses import PoseTrack, as_track
 
 SAMPLE = gr.sample_folder()
@@ -233,11 +228,12 @@ def test_a_turn_that_a_shift_would_hide_shows_where_the_place_is_surveyed():
     turned = Rotation.from_euler("z", 1.2, degrees=True).as_quat()
     seen = Measurement(position=np.zeros(3), quaternion=turned, covariance=spread, noise=spread)
     ways = [
-        offsets.offs_of(pose, each, centre) for each in fitted_pose.single_mistakes(seen, centre)
+        fitted_pose.offs_of(pose, each, centre)
+        for each in fitted_pose.single_mistakes(seen, centre)
     ]
     assert any(yaw.far and abs(yaw.amount - 1.2) < 2.0 * yaw.sigma for _, yaw, *_ in ways)
     assert any(abs(place.amount - 1.2 / 0.7) < 2.0 * place.sigma for place, *_ in ways)
-    assert not any(each.far for each in offsets.offs_of(pose, seen, centre))
+    assert not any(each.far for each in fitted_pose.offs_of(pose, seen, centre))
 
 
 @pytest.mark.parametrize(
@@ -261,7 +257,7 @@ def test_it_is_said_how_a_sensor_would_have_to_be_moved(given, told):
         position=away, quaternion=np.array([0.0, 0.0, 0.0, 1.0]), covariance=spread, noise=spread
     )
     centre = State(position=np.zeros(3), R_map_sensor=pose.R_map_sensor, reflection=0.7)
-    assert [each.text for each in offsets.offs_of(pose, seen, centre) if each.far] == [told]
+    assert [each.text for each in fitted_pose.offs_of(pose, seen, centre) if each.far] == [told]
 
 
 @pytest.mark.parametrize(("turn", "named"), [(180.0, True), (178.0, False)])
@@ -269,10 +265,12 @@ def test_a_cause_is_named_only_if_all_fits_once_it_is_corrected(
     rows, excerpts, lanes, monkeypatch, turn, named
 ):
     """Two degrees beside the right yaw most vehicles still drive along lanes."""
-    mistake = Rival(cause="of a test", turned=lambda pose: replace(pose, yaw=pose.yaw + turn))
-    monkeypatch.setattr(explanations, "usual_mistakes", lambda *_: [mistake])
+    mistake = Mistake(
+        causes=(Cause("of a test", ""),), pose=lambda pose: replace(pose, yaw=pose.yaw + turn)
+    )
+    monkeypatch.setattr(explanations, "usual_mistakes", lambda *_, **__: [mistake])
     excerpt = next(excerpts(rows["R1"], replace(POSES["R1"], yaw=POSES["R1"].yaw + 180.0)))
-    assert score(excerpt, lanes, mistake).share > explanations.LEAST_SHARE
+    assert mistake.score(excerpt, lanes).share > explanations.LEAST_SHARE
     found = compare_explanations(excerpt, lanes, {})
     assert found.verdict == WRONG
     assert ("of a test" in found.cause) is named
@@ -290,13 +288,13 @@ def test_signs_that_are_lost_show_where_few_approach(rows, excerpts, lanes, lost
     assert found.cause == ("range rates look like absolute values" if lost else "")
 
 
-@pytest.mark.parametrize(("factor", "verdict"), [(1.0, FITS), (FEET.factor, WRONG)])
+@pytest.mark.parametrize(("factor", "verdict"), [(1.0, FITS), (USUAL_MISTAKES[FEET], WRONG)])
 def test_feet_are_named_by_lanes_where_range_rates_do_not_tell(
     rows, excerpts, lanes, factor, verdict
 ):
     table = rows["R1"].assign(**{name: factor * rows["R1"][name] for name in "xyz"})
     excerpt = next(excerpts(table))
-    found = compare_explanations(excerpt, lanes, {}, (FEET, YARDS))
+    found = compare_explanations(excerpt, lanes, {}, units_known=False)
     assert found.verdict == verdict
     assert ("positions look like feet" in found.cause) is (verdict == WRONG)
     if verdict == WRONG:
@@ -320,8 +318,8 @@ def test_a_mirrored_map_and_another_place_are_two_mistakes():
     pose = POSES["R1"]
     for east_m, twofold in ((0.5, False), (12.0, True)):
         there = replace(pose, easting=pose.easting + east_m)
-        assert replace(MIRRORED.by(pose, there), fitted=6).assumes_two_mistakes(pose) is twofold
-        assert not replace(GIVEN.by(pose, there), fitted=6).assumes_two_mistakes(pose)
+        assert replace(MIRRORED.by(pose, there), fitted=6).is_twofold(pose) is twofold
+        assert not replace(NONE.by(pose, there), fitted=6).is_twofold(pose)
 
 
 def test_a_doubted_pose_may_be_ranges_that_are_too_long(rows, excerpts, lanes):
@@ -377,19 +375,6 @@ def test_the_sign_of_a_correction_is_asked_for_where_it_can_matter(
     assert ("is the sign right?" in found.advice) == asked
 
 
-@pytest.mark.parametrize("far_sees_near", [0.0, 0.15, 0.3])
-def test_scans_of_near_and_far_in_turn_are_of_one_sensor(far_sees_near):
-    """The one for far sees less of what is near, or nothing."""
-    rng = np.random.default_rng(1)
-    place, frame = rng.uniform([0.0, -40.0], [100.0, 40.0], (800, 2)), np.arange(400)
-    is_far, lies_far = frame % 2 == 1, np.hypot(*place.T) > 50.0
-    chance = np.where(is_far[:, None], np.where(lies_far, 0.9, far_sees_near), 0.9 * ~lies_far)
-    frames, targets = np.nonzero(rng.random(chance.shape) < chance)
-    points = np.column_stack([place[targets], np.zeros(len(targets))])
-    still = np.zeros(len(targets))
-    assert share_of_alternating_scenes(0.05 * frames, points, still) > 0.6
-
-
 def test_objects_that_are_left_out_leave_no_gaps(rows, excerpts):
     """What was seen from a place that is not the usual one; numbers are places of arrays."""
     since = np.array([0.0, rows["R1"]["time"].iloc[0] + 15.0])
@@ -397,7 +382,7 @@ def test_objects_that_are_left_out_leave_no_gaps(rows, excerpts):
     excerpt = next(excerpts(rows["R1"], track))
     moving, number = excerpt.as_usual
     assert 0 < len(moving) < len(excerpt.moving)
-    known = np.unique(number[number != NONE])
+    known = np.unique(number[number != NO_TRACK])
     assert list(known) == list(range(len(known)))
     until, since = excerpt.split_at(float(rows["R1"]["time"].iloc[0]) + 20.0)
     assert len(until.moving) + len(since.moving) == len(excerpt.moving)

@@ -133,7 +133,7 @@ def test_one_vehicle_that_carries_the_scale_makes_it_uncertain():
 )
 def test_a_unit_is_told_with_its_exact_factor(factor, looks, advice):
     scale = RangeScale(factor=1.003 * factor, sigma=0.003 * factor, vehicles=30)
-    assert scale.likely.endswith(looks)
+    assert scale.causes[-1].text.endswith(looks)
     with pytest.raises(NoAnswerError, match=looks) as caught:
         scale.require_one("R1")
     assert caught.value.hint == advice
@@ -141,8 +141,9 @@ def test_a_unit_is_told_with_its_exact_factor(factor, looks, advice):
 
 def test_units_that_are_as_likely_are_all_told():
     scale = RangeScale(factor=0.507, sigma=0.006, vehicles=30)
-    assert "doubled" in scale.likely
-    assert "knots" in scale.likely
+    likely = " ".join(each.text for each in scale.causes)
+    assert "doubled" in likely
+    assert "knots" in likely
 
 
 def test_too_little_traffic_has_no_scale(right):

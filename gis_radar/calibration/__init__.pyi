@@ -1,5 +1,5 @@
+from .check.evidence import LaneMap
 from .check.plausibility import RecordedSensor, check_plausibility, check_recordings
-from .check.rivals import LaneMap
 from .findings import (
     FITS,
     HEADS,

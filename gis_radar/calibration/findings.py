@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from gis_radar.base import NoAnswerError, Reporter, Text
+
+
+class Cause(NamedTuple):
+    """What is probably wrong, and what to do about it."""
+
+    text: str
+    advice: str
+
 
 FITS, FITS_BUT, WRONG = Text("fits"), Text("fits, but"), Text("does not fit")
 UNKNOWN = Text("too little traffic to tell")
@@ -18,8 +26,12 @@ SENSOR_STATES = (
     Text("gaps"), Text("pose not confirmed"), Text("works"),
 )  # fmt: skip
 """States of a sensor, worst first: of a city's month, and of the live system's alerts."""
-ONE_PLACE = Text(
-    "check that map, pose and recording are of one place, and find the pose with gis-radar localize"
+NOT_ONE_PLACE = Cause(
+    UNKNOWN_CAUSE,
+    Text(
+        "check that map, pose and recording are of one place and the recording is of one sensor, "
+        "and find the pose with gis-radar localize"
+    ),
 )
 CLOCKS_APART = "its clock and that of {} are apart"
 HEADS = (Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do"))
@@ -153,24 +165,29 @@ def is_record(value: object) -> bool:
     )
 
 
-def wrong(evidence: str, cause: str, advice: str) -> Finding:
-    """Return the finding that a sensor does not fit; the caller adds the sensor's name."""
-    return Finding(sensor="", verdict=WRONG, evidence=evidence, cause=cause, advice=advice)
-
-
-def join_mistakes(mistakes: Iterable[tuple[str, str]]) -> tuple[Text, Text]:
-    """Join equally likely mistakes into one cause ("a or b") and one advice ("a: ...; b: ...").
+def judged(verdict: str, evidence: str, *causes: Cause) -> Finding:
+    """Return the finding of equally likely causes; the caller adds the sensor's name.
 
     Parameters
     ----------
-    mistakes : iterable of (cause, advice)
-        The mistakes, likeliest first.
+    verdict : str
+        `FITS`, `WRONG` or `UNKNOWN`.
+    evidence : str
+        The numbers behind it.
+    *causes : Cause
+        What is probably wrong, likeliest first; several are joined: "a or b", "a: do; b: do".
     """
-    named = list(mistakes)
-    cause = Text(" or ").join(cause for cause, _ in named)
-    if len(named) < 2:
-        return cause, Text("").join(advice for _, advice in named)
-    return cause, Text("; ").join(Text("{}: {}", *each) for each in named)
+    cause = Text(" or ").join(each.text for each in causes)
+    advices = [each.advice if len(causes) == 1 else Text("{}: {}", *each) for each in causes]
+    return Finding(
+        sensor="", verdict=verdict, evidence=evidence, cause=cause,
+        advice=Text("; ").join(advices),
+    )  # fmt: skip
+
+
+def wrong(evidence: str, *causes: Cause) -> Finding:
+    """Return the finding that a sensor does not fit, for one of some causes."""
+    return judged(WRONG, evidence, *causes)
 
 
 def side(east: float, north: float) -> Text:

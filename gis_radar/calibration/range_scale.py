@@ -94,7 +94,7 @@ def measure_range_scale(moving: Moving) -> RangeScale | None:
     searched = _search_factor(moving)
     if searched is None:
         return None
-    factor, absolute = searched
+    factor, absolute, one_sign = searched
     for _ in range(ROUNDS):
         tracks = _link_scaled(moving, factor)
         if absolute:
@@ -109,11 +109,12 @@ def measure_range_scale(moving: Moving) -> RangeScale | None:
         sigma=sigma,
         vehicles=vehicles,
         absolute=absolute,
+        one_sign=one_sign,
     )
 
 
-def _search_factor(moving: Moving) -> tuple[float, bool] | None:
-    """Return the factor that most pairs of detections show, and whether signs are lost."""
+def _search_factor(moving: Moving) -> tuple[float, bool, bool] | None:
+    """Return the factor that most pairs show, whether signs are lost, and whether one occurs."""
     rate = moving.range_rate
     if len(rate) == 0:
         return None
@@ -132,7 +133,7 @@ def _search_factor(moving: Moving) -> tuple[float, bool] | None:
     if peak * abs(factor) < LEAST_PAIRS:
         return None
     one_sign = bool((rate > 0.0).all() or (rate < 0.0).all())
-    return factor, one_sign and rarer > BOTH_SIGNS * peak
+    return factor, one_sign and rarer > BOTH_SIGNS * peak, one_sign
 
 
 def _pair_ratios(time: Floats, points: Floats, rate: Floats) -> Floats:

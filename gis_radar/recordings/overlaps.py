@@ -1,4 +1,4 @@
-"""Warn of recordings of one sensor that overlap, and of sensors without any time in common."""
+"""What recordings have in common: detections or frames of two sensors, and time."""
 
 from __future__ import annotations
 
@@ -6,7 +6,44 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 
-from gis_radar.base import Text
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from gis_radar.base import Floats, Integers, Text
+
+
+def detection_keys(*columns: Floats | Integers) -> NDArray[np.uint64]:
+    """Return a number for each detection; equal detections, by all given columns, have equal ones.
+
+    Parameters
+    ----------
+    *columns : (n,) or (n, m) array
+        Such as positions and range rates.
+    """
+    values = pd.DataFrame(np.nan_to_num(np.column_stack(columns)))
+    return np.asarray(pd.util.hash_pandas_object(values, index=False), dtype=np.uint64)
+
+
+def keys_in_common(
+    keys: Mapping[str, NDArray[np.uint64]],
+) -> Iterator[tuple[str, str, NDArray[np.uint64]]]:
+    """Yield two sensors and the keys that both have, where they have any.
+
+    Parameters
+    ----------
+    keys : mapping of str to array
+        Keys of detections, or of frames, by sensor.
+    """
+    distinct = {name: np.unique(each) for name, each in keys.items()}
+    every = np.concatenate([np.empty(0, np.uint64), *distinct.values()])
+    values, counts = np.unique(every, return_counts=True)
+    shared = values[counts > 1]  # usually few, so that comparing all pairs of sensors is cheap
+    found = {name: np.intersect1d(each, shared) for name, each in distinct.items()}
+    for name, other in combinations([name for name, each in found.items() if len(each)], 2):
+        common = np.intersect1d(found[name], found[other])
+        if len(common):
+            yield name, other, common
 
 
 def time_warnings(recorded: Mapping[str, Sequence[tuple[float, float, Path]]]) -> Iterator[str]:

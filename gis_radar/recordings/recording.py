@@ -32,7 +32,7 @@ from gis_radar.recordings.units import refuse_positions_in_other_units, refuse_w
 
 COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
 SENSOR = b"gis_radar.sensor"  # key of a file's metadata
-LEAST_CONSTANT = 1000  # so many detections of one value are no chance
+LEAST_CONSTANT = 100  # so many detections of one value are no chance
 FARTHEST_M = 1e6  # no radar sees so far, and point cloud files hold no farther coordinates
 
 

@@ -15,12 +15,11 @@ import pyarrow.parquet as pq
 
 from gis_radar.base import InputError, output_errors
 from gis_radar.recordings.frames import Column, Frame
-from gis_radar.recordings.recording import SENSOR
+from gis_radar.recordings.recording import SENSOR, constant_value
 from gis_radar.recordings.units import refuse_positions_in_other_units, refuse_whole_seconds
 
 ROWS_IN_GROUP = 1 << 17  # held in memory until written: 4 MB of our columns
 CORE = ("x", "y", "z", "range_rate", "rcs")
-LEAST_LEVEL = 100  # detections at z = 0 m, and none elsewhere, that show: elevation is not measured
 _NOWHERE = np.full((1, 3), np.nan, dtype=np.float32)
 _UNKNOWN = np.full(1, np.nan, dtype=np.float32)
 
@@ -153,7 +152,7 @@ def _measures_elevation(frames: list[Frame]) -> bool | None:
     given = heights[np.isfinite(heights)]
     if len(given) == 0:
         return None if len(heights) == 0 else False
-    return bool(given.any()) or len(given) < LEAST_LEVEL
+    return constant_value(given) != 0.0
 
 
 def _table(timed: list[tuple[float, Frame]], schema: pa.Schema | None) -> pa.Table:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gis_radar.base import Booleans, Floats, Integers, iso_from_step, step_of
-from gis_radar.calibration.check.scene_change import (
-    SceneChange,
-    detect_scene_change,
-    share_of_alternating_scenes,
-)
+from gis_radar.base import Booleans, Floats, Integers
+from gis_radar.calibration.check.faults import Rows, find_fault
+from gis_radar.calibration.check.scene_change import SceneChange, detect_scene_change
+from gis_radar.calibration.findings import Finding
 from gis_radar.calibration.registration.traces import (
     MIN_SPEED_MPS,
     MOST_WALKERS,
@@ -26,7 +23,7 @@ from gis_radar.calibration.registration.traces import (
 from gis_radar.calibration.single.moving import NO_OFFSET, recorded_between
 from gis_radar.calibration.timing.clocks import SensorClock
 from gis_radar.poses import Pose, PoseTrack
-from gis_radar.recordings import Detections, Recording, constant_value
+from gis_radar.recordings import Detections, Recording
 
 SEGMENT_S = 20.0  # length of a segment: a vehicle crosses the view in it
 LEAST_SEGMENTS = 5  # together as long as the window of a localization
@@ -36,9 +33,6 @@ LEAST_VEHICLES = 10  # fewer give no verdict
 CYCLING_MPS = 7.0  # 25 km/h: cyclists ride at 5 m/s on average, motors of pedelecs stop at 7
 SAME_PLACE_M = 1.0  # poses of a pose track that are farther apart are different places
 PER_TRACK = 40  # most detections that a track keeps: more add no information
-# So many detections faster than this (m/s) cannot be vehicles, in m/s or in km/h.
-TOO_FAST_MPS, LEAST_TOO_FAST = 300.0, 30
-LEAST_REPEATED = 2  # smaller frames equal the one before by chance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,19 +47,12 @@ class Excerpt:
         Number of the track of each moving detection; `NONE` for those on no track.
     moving_pose : (m,) array
         Index in `poses` of the pose in force at each moving detection.
-    frozen : (begin, end, frames) or None
-        The longest run of equal frames: its begin and end, UNIX seconds, and number of frames.
-    duplicate_share : float
-        Share of the moving detections that repeat another one of their frame.
+    reach_m : float
+        99.5 % quantile of the ranges of moving detections; 0 without any.
+    fault : Finding or None
+        What is wrong with the recorded values themselves; then no tracks are linked.
     scene_change : SceneChange or None
         Change of the static surroundings of the sensor; None where too few cells are static.
-    alternating : float
-        Share of static surroundings that two kinds of frames have in common, if they alternate; 1
-        where none do. It is low for frames of two sensors.
-    constant : dict
-        The value of those of `range_rate` and `z` that is the same in all detections, by name.
-    too_fast : int
-        Number of impossibly fast detections, 0 below `LEAST_TOO_FAST`; else no tracks are linked.
     time, points, range_rate : arrays
         Detections on tracks, thinned: UNIX seconds, (n, 3) metres in the sensor frame, m/s.
     vehicle : (n,) array
@@ -79,12 +66,9 @@ class Excerpt:
     moving: Moving
     track: Integers
     moving_pose: Integers
-    frozen: tuple[float, float, int] | None
-    duplicate_share: float
+    reach_m: float
+    fault: Finding | None
     scene_change: SceneChange | None = None
-    alternating: float = 1.0
-    constant: dict[str, float] = field(default_factory=dict)
-    too_fast: int
     time: Floats
     points: Floats
     range_rate: Floats
@@ -100,11 +84,10 @@ class Excerpt:
         """Number of vehicles with thinned detections."""
         return len(np.unique(self.vehicle))
 
-    @cached_property
-    def reach_m(self) -> float:
-        """99.5 % quantile of the ranges of moving detections, metres; 0 without any."""
-        range_m = np.linalg.norm(np.nan_to_num(self.moving.points), axis=1)
-        return float(np.percentile(range_m, 99.5)) if len(range_m) else 0.0
+    @property
+    def one_sign(self) -> bool:
+        """Whether all range rates of detections on tracks have one sign."""
+        return bool((self.range_rate > 0.0).all() or (self.range_rate < 0.0).all())
 
     @property
     def usual(self) -> Pose:
@@ -149,16 +132,6 @@ class Excerpt:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Rows:
-    """Detections of several recordings, in order of time; `source` is the recording's index."""
-
-    time: Floats
-    points: Floats
-    range_rate: Floats
-    source: Integers
-
-
 def read_excerpts(
     recordings: Sequence[Recording],
     tracks: Sequence[PoseTrack] = (),
@@ -190,7 +163,7 @@ def read_excerpts(
         rows = _read_rows(recordings, _segment_begins(spans, count), clock or NO_OFFSET)
         excerpt = _excerpt(rows, tracks)
         last = SEGMENT_S * count >= length_s or count >= MOST_SEGMENTS
-        if last or excerpt.vehicles >= ENOUGH_VEHICLES or excerpt.too_fast:
+        if last or excerpt.vehicles >= ENOUGH_VEHICLES or excerpt.fault is not None:
             excerpt = replace(excerpt, scene_change=_scene_change(rows, tracks) if tracks else None)
             del rows  # the caller may keep this generator for long before asking for more
             yield excerpt
@@ -218,7 +191,7 @@ def _segment_begins(spans: Sequence[tuple[float, float]], count: int) -> list[Fl
 
 def _read_rows(
     recordings: Sequence[Recording], begins: Sequence[Floats], clock: SensorClock
-) -> _Rows:
+) -> Rows:
     """Read the segments of all recordings, with times corrected by the clock."""
     empty = np.empty(0), np.empty((0, 3)), np.empty(0), np.empty(0, np.int64)
     columns = [empty]
@@ -228,7 +201,7 @@ def _read_rows(
             columns.append((clock.corrected(rows.time), rows.points, rows.range_rate, source))
     time, points, rate, source = (np.concatenate(each) for each in zip(*columns, strict=True))
     order = np.argsort(time, kind="stable")
-    return _Rows(
+    return Rows(
         time=time[order], points=points[order], range_rate=rate[order], source=source[order]
     )
 
@@ -247,7 +220,7 @@ def _read_segments(recording: Recording, begins: Floats) -> Iterator[Detections]
             yield rows.take((rows.time >= begin) & (rows.time < begin + SEGMENT_S))
 
 
-def _excerpt(rows: _Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
+def _excerpt(rows: Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
     """Return the excerpt of detections: tracks, thinned samples and faults; no scene change yet."""
     moves = np.abs(rows.range_rate) > MIN_SPEED_MPS
     frames = np.unique(rows.time)
@@ -256,22 +229,20 @@ def _excerpt(rows: _Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
         frames=len(frames), begin=float(frames[0]) if len(frames) else np.nan,
         end=float(frames[-1]) if len(frames) else np.nan,
     )  # fmt: skip
+    fault = find_fault(rows, moves)
     level = replace(moving, points=np.nan_to_num(moving.points))  # z is NaN without elevation
-    too_fast = int((np.abs(moving.range_rate) > TOO_FAST_MPS).sum())
-    too_fast = too_fast if too_fast >= LEAST_TOO_FAST else 0
-    track = np.full(len(moving), NONE) if too_fast else link_tracks(level)
+    track = np.full(len(moving), NONE) if fault is not None else link_tracks(level)
     vehicle = vehicles_of(level, track)
     thinned = _thinned(track)
     thinned = thinned[~_maybe_cyclists(level, track, vehicle)[track[thinned]]]
     poses, moving_pose = _poses_in_force(moving.time, rows.source[moves], tracks)
+    range_m = np.linalg.norm(level.points, axis=1)
     return Excerpt(
-        moving=moving, track=track, moving_pose=moving_pose, frozen=_longest_frozen_run(rows),
-        duplicate_share=_duplicate_share(moving, rows.source[moves]),
-        alternating=share_of_alternating_scenes(rows.time, rows.points, rows.range_rate),
-        constant=_constant_columns(rows), too_fast=too_fast,
-        time=moving.time[thinned],
-        points=moving.points[thinned], range_rate=moving.range_rate[thinned],
-        vehicle=vehicle[track[thinned]], pose=moving_pose[thinned], poses=poses,
+        moving=moving, track=track, moving_pose=moving_pose, fault=fault,
+        reach_m=float(np.percentile(range_m, 99.5)) if len(range_m) else 0.0,
+        time=moving.time[thinned], points=moving.points[thinned],
+        range_rate=moving.range_rate[thinned], vehicle=vehicle[track[thinned]],
+        pose=moving_pose[thinned], poses=poses,
     )  # fmt: skip
 
 
@@ -314,7 +285,7 @@ def _poses_in_force(
     return tuple(poses), pose_index
 
 
-def _scene_change(rows: _Rows, tracks: Sequence[PoseTrack]) -> SceneChange | None:
+def _scene_change(rows: Rows, tracks: Sequence[PoseTrack]) -> SceneChange | None:
     """Return the change of what stands around the sensor, placed in the map by its poses."""
     poses, pose_index = _poses_in_force(rows.time, rows.source, tracks)
     places = np.full((len(rows.time), 2), np.nan)
@@ -323,42 +294,3 @@ def _scene_change(rows: _Rows, tracks: Sequence[PoseTrack]) -> SceneChange | Non
         places[rows_of_pose] = pose.to_map(np.nan_to_num(rows.points[rows_of_pose]))[:, :2]
     places[~np.isfinite(rows.points[:, :2]).all(axis=1)] = np.nan
     return detect_scene_change(rows.time, places, rows.range_rate)
-
-
-def _longest_frozen_run(rows: _Rows) -> tuple[float, float, int] | None:
-    """Return begin, end and number of frames of the longest run of equal frames, or None."""
-    present = np.isfinite(rows.points[:, 0])
-    time = rows.time[present]
-    frames, first, count = np.unique(time, return_index=True, return_counts=True)
-    if len(frames) == 0:
-        return None
-    values = np.column_stack([rows.points, rows.range_rate])[present]
-    values = np.nan_to_num(values, posinf=0.0, neginf=0.0)
-    sums = np.add.reduceat(values, first)
-    same = (np.diff(count) == 0) & (np.diff(sums, axis=0) == 0.0).all(axis=1)
-    same = np.append(False, same & (count[1:] >= LEAST_REPEATED))
-    # number of frames up to each one that in a row equal the frame before them
-    total = np.cumsum(same)
-    run = total - np.maximum.accumulate(np.where(same, 0, total))
-    last = int(run.argmax())
-    length = int(run[last])
-    return (float(frames[last - length]), float(frames[last]), length + 1) if length else None
-
-
-def _constant_columns(rows: _Rows) -> dict[str, float]:
-    """Return those of `range_rate` and `z` that are the same in all detections, with the value."""
-    columns = {"range_rate": rows.range_rate, "z": rows.points[:, 2]}
-    values = {name: constant_value(column) for name, column in columns.items()}
-    return {name: value for name, value in values.items() if value is not None}
-
-
-def _duplicate_share(moving: Moving, source: Integers) -> float:
-    """Return the share of detections that repeat another one of the same recording and frame."""
-    values = np.column_stack([source, moving.time, moving.points, moving.range_rate])
-    values = np.nan_to_num(values[np.lexsort(values.T)])
-    return float((np.diff(values, axis=0) == 0.0).all(axis=1).sum() / max(len(values), 1))
-
-
-def iso(time: float) -> str:
-    """Format a time (UNIX seconds) as ISO 8601 text for a message."""
-    return iso_from_step(int(step_of(np.array(time))))

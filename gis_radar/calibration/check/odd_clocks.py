@@ -11,9 +11,9 @@ from itertools import combinations
 import numpy as np
 
 from gis_radar.base import NoAnswerError, Text
+from gis_radar.calibration.check.evidence import LaneMap
 from gis_radar.calibration.check.excerpt import Excerpt
-from gis_radar.calibration.check.rivals import LaneMap
-from gis_radar.calibration.findings import CLOCKS_APART, Finding, wrong
+from gis_radar.calibration.findings import CLOCKS_APART, Cause, Finding, wrong
 from gis_radar.calibration.timing.clock_offsets import ClockOffset, measured_offset
 from gis_radar.calibration.timing.lane_detections import LaneDetections, placed_on_lanes
 
@@ -112,17 +112,14 @@ def _part(seen: LaneDetections, begin: float, end: float) -> LaneDetections:
 
 def _clocks_apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:
     """Return the finding that a sensor's clock is ahead of another's, or behind."""
-    ahead = Text(
-        "by vehicles that both see, this one is {:.2f} \u00b1 {:.2f} s ahead", ahead_s, sigma_s
-    )
-    behind = Text(
-        "by vehicles that both see, this one is {:.2f} \u00b1 {:.2f} s behind", -ahead_s, sigma_s
-    )
-    evidence = ahead if ahead_s > 0.0 else behind
-    cause = Text(CLOCKS_APART, other)
+    amount = abs(ahead_s), sigma_s
+    evidence = Text("by vehicles that both see, this one is {:.2f} \u00b1 {:.2f} s behind", *amount)
+    if ahead_s > 0.0:
+        evidence = Text(
+            "by vehicles that both see, this one is {:.2f} \u00b1 {:.2f} s ahead", *amount
+        )
     advice = Text("find the offset with gis-radar clocks, or cut the recording where it was set")
-    finding = wrong(evidence, cause, advice)
-    return replace(finding, sensor=name)
+    return replace(wrong(evidence, Cause(Text(CLOCKS_APART, other), advice)), sensor=name)
 
 
 def on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
@@ -137,7 +134,7 @@ def on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
     """
     moving, by_pose = excerpt.moving, list[LaneDetections]()
     for number, pose in enumerate(excerpt.poses):
-        rows, near = excerpt.moving_pose == number, lanes.around(pose, lanes.reach_m(excerpt))
+        rows, near = excerpt.moving_pose == number, lanes.around(pose, excerpt.reach_m)
         if near is None:
             continue
         by_pose.append(

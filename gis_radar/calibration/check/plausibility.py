@@ -14,51 +14,40 @@ from itertools import chain
 import numpy as np
 
 from gis_radar.base import QUIET, Booleans, Floats, Reporter, Text
-from gis_radar.calibration.check.excerpt import (
-    LEAST_VEHICLES,
-    TOO_FAST_MPS,
-    Excerpt,
-    iso,
-    read_excerpts,
-)
-from gis_radar.calibration.check.explanations import (
-    BESIDE_LANES,
-    compare_explanations,
-    least_share,
-)
+from gis_radar.calibration.check.evidence import LaneMap, score
+from gis_radar.calibration.check.excerpt import LEAST_VEHICLES, Excerpt, read_excerpts
+from gis_radar.calibration.check.explanations import compare_explanations, least_share
+from gis_radar.calibration.check.faults import iso
+from gis_radar.calibration.check.mistakes import AGAINST
 from gis_radar.calibration.check.nearly_right import judge_offset
 from gis_radar.calibration.check.odd_clocks import CLOCK_S, odd_clocks, on_lanes
-from gis_radar.calibration.check.rivals import AGAINST, LaneMap, score, signs_lost
 from gis_radar.calibration.findings import (
     FITS,
     RECORD_MORE,
     UNKNOWN,
     UNKNOWN_CAUSE,
     WRONG,
+    Cause,
     Finding,
-    join_mistakes,
+    judged,
     wrong,
 )
 from gis_radar.calibration.range_scale import measure_range_scale
+from gis_radar.calibration.registration.traces import MIN_SPEED_MPS
 from gis_radar.calibration.timing.clocks import SensorClock
 from gis_radar.calibration.timing.lane_detections import LaneDetections
-from gis_radar.calibration.unit_mistakes import ABSOLUTE, FEET, SIGN, YARDS, odd_scale
+from gis_radar.calibration.unit_mistakes import ABSOLUTE, odd_scale
 from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Recording
 
 STAGE = "checking poses and recordings"
 
-MOST_DUPLICATES = 0.1  # share of repeated detections that is accepted; by chance there are none
-FROZEN_FRAMES = 20  # least number of equal frames in a row that is a fault; 1 s at 20 Hz
 LEAST_SIDE = 8  # least number of vehicles on either side of a change
 # Least log likelihood ratio of a change over none: odds of 3,000, and of 20 where a mistake
 # explains the traffic on one side.
 CHANGED, EXPLAINED = 8.0, 3.0
-TWO_SENSORS = Text("frames of two sensors are probably in one recording")
-# Two sensors have up to 0.20 of their surroundings in common where both look; one has over 0.53,
-# also where it scans near and far in turn or rounds every other frame's ranges to 2 m.
-ALTERNATING = 0.3
-RATE_CAUSES = AGAINST.cause, ABSOLUTE.looks  # causes that do not move static surroundings
+SIDES = "until {}: {}", "from {} on: {}"  # of a moment
+RATE_CAUSES = AGAINST.text, ABSOLUTE.text  # causes that do not move static surroundings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,8 +150,11 @@ def check_recordings(
     for done, (name, each) in enumerate(sorted(sensors.items())):
         reporter.progress(STAGE, done, len(sensors))
         excerpt = next(read_excerpts(each.recordings, clock=each.clock))
-        finding = _odd_recording(excerpt) or odd_scale(measure_range_scale(excerpt.moving))
-        finding = finding or _too_little_traffic(excerpt)
+        finding = (
+            excerpt.fault
+            or odd_scale(measure_range_scale(excerpt.moving))
+            or _too_little_traffic(excerpt)
+        )
         findings += [replace(finding, sensor=name)] if finding is not None else []
     reporter.progress(STAGE, len(sensors), len(sensors))
     return tuple(findings)
@@ -200,49 +192,28 @@ def judge(
 
 def _judge_excerpt(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding:
     """Return the finding of the first check that has one; the last check always has one."""
-    scale = None if excerpt.too_fast else measure_range_scale(excerpt.moving)
-    scale_known = scale is not None and scale.known
+    if excerpt.fault is not None:
+        return excerpt.fault
+    scale = measure_range_scale(excerpt.moving)
+    units_known = scale is not None and scale.known
     finding = (
-        _odd_recording(excerpt) or odd_scale(scale) or _sensor_replaced(excerpt, lanes, others)
+        odd_scale(scale)
+        or _sensor_replaced(excerpt, lanes, others)
+        or _too_little_traffic(excerpt)
+        or _fault_from_moment(excerpt, lanes, others)
+        or compare_explanations(excerpt, lanes, others, units_known=units_known)
     )
-    finding = finding or _too_little_traffic(excerpt) or _fault_from_moment(excerpt, lanes, others)
-    position_units = () if scale_known else (FEET, YARDS)
-    finding = finding or compare_explanations(excerpt, lanes, others, position_units)
-    if finding.verdict == FITS:
-        finding = judge_offset(excerpt, lanes, finding, scale)
-    alternative = None
-    if finding.cause == AGAINST.cause and not scale_known:  # both reverse the direction of travel
-        alternative = SIGN
-    if finding.cause == SIGN.looks and signs_lost(excerpt):  # if all approach, data are the same
-        alternative = ABSOLUTE
-    if alternative is not None:
-        cause, advice = join_mistakes(
-            [(finding.cause, finding.advice), (alternative.looks, alternative.advice)]
-        )
-        finding = replace(finding, cause=cause, advice=advice)
-    if excerpt.alternating < ALTERNATING:
-        finding = _two_sensors(finding, excerpt.alternating)
-    if finding.verdict == FITS and not scale_known:
-        evidence = Text(
-            "{}, too few approach or recede to compare ranges with range rates", finding.evidence
-        )
-        finding = replace(finding, evidence=evidence)
-        if not finding.cause:
-            finding = replace(finding, verdict=UNKNOWN, advice=RECORD_MORE)
-    return finding
-
-
-def _two_sensors(finding: Finding, share: float) -> Finding:
-    """Return a finding with the cause that the frames of two sensors are in one recording."""
+    if finding.verdict != FITS:
+        return finding
+    finding = judge_offset(excerpt, lanes, finding, scale)
+    if finding.verdict != FITS or units_known:
+        return finding
     evidence = Text(
-        "{}; two kinds of frames alternate that have {:.0%} of what stands around them in common",
-        finding.evidence, share,
-    )  # fmt: skip
-    causes: list[tuple[str, str]] = [(TWO_SENSORS, Text("give each sensor a recording of its own"))]
-    if finding.cause not in {"", UNKNOWN_CAUSE, BESIDE_LANES}:
-        causes.append((finding.cause, finding.advice))
-    cause, advice = join_mistakes(causes)
-    return replace(finding, evidence=evidence, cause=cause, advice=advice)
+        "{}, too few approach or recede to compare ranges with range rates", finding.evidence
+    )
+    if finding.cause:
+        return replace(finding, evidence=evidence)
+    return judged(UNKNOWN, evidence, Cause("", RECORD_MORE))
 
 
 def _too_little_traffic(excerpt: Excerpt) -> Finding | None:
@@ -250,36 +221,9 @@ def _too_little_traffic(excerpt: Excerpt) -> Finding | None:
     if excerpt.vehicles >= LEAST_VEHICLES:
         return None
     evidence = Text("{} vehicles move, {} are needed", excerpt.vehicles, LEAST_VEHICLES)
-    if "range_rate" in excerpt.constant:  # nothing moves, or the radar does not measure it
-        evidence = Text("{}; all range rates are {:g}", evidence, excerpt.constant["range_rate"])
-    return Finding(sensor="", verdict=UNKNOWN, evidence=evidence, advice=RECORD_MORE)
-
-
-def _odd_recording(excerpt: Excerpt) -> Finding | None:
-    """Return the finding on frozen, constant, repeated or impossibly fast values, if any."""
-    if excerpt.frozen is not None and excerpt.frozen[2] >= FROZEN_FRAMES:
-        begin, end, frames = excerpt.frozen
-        evidence = Text("{} frames from {} to {} are the same", frames, iso(begin), iso(end))
-        return wrong(evidence, Text("the recording is frozen"), Text("leave that time out"))
-    for name, value in excerpt.constant.items():
-        if name == "z" or value != 0.0:  # where nothing moves, all range rates may be 0
-            evidence = Text("{} is {:g} in all detections", name, value)
-            advice = Text("leave {} empty (NaN) where the radar does not measure it", name)
-            return wrong(evidence, Text("{} was not measured, or converted wrongly", name), advice)
-    if excerpt.duplicate_share > MOST_DUPLICATES:
-        evidence = Text("{:.0%} of the moving detections are twice in it", excerpt.duplicate_share)
-        cause = Text("a file was joined with a copy of itself")
-        return wrong(evidence, cause, Text("leave each detection once"))
-    infinite = int(np.isinf(excerpt.moving.range_rate).sum())
-    if excerpt.too_fast and 2 * infinite > excerpt.too_fast:  # a wrong unit leaves them finite
-        evidence = Text("{:,} range rates are infinite", infinite)
-        advice = Text("a detection without a range rate has NaN there")
-        return wrong(evidence, Text("the recording is damaged, or was converted wrongly"), advice)
-    if excerpt.too_fast:
-        evidence = Text("{:,} detections are faster than {:g} m/s", excerpt.too_fast, TOO_FAST_MPS)
-        advice = Text("range_rate is m/s")
-        return wrong(evidence, Text("range rates look like cm/s or mm/s"), advice)
-    return None
+    if len(excerpt.moving) == 0:  # or the radar does not measure it
+        evidence = Text("{}; all range rates are under {:g} m/s", evidence, MIN_SPEED_MPS)
+    return judged(UNKNOWN, evidence, Cause("", RECORD_MORE))
 
 
 def _sensor_replaced(
@@ -289,28 +233,23 @@ def _sensor_replaced(
     change = excerpt.scene_change
     if change is None or change.time is None:
         return None
-    when = iso(change.time)
-    sides = zip(excerpt.split_at(change.time), ("until {}: {}", "from {} on: {}"), strict=True)
-    for side, template in sides:
-        if side.vehicles < LEAST_SIDE:  # too little traffic, as at night, to name a cause
-            continue
-        finding = compare_explanations(side, lanes, others)
-        if finding.verdict == WRONG and finding.cause != UNKNOWN_CAUSE:
-            return replace(finding, cause=Text(template, when, finding.cause))
+    for fault in _faults_of_sides(excerpt, change.time, lanes, others):
+        if not fault.cause.endswith(UNKNOWN_CAUSE):
+            return fault
     evidence = Text(
         "across that moment {:.0%} of what stands around it stays where it was, "
         "across others {:.0%}",
         change.share, change.usual,
     )  # fmt: skip
-    return wrong(
-        evidence,
-        Text("from {} on it is another sensor's recording, or the sensor was moved", when),
-        Text(
-            "give each recording with the pose of its sensor and time; {} follows one that was "
-            "moved, and its CSV goes wherever a pose goes",
-            "gis-radar track",
-        ),
+    cause = Text(
+        "from {} on it is another sensor's recording, or the sensor was moved", iso(change.time)
     )
+    advice = Text(
+        "give each recording with the pose of its sensor and time; {} follows one that was "
+        "moved, and its CSV goes wherever a pose goes",
+        "gis-radar track",
+    )
+    return wrong(evidence, Cause(cause, advice))
 
 
 def _fault_from_moment(
@@ -325,19 +264,26 @@ def _fault_from_moment(
     if gain < EXPLAINED or all(each.mean() < least_share(len(each)) for each in sides):
         return None  # where neither side fits, the fault is there all the time
     when = float(excerpt.time[first_rows[order[split]]])
-    parts = excerpt.split_at(when)
-    if min(each.vehicles for each in parts) < LEAST_SIDE:
+    if min(each.vehicles for each in excerpt.split_at(when)) < LEAST_SIDE:
         return None  # most vehicles are there from one moment on, as in a queue
-    until, since = (compare_explanations(each, lanes, others) for each in parts)
-    worse = since if until.verdict == FITS else until
-    if until.verdict == since.verdict or (gain < CHANGED and worse.cause == UNKNOWN_CAUSE):
+    faults = _faults_of_sides(excerpt, when, lanes, others)
+    if len(faults) != 1 or (gain < CHANGED and faults[0].cause.endswith(UNKNOWN_CAUSE)):
         return None
     same_scene = excerpt.scene_change is not None  # compared without a change: same place and axes
-    if same_scene and worse.cause not in RATE_CAUSES:
-        return None
-    if until.verdict == WRONG:
-        return replace(until, cause=Text("until {}: {}", iso(when), until.cause))
-    return replace(since, cause=Text("from {} on: {}", iso(when), since.cause))
+    return None if same_scene and not faults[0].cause.endswith(RATE_CAUSES) else faults[0]
+
+
+def _faults_of_sides(
+    excerpt: Excerpt, when: float, lanes: LaneMap, others: Mapping[str, Pose]
+) -> list[Finding]:
+    """Return what is wrong until a moment and from it on, where there is traffic enough to tell."""
+    faults = []
+    for side, template in zip(excerpt.split_at(when), SIDES, strict=True):
+        if side.vehicles >= LEAST_SIDE:
+            found = compare_explanations(side, lanes, others)
+            if found.verdict == WRONG:
+                faults.append(replace(found, cause=Text(template, iso(when), found.cause)))
+    return faults
 
 
 def _best_split(driving: Booleans, least: int) -> tuple[int, float]:

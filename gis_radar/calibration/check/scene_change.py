@@ -26,10 +26,6 @@ LEAST_PERIODS = 2  # least number of periods on either side of a change
 # sensor 5 to 20 % (eleven sensors of four junctions). On either side of a change periods share at
 # least ALIKE of their cells; across it less than STAYING times that.
 STAYING, ALIKE = 0.5, 0.5
-# Of frames that may be of two sensors in turn: most and least number that is compared, least share
-# of them in which a cell is detected, and least share at which the kind changes.
-MOST_FRAMES, LEAST_FRAMES, LEAST_DETECTED, ALTERNATING = 400, 100, 0.1, 0.2
-SECTOR = 20.0, 10.0  # metres of range, degrees of azimuth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,75 +112,3 @@ def _common_shares(stands: Booleans) -> Floats:
 def _mean_share(shares: Floats) -> float:
     """Return the mean over all pairs of different periods."""
     return float(shares[np.triu_indices(len(shares), 1)].mean())
-
-
-def share_of_alternating_scenes(time: Floats, points: Floats, range_rate: Floats) -> float:
-    """Return how much two kinds of frames have in common that alternate; 1 where none do.
-
-    Frames are divided by the first principal component of which static cells they detect. Of one
-    sensor both kinds detect the same cells about as often; frames of two sensors that were joined
-    in one table do not. A radar that scans near and far in turn has two kinds of frames, too: only
-    ranges, azimuths and sectors in which both kinds detect something are compared.
-
-    Parameters
-    ----------
-    time : (n,) array
-        Times of detections, UNIX seconds, ascending.
-    points : (n, 3) array
-        Their positions in the sensor frame, metres.
-    range_rate : (n,) array
-        Their range rates, m/s.
-    """
-    still = np.isfinite(points[:, :2]).all(axis=1) & (np.abs(range_rate) <= STILL_MPS)
-    frame = np.unique(time[still], return_inverse=True)[1]
-    early = frame < MOST_FRAMES
-    places, cell = np.unique(
-        np.floor(points[still][early, :2] / CELL_M), axis=0, return_inverse=True
-    )
-    frame = frame[early]
-    if len(frame) == 0 or frame[-1] + 1 < LEAST_FRAMES:
-        return 1.0
-    detected = np.zeros((int(frame[-1]) + 1, len(places)))
-    detected[frame, cell.ravel()] = 1.0
-    often = detected.mean(axis=0) >= LEAST_DETECTED
-    detected, places = detected[:, often], places[often] * CELL_M
-    if len(places) < LEAST_CELLS:
-        return 1.0
-    component = np.linalg.svd(detected - detected.mean(axis=0), full_matrices=False)[0][:, 0]
-    first: Booleans = np.asarray(component > 0.0)
-    if np.count_nonzero(np.diff(first)) < ALTERNATING * len(first):
-        return 1.0  # of a change at one moment
-    return _common_share(
-        np.array([detected[first].mean(axis=0), detected[~first].mean(axis=0)]), places
-    )
-
-
-def _common_share(kinds: Floats, places: Floats) -> float:
-    """Return how much two kinds of frames have in common where both see; 1 with too few cells.
-
-    Only what each kind detects more often than elsewhere in a sector counts, as one may be less
-    sensitive there.
-
-    Parameters
-    ----------
-    kinds : (2, n) array
-        Share of the frames of either kind in which a cell is detected.
-    places : (n, 2) array
-        The cells, metres.
-    """
-    polar = np.column_stack([np.hypot(*places.T), np.degrees(np.arctan2(*places.T[::-1]))])
-    views = [polar[kind >= LEAST_DETECTED] for kind in kinds]
-    low = np.max([view.min(axis=0, initial=np.inf) for view in views], axis=0)
-    high = np.min([view.max(axis=0, initial=-np.inf) for view in views], axis=0)
-    in_views: Booleans = np.asarray(((polar >= low) & (polar <= high)).all(axis=1))
-    polar, kinds = polar[in_views], kinds[:, in_views]
-    sector = np.unique(np.floor(polar / SECTOR), axis=0, return_inverse=True)[1].ravel()
-    most = np.zeros((2, sector.max(initial=-1) + 1))
-    for kind, shares in zip(most, kinds, strict=True):
-        np.maximum.at(kind, sector, shares)
-    both: Booleans = np.asarray((most >= LEAST_DETECTED).all(axis=0))[sector]
-    if np.count_nonzero(both) < LEAST_CELLS:
-        return 1.0
-    sector, kinds = sector[both], kinds[:, both]
-    relative = kinds / np.array([np.bincount(sector, kind)[sector] for kind in kinds])
-    return float(relative.min(axis=0).sum() / relative.max(axis=0).sum())

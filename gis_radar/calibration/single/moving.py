@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,13 @@ import numpy as np
 from gis_radar.base import QUIET, InputError, Reporter
 from gis_radar.calibration.registration.traces import FRAMES, MIN_SPEED_MPS, Moving
 from gis_radar.calibration.timing.clocks import SensorClock
-from gis_radar.recordings import Recording, RollingWindow, open_recording
+from gis_radar.recordings import (
+    Recording,
+    RollingWindow,
+    detection_keys,
+    keys_in_common,
+    open_recording,
+)
 
 STAGE = "reading traces"
 # Two sensors with so many detections have none in common but by chance.
@@ -195,14 +200,11 @@ def refuse_equal(moving: Mapping[str, Moving]) -> None:
     InputError
         Naming two such sensors.
     """
-    detected = {
-        # with range rates: radars of coarse positions have many places in common on busy lanes
-        name: {*map(tuple, np.nan_to_num(np.column_stack([each.points, each.range_rate])).tolist())}
-        for name, each in moving.items()
-    }
-    for (name, one), (other, found) in combinations(detected.items(), 2):
-        fewer = min(len(one), len(found))
-        if fewer >= LEAST_EQUAL and len(one & found) > MOST_EQUAL * fewer:
+    # with range rates: radars of coarse positions have many places in common on busy lanes
+    keys = {name: detection_keys(each.points, each.range_rate) for name, each in moving.items()}
+    for name, other, common in keys_in_common(keys):
+        fewer = min(len(np.unique(keys[each])) for each in (name, other))
+        if fewer >= LEAST_EQUAL and len(common) > MOST_EQUAL * fewer:
             raise InputError(
                 "{} and {} have the same detections", name, other,
                 hint="give each sensor its own recording",

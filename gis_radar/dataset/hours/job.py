@@ -11,7 +11,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
 from pathlib import Path
 from typing import Any, Self
 
@@ -41,6 +40,7 @@ from gis_radar.measures import (
     valid_runs,
     valid_steps,
 )
+from gis_radar.recordings import keys_in_common
 from gis_radar.scans import SightTiles
 from gis_radar.tracking import MARGIN_STEPS, HourVehicles, vehicles_of_hour
 
@@ -242,33 +242,22 @@ def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
     InputError
         If there are two such sensors.
     """
-    frames = [each.frames for each in sensors]
-    hashes = [np.unique(each.hash[each.detections >= LEAST_COMPARED]) for each in frames]
-    values, counts = np.unique(
-        np.concatenate([np.empty(0, np.uint64), *hashes]), return_counts=True
-    )
-    shared = values[counts > 1]  # usually few, so that comparing all pairs of sensors is cheap
-    if len(shared) <= MOST_EQUAL_FRAMES:
-        return
-    hashes = [np.intersect1d(each, shared, assume_unique=True) for each in hashes]
-    for (sensor, own_hashes), (other_sensor, other_hashes) in combinations(
-        zip(sensors, hashes, strict=True), 2
-    ):
-        equal = np.intersect1d(own_hashes, other_hashes, assume_unique=True)
+    by_name = {each.sensor: each for each in sensors}
+    keys = {
+        name: each.frames.hash[each.frames.detections >= LEAST_COMPARED]
+        for name, each in by_name.items()
+    }
+    for name, other, equal in keys_in_common(keys):
         if len(equal) > MOST_EQUAL_FRAMES:
             first, second = (
                 each.sources[int(each.source[np.flatnonzero(each.frames.hash == equal[0])[0]])]
-                for each in (sensor, other_sensor)
+                for each in (by_name[name], by_name[other])
             )
             raise InputError(
                 "{}: {:,} frames of {} are those of {} in {}",
-                second.recording.path,
-                len(equal),
-                other_sensor.sensor,
-                sensor.sensor,
-                first.recording.path,
+                second.recording.path, len(equal), other, name, first.recording.path,
                 hint="give each sensor its own recording",
-            )
+            )  # fmt: skip
 
 
 def digest_of_inputs(

@@ -1,0 +1,103 @@
+"""Faults of recorded values that need neither map nor pose: frozen, constant, twice, too fast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gis_radar.base import Booleans, Floats, Integers, Text, iso_from_step, step_of
+from gis_radar.calibration.findings import Cause, Finding, wrong
+from gis_radar.recordings import constant_value, detection_keys
+
+FROZEN_FRAMES = 20  # least number of equal frames in a row that is a fault; 1 s at 20 Hz
+LEAST_REPEATED = 2  # smaller frames equal the one before by chance
+MOST_DUPLICATES = 0.1  # share of repeated detections that is accepted; by chance there are none
+# So many detections faster than this (m/s) cannot be vehicles, in m/s or in km/h.
+TOO_FAST_MPS, LEAST_TOO_FAST = 300.0, 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """Detections of several recordings, in order of time; `source` is the recording's index."""
+
+    time: Floats
+    points: Floats
+    range_rate: Floats
+    source: Integers
+
+
+def find_fault(rows: Rows, moves: Booleans) -> Finding | None:
+    """Return the finding on frozen, constant, repeated or impossibly fast values, if any.
+
+    Parameters
+    ----------
+    rows : Rows
+        The detections.
+    moves : (n,) bool array
+        Which of them move.
+    """
+    return _frozen(rows) or _constant(rows) or _duplicated(rows, moves) or _too_fast(rows)
+
+
+def _frozen(rows: Rows) -> Finding | None:
+    """Return the finding on the longest run of equal frames."""
+    present = np.isfinite(rows.points[:, 0])
+    frames, first, count = np.unique(rows.time[present], return_index=True, return_counts=True)
+    if len(frames) < FROZEN_FRAMES:
+        return None
+    values = np.column_stack([rows.points, rows.range_rate])[present]
+    sums = np.add.reduceat(np.nan_to_num(values, posinf=0.0, neginf=0.0), first)
+    same = (np.diff(count) == 0) & (np.diff(sums, axis=0) == 0.0).all(axis=1)
+    changes = np.flatnonzero(np.append(~(same & (count[1:] >= LEAST_REPEATED)), True))
+    runs = np.diff(changes, prepend=-1)  # frames from one change to the next
+    longest = int(runs.argmax())
+    if runs[longest] < FROZEN_FRAMES:
+        return None
+    last = int(changes[longest])
+    begin, end = frames[last - runs[longest] + 1], frames[last]
+    evidence = Text("{} frames from {} to {} are the same", runs[longest], iso(begin), iso(end))
+    return wrong(evidence, Cause(Text("the recording is frozen"), Text("leave that time out")))
+
+
+def _constant(rows: Rows) -> Finding | None:
+    """Return the finding on a column with one value; where nothing moves, all rates may be 0."""
+    for name, column in (("range_rate", rows.range_rate), ("z", rows.points[:, 2])):
+        value = constant_value(column)
+        if value is not None and (name == "z" or value != 0.0):
+            cause = Text("{} was not measured, or converted wrongly", name)
+            advice = Text("leave {} empty (NaN) where the radar does not measure it", name)
+            return wrong(Text("{} is {:g} in all detections", name, value), Cause(cause, advice))
+    return None
+
+
+def _duplicated(rows: Rows, moves: Booleans) -> Finding | None:
+    """Return the finding on moving detections that repeat another one of recording and frame."""
+    keys = detection_keys(rows.source, rows.time, rows.points, rows.range_rate)[moves]
+    share = (len(keys) - len(np.unique(keys))) / max(len(keys), 1)
+    if share <= MOST_DUPLICATES:
+        return None
+    cause = Cause(
+        Text("a file was joined with a copy of itself"), Text("leave each detection once")
+    )
+    return wrong(Text("{:.0%} of the moving detections are twice in it", share), cause)
+
+
+def _too_fast(rows: Rows) -> Finding | None:
+    """Return the finding on many range rates that no vehicle has."""
+    speeds = np.abs(rows.range_rate)
+    fast, infinite = int((speeds > TOO_FAST_MPS).sum()), int(np.isinf(speeds).sum())
+    if fast < LEAST_TOO_FAST:
+        return None
+    if 2 * infinite > fast:  # a wrong unit leaves them finite
+        cause = Text("the recording is damaged, or was converted wrongly")
+        advice = Text("a detection without a range rate has NaN there")
+        return wrong(Text("{:,} range rates are infinite", infinite), Cause(cause, advice))
+    evidence = Text("{:,} detections are faster than {:g} m/s", fast, TOO_FAST_MPS)
+    looks = Text("range rates look like cm/s or mm/s")
+    return wrong(evidence, Cause(looks, Text("range_rate is m/s")))
+
+
+def iso(time: float) -> str:
+    """Format a time (UNIX seconds) as ISO 8601 text for a message."""
+    return iso_from_step(int(step_of(np.array(time))))
