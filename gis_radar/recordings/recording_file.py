@@ -20,6 +20,7 @@ from gis_radar.recordings.units import refuse_positions_in_other_units, refuse_w
 
 ROWS_IN_GROUP = 1 << 17  # held in memory until written: 4 MB of our columns
 CORE = ("x", "y", "z", "range_rate", "rcs")
+LEAST_LEVEL = 100  # detections at z = 0 m, and none elsewhere, that show: elevation is not measured
 _NOWHERE = np.full((1, 3), np.nan, dtype=np.float32)
 _UNKNOWN = np.full(1, np.nan, dtype=np.float32)
 
@@ -152,7 +153,7 @@ def _measures_elevation(frames: list[Frame]) -> bool | None:
     given = heights[np.isfinite(heights)]
     if len(given) == 0:
         return None if len(heights) == 0 else False
-    return constant_value(given) != 0.0
+    return constant_value(given, LEAST_LEVEL) != 0.0
 
 
 def _table(timed: list[tuple[float, Frame]], schema: pa.Schema | None) -> pa.Table:
