@@ -24,6 +24,7 @@ from gis_radar.calibration import (
     JointCalibration,
     Localization,
     SensorClock,
+    Solved,
     adjust_poses,
     localize_together,
 )
@@ -43,7 +44,7 @@ from gis_radar.calibration.several.correspondences import (
     compare_moments,
 )
 from gis_radar.calibration.several.joint import common_time, locate_all
-from gis_radar.calibration.several.network import FIRM_PAIRS, Solved
+from gis_radar.calibration.several.network import FIRM_PAIRS
 from gis_radar.calibration.single.moving import Span, best_end, read_span, refuse_equal
 from gis_radar.cli import group
 from gis_radar.poses import COMPONENTS, View

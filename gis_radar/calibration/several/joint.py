@@ -230,8 +230,7 @@ def locate_all(
     reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
     confirmed: dict[str, Localization] = {}
     if check is not None:
-        contradicted = {name: answers[name] for name in solved.refused}
-        confirmed = _confirmed_by_scan(contradicted, used, compare)
+        confirmed = _confirmed_by_scan({n: answers[n] for n in solved.refused}, used, compare)
     for name in confirmed:
         reporter.warn("{}; what stands in the scan confirms that of {}", solved.refused[name], name)
     if not solved.poses and not confirmed:
