@@ -81,6 +81,18 @@ def test_a_track_that_is_not_sure_of_its_pose_is_told(tmp_path, sigma, told):
     assert len([*track.warn_uncertain(START, START + 60.0)]) == 0  # less than a minute of it
 
 
+@pytest.mark.parametrize(
+    ("later_s", "named"), [(-86_400.0, 1), (0.0, 0), (60.0, 0), (7200.0, 1), (86_400.0, 1)]
+)
+def test_a_pose_track_of_another_time_is_named(later_s, named):
+    track = PoseTrack(poses=(pose(), pose()), since=np.array([START, START + 5.0]))
+    said = [*track.warn_uncertain(START + later_s, START + later_s + 10.0)]
+    assert len(said) == named
+    assert all("is it the track of another day" in each for each in said)
+    always = PoseTrack(poses=(pose(),), since=np.array([-np.inf]))
+    assert not [*always.warn_uncertain(START + later_s, START + later_s + 10.0)]
+
+
 def corrected(corrections, *, moved=(), **fields):
     """A track with a pose each 5 s that is a little off the first one."""
     rng = np.random.default_rng(7)

@@ -8,11 +8,14 @@ from pathlib import Path
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import shapely
 from faults.inputs import HOUR, part_of
 
 import gis_radar as gr
+from gis_radar.base import column_statistics
 from gis_radar.cli.console import UNFORESEEN
 
 
@@ -84,6 +87,18 @@ def test_parts_of_a_dataset_with_other_values(here, table, column, kind):
     with pytest.raises(gr.InputError, match=f"{table}/") as caught:
         getattr(gr.open_dataset("dataset"), table)()
     assert len(caught.value.message.splitlines()) == 1
+
+
+def test_a_type_of_a_damaged_footer_does_not_end_the_process(tmp_path):
+    """Arrow aborts where it reads the statistics of a column of another type than the schema's."""
+    path = tmp_path / "table.parquet"
+    pq.write_table(pa.table({"step": pa.array([1, 2], pa.int32())}), path, store_schema=False)
+    assert column_statistics(pq.read_metadata(path), 0, 0).max == 2
+    int32, int96 = b"\x1c\x15\x02\x19", b"\x1c\x15\x06\x19"  # Thrift, a bit apart
+    whole = path.read_bytes()
+    assert whole.count(int32) == 1
+    path.write_bytes(whole.replace(int32, int96))
+    assert column_statistics(pq.read_metadata(path), 0, 0) is None
 
 
 @pytest.mark.parametrize("corner", [np.nan, np.inf])

@@ -24,6 +24,7 @@ from gis_radar.calibration import (
     JointCalibration,
     Localization,
     SensorClock,
+    Solved,
     adjust_poses,
     localize_together,
 )
@@ -438,6 +439,37 @@ def test_what_no_neighbour_places_keeps_its_reason(recordings, true, tmp_path, m
     assert list(done.found) == ["R1"]
     assert done.failure.exit_code == 4
     assert done.failure.message == "R2: ambiguous"
+
+
+@pytest.mark.parametrize("names", [("R1", "R2"), ("R1", "R2", "R3")])
+def test_swapped_guesses_leave_no_wrong_pose(true, tmp_path, monkeypatch, names):
+    """With R2's guess R1's traffic fits a wrong place; with R1's guess R2's fits none."""
+    paths = [tmp_path / f"{name}.parquet" for name in names]
+    guesses = [(400.0, 0.0), (0.0, 0.0), (800.0, 0.0)][: len(names)]
+    fits = {("R1", 400.0), ("R2", 400.0), ("R3", 800.0)}
+
+    def single(recording, *_, guess, **__):
+        if (recording.stem, guess[0]) not in fits:
+            raise gr.NoAnswerError("no place fits")
+        return Localization(pose=stated(true["R1"]), fitness=0.9, observable=True)
+
+    def unmatched(_, poses, *__, **___):
+        chosen = dict.fromkeys(poses, 0)
+        firsts = {name: each[0] for name, each in poses.items()}
+        return Solved(poses=firsts, chosen=chosen, refused={}, pairs={})
+
+    place = "gis_radar.calibration.several.joint"
+    monkeypatch.setattr(f"{place}.localize_one", single)
+    monkeypatch.setattr(f"{place}.adjust_poses", unmatched)
+    monkeypatch.setattr(f"{place}.common_time", lambda _: START)
+    if len(names) == 2:
+        with pytest.raises(gr.NoAnswerError, match=r"^R1: .* traffic of R2 fits") as refusal:
+            locate_all(paths, LONG.roads(), LONG.road_points(), guesses=guesses)
+        assert refusal.value.hint == "give guesses in the order of recordings"
+        return
+    done = locate_all(paths, LONG.roads(), LONG.road_points(), guesses=guesses)
+    assert list(done.found) == ["R3"]
+    assert done.refused.keys() == {"R1", "R2"}
 
 
 def test_a_sensor_before_which_nothing_moves_then_is_not_tied(recordings, true, tmp_path):

@@ -198,6 +198,54 @@ def test_two_at_once_do_not_meet(database, asked, two_days):
     assert refused
 
 
+def test_names_are_right_in_a_database_of_another_encoding(asked, database, two_days, monkeypatch):
+    name = "Bäckerstraße"
+    lane = int(LANES["lane"].iloc[0])
+    named = two_days.with_lanes([{"id": lane, "name": name}])
+    asked("SELECT 1")
+    for encoding in ("LATIN1", "SQL_ASCII"):
+        with psycopg.connect(database, autocommit=True) as connection:
+            connection.execute(
+                f"CREATE DATABASE {encoding} ENCODING '{encoding}' TEMPLATE template0 "
+                "LC_COLLATE 'C' LC_CTYPE 'C'"
+            )
+        other = database.replace("/postgres?", f"/{encoding.lower()}?")
+        gr.publish(named, other)
+        assert gr.publish(named, other).kept == 2
+        with psycopg.connect(other, client_encoding="utf8") as connection:
+            assert connection.execute("SELECT name FROM gis_radar.lanes").fetchone() == (name,)
+    monkeypatch.setenv("PGCLIENTENCODING", "LATIN1")
+    gr.publish(named, database)
+    monkeypatch.delenv("PGCLIENTENCODING")
+    assert asked("SELECT name FROM gis_radar.lanes") == [(name,)]
+
+
+def test_free_speeds_and_a_new_method_of_lane_measures_are_sent(
+    database, asked, two_days, monkeypatch
+):
+    gr.publish(two_days, database)
+    slow = two_days.with_lanes([{"id": 7, "speed_kmh": 90.0}])
+    assert gr.publish(slow, database).sent == 2
+    stored = asked("SELECT sum(delay_s) FROM gis_radar.lane_measures")
+    assert stored[0][0] == pytest.approx(slow.traffic()["delay_s"].sum())
+    assert stored[0][0] > two_days.traffic()["delay_s"].sum()
+    monkeypatch.setattr("gis_radar.dataset.days.lane_measures.METHOD", 99)
+    assert gr.publish(slow, database).sent == 2
+    assert gr.publish(slow, database).kept == 2
+
+
+def test_a_table_that_another_holds_is_waited_for_only_for_a_time(
+    database, asked, two_days, monkeypatch
+):
+    gr.publish(two_days, database)
+    monkeypatch.setattr("gis_radar.products.postgis.LOCK_S", 0.2)
+    with psycopg.connect(database) as other:
+        other.execute("LOCK TABLE gis_radar.lanes IN ACCESS EXCLUSIVE MODE")
+        with pytest.raises(gr.OutputError, match="lock timeout") as caught:
+            gr.publish(two_days, database)
+    assert "another program" in str(caught.value.hint)
+
+
 def test_a_reader_reads_and_writes_nothing_and_listeners_hear_of_it(database, asked, two_days):
     with psycopg.connect(database, autocommit=True) as listener:
         listener.execute("DROP ROLE IF EXISTS planner")

@@ -224,6 +224,14 @@ def test_a_section_without_a_line_is_refused(dataset):
         dataset.count_sections(layer)
 
 
+def test_a_count_by_hand_may_be_any_number(dataset, given):
+    """Our volumes have 32 bits, in which larger numbers do not exist."""
+    text = "section,begin,end,volume\nlate,2023-11-14 22:00,2023-11-14 22:05,1e40\n"
+    sections, counts = given(text)
+    traffic = gr.make_traffic(dataset, interval="5min", sections=sections, hand_counts=counts)
+    assert traffic.hand_counts["difference"].tolist() == pytest.approx([-1e40])
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -252,6 +260,10 @@ def test_a_section_without_a_line_is_refused(dataset):
             "none of its counts is of the time that was measured, 2023-11-14 2",
         ),
         ("section,begin,end,volume\n", "holds no counts"),
+        (
+            "section,begin,end,volume,volume\nlate,2023-11-14 22:00,2023-11-14 22:05,3,9\n",
+            "has two columns 'volume'",
+        ),
         ("", "lacks the columns begin, end and volume"),
         (
             "section;begin;end;volume\n\n;;;\nlate;2023-11-14 22:00;2023-11-14 22:05;1.234\n",

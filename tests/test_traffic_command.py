@@ -6,6 +6,7 @@ import re
 import sqlite3
 import zipfile
 from contextlib import closing
+from dataclasses import replace
 from itertools import combinations
 from textwrap import wrap
 from xml.etree import ElementTree as ET
@@ -365,6 +366,15 @@ def test_datex_sends_the_table_of_sites_and_what_is_measured(written, dataset):
     assert [float(each) for each in line[:2]] == pytest.approx(
         [*lanes.to_crs(4326).geometry.iloc[0].coords[0]][1::-1], abs=1e-6
     )
+
+
+def test_datex_is_xml_whatever_a_street_is_called(dataset, tmp_path):
+    """Layers of streets may hold characters that XML cannot."""
+    traffic = gr.make_traffic(dataset)
+    named = replace(traffic, lanes=traffic.lanes.assign(name="<a>\0\x0b\ufffe&\U0001f697"))
+    named.write(tmp_path / "out", datex="fr:Ville")
+    root = ET.parse(tmp_path / "out" / "datex.sites.xml").getroot()  # noqa: S314 - ours
+    assert "<a>\ufffd\ufffd\ufffd&\U0001f697" in {each.text for each in root.iter()}
 
 
 def test_datex_has_another_version_for_another_table_of_sites(dataset, tmp_path):

@@ -82,6 +82,7 @@ from .notebooks import (
     small_picture,
     table_card,
 )
+from .parquet import column_statistics
 from .processes import (
     OFFLINE,
     free_address_space,
@@ -207,6 +208,7 @@ __all__ = [
     "card",
     "checked",
     "class_label",
+    "column_statistics",
     "column_title",
     "compiled",
     "content_digest",

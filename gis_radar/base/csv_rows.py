@@ -36,7 +36,7 @@ def csv_rows(path: str | Path, wrong: Text) -> tuple[list[str], list[tuple[int, 
     Raises
     ------
     InputError
-        If it cannot be read, or a row has more values than the header.
+        If it cannot be read, two columns have one name, or a row has more values than the header.
     """
     try:
         content = Path(path).read_bytes()
@@ -53,6 +53,8 @@ def csv_rows(path: str | Path, wrong: Text) -> tuple[list[str], list[tuple[int, 
         rows = [(skipped + reader.line_num, row) for row in reader]
     except (ValueError, csv.Error) as error:
         raise InputError("{}: {}: {}", path, wrong, first_line(error)) from error
+    if twice := [name for name in header if name and header.count(name) > 1]:
+        raise InputError("{}: has two columns {}", path, repr(twice[0]))
     for number, row in rows:
         if any(map(str.strip, row.pop(None, []))):
             hint = "numbers are without a separator of thousands, texts with commas in quotes"

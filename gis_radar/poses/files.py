@@ -38,6 +38,7 @@ NUMBERS = {"vehicles": int, "fitness": float}  # evidence that is a number; all 
 DECIMALS = 6  # of metres and degrees
 # A warning is given where the standard deviation of place or yaw exceeds these for so long.
 UNCERTAIN_M, UNCERTAIN_DEG, UNCERTAIN_S = 1.0, 1.0, 60.0
+LATER_S = 3600.0  # how long after the end of its track a pose is taken without a warning
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,11 +80,21 @@ class PoseTrack:
     def warn_uncertain(self, begin: float, end: float) -> Iterator[Text]:
         """Yield a warning for each span of a minute or more in which the pose is uncertain.
 
+        And one where the times are not of the track: another day's, or another time zone's.
+
         Parameters
         ----------
         begin, end : float
             Times between which spans count, UNIX seconds.
         """
+        first, last = self.since[[0, -1]]
+        if math.isfinite(first) and (end < first or begin > last + LATER_S):
+            yield Text(
+                "{}: recorded from {} to {}, but its pose track is of {} to {}: its nearest pose "
+                "was taken; is it the track of another day or time zone?",
+                self.sensor,
+                *map(iso_from_step, step_of(np.array([begin, end, first, last])).tolist()),
+            )
         sigmas = [pose.parsed_evidence().sigma for pose in self.poses]
         sigma_m = np.array(
             [math.hypot(s.get("easting", 0.0), s.get("northing", 0.0)) for s in sigmas]

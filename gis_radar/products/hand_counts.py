@@ -60,7 +60,7 @@ def beside_hand_counts(
         ours_within = _within(ours, begin, end, what)
         hours = (end - begin).total_seconds() / 3600.0
         by_hand, by_hand_se = _number(row, "volume", what), _number(row, "volume_se", what, 0.0)
-        volume = ours_within["volume"].sum(min_count=max(len(ours_within), 1))
+        volume = ours_within["volume"].astype(float).sum(min_count=max(len(ours_within), 1))
         spread = (
             ours_within["volume_se"].astype(float).pow(2).sum(min_count=max(len(ours_within), 1))
         )

@@ -35,6 +35,7 @@ VERSION = 2  # of the tables; raised when they change
 MARK = "gis_radar,"  # begin of the comment on a schema of ours
 CHANNEL = "qgis"  # channel on which QGIS listens for "Refresh layer on notification"
 CONNECT_S = 10  # longest wait for a server's answer, seconds
+LOCK_S = 60.0  # longest wait for a table that another holds, seconds: readers would wait behind it
 _EPOCH = date(1970, 1, 1)
 _NAME = re.compile(r"[a-z_][a-z0-9_]{0,62}")
 _TYPES = {
@@ -199,14 +200,18 @@ def require_name(schema: str) -> None:
 def _digests(dataset: Dataset) -> dict[date, str]:
     """Return the digest of each date's inputs: the parts of its hours and of the hour before.
 
-    The poses, on which standard errors rest, are included.
+    The poses, on which standard errors rest, the free speeds, on which delays rest, and the method
+    of the lane measures are included.
     """
     records, poses = dataset.records(), pd.DataFrame(dataset.poses()).drop(columns="geometry")
+    free_speeds = pd.DataFrame(dataset.lanes()).reindex(columns=["lane", "speed_limit_kmh"])
+    traffic = LaneTraffic.of(dataset)
     digests = {}
     for day in sorted({hour // 24 for hour in records}):
         hours = [hour for hour in range(24 * day - 1, 24 * day + 24) if hour in records]
         made = [(hour, sorted(records[hour].parts.items()), records[hour].origin) for hour in hours]
-        follows = repr((made, poses.to_json()))
+        keys = traffic.keys(24 * day, {hour: records[hour] for hour in hours if hour >= 24 * day})
+        follows = repr((made, poses.to_json(), free_speeds.to_json(), keys))
         digests[_EPOCH + timedelta(days=day)] = hashlib.sha256(follows.encode()).hexdigest()
     return digests
 
@@ -230,8 +235,9 @@ def opened_session(url: str, schema: str, srid: int = 0) -> Iterator[Session]:
     place = f"{asked.get('host', 'localhost')}/{asked.get('dbname', asked.get('user', ''))}"
     try:
         with psycopg.connect(
-            url, connect_timeout=CONNECT_S, application_name="gis-radar"
+            url, connect_timeout=CONNECT_S, application_name="gis-radar", client_encoding="utf8"
         ) as connection:
+            connection.execute(f"SET LOCAL lock_timeout = {1000 * LOCK_S:.0f}")
             lock = "SELECT pg_try_advisory_xact_lock(hashtext(%s))"
             row = connection.execute(lock, [f"gis_radar {schema}"]).fetchone()
             if row is None or not row[0]:
@@ -245,6 +251,8 @@ def opened_session(url: str, schema: str, srid: int = 0) -> Iterator[Session]:
 def _hint_for(reason: str) -> Text:
     if 'extension "postgis"' in reason:
         return Text("install PostGIS, and CREATE EXTENSION postgis in the database as a superuser")
+    if "lock timeout" in reason:
+        return Text("another program holds a table; the database is as it was: try again later")
     return Text("the database is as it was")
 
 

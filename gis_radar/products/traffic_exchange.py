@@ -7,6 +7,7 @@ lane is a measurement site, whose quantities have numbers.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,8 @@ _QUANTITIES = {
     _FLOW: "trafficFlow", _SPEED: "trafficSpeed", _CONCENTRATION: "trafficConcentration"
 }  # fmt: skip
 _LETTERS = 1024  # most that a text of DATEX II has
+# What no XML may hold; names of a layer of streets may.
+_NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _DEGREES = 7  # decimals of latitudes and longitudes: a centimetre
 
 
@@ -247,4 +250,4 @@ def _add_header(root: Element) -> None:
 
 
 def _add(parent: Element, name: str, value: object, **attributes: str) -> None:
-    SubElement(parent, name, attributes).text = str(value)
+    SubElement(parent, name, attributes).text = _NO_XML.sub("\ufffd", str(value))

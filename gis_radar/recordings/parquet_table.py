@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from gis_radar.base import InputError
+from gis_radar.base import InputError, column_statistics
 from gis_radar.recordings import settings
 
 ROWS_AT_ONCE = 65_536  # 3 MB of a recording's columns as float64
@@ -70,13 +70,12 @@ def first_group_of(path: Path, column: str, least: float) -> tuple[int, int]:
         The value.
     """
     metadata, rows = pq.read_metadata(path), 0
+    place = _place_of(metadata, column)
     for number in range(metadata.num_row_groups):
-        group = metadata.row_group(number)
-        chunks = [group.column(k) for k in range(group.num_columns)]
-        stated = next(each.statistics for each in chunks if each.path_in_schema == column)
+        stated = column_statistics(metadata, number, place)
         if stated is None or not stated.has_min_max or stated.max >= least:
             return number, rows
-        rows += group.num_rows
+        rows += metadata.row_group(number).num_rows
     return metadata.num_row_groups, rows
 
 
@@ -86,16 +85,20 @@ def spans_of_groups(path: Path, column: str) -> list[tuple[float, float]] | None
     None where the file does not state them as numbers.
     """
     metadata, spans = pq.read_metadata(path), []
-    place = next(k for k, name in enumerate(metadata.schema.names) if name == column)
+    place = _place_of(metadata, column)
     for number in range(metadata.num_row_groups):
-        group = metadata.row_group(number)
-        stated = group.column(place).statistics
-        if group.num_rows == 0:
+        stated = column_statistics(metadata, number, place)
+        if metadata.row_group(number).num_rows == 0:
             continue
         if stated is None or not stated.has_min_max or not isinstance(stated.min, float):
             return None
         spans.append((stated.min, stated.max))
     return spans or None
+
+
+def _place_of(metadata: pq.FileMetaData, column: str) -> int:
+    places = range(metadata.num_columns)
+    return next(k for k in places if metadata.schema.column(k).path == column)
 
 
 def _texts(path: Path) -> dict[str, pa.DataType]:

@@ -117,7 +117,7 @@ def test_a_run_that_is_killed_while_sights_change_is_resumed(
 def test_a_dataset_without_a_digest_of_heights_is_not_made_anew(dataset, recording):
     path, note = dataset.folder / "dataset.json", dataset.folder / "note.txt"
     document = json.loads(path.read_text())
-    del document["heights"]
+    del document["heights"], document["digest"]
     path.write_text(json.dumps(document))
     note.write_text("it is the same folder")
     site_of(dataset.folder, recording, only=True)
@@ -151,6 +151,37 @@ def test_a_map_of_another_run(recording, tmp_path):
     gr.open_dataset(dataset.folder)
     with pytest.raises(gr.InputError, match=r"map\.osm: .* of another run"):
         dataset.withdraw(sensor="R1")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("origin", [690219, 5336037]), ("crs", "EPSG:25833"), ("map", "another"), ("heights", "")],
+)
+def test_an_edited_manifest_is_refused(dataset, name, value):
+    path = dataset.folder / "dataset.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
+    with pytest.raises(gr.InputError, match=r"dataset\.json: was edited after it was written"):
+        gr.open_dataset(dataset.folder)
+
+
+def test_edited_settings_are_refused(dataset):
+    path = dataset.folder / "dataset.json"
+    document = json.loads(path.read_text())
+    document["settings"]["filters"]["sigmas"] = 3.0
+    path.write_text(json.dumps(document))
+    with pytest.raises(gr.InputError, match="was edited"):
+        gr.open_dataset(dataset.folder)
+
+
+def test_the_time_zone_can_be_edited(dataset):
+    """Hours do not follow from it."""
+    path = dataset.folder / "dataset.json"
+    document = json.loads(path.read_text())
+    path.write_text(json.dumps(document | {"timezone": "Europe/Berlin"}))
+    assert gr.open_dataset(dataset.folder).timezone == "Europe/Berlin"
+    path.write_text(json.dumps(document | {"timezone": "Berlin"}))
+    with pytest.raises(gr.InputError, match=r"dataset\.json: there is no time zone 'Berlin'"):
+        gr.open_dataset(dataset.folder)
 
 
 def edit(path, name, change):

@@ -4,16 +4,18 @@ import os
 import signal
 import threading
 import time
+from contextlib import suppress
 from functools import partial
 
 import pandas as pd
 import pyarrow.dataset as pads
 import pytest
-from datasets import BEGIN, HOUR, stored, write_dataset
+from datasets import BEGIN, HOUR, square_tiles, stored, write_dataset
 
 from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError
-from gis_radar.dataset import part_path, record_path
+from gis_radar.dataset import TileCounts, part_path, read_hours, record_path
 from gis_radar.dataset.files.tables import HITS, TABLES
+from gis_radar.dataset.questions.profiles import roll_ups
 
 AFTER = BEGIN + STEPS_PER_HOUR
 
@@ -160,6 +162,31 @@ def test_a_flipped_bit_gives_no_answer(dataset):
     path.write_bytes(content)
     with pytest.raises(InputError, match="bytes have changed"):
         dataset.query("SELECT sum(step) AS steps FROM hits")
+
+
+@pytest.mark.parametrize("name", ["tile_counts", "tile_months"])
+def test_a_flipped_bit_in_a_table_of_a_date_or_month_gives_no_answer(tmp_path, name):
+    later = AFTER + 24 * STEPS_PER_HOUR
+    observed = [(tile, step, step + 7 * tile) for tile in range(60) for step in (BEGIN, later)]
+    tile, first, last = zip(*observed, strict=True)
+    columns = {"tile_id": tile, "first_step": first, "last_step": last}
+    hits = {"tile_id": [1, 1], "step": [BEGIN, later]}
+    tiles = square_tiles(60)
+    dataset = write_dataset(tmp_path / "data", {"hits": hits, "observed": columns}, tiles=tiles)
+    records = read_hours(dataset.folder)
+    for hour in records:
+        TileCounts.of(dataset).update(hour)
+    roll_ups(dataset).update(records, records)
+    sums = f"SELECT {', '.join(f'sum({c}) AS {c}' for c in TABLES[name].names)} FROM {name}"  # noqa: S608
+    (path,) = sorted(dataset.folder.glob(f"{name}/*/*.parquet"))[:1]
+    whole, right = path.read_bytes(), dataset.query(sums)
+    footer = len(whole) - 8 - int.from_bytes(whole[-8:-4], "little")
+    wrong = 0
+    for place in range(4, footer, 17):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :])
+        with suppress(InputError):
+            wrong += not dataset.query(sums).equals(right)
+    assert wrong == 0
 
 
 def test_a_check_reads_the_tile_counts(dataset):

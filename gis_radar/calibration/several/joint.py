@@ -32,6 +32,7 @@ from gis_radar.calibration.scan.scan_check import check_against_scan, require_sc
 from gis_radar.calibration.scan.scan_check_result import CONFIRMS, ScanCheck
 from gis_radar.calibration.several.network import CLASH_HINT, Solved, solve_network
 from gis_radar.calibration.several.placing import Station
+from gis_radar.calibration.several.swapped_guesses import by_name, swapped_guesses
 from gis_radar.calibration.single.localization import (
     localize_one,
     localize_with_scan,
@@ -87,11 +88,7 @@ class JointCalibration:
         """Error that names all refused sensors in one line; None where every sensor has a pose."""
         if not self.refused:
             return None
-        reasons = {
-            reason if name in reason.partition(":")[0].split() else f"{name}: {reason}": None
-            for name, reason in self.refused.items()
-        }
-        return NoAnswerError(Text("; ").join(reasons), hint=WITHOUT)
+        return NoAnswerError(by_name(self.refused), hint=WITHOUT)
 
     def figures(self) -> dict[str, str]:
         """Return one line of text for each sensor."""
@@ -210,17 +207,14 @@ def locate_all(
         As for :func:`gis_radar.localize`.
     """
     end = common_time(recordings)
-    check = None
-    if scans:
-        check = partial(_check_named, scans=scans, scan_crs=scan_crs, reporter=reporter)
+    named = partial(_check_named, scans=scans, scan_crs=scan_crs, reporter=reporter)
+    check = named if scans else None
     yaws = [None] * len(guesses) if headings is None else headings
+    single = partial(localize_one, roads=roads, road_points=road_points, reporter=reporter)
     localizers = [
-        partial(
-            localize_one, roads=roads, road_points=road_points, guess=guess, heading=heading,
-            reporter=reporter,
-        )
+        partial(single, guess=guess, heading=heading)
         for guess, heading in zip(guesses, yaws, strict=True)
-    ]  # fmt: skip
+    ]
     if check is not None:
         compare = partial(check, reporter=SILENT)
         localizers = [
@@ -236,8 +230,7 @@ def locate_all(
     reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
     confirmed: dict[str, Localization] = {}
     if check is not None:
-        contradicted = {name: answers[name] for name in solved.refused}
-        confirmed = _confirmed_by_scan(contradicted, used, compare)
+        confirmed = _confirmed_by_scan({n: answers[n] for n in solved.refused}, used, compare)
     for name in confirmed:
         reporter.warn("{}; what stands in the scan confirms that of {}", solved.refused[name], name)
     if not solved.poses and not confirmed:
@@ -251,9 +244,15 @@ def locate_all(
     }  # fmt: skip
     if check is not None:
         placed = {n: each.with_scan_check(check(used[n], each.pose)) for n, each in placed.items()}
+    starts = dict(zip(recordings, guesses, strict=True))
+    alone = [name for name in placed if not any(name in pair for pair in solved.pairs)]
+    swapped = swapped_guesses(alone, starts, used, partial(single, reporter=SILENT))
+    placed = {name: each for name, each in placed.items() if name not in swapped}
+    if swapped and not placed | confirmed:
+        raise NoAnswerError(by_name(swapped), hint="give guesses in the order of recordings")
     found = {name: (placed | confirmed)[name] for name in used if name in placed | confirmed}
     warn_unobservable(found.values(), scanned=check is not None, reporter=reporter)
-    texts = {name: error.message for name, error in refused.items()} | solved.refused
+    texts = {name: error.message for name, error in refused.items()} | solved.refused | swapped
     unanswered = {name: text for name, text in texts.items() if name not in found}
     return JointCalibration(found=found, refused=unanswered, pairs=solved.pairs)
 

@@ -18,6 +18,7 @@ from gis_radar.base import (
     InputError,
     Reporter,
     Text,
+    UsageError,
     only_writer,
     output_errors,
     read_json,
@@ -25,6 +26,7 @@ from gis_radar.base import (
     require_folder,
     restored,
     with_texts,
+    zone_of,
 )
 from gis_radar.calibration import Finding, is_record
 from gis_radar.dataset.files.parts import clear_unfinished, replacing, write_single_file
@@ -83,6 +85,15 @@ class Manifest:
         return self == other
 
     @property
+    def digest(self) -> str:
+        """Digest of what its hours follow from; not of time zone and checks."""
+        hours_follow = (
+            self.map, self.fingerprint, self.crs, self.origin, self.settings, self.heights,
+        )  # fmt: skip
+        text = json.dumps(hours_follow, sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+    @property
     def findings(self) -> dict[str, Finding]:
         """Findings whether pose and recordings fit, by sensor."""
         return {name: Finding(sensor=name, **found) for name, found in self.checks.items()}
@@ -95,7 +106,7 @@ class Manifest:
     def write(self, folder: Path) -> None:
         """Write `dataset.json`, replacing the present one."""
         path = folder / MANIFEST
-        document = with_texts(asdict(self))
+        document = with_texts(asdict(self)) | {"digest": self.digest}
         text = json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
         with replacing(path) as fresh:
             fresh.write_text(text, encoding="utf-8")
@@ -128,21 +139,38 @@ class Manifest:
                     hint="update gis_radar",
                 )
             easting, northing = map(int, document["origin"])
+            stated = document.pop("digest", None)  # earlier versions have none
             manifest = cls(**{**restored(document), "origin": (easting, northing)})
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=MAKE_ONE) from error
-        for name in ("map", "fingerprint", "crs", "timezone", "heights"):
-            if not isinstance(getattr(manifest, name), str):
-                raise InputError("{}: damaged: {} is no text", path, name, hint=MAKE_ONE)
-        for name in ("settings", "checks"):
-            if not isinstance(getattr(manifest, name), dict):
-                raise InputError("{}: damaged: {} are none", path, name, hint=MAKE_ONE)
-        for sensor, check in manifest.checks.items():
-            if not is_record(check):
-                raise InputError(
-                    "{}: damaged: what was checked of {} is no record", path, sensor, hint=MAKE_ONE
-                )
+        _check_types(path, manifest)
+        if stated is not None and stated != manifest.digest:
+            raise InputError("{}: was edited after it was written", path, hint=BRING_BACK)
+        _check_zone(path, manifest.timezone)
         return manifest
+
+
+def _check_types(path: Path, manifest: Manifest) -> None:
+    """Refuse entries of another type."""
+    for name in ("map", "fingerprint", "crs", "timezone", "heights"):
+        if not isinstance(getattr(manifest, name), str):
+            raise InputError("{}: damaged: {} is no text", path, name, hint=MAKE_ONE)
+    for name in ("settings", "checks"):
+        if not isinstance(getattr(manifest, name), dict):
+            raise InputError("{}: damaged: {} are none", path, name, hint=MAKE_ONE)
+    for sensor, check in manifest.checks.items():
+        if not is_record(check):
+            raise InputError(
+                "{}: damaged: what was checked of {} is no record", path, sensor, hint=MAKE_ONE
+            )
+
+
+def _check_zone(path: Path, timezone: str) -> None:
+    """Refuse a time zone that there is not, with the name of the file that states it."""
+    try:
+        zone_of(timezone)
+    except UsageError as error:
+        raise InputError("{}: {}", path, error.message, hint=error.hint) from error
 
 
 def create_dataset(

@@ -21,6 +21,7 @@ from gis_radar.base import (
     STEPS_PER_SECOND,
     InputError,
     Text,
+    column_statistics,
     first_line,
     output_errors,
     writing_errors,
@@ -328,6 +329,18 @@ class TableFile:
                     rows = rows.append_column(each.name, pa.nulls(len(rows), each.type))
         return rows
 
+    def check_pages(self) -> None:
+        """Compare the checksums of all pages, for readers that do not.
+
+        Raises
+        ------
+        InputError
+            If a bit was flipped.
+        """
+        with self.opened() as file:
+            for group in range(file.num_row_groups):
+                file.read_row_group(group, use_threads=False)
+
     def keys(self) -> Keys:
         """Read the keys, by hours or dates since 1970; none if it is damaged."""
         with suppress(InputError, ValueError, KeyError), self.opened() as file:
@@ -463,8 +476,8 @@ def _check_columns(table: TableSchema, path: Path, file: pq.ParquetFile) -> None
         if column.nullable or pa.types.is_nested(column.type):
             continue
         place = schema.names.index(column.name)
-        groups = (file.metadata.row_group(each) for each in range(file.num_row_groups))
-        known = (group.column(place).statistics for group in groups)
+        groups = range(file.num_row_groups)
+        known = (column_statistics(file.metadata, group, place) for group in groups)
         if any(each is not None and each.null_count for each in known):
             raise InputError("{}: damaged: a value of {} is missing", path, column.name, hint=hint)
 
@@ -476,7 +489,7 @@ def _check_span(table: TableSchema, path: Path, file: pq.ParquetFile, hour: str)
     for name in set(table.span):
         place = file.schema_arrow.names.index(name)
         for group in range(file.num_row_groups):
-            known = file.metadata.row_group(group).column(place).statistics
+            known = column_statistics(file.metadata, group, place)
             if (
                 known is None
                 or not known.has_min_max

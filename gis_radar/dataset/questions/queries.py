@@ -83,7 +83,8 @@ def run_query(
         before = [_states(each.folder) for each in sites.values()]
         zones = {each.manifest.timezone for each in sites.values()}
         zone = zones.pop() if len(zones) == 1 else "UTC"
-        _lock(connection, views_of_sites(sites, connection, names, reporter), zone)
+        with _errors_of(folder):
+            _lock(connection, views_of_sites(sites, connection, names, reporter), zone)
         with ThreadPoolExecutor(1) as thread:
             query = _InterruptibleQuery(connection, thread, folder, timeout_s)
             answer = query.result_of(lambda: connection.sql(sql).to_arrow_reader(_ROWS_AT_ONCE))
@@ -177,7 +178,9 @@ def _errors_of(folder: Path) -> Iterator[None]:
                 "the query needs more memory than it may take",
                 hint="ask for less, or raise --memory",
             ) from error
-        if isinstance(error, duckdb.IOException) or ".parquet" in str(error):
+        # errors of the query are of a class of their own, those of damaged pages of none
+        damaged = isinstance(error, duckdb.IOException) or type(error) is duckdb.Error
+        if damaged or ".parquet" in str(error):
             raise InputError("{}: {}", folder, first_line(error), hint=MEASURE_AGAIN) from error
         raise UsageError(
             "the query fails: {}", _first_line_and_proposals(error), hint=ASK_ONE

@@ -171,6 +171,7 @@ class _Views:
             of_day = records_of(day, records)
             keys, file = maker.keys(day, of_day), maker.file(table, day)
             if keys and file.is_made_of(keys):
+                file.check_pages()  # as for hours
                 paths.append(file.path)
             else:
                 stale.update(of_day)
@@ -186,7 +187,8 @@ class _Views:
         rolled, paths, made = roll_ups(self._dataset), [], []
         for month in rolled.months(records):
             if rolled.is_current(table, month):
-                paths.append(rolled.file(table, month).path)
+                (file := rolled.file(table, month)).check_pages()
+                paths.append(file.path)
             else:
                 made.append(with_month(rolled.read(table, month), month))
         further = pa.field("month", pa.string())
