@@ -10,7 +10,7 @@ from gis_radar.calibration.check.odd_clocks import clock_offsets_between, odd_cl
 from gis_radar.calibration.timing.clock_offsets import ClockOffset
 from gis_radar.calibration.timing.lane_detections import LaneDetections
 
-SENSORS, LATE_S = 9, 1.0
+SENSORS, LATE_S, CYCLE_S = 9, 1.0, 100.0
 
 
 def drive(rng, *, late_s=0.0):
@@ -53,6 +53,18 @@ def test_a_clock_that_is_set_on_the_way_is_named(share):
     moment = np.quantile(late.time, share)
     late = replace(late, time=late.time + LATE_S * (late.time > moment))
     assert set(odd_clocks({"A": right, "B": late})) == {"A", "B"}
+
+
+@pytest.mark.parametrize("silent", ["begin", "end"])
+def test_a_sensor_that_is_silent_for_half_the_time_is_not_off_by_a_cycle(silent):
+    """At signals, traffic looks alike one cycle later: parts are compared at the same times."""
+    rng = np.random.default_rng(5)
+    both = [drive(rng), drive(rng)]
+    cycle = [replace(each, time=each.time + CYCLE_S) for each in both]
+    right = LaneDetections.joined([both[0], cycle[0]])
+    half = cycle[1] if silent == "begin" else both[1]
+    right = right.take(np.argsort(right.time, kind="stable"))
+    assert odd_clocks({"A": right, "B": half}) == {}
 
 
 def test_a_certain_offset_is_not_hidden_by_a_larger_one_that_is_uncertain(monkeypatch):

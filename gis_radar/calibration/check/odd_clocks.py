@@ -19,7 +19,7 @@ from gis_radar.calibration.timing.lane_detections import LaneDetections, placed_
 
 # Clocks contradict each other from this offset on; a car drives its length in it.
 CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0
-LEAST_PART = 1.0 / 3.0  # of the detections: less has too few vehicles
+LEAST_PART = 1.0 / 3.0  # of the common time: less has too few vehicles
 PARTNERS = 3  # comparisons that suffice for a sensor: two of them are the majority
 
 
@@ -89,14 +89,19 @@ def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str,
 
 
 def _offset_between(one: LaneDetections, other: LaneDetections) -> ClockOffset | None:
-    """Return the offset that contradicts most: of all times, of the first third, or of the last.
+    """Return the offset that contradicts most: of all times, or of a third of the common time.
 
     A clock that was set on the way contradicts the other one in a part. None without any offset.
     """
+    begin, end = max(one.time[0], other.time[0]), min(one.time[-1], other.time[-1])
+    part_s = LEAST_PART * (end - begin)
+    spans = [(-np.inf, np.inf)]  # by all times a clock is found that is off by hours
+    if end > begin:
+        spans += [(begin, begin + part_s), (end - part_s, end)]
     found = list[ClockOffset]()
-    for begin, end in ((0.0, 1.0), (0.0, LEAST_PART), (1.0 - LEAST_PART, 1.0)):
+    for span in spans:
         with suppress(NoAnswerError):
-            found.append(measured_offset(_part(one, begin, end), _part(other, begin, end)))
+            found.append(measured_offset(_within(one, *span), _within(other, *span)))
     return max(found, key=_excess, default=None)
 
 
@@ -105,9 +110,9 @@ def _excess(offset: ClockOffset) -> float:
     return abs(offset.offset_s) / max(CLOCK_S, CLOCK_SIGMAS * offset.sigma_s)
 
 
-def _part(seen: LaneDetections, begin: float, end: float) -> LaneDetections:
-    """Return the detections from a share of all to another one, by their time."""
-    return seen.take(np.arange(int(begin * len(seen)), int(end * len(seen))))
+def _within(seen: LaneDetections, begin: float, end: float) -> LaneDetections:
+    """Return the detections of a span of time."""
+    return seen.take(np.flatnonzero((seen.time >= begin) & (seen.time <= end)))
 
 
 def _clocks_apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:
