@@ -94,6 +94,10 @@ def constant_rate(table):
     return table.assign(range_rate=np.float32(5.0))
 
 
+def faster(table):
+    return table.assign(range_rate=table["range_rate"] + np.float32(0.6))
+
+
 def joined(table):
     """Join the frames of R1 and R2 in one table."""
     other = pd.read_parquet(SAMPLE / "R2.parquet")
@@ -117,6 +121,7 @@ MISTAKES = {
     "upside down": (POSES["R1"], upside_down, "roll is off by 180 deg, or y points", "y and z"),
     "no z": (POSES["R1"], times("z", 0.0), "z was not measured", "leave z empty"),
     "no rate": (POSES["R1"], constant_rate, "range_rate was not measured", "leave range_rate"),
+    "rate off": (POSES["R1"], faster, "range rates are 0.60 m/s too high", "subtract 0.60 from"),
     "two sensors": (OTHER, joined, "cause unknown", "the recording is of one sensor"),
     "ellipsoid": (turned("height", POSES["R1"].height + 45.0), None, "ellipsoid", "to 520"),
     "km/h": (POSES["R1"], times("range_rate", 3.6), "range rates look like km/h", "by 3.6"),

@@ -1,4 +1,4 @@
-"""Faults of recorded values that need neither map nor pose: frozen, constant, twice, too fast."""
+"""Faults of values that need neither map nor pose: frozen, constant, off, twice, too fast."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers, Text, iso_from_step, step_of
 from gis_radar.calibration.findings import Cause, Finding, wrong
+from gis_radar.calibration.registration.traces import MIN_SPEED_MPS
 from gis_radar.recordings import constant_value, detection_keys
 
 FROZEN_FRAMES = 20  # least number of equal frames in a row that is a fault; 1 s at 20 Hz
@@ -15,6 +16,9 @@ LEAST_REPEATED = 2  # smaller frames equal the one before by chance
 MOST_DUPLICATES = 0.1  # share of repeated detections that is accepted; by chance there are none
 # So many detections faster than this (m/s) cannot be vehicles, in m/s or in km/h.
 TOO_FAST_MPS, LEAST_TOO_FAST = 300.0, 30
+# What stands has one range rate: of slower detections than SLOW_MPS, at least LEAST_SLOW, half lie
+# within SAME_RATE_MPS (sensors have 0.02 to 0.08). That is 0 but for less than moving ones have.
+SLOW_MPS, LEAST_SLOW, SAME_RATE_MPS = 3.0, 1000, MIN_SPEED_MPS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +32,7 @@ class Rows:
 
 
 def find_fault(rows: Rows, moves: Booleans) -> Finding | None:
-    """Return the finding on frozen, constant, repeated or impossibly fast values, if any.
+    """Return the finding on frozen, constant, repeated, impossibly fast or shifted values, if any.
 
     Parameters
     ----------
@@ -37,7 +41,8 @@ def find_fault(rows: Rows, moves: Booleans) -> Finding | None:
     moves : (n,) bool array
         Which of them move.
     """
-    return _frozen(rows) or _constant(rows) or _duplicated(rows, moves) or _too_fast(rows)
+    found = _frozen(rows) or _constant(rows) or _duplicated(rows, moves) or _too_fast(rows)
+    return found or _shifted(rows)
 
 
 def _frozen(rows: Rows) -> Finding | None:
@@ -96,6 +101,24 @@ def _too_fast(rows: Rows) -> Finding | None:
     evidence = Text("{:,} detections are faster than {:g} m/s", fast, TOO_FAST_MPS)
     looks = Text("range rates look like cm/s or mm/s")
     return wrong(evidence, Cause(looks, Text("range_rate is m/s")))
+
+
+def _shifted(rows: Rows) -> Finding | None:
+    """Return the finding on range rates of what stands that are not 0 but something else."""
+    slow = np.sort(rows.range_rate[np.abs(rows.range_rate) < SLOW_MPS])
+    half = len(slow) // 2
+    if len(slow) < LEAST_SLOW:
+        return None
+    widths = slow[half:] - slow[: len(slow) - half]
+    first = int(widths.argmin())  # of the shortest interval with half of them
+    shift = float(np.median(slow[first : first + half]))
+    if widths[first] > SAME_RATE_MPS or abs(shift) <= MIN_SPEED_MPS:
+        return None
+    looks = Text("range rates are {:.2f} m/s too high", shift)
+    if shift < 0.0:
+        looks = Text("range rates are {:.2f} m/s too low", -shift)
+    evidence = Text("what stands has range rates of {:+.2f} m/s", shift)
+    return wrong(evidence, Cause(looks, Text("subtract {:.2f} from range_rate", shift)))
 
 
 def iso(time: float) -> str:
