@@ -154,6 +154,18 @@ def test_vehicles_drive_on_where_the_radar_is_blind(through, least_s, most_s, gr
         assert least_s <= span_s(other)[1] - span_s(one)[1] <= most_s
 
 
+@pytest.mark.parametrize("lasts_s", [0.5, 1.0])
+def test_who_is_detected_for_a_moment_is_extended_for_no_longer(lasts_s, graph):
+    """Where its silence would cost an end in plain view only after over two seconds."""
+    rng = np.random.default_rng(23)
+    moment = returns(rng, 4, 4 + lasts_s, 80.0, 10.0, each=2.0)
+    others = returns(rng, 20, 32, 50.0, 10.0, each=0.1)
+    found = detected(moment, others, clutter(rng, 40, 0.2))
+    known = [track(found, 4, 4 + lasts_s, 80.0, 10.0), track(found, 20, 32, 50.0, 10.0)]
+    longer, _ = with_undetected_ends(Posterior(found, known), known, graph)
+    assert 0.0 < span_s(longer)[1] - (4.0 + lasts_s) <= lasts_s
+
+
 @pytest.mark.parametrize(("speed", "least_s", "most_s"), [(2.0, 0.3, 0.5), (6.0, 1.0, 1.5)])
 def test_the_slower_a_vehicle_is_the_sooner_its_place_is_unknown(speed, least_s, most_s, graph):
     """Who drives at 6 m/s may drive at 3 after 1.5 s."""
@@ -282,6 +294,16 @@ def test_who_keeps_no_distance_is_the_end_of_another(apart, faster, left, lasts,
     found = detected(*parts, clutter(rng, lasts + 1))
     motions = [track(found, 0, lasts, *each) for each in zip(starts, speeds, strict=True)]
     assert len(join_neighbours(Posterior(found, motions))) == left
+
+
+def test_ends_of_tracks_that_are_off_do_not_keep_a_lorry_two():
+    """The rear's track was extrapolated: in its first and last 2 s it is up to 5 m off."""
+    rng = np.random.default_rng(11)
+    found = detected(*(returns(rng, 0, 14, start, 10.0) for start in (38.0, 30.0)))
+    front, rear = track(found, 0, 14, 38.0, 10.0), track(found, 0, 14, 30.0, 9.98)
+    off = np.interp(np.arange(len(rear.s_m)) / RATE, [0, 2, 12, 14], [-5.0, 0.0, 0.0, 5.0])
+    rear = replace(rear, s_m=rear.s_m + off)
+    assert len(join_neighbours(Posterior(found, [front, rear]))) == 1
 
 
 def test_what_the_end_of_another_drives_alone_is_kept():

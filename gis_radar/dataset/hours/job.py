@@ -44,7 +44,7 @@ from gis_radar.recordings import keys_in_common
 from gis_radar.scans import SightTiles
 from gis_radar.tracking import MARGIN_STEPS, HourVehicles, vehicles_of_hour
 
-METHOD = 16
+METHOD = 17
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # equal frames of two sensors that may be chance

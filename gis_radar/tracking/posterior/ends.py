@@ -102,8 +102,10 @@ def with_undetected_ends(
         step = posterior.frames.time[posterior.states.frame[rows]] * STEPS_PER_SECOND
         detected = posterior.detections.time[motion.rows] * STEPS_PER_SECOND
         speed = motion.speed[[0, -1]]
-        # until the speed may have changed by half, at ACCELERATION_MPS2
+        # until the speed may have changed by half, at ACCELERATION_MPS2, and no longer than it was
+        # detected, which is how long its speed is known
         reliable = 0.5 * speed / ACCELERATION_MPS2 * STEPS_PER_SECOND
+        reliable = np.minimum(reliable, detected.max() - detected.min())
         reliable[speed <= STANDS_MPS] = math.inf
         before, after = (
             _undetected_steps(past, cost, most)

@@ -35,6 +35,7 @@ LENGTH_CHANGES_M = (2.0, 1.0, 0.5)  # steps of the search for a merged length, c
 # Sigma of the distance of parts of one body. Above FLOWING_MPS two drivers' speeds differ by
 # DRIFT_MPS, but a follower lets the gap vary by this share of it at most. Least time of both so.
 RIGID_M, FLOWING_MPS, DRIFT_MPS, GAP_VARIES, LEAST_S = 0.4, 5.0, 1.0, 0.25, 1.0
+SIGMA_OF_MEDIAN = 1.4826  # sigma of a normal variable over the median of its absolute value
 
 
 def join_neighbours(posterior: Posterior) -> list[Motion]:
@@ -176,7 +177,8 @@ def _driven_as_one_odds(first: Motion, second: Motion) -> float:
     distance, bodies = float(np.median(distances)), first.length_m + second.length_m
     gap = max(distance - 0.5 * bodies, LEAST_GAP_M)
     drift = max(min(DRIFT_MPS * time / math.sqrt(12.0), GAP_VARIES * gap), RIGID_M)
-    half_variance = 0.5 * float(np.var(distances))
+    # robust, as the ends of a track are extrapolated and may be metres off
+    half_variance = 0.5 * (SIGMA_OF_MEDIAN * float(np.median(np.abs(distances - distance)))) ** 2
     odds = 2.0 * (math.log(drift / RIGID_M) - half_variance * (RIGID_M**-2 - drift**-2))
     speed = np.maximum(first.speed[a], second.speed[b])[flowing]
     merged_m = min(distance + 0.5 * bodies, LONGEST_M)
