@@ -441,35 +441,57 @@ def test_what_no_neighbour_places_keeps_its_reason(recordings, true, tmp_path, m
     assert done.failure.message == "R2: ambiguous"
 
 
-@pytest.mark.parametrize("names", [("R1", "R2"), ("R1", "R2", "R3")])
-def test_swapped_guesses_leave_no_wrong_pose(true, tmp_path, monkeypatch, names):
-    """With R2's guess R1's traffic fits a wrong place; with R1's guess R2's fits none."""
-    paths = [tmp_path / f"{name}.parquet" for name in names]
-    guesses = [(400.0, 0.0), (0.0, 0.0), (800.0, 0.0)][: len(names)]
-    fits = {("R1", 400.0), ("R2", 400.0), ("R3", 800.0)}
+@pytest.fixture
+def located(true, tmp_path, monkeypatch):
+    """Locate sensors that share no vehicles; by sensor, easting of the guess and where it fits."""
 
-    def single(recording, *_, guess, **__):
-        if (recording.stem, guess[0]) not in fits:
-            raise gr.NoAnswerError("no place fits")
-        return Localization(pose=stated(true["R1"]), fitness=0.9, observable=True)
+    def locate(fits, *, guesses, verdict=None):
+        evidence = {} if verdict is None else {"scan_check": {"verdict": verdict}}
 
-    def unmatched(_, poses, *__, **___):
-        chosen = dict.fromkeys(poses, 0)
-        firsts = {name: each[0] for name, each in poses.items()}
-        return Solved(poses=firsts, chosen=chosen, refused={}, pairs={})
+        def single(recording, *_, guess, **__):
+            if guess[0] not in fits[recording.stem]:
+                raise gr.NoAnswerError("no place fits")
+            pose = stated(true["R1"])
+            pose = replace(pose, evidence={**pose.evidence, **evidence})
+            return Localization(pose=pose, fitness=0.9, observable=True)
 
-    place = "gis_radar.calibration.several.joint"
-    monkeypatch.setattr(f"{place}.localize_one", single)
-    monkeypatch.setattr(f"{place}.adjust_poses", unmatched)
-    monkeypatch.setattr(f"{place}.common_time", lambda _: START)
-    if len(names) == 2:
-        with pytest.raises(gr.NoAnswerError, match=r"^R1: .* traffic of R2 fits") as refusal:
-            locate_all(paths, LONG.roads(), LONG.road_points(), guesses=guesses)
-        assert refusal.value.hint == "give guesses in the order of recordings"
-        return
-    done = locate_all(paths, LONG.roads(), LONG.road_points(), guesses=guesses)
+        def unmatched(_, poses, *__, **___):
+            firsts = {name: each[0] for name, each in poses.items()}
+            return Solved(poses=firsts, chosen=dict.fromkeys(poses, 0), refused={}, pairs={})
+
+        place = "gis_radar.calibration.several.joint"
+        monkeypatch.setattr(f"{place}.localize_one", single)
+        monkeypatch.setattr(f"{place}.adjust_poses", unmatched)
+        monkeypatch.setattr(f"{place}.common_time", lambda _: START)
+        paths = [tmp_path / f"{name}.parquet" for name in guesses]
+        places = [(east, 0.0) for east in guesses.values()]
+        return locate_all(paths, LONG.roads(), LONG.road_points(), guesses=places)
+
+    return locate
+
+
+SWAPPED = {"R1": {0.0, 400.0}, "R2": {400.0}, "R3": {800.0}}  # R1's fits a wrong place by chance
+
+
+def test_swapped_guesses_leave_no_wrong_pose(located):
+    with pytest.raises(gr.NoAnswerError, match=r"^R1: .* traffic of R2 fits") as refusal:
+        located(SWAPPED, guesses={"R1": 400.0, "R2": 0.0})
+    assert refusal.value.hint == "give guesses in the order of recordings"
+    done = located(SWAPPED, guesses={"R1": 400.0, "R2": 0.0, "R3": 800.0})
     assert list(done.found) == ["R3"]
     assert done.refused.keys() == {"R1", "R2"}
+
+
+def test_a_wrong_guess_takes_no_pose_from_a_sensor_beside(located):
+    """R2 stands 10 m from R1, so that its recording fits at R1's guess, too."""
+    done = located({"R1": {400.0}, "R2": {400.0}}, guesses={"R1": 400.0, "R2": 0.0})
+    assert list(done.found) == ["R1"]
+    assert done.refused == {"R2": "no place fits"}
+
+
+def test_a_pose_that_the_scan_confirms_is_of_no_swapped_guess(located):
+    done = located(SWAPPED, guesses={"R1": 400.0, "R2": 0.0}, verdict="confirms")
+    assert list(done.found) == ["R1"]
 
 
 def test_a_sensor_before_which_nothing_moves_then_is_not_tied(recordings, true, tmp_path):

@@ -67,6 +67,11 @@ def test_a_sensor_that_is_silent_for_half_the_time_is_not_off_by_a_cycle(silent)
     assert odd_clocks({"A": right, "B": half}) == {}
 
 
+def test_a_sensor_without_detections_on_lanes_is_compared_with_none(seen):
+    nothing = LaneDetections.joined([])
+    assert odd_clocks({"A": nothing, "B": seen["S00"], "C": nothing}) == {}
+
+
 def test_a_certain_offset_is_not_hidden_by_a_larger_one_that_is_uncertain(monkeypatch):
     """By few vehicles in a part, the offset may be larger, with an error as large as it."""
 

@@ -29,12 +29,14 @@ from gis_radar.calibration.check import explanations, fitted_pose, nearly_right,
 from gis_radar.calibration.check.evidence import score
 from gis_radar.calibration.check.excerpt import read_excerpts
 from gis_radar.calibration.check.explanations import compare_explanations
-from gis_radar.calibration.check.mistakes import MIRRORED, NONE, Mistake
+from gis_radar.calibration.check.faults import Rows, find_fault
+from gis_radar.calibration.check.mistakes import AGAINST, MIRRORED, NO_MISTAKE, Mistake
 from gis_radar.calibration.check.plausibility import judge
-from gis_radar.calibration.findings import Cause
+from gis_radar.calibration.check.scene_change import SceneChange
+from gis_radar.calibration.findings import Cause, judged, wrong
 from gis_radar.calibration.monitoring.kalman_filter import Measurement
 from gis_radar.calibration.registration.state import State
-from gis_radar.calibration.registration.traces import NONE as NO_TRACK
+from gis_radar.calibration.registration.traces import NONE
 from gis_radar.calibration.unit_mistakes import FEET, USUAL_MISTAKES
 from gis_radar.poses import PoseTrack, as_track
 
@@ -319,7 +321,7 @@ def test_a_mirrored_map_and_another_place_are_two_mistakes():
     for east_m, twofold in ((0.5, False), (12.0, True)):
         there = replace(pose, easting=pose.easting + east_m)
         assert replace(MIRRORED.by(pose, there), fitted=6).is_twofold(pose) is twofold
-        assert not replace(NONE.by(pose, there), fitted=6).is_twofold(pose)
+        assert not replace(NO_MISTAKE.by(pose, there), fitted=6).is_twofold(pose)
 
 
 def test_a_doubted_pose_may_be_ranges_that_are_too_long(rows, excerpts, lanes):
@@ -360,6 +362,37 @@ def test_vehicles_that_are_all_there_from_the_first_frame_on_tell_no_moment(
     assert judge("R1", [excerpt], lanes, {})[0].verdict == FITS
 
 
+@pytest.mark.parametrize("others", [(), (Cause("its pose is off", "find it"),)])
+def test_where_the_scene_stays_only_what_leaves_it_is_named_from_a_moment_on(
+    rows, excerpts, lanes, monkeypatch, others
+):
+    still = SceneChange(time=None, share=0.9, usual=0.9)
+    excerpt = replace(next(excerpts(rows["R1"])), scene_change=still)
+    first = excerpt.time[np.unique(excerpt.vehicle, return_index=True)[1]]
+    late = replace(score(excerpt, lanes), on_lane=(first > np.median(first)).astype(np.float64))
+    monkeypatch.setattr(plausibility, "score", lambda *_: late)
+    fits = judged(FITS, "most")
+    sides = iter([wrong("few", *others, AGAINST), fits, fits])
+    monkeypatch.setattr(plausibility, "compare_explanations", lambda *_, **__: next(sides))
+    found, _ = judge("R1", [excerpt], lanes, {})
+    assert found.cause.startswith("until ") is not bool(others)
+
+
+def test_two_detections_of_a_few_may_be_alike_by_chance():
+    """As of a radar of coarse positions on a quiet street."""
+    rng = np.random.default_rng(1)
+    for count, found in ((10, False), (100, True)):
+        detected = np.append(np.arange(count - 2), np.arange(count // 2 if found else 2))
+        points, rate = rng.normal(0.0, 50.0, (count, 3))[detected], np.arange(count)[detected] + 1.0
+        rows = Rows(
+            time=np.zeros(len(rate)), points=points, range_rate=rate,
+            source=np.zeros(len(rate), np.int64),
+        )  # fmt: skip
+        fault = find_fault(rows, rate > 0.0)
+        assert (fault is not None) is found
+        assert fault is None or "twice" in fault.evidence
+
+
 @pytest.mark.parametrize(("offset_s", "asked"), [(0.004, False), (-1.0, True)])
 def test_the_sign_of_a_correction_is_asked_for_where_it_can_matter(
     rows, lanes, tmp_path, monkeypatch, offset_s, asked
@@ -382,7 +415,7 @@ def test_objects_that_are_left_out_leave_no_gaps(rows, excerpts):
     excerpt = next(excerpts(rows["R1"], track))
     moving, number = excerpt.as_usual
     assert 0 < len(moving) < len(excerpt.moving)
-    known = np.unique(number[number != NO_TRACK])
+    known = np.unique(number[number != NONE])
     assert list(known) == list(range(len(known)))
     until, since = excerpt.split_at(float(rows["R1"]["time"].iloc[0]) + 20.0)
     assert len(until.moving) + len(since.moving) == len(excerpt.moving)

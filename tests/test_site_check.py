@@ -230,7 +230,7 @@ def test_a_recording_in_which_nothing_moves_is_named_before_a_pose_is_sought(pla
     found = gr.check_site(with_rates(place(), 0.0))
     assert found.failure is None
     little = "R2: too little traffic to tell: 0 vehicles move, 10 are needed"
-    assert found.warnings == (f"{little}; all range rates are under 0.15 m/s",)
+    assert found.warnings == (f"{little}; no range rate is over 0.15 m/s",)
 
 
 def test_short_and_foreign_recordings(place, tmp_path):

@@ -36,6 +36,7 @@ MARK = "gis_radar,"  # begin of the comment on a schema of ours
 CHANNEL = "qgis"  # channel on which QGIS listens for "Refresh layer on notification"
 CONNECT_S = 10  # longest wait for a server's answer, seconds
 LOCK_S = 60.0  # longest wait for a table that another holds, seconds: readers would wait behind it
+LOCK_NOT_AVAILABLE = "55P03"  # SQLSTATE; the server's words may be of any language
 _EPOCH = date(1970, 1, 1)
 _NAME = re.compile(r"[a-z_][a-z0-9_]{0,62}")
 _TYPES = {
@@ -245,13 +246,14 @@ def opened_session(url: str, schema: str, srid: int = 0) -> Iterator[Session]:
             yield Session(cursor=connection.cursor(), schema=schema, place=place, srid=srid)
     except psycopg.Error as error:
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise OutputError("{}: {}", place, reason, hint=_hint_for(reason)) from error
+        hint = _hint_for(reason, error.sqlstate)
+        raise OutputError("{}: {}", place, reason, hint=hint) from error
 
 
-def _hint_for(reason: str) -> Text:
+def _hint_for(reason: str, state: str | None) -> Text:
     if 'extension "postgis"' in reason:
         return Text("install PostGIS, and CREATE EXTENSION postgis in the database as a superuser")
-    if "lock timeout" in reason:
+    if state == LOCK_NOT_AVAILABLE:
         return Text("another program holds a table; the database is as it was: try again later")
     return Text("the database is as it was")
 

@@ -67,7 +67,7 @@ def compare_explanations(
     others : mapping of str to Pose
         The poses of the site's other sensors.
     units_known : bool
-        Whether units and sign of the range rates are known to be right.
+        Whether the range rates show that the units, and their sign, are right.
     """
     given, flat = score(excerpt, lanes), score(excerpt, lanes, heights=False)
     heights_m = flat.height_over_m[np.isfinite(flat.height_over_m)]

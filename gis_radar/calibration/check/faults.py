@@ -13,7 +13,8 @@ from gis_radar.recordings import constant_value, detection_keys
 
 FROZEN_FRAMES = 20  # least number of equal frames in a row that is a fault; 1 s at 20 Hz
 LEAST_REPEATED = 2  # smaller frames equal the one before by chance
-MOST_DUPLICATES = 0.1  # share of repeated detections that is accepted; by chance there are none
+# Share of repeated detections that is accepted, and a number: of a few, two may be alike by chance.
+MOST_DUPLICATES, LEAST_DUPLICATES = 0.1, 30
 # So many detections faster than this (m/s) cannot be vehicles, in m/s or in km/h.
 TOO_FAST_MPS, LEAST_TOO_FAST = 300.0, 30
 # What stands has one range rate: of slower detections than SLOW_MPS, at least LEAST_SLOW, half lie
@@ -78,14 +79,15 @@ def _constant(rows: Rows) -> Finding | None:
 
 def _duplicated(rows: Rows, moves: Booleans) -> Finding | None:
     """Return the finding on moving detections that repeat another one of recording and frame."""
-    keys = detection_keys(rows.source, rows.time, rows.points, rows.range_rate)[moves]
-    share = (len(keys) - len(np.unique(keys))) / max(len(keys), 1)
-    if share <= MOST_DUPLICATES:
+    values = rows.source, rows.time, rows.points, rows.range_rate
+    keys = detection_keys(*(each[moves] for each in values))
+    twice = len(keys) - len(np.unique(keys))
+    if twice < LEAST_DUPLICATES or twice <= MOST_DUPLICATES * len(keys):
         return None
     cause = Cause(
         Text("a file was joined with a copy of itself"), Text("leave each detection once")
     )
-    return wrong(Text("{:.0%} of the moving detections are twice in it", share), cause)
+    return wrong(Text("{:.0%} of the moving detections are twice in it", twice / len(keys)), cause)
 
 
 def _too_fast(rows: Rows) -> Finding | None:

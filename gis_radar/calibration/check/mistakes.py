@@ -124,7 +124,7 @@ class Mistake:
         )
 
 
-NONE = Mistake()
+NO_MISTAKE = Mistake()
 AGAINST = Cause(
     Text("traffic runs against the lanes"),
     Text("the map's left and right bounds are swapped: turn its lanes"),
@@ -197,7 +197,7 @@ def usual_mistakes(
     others : mapping of str to Pose
         The poses of other sensors of the site.
     units_known : bool
-        Whether units and sign of the range rates are known to be right.
+        Whether the range rates show that the units, and their sign, are right.
     """
     pose = excerpt.usual
     compass = yaw_from_compass(pose.yaw, pose.crs, pose.easting, pose.northing)
@@ -241,7 +241,7 @@ def _of_another(name: str, other: Pose) -> Mistake:
 def other_yaws(pose: Pose) -> Iterator[Mistake]:
     """Yield the pose with yaws all around the circle: they explain traffic by chance only."""
     for turn in np.arange(NEAR_DEG, 360.0 - NEAR_DEG + 0.1, STEP_DEG).tolist():
-        yield NONE.by(pose, replace(pose, yaw=pose.yaw + turn))
+        yield NO_MISTAKE.by(pose, replace(pose, yaw=pose.yaw + turn))
 
 
 def search_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Mistake]:
@@ -260,7 +260,8 @@ def search_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Mistake]:
         return []
     scene = Scene(lanes=near, samples=thin(*excerpt.as_usual))
     found = []
-    for axes, seen in ((NONE, scene), (MIRRORED, scene.of(mirrored(scene.samples)))):
+    variants = (NO_MISTAKE, scene), (MIRRORED, scene.of(mirrored(scene.samples)))
+    for recorded, seen in variants:
         for hypothesis in find_hypotheses(seen, heading=None)[:SEARCHED]:
             state = hypothesis.fit.state
             if np.hypot(*state.position[:2]) > FARTHEST_M:
@@ -272,13 +273,14 @@ def search_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Mistake]:
             # the place along a street is not fixed: one mistake may explain as much as two
             for change in ({"yaw": turn["yaw"]}, there, there | turn):
                 other = replace(pose, **change)
-                found.append(other_pose(pose, other) if axes is NONE else axes.by(pose, other))
+                is_mirrored = recorded is MIRRORED
+                found.append(MIRRORED.by(pose, other) if is_mirrored else other_pose(pose, other))
     return [replace(each, fitted=6) for each in found]
 
 
 def other_pose(pose: Pose, there: Pose) -> Mistake:
     """Return the mistake that a sensor with the given pose `pose` has the pose `there`."""
-    mistake = NONE.by(pose, there)
+    mistake = NO_MISTAKE.by(pose, there)
     off_m, turn = mistake.off(pose)
     is_away, is_turned = off_m > ONE_MISTAKE_M, abs(turn) > ONE_MISTAKE_DEG
     tilt = max(abs(there.pitch - pose.pitch), abs(within_half_turn(there.roll - pose.roll)))

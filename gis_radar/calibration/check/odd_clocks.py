@@ -93,6 +93,8 @@ def _offset_between(one: LaneDetections, other: LaneDetections) -> ClockOffset |
 
     A clock that was set on the way contradicts the other one in a part. None without any offset.
     """
+    if len(one) == 0 or len(other) == 0:
+        return None
     begin, end = max(one.time[0], other.time[0]), min(one.time[-1], other.time[-1])
     part_s = LEAST_PART * (end - begin)
     spans = [(-np.inf, np.inf)]  # by all times a clock is found that is off by hours

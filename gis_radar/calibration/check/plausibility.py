@@ -47,7 +47,8 @@ LEAST_SIDE = 8  # least number of vehicles on either side of a change
 # explains the traffic on one side.
 CHANGED, EXPLAINED = 8.0, 3.0
 SIDES = "until {}: {}", "from {} on: {}"  # of a moment
-RATE_CAUSES = AGAINST.text, ABSOLUTE.text  # causes that do not move static surroundings
+# Ends of causes from a moment on that do not move static surroundings, and are the only ones named.
+RATE_CAUSES = f": {AGAINST.text}", f": {ABSOLUTE.text}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,8 +222,8 @@ def _too_little_traffic(excerpt: Excerpt) -> Finding | None:
     if excerpt.vehicles >= LEAST_VEHICLES:
         return None
     evidence = Text("{} vehicles move, {} are needed", excerpt.vehicles, LEAST_VEHICLES)
-    if len(excerpt.moving) == 0:  # or the radar does not measure it
-        evidence = Text("{}; all range rates are under {:g} m/s", evidence, MIN_SPEED_MPS)
+    if len(excerpt.moving) == 0:  # nothing moves, or the radar does not measure it
+        evidence = Text("{}; no range rate is over {:g} m/s", evidence, MIN_SPEED_MPS)
     return judged(UNKNOWN, evidence, Cause("", RECORD_MORE))
 
 

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.base import NoAnswerError, Text
+from gis_radar.calibration.scan.scan_check_result import CONFIRMS
+from gis_radar.calibration.single.result import Localization
 
 APART_M = 15.0  # guesses lie within it of the truth; nearer ones are of one place
 
@@ -25,10 +27,13 @@ def swapped_guesses(
 ) -> dict[str, Text]:
     """Return the sensors to whose guesses belongs the recording of another one, with the reason.
 
+    Theirs must fit the guess of another one, too: where a wrong guess is of a sensor that stands
+    beside a right one, its recording also fits at that one's guess.
+
     Parameters
     ----------
     suspects : collection of str
-        Sensors with a pose that no other sensor confirms.
+        Sensors with a pose that nothing confirms, as from :func:`unconfirmed`.
     guesses : mapping of Path to tuple of float
         Guesses of all sensors by their recordings.
     answered : collection of str
@@ -36,17 +41,42 @@ def swapped_guesses(
     localize : callable
         Localizes a recording at a `guess`; raises NoAnswerError.
     """
+
+    def fits(recording: Path, guess: tuple[float, ...]) -> bool:
+        with suppress(NoAnswerError):
+            localize(recording, guess=guess)
+            return True
+        return False
+
     found: dict[str, Text] = {}
     for one in (path for path in guesses if path.stem in suspects):
-        for other in (path for path in guesses if path.stem not in answered):
-            if math.dist(guesses[one][:2], guesses[other][:2]) <= APART_M:
-                continue
-            with suppress(NoAnswerError):
-                localize(other, guess=guesses[one])
+        here = guesses[one]
+        apart = [path for path in guesses if math.dist(here[:2], guesses[path][:2]) > APART_M]
+        for other in (path for path in apart if path.stem not in answered):
+            if fits(other, here) and any(fits(one, guesses[path]) for path in apart):
                 found[one.stem] = Text(
                     "no pose, as the traffic of {} fits its guess: are guesses swapped?", other.stem
                 )
+                break
     return found
+
+
+def unconfirmed(
+    placed: Mapping[str, Localization], pairs: Collection[tuple[str, str]]
+) -> list[str]:
+    """Return the sensors whose pose neither a scan nor vehicles shared with another one confirm.
+
+    Parameters
+    ----------
+    placed : mapping of str to Localization
+        Localizations by sensor, with their scan checks if there are scans.
+    pairs : collection of (str, str)
+        Sensors that share vehicles.
+    """
+    shared = {name for pair in pairs for name in pair}
+    checks = {name: each.pose.evidence.get("scan_check") or {} for name, each in placed.items()}
+    confirmed = {name for name, each in checks.items() if each.get("verdict") == CONFIRMS}
+    return [name for name in placed if name not in shared | confirmed]
 
 
 def by_name(reasons: Mapping[str, str]) -> str:
