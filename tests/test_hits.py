@@ -93,6 +93,14 @@ def test_a_pose_track_of_another_time_is_named(later_s, named):
     assert not [*always.warn_uncertain(START + later_s, START + later_s + 10.0)]
 
 
+@pytest.mark.parametrize("rows", [1, 2])
+def test_a_pose_that_holds_until_it_is_changed_by_hand_is_of_no_other_time(rows):
+    since = START + 30.0 * 86_400.0 * np.arange(rows)
+    track = PoseTrack(poses=(pose(),) * rows, since=since)
+    later = since[-1] + 86_400.0
+    assert not [*track.warn_uncertain(later, later + 10.0)]
+
+
 def corrected(corrections, *, moved=(), **fields):
     """A track with a pose each 5 s that is a little off the first one."""
     rng = np.random.default_rng(7)

@@ -38,7 +38,9 @@ NUMBERS = {"vehicles": int, "fitness": float}  # evidence that is a number; all 
 DECIMALS = 6  # of metres and degrees
 # A warning is given where the standard deviation of place or yaw exceeds these for so long.
 UNCERTAIN_M, UNCERTAIN_DEG, UNCERTAIN_S = 1.0, 1.0, 60.0
-LATER_S = 3600.0  # how long after the end of its track a pose is taken without a warning
+# How long after the end of its track a pose is taken without a warning; as long as rows are apart,
+# if that is more: poses written by hand hold until they are changed.
+LATER_S = 3600.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +90,8 @@ class PoseTrack:
             Times between which spans count, UNIX seconds.
         """
         first, last = self.since[[0, -1]]
-        if math.isfinite(first) and (end < first or begin > last + LATER_S):
+        apart_s = np.diff(self.since).max() if len(self.since) > 1 else math.inf
+        if math.isfinite(first) and (end < first or begin > last + max(apart_s, LATER_S)):
             yield Text(
                 "{}: recorded from {} to {}, but its pose track is of {} to {}: its nearest pose "
                 "was taken; is it the track of another day or time zone?",
