@@ -20,6 +20,9 @@ TOO_FAST_MPS, LEAST_TOO_FAST = 300.0, 30
 # What stands has one range rate: of slower detections than SLOW_MPS, at least LEAST_SLOW, half lie
 # within SAME_RATE_MPS (sensors have 0.02 to 0.08). That is 0 but for less than moving ones have.
 SLOW_MPS, LEAST_SLOW, SAME_RATE_MPS = 3.0, 1000, MIN_SPEED_MPS
+# Half of what stands is in cells of so many metres that are detected in this share of the frames
+# (eleven sensors: 0.41 to 0.92); a vehicle is in such a cell for a second.
+CELL_M, STAYING_SHARE = 2.0, 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,14 +116,26 @@ def _shifted(rows: Rows) -> Finding | None:
         return None
     widths = slow[half:] - slow[: len(slow) - half]
     first = int(widths.argmin())  # of the shortest interval with half of them
+    low, high = slow[[first, first + half]]
     shift = float(np.median(slow[first : first + half]))
-    if widths[first] > SAME_RATE_MPS or abs(shift) <= MIN_SPEED_MPS:
+    if high - low > SAME_RATE_MPS or abs(shift) <= MIN_SPEED_MPS:
+        return None
+    if not _stays(rows, (rows.range_rate >= low) & (rows.range_rate <= high)):
         return None
     looks = Text("range rates are {:.2f} m/s too high", shift)
     if shift < 0.0:
         looks = Text("range rates are {:.2f} m/s too low", -shift)
     evidence = Text("what stands has range rates of {:+.2f} m/s", shift)
     return wrong(evidence, Cause(looks, Text("subtract {:.2f} from range_rate", shift)))
+
+
+def _stays(rows: Rows, chosen: Booleans) -> bool:
+    """Return whether half of the chosen detections lie in cells that are detected all the time."""
+    frames, frame = np.unique(rows.time, return_inverse=True)
+    places = np.floor(rows.points[chosen, :2] / CELL_M)
+    cell = np.unique(places, axis=0, return_inverse=True)[1].ravel()
+    count = np.bincount(np.unique(np.column_stack([cell, frame[chosen]]), axis=0)[:, 0])
+    return bool(np.median(count[cell]) >= STAYING_SHARE * len(frames))
 
 
 def iso(time: float) -> str:
