@@ -465,7 +465,7 @@ def test_before_the_first_quarter_the_page_says_why_all_is_grey(
         side = chromium.find_element(By.ID, "side")
         assert "Noch ist keine Viertelstunde gemessen." not in side.text
         chromium.find_element(By.CSS_SELECTOR, "input[value=occupancy]").click()
-        assert "Noch ist keine Viertelstunde gemessen." in side.text
+        wait_for(lambda: "Noch ist keine Viertelstunde gemessen." in side.text)  # after drawing
         cells = chromium.find_elements(By.CSS_SELECTOR, "#sensor-rows tr:first-child td")
         assert [each.text for each in cells[1:3]] == ["20,0", "0,04"]
     wait_for(lambda: "Noch ist keine Viertelstunde gemessen." not in side.text)
