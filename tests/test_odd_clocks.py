@@ -46,12 +46,13 @@ def test_of_many_sensors_with_one_view_the_late_one_is_named(seen):
     assert float(ahead[1]) == pytest.approx(LATE_S, abs=0.1)
 
 
+@pytest.mark.parametrize("late_s", [LATE_S, 3600.0])
 @pytest.mark.parametrize("share", [0.4, 0.5, 0.6])
-def test_a_clock_that_is_set_on_the_way_is_named(share):
+def test_a_clock_that_is_set_on_the_way_is_named(share, late_s):
     rng = np.random.default_rng(3)
     right, late = drive(rng), drive(rng)
     moment = np.quantile(late.time, share)
-    late = replace(late, time=late.time + LATE_S * (late.time > moment))
+    late = replace(late, time=late.time + late_s * (late.time > moment))
     assert set(odd_clocks({"A": right, "B": late})) == {"A", "B"}
 
 
@@ -65,6 +66,8 @@ def test_a_sensor_that_is_silent_for_half_the_time_is_not_off_by_a_cycle(silent)
     half = cycle[1] if silent == "begin" else both[1]
     right = right.take(np.argsort(right.time, kind="stable"))
     assert odd_clocks({"A": right, "B": half}) == {}
+    quarter = half.take(np.flatnonzero(half.time < np.median(half.time)))
+    assert odd_clocks({"A": right, "B": quarter}) == {}
 
 
 def test_a_sensor_without_detections_on_lanes_is_compared_with_none(seen):

@@ -19,7 +19,8 @@ from gis_radar.calibration.timing.lane_detections import LaneDetections, placed_
 
 # Clocks contradict each other from this offset on; a car drives its length in it.
 CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0
-LEAST_PART = 1.0 / 3.0  # of the common time: less has too few vehicles
+LEAST_PART = 1.0 / 3.0  # of the detections: less has too few vehicles
+LEAST_SHARED = 0.5  # of a third: the other sensor has so many at the same times if no clock was set
 PARTNERS = 3  # comparisons that suffice for a sensor: two of them are the majority
 
 
@@ -89,32 +90,49 @@ def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str,
 
 
 def _offset_between(one: LaneDetections, other: LaneDetections) -> ClockOffset | None:
-    """Return the offset that contradicts most: of all times, or of a third of the common time.
+    """Return the offset that contradicts most: of all times, of the first third, or of the last.
 
     A clock that was set on the way contradicts the other one in a part. None without any offset.
     """
     if len(one) == 0 or len(other) == 0:
         return None
-    begin, end = max(one.time[0], other.time[0]), min(one.time[-1], other.time[-1])
-    part_s = LEAST_PART * (end - begin)
-    spans = [(-np.inf, np.inf)]  # by all times a clock is found that is off by hours
-    if end > begin:
-        spans += [(begin, begin + part_s), (end - part_s, end)]
     found = list[ClockOffset]()
-    for span in spans:
+    for pair in ((one, other), _parts(one, other, 0.0), _parts(one, other, 1.0 - LEAST_PART)):
         with suppress(NoAnswerError):
-            found.append(measured_offset(_within(one, *span), _within(other, *span)))
+            found.append(measured_offset(*pair))
     return max(found, key=_excess, default=None)
+
+
+def _parts(
+    one: LaneDetections, other: LaneDetections, begin: float
+) -> tuple[LaneDetections, LaneDetections]:
+    """Return a third of the detections of both sensors, which begins at a share of them.
+
+    It is of the same times if both recorded then: where one falls silent, their own thirds are of
+    other times, at which traffic may look alike, one cycle of signals later. It is each one's own
+    third if neither recorded at the times of the other's, as where a clock was set by an hour.
+    """
+    thirds = [
+        each.take(np.arange(int(begin * len(each)), int((begin + LEAST_PART) * len(each))))
+        for each in (one, other)
+    ]
+    share, best = 0.0, (thirds[0], thirds[1])
+    for third in (each for each in thirds if len(each) > 0):
+        pair = _within(one, third), _within(other, third)
+        if min(map(len, pair)) > max(share, LEAST_SHARED) * len(third):
+            share, best = min(map(len, pair)) / len(third), pair
+    return best
+
+
+def _within(seen: LaneDetections, part: LaneDetections) -> LaneDetections:
+    """Return the detections at the times of a part."""
+    first, last = part.time[[0, -1]]
+    return seen.take(np.flatnonzero((seen.time >= first) & (seen.time <= last)))
 
 
 def _excess(offset: ClockOffset) -> float:
     """Return an offset as a multiple of the least one that contradicts, given its error."""
     return abs(offset.offset_s) / max(CLOCK_S, CLOCK_SIGMAS * offset.sigma_s)
-
-
-def _within(seen: LaneDetections, begin: float, end: float) -> LaneDetections:
-    """Return the detections of a span of time."""
-    return seen.take(np.flatnonzero((seen.time >= begin) & (seen.time <= end)))
 
 
 def _clocks_apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:
