@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import re
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import geopandas as gpd
@@ -128,17 +128,13 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
     }
     options = {"geometry_type": "Polygon", "layer_metadata": metadata}
     add_layer(tally.tiles, path, TILES, use_arrow=True, **options)
-    length_s = float(tally.timeline.end[0] - tally.timeline.begin[0]) / STEPS_PER_SECOND
-    measure, notes = tally.measure, _notes_of(tally)
-    least_s = {layer: tally.least_visible_s(part) for layer, part in ((WIDE, None), (LONG, 0))}
-    about = f"fixed classes of {measure}, so that maps compare"
+    about = f"fixed classes of {tally.measure}, so that maps compare"
     with closing(sqlite3.connect(path)) as database, database:
         write_wide(database, tally)
         write_steps(database, tally, reporter)
         list_tiles_last(database)
-        describe_layers(database, notes)
-        styles = own_styles(measure, length_s, least_s, _columns_of(database))
-        add_styles(database, styles, name=measure, about=about)
+        describe_layers(database, _notes_of(tally))
+        add_styles(database, styles_of(tally), name=tally.measure, about=about)
 
 
 def write_one_layer(table: gpd.GeoDataFrame, path: Path, least_s: float) -> None:
@@ -161,41 +157,23 @@ def write_one_layer(table: gpd.GeoDataFrame, path: Path, least_s: float) -> None
         add_styles(database, {WIDE: styles[WIDE]}, name=measure, about=about)
 
 
-def read_own_styles(path: Path, measure: str, length_s: float) -> dict[str, str]:
-    """Return our QGIS styles of both layers of a heat map.
+def styles_of(tally: Tally) -> dict[str, str]:
+    """Return the QGIS styles of both layers of a heat map.
 
-    Styles in the file are not used: anybody's may hold code in forms, actions and expressions.
-
-    Parameters
-    ----------
-    path : Path
-        The GeoPackage.
-    measure : str
-        The measure that it shows.
-    length_s : float
-        Length of its intervals, seconds.
+    Styles in its file are not used: anybody's may hold code in forms, actions and expressions.
     """
-    longest_s = dict.fromkeys((WIDE, LONG), 0.0)
-    with read_only(path) as database:
-        columns = _columns_of(database)
-        for layer in longest_s if measure == "occupancy" else ():
-            query = f'SELECT max("visible_s") FROM "{layer}"'  # noqa: S608 - our own names
-            longest_s[layer] = float(database.execute(query).fetchone()[0] or 0.0)
-    least_s = {layer: style.UNCERTAIN_SEEN * each for layer, each in longest_s.items()}
-    return own_styles(measure, length_s, least_s, columns)
-
-
-def _columns_of(database: sqlite3.Connection) -> list[str]:
-    """Return the names of the columns of the layer of the whole time."""
-    return [str(row[1]) for row in database.execute(f'PRAGMA table_xinfo("{WIDE}")')]
+    length_s = float(tally.timeline.end[0] - tally.timeline.begin[0]) / STEPS_PER_SECOND
+    least_s = {layer: tally.least_visible_s(part) for layer, part in ((WIDE, None), (LONG, 0))}
+    return own_styles(tally.measure, length_s, least_s, _interval_titles(tally))
 
 
 def own_styles(
-    measure: str, length_s: float, least_s: Mapping[str, float], columns: Iterable[str] = ()
-) -> dict[str, str]:
+    measure: str, length_s: float, least_s: Mapping[str, float],
+    of_intervals: Mapping[str, str] = MappingProxyType({}),
+) -> dict[str, str]:  # fmt: skip
     """Return the QGIS styles of both layers; tiles visible for under `least_s` are uncertain.
 
-    `columns` are those of the layer of the whole time, of which those of intervals get titles.
+    `of_intervals` are titles of the columns of intervals, of the layer of the whole time.
     """
     measured = {
         name: title for name, title in _TITLES.items()
@@ -205,24 +183,23 @@ def own_styles(
     return {
         layer: style.vector_qml(
             interval_s=shown_s, measure=measure, least_s=least_s[layer],
-            titles=titles | more | measured,
+            titles=titles | {**more} | measured,
         )
-        for layer, shown_s, more in (
-            (WIDE, None, dict(_interval_titles(columns))), (LONG, length_s, _TIMES),
-        )
+        for layer, shown_s, more in ((WIDE, None, of_intervals), (LONG, length_s, _TIMES))
     }  # fmt: skip
 
 
-def _interval_titles(columns: Iterable[str]) -> Iterator[tuple[str, str]]:
-    """Yield the columns of intervals with titles such as `Occupied (s) 2025-06-12T07:30Z`."""
-    for found in filter(None, map(_OF_INTERVAL.fullmatch, columns)):
-        measure, year, month, day, hour, minute, second, rest = found.groups(default="")
-        seconds = f":{second}" * bool(second) + f".{rest}" * bool(rest)
-        title = _TITLES[_OF_INTERVALS[measure]]
-        yield found[0], f"{title} {year}-{month}-{day}T{hour}:{minute}{seconds}Z"
+def _interval_titles(tally: Tally) -> dict[str, str]:
+    """Return titles of the columns of intervals, such as `Occupied (s) 2025-06-12T07:30Z`."""
+    titles = {}
+    for prefix, measured in _OF_INTERVALS.items():
+        for stamp in interval_columns(tally) if measured in measure_columns(tally) else ():
+            time = f"{stamp[:4]}-{stamp[4:6]}-{stamp[6:11]}:{stamp[11:13]}"
+            time += f":{stamp[13:15]}" * bool(stamp[13:]) + f".{stamp[15:]}" * bool(stamp[15:])
+            titles[f"{prefix}_{stamp}"] = f"{_TITLES[measured]} {time}Z"
+    return titles
 
 
-_OF_INTERVAL = re.compile(r"(hit|occ)_(\d{4})(\d\d)(\d\d)T(\d\d)(\d\d)(?:(\d\d)(\d+)?)?", re.ASCII)
 _TIMES = {BEGIN: "Begin (UTC)", END: "End (UTC)"}
 _OF_HITS = ("hit_s", "observed_s", "hit_share")
 _OF_INTERVALS = {"hit": "hit_s", "occ": "occupied_s"}

@@ -184,7 +184,7 @@ def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) 
     database.execute(_TIMES)
     database.execute(_steps_table(columns, tally))
     times = f'INSERT INTO "{TIMES}" VALUES (?, ?, ?, ?, ?)'  # noqa: S608 - our own names
-    database.executemany(times, _times(tally))
+    database.executemany(times, interval_times(tally))
     stored = ["fid", *(("tile_id",) if not _counts_up(tally.tiles["tile_id"]) else ())]
     stored += [_STORED.get(name, name) for name in columns]
     names = ", ".join(f'"{name}"' for name in stored)
@@ -242,7 +242,7 @@ def _longest(tally: Tally) -> int:
     return int((tally.timeline.end - tally.timeline.begin).max())
 
 
-def _times(tally: Tally) -> Iterator[tuple[int, str, str, int, int]]:
+def interval_times(tally: Tally) -> Iterator[tuple[int, str, str, int, int]]:
     """Yield number, begin, end, first and last row of each interval."""
     count = len(tally.tiles)
     for number in range(len(tally.timeline)):

@@ -5,16 +5,15 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable, Sequence
-from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
 
 import pyogrio
-from pyproj import CRS
 
 from gis_radar.base import (
     LANGUAGES,
     QUIET,
+    STEPS_PER_SECOND,
     Box,
     OutputError,
     Reporter,
@@ -23,9 +22,6 @@ from gis_radar.base import (
     in_language,
     long_span,
     metric_crs,
-    opened_package,
-    read_only,
-    seconds_from_iso,
     zone_of,
 )
 from gis_radar.dataset import FOOTPRINTS, SHOWN_S, Dataset, footprint_style, open_dataset
@@ -41,16 +37,15 @@ from gis_radar.poses import (
     write_sensors,
 )
 from gis_radar.products.heatmap import style
-from gis_radar.products.heatmap.layers import read_own_styles
-from gis_radar.products.heatmap.package_tables import LONG, TIMES, WIDE
+from gis_radar.products.heatmap.counting import Tally
+from gis_radar.products.heatmap.layers import FILE, read_package, styles_of
+from gis_radar.products.heatmap.package_tables import LONG, WIDE, interval_times
 from gis_radar.products.qgis.project_file import was_edited, write_project_file
 from gis_radar.products.qgis.project_xml import LayerSource, ProjectContent, TimeRange, project_xml
 from gis_radar.scans import SIGHT_LAYER, SightTiles, write_sights
 
 MAP_MARGIN = 0.05
 """Margin around the observed tiles, as a share of their extent."""
-
-_TIMES = f'SELECT min("begin"), min("end"), max("end") FROM "{TIMES}"'  # noqa: S608 - our own name
 
 
 def write_qgis_project(
@@ -110,14 +105,9 @@ def write_qgis_project(
         raise UsageError("language is {}, expected one of {}", repr(language), ", ".join(LANGUAGES))
     if was_edited(path):
         raise OutputError("{}: somebody has edited this project", path, hint="name another output")
-    package = Path(heatmap) / "heatmap.gpkg"
-    with opened_package(package, what="a heat map", hint=Text("make it with: gis-radar heatmap")):
-        crs, box = _observed_box(package)
-        time_range = _time_range(package)
-        measure = _shown_measure(package)
-        layers = _heatmap_layers(
-            Path(heatmap).resolve(), measure, time_range.step_s if time_range else 0.0
-        )
+    heat = Tally(**read_package(Path(heatmap)))
+    played = _time_range(heat, timezone)
+    layers = _heatmap_layers(heat, Path(heatmap).resolve())
     if sensors is not None:
         layers |= _layers_with_rows(
             Path(sensors).resolve(), (SENSORS, UNCERTAINTY, VIEWS), read_style
@@ -131,14 +121,13 @@ def write_qgis_project(
         layers["gis_radar_footprints"] = LayerSource(
             Path(footprints).resolve(), footprint_style(), FOOTPRINTS
         )
-        time_range = time_range and time_range._replace(step_s=SHOWN_S)
-    time_range = time_range and time_range._replace(timezone=timezone)
-    with in_language(language):
-        time = _recorded_time(package, time_range, timezone) if time_range else ""
+        played = played._replace(step_s=SHOWN_S)
+    with in_language(language):  # the last interval may end later than what was recorded
+        time = long_span(*heat.whole.span(), zone_of(timezone))
     content = ProjectContent(
-        title=title or path.stem, time=time,
-        source=source, crs=crs, box=box, layers=layers, played=time_range, measure=measure,
-        language=language,
+        title=title or path.stem, time=time, source=source,
+        crs=metric_crs(heat.crs, what=str(heatmap)), box=_observed_box(heat), layers=layers,
+        played=played, measure=heat.measure, language=language,
     )  # fmt: skip
     write_project_file(path, project_xml(content, path.resolve().parent))
 
@@ -245,34 +234,19 @@ def _poses(folder: Path, dataset: Dataset | None) -> list[Path]:
     return [paths[name] for name in sorted(paths) if name in shown]
 
 
-def _observed_box(package: Path) -> tuple[CRS, Box]:
-    """Return the CRS, and the box around the observed tiles, or around all if none was."""
-    info = pyogrio.read_info(package, layer=WIDE, force_total_bounds=True)
-    _, boxes = pyogrio.read_bounds(package, layer=WIDE, where="observed_s > 0")
-    crs = metric_crs(info["crs"], what=str(package))
-    west, south, east, north = (float(value) for value in info["total_bounds"])
-    if boxes.shape[1]:
-        west, south = (float(value) for value in boxes[:2].min(axis=1))
-        east, north = (float(value) for value in boxes[2:].max(axis=1))
+def _observed_box(heat: Tally) -> Box:
+    """Return the box around the observed tiles, or around all if none was."""
+    observed = heat.shares().observed_s > 0
+    shown = heat.tiles[observed] if observed.any() else heat.tiles
+    west, south, east, north = map(float, shown.total_bounds)
     margin = MAP_MARGIN * max(east - west, north - south)
-    return crs, (west - margin, south - margin, east + margin, north + margin)
+    return west - margin, south - margin, east + margin, north + margin
 
 
-def _time_range(package: Path) -> TimeRange | None:
-    with read_only(package) as database:
-        begin, first_end, end = database.execute(_TIMES).fetchone()
-    if begin is None:
-        return None
-    length_s = seconds_from_iso(first_end, what="end") - seconds_from_iso(begin, what="begin")
-    return TimeRange(begin, end, round(length_s, 3))
-
-
-def _recorded_time(package: Path, played: TimeRange, timezone: str) -> str:
-    """Return the recorded time by the site's clock; the last interval may end later."""
-    metadata = pyogrio.read_info(package, layer=WIDE)["layer_metadata"] or {}
-    begin = datetime.fromisoformat(metadata.get("begin", played.begin))
-    end = datetime.fromisoformat(metadata.get("end", played.end))
-    return long_span(begin, end, zone_of(timezone))
+def _time_range(heat: Tally, timezone: str) -> TimeRange:
+    first, *_, last = *interval_times(heat), *interval_times(heat)
+    length_s = float(heat.timeline.end[0] - heat.timeline.begin[0]) / STEPS_PER_SECOND
+    return TimeRange(first[1], last[2], length_s, timezone)
 
 
 def _layers_with_rows(
@@ -288,23 +262,16 @@ def _layers_with_rows(
     }
 
 
-def _shown_measure(package: Path) -> str:
-    """Return the measure of a heat map: occupancy, where it was made with vehicles."""
-    fields = pyogrio.read_info(package, layer=WIDE)["fields"]
-    return "occupancy" if "occupancy" in fields else "hit_share"
-
-
-def _heatmap_layers(folder: Path, measure: str, step_s: float) -> dict[str, LayerSource]:
+def _heatmap_layers(heat: Tally, folder: Path) -> dict[str, LayerSource]:
     """Return the layers of a heat map in our own styles, whatever styles its file holds."""
-    package = folder / "heatmap.gpkg"
-    raster = folder / ("heatmap.tif" if measure == "occupancy" else "hits.tif")
-    qml = read_own_styles(package, measure, step_s)
+    package, qml = folder / FILE, styles_of(heat)
+    raster = folder / ("hits.tif" if heat.occupancy is None else "heatmap.tif")
     layers = {
         "by_interval": LayerSource(package, qml[LONG], LONG),
         "heatmap": LayerSource(package, qml[WIDE], WIDE),
         "ground": LayerSource(package, style.ground_qml(qml[WIDE]), WIDE),
     }
     if raster.is_file():
-        layers["raster"] = LayerSource(raster, style.sidecar_qml(measure))
+        layers["raster"] = LayerSource(raster, style.sidecar_qml(heat.measure))
     # No id may begin as another: QGIS's lists of layers would drop the wrong one.
     return {f"gis_radar_{name}": layer for name, layer in layers.items()}

@@ -58,7 +58,7 @@ class ProjectContent(NamedTuple):
     crs: CRS
     box: Box
     layers: Mapping[str, LayerSource]
-    played: TimeRange | None
+    played: TimeRange
     measure: str
     language: str
 
@@ -211,15 +211,10 @@ def _source(layer: LayerSource, home: Path) -> str:
     return f"{named}|layername={layer.table}" if layer.table else named
 
 
-def _fill_time(root: Element, played: TimeRange | None, language: str) -> None:
+def _fill_time(root: Element, played: TimeRange, language: str) -> None:
     settings, properties = _element_at(root, "ProjectTimeSettings"), _element_at(root, "properties")
     controller = _element_at(properties, "TemporalControllerWidget")
     clock = _element_at(properties, "TitleLabel")
-    if played is None:
-        root.remove(settings)
-        properties.remove(controller)
-        properties.remove(clock)
-        return
     for begin in (
         _element_at(settings, "TemporalRange/start"),
         _element_at(controller, "StartDateTime"),
