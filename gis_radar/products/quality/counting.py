@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -35,14 +35,9 @@ def hour_begins(time_us: Integers, zone: ZoneInfo) -> Integers:
 
 
 STAGE = "data quality"
-Columns = dict[str, Integers]
-
-
 COLUMNS = (
     "time_us", "detections", "moving", "wild", "tiles_hit", "tiles_seen", "checksum", "shift_us",
 )  # fmt: skip
-
-
 _AGGREGATES = {
     **dict.fromkeys(
         ("frames", "doubled", "repeated", "high", "detections", "moving", "wild", "hits", "share",
@@ -50,51 +45,30 @@ _AGGREGATES = {
     ),
     "fewest": "min", "most": "max", "seen": "max",
 }  # fmt: skip
-_REDUCE = {"sum": np.add, "min": np.minimum, "max": np.maximum}
+Gap = tuple[str, int, int]  # the sensor, and when the gap begins and ends, us
 
 
-def _sums(rows: Columns, number: int, hours: Integers) -> pd.DataFrame:
-    """Return the aggregates of the frames of a sensor by hour."""
-    hit, seen = rows["tiles_hit"], rows["tiles_seen"]
-    share = hit / np.maximum(seen, 1)
-    high = (share > HIGH).astype(np.int64)
-    of_frames = rows | {"hits": hit, "fewest": hit, "most": hit, "share": share, "high": high,
-                        "seen": seen, "frames": np.ones(len(hit), np.int64)}  # fmt: skip
-    starts = np.flatnonzero(np.diff(hours, prepend=-1))
-    sums = {
-        name: _REDUCE[how].reduceat(of_frames[name], starts) for name, how in _AGGREGATES.items()
-    }
-    return pd.DataFrame({"number": number, "hour": hours[starts], **sums})
-
-
-def _frames(dataset: Dataset) -> Iterator[tuple[int, Columns]]:
-    """Yield the frames hour by hour and sensor by sensor, with the sensor's number."""
-    numbers = {name: number for number, name in enumerate(dataset.sensors)}
+def _frames(dataset: Dataset) -> Iterator[pd.DataFrame]:
+    """Yield the frames hour by hour, those of a sensor by their time."""
     records = {hour: each for hour, each in dataset.records().items() if each.has(FRAMES)}
     for rows in read_rows(dataset.folder, FRAMES, records, columns=["sensor", *COLUMNS]):
-        sensors = rows["sensor"].to_pandas()
-        for name, places in sensors.groupby(sensors, sort=True).indices.items():
-            part = slice(int(places[0]), int(places[-1]) + 1)
-            columns = {each: rows[each].to_numpy().astype(np.int64)[part] for each in COLUMNS}
-            yield numbers[str(name)], columns
+        yield rows.to_pandas().astype(dict.fromkeys(COLUMNS, np.int64))
 
 
-def frame_times(dataset: Dataset) -> dict[int, FrameTimes]:
-    """Return the times of frames, by the sensor's number among `dataset.sensors`."""
-    found: dict[int, FrameTimes] = defaultdict(FrameTimes)
-    for number, columns in _frames(dataset):
-        found[number].add(columns["time_us"])
+def frame_times(dataset: Dataset) -> dict[str, FrameTimes]:
+    """Return the times of frames, by sensor."""
+    found: dict[str, FrameTimes] = defaultdict(FrameTimes)
+    for frames in _frames(dataset):
+        for sensor, times in frames.groupby("sensor")["time_us"]:
+            found[str(sensor)].add(times.to_numpy())
     return dict(found)
 
 
-Gap = tuple[int, int, int]  # the sensor's number, and when the gap begins and ends, us
-
-
 def count_frames(
-    dataset: Dataset, times: dict[int, FrameTimes], zone: ZoneInfo,
+    dataset: Dataset, times: dict[str, FrameTimes], zone: ZoneInfo,
     reporter: Reporter,
 ) -> pd.DataFrame:  # fmt: skip
-    """Count by sensor (its number) and hour (the UTC second of its begin).
+    """Count by sensor and hour (the UTC second of its begin).
 
     Only hours in which some sensor has a frame count. In them frames are missing where a sensor's
     next frame comes over 1.5 cycles later, and before its first and after its last frame, within
@@ -114,7 +88,7 @@ def count_frames(
     Returns
     -------
     DataFrame
-        By `number` and `hour`, for all hours in which any sensor has a frame: `frames` received;
+        By `sensor` and `hour`, for all hours in which any sensor has a frame: `frames` received;
         `dropped`, missing between them; `doubled`, less than half a cycle after the one before;
         `repeated`, equal to the one before; `high`, with a high share of the seen tiles hit. Of
         them `detections`, `moving` ones, `wild` ones: too fast for any vehicle. `hits`, the sum of
@@ -122,63 +96,54 @@ def count_frames(
         seen tiles that were hit; `seen`, the most tiles seen; `shift_us`, the sum of the
         corrections of the clock.
     """
-    parts = []
     begin_us = min(each.first_us for each in times.values())
     end_us = max(each.last_us for each in times.values())
-    before: dict[int, Columns] = {}
-    done = 0
-    gaps: list[Gap] = []
-    for number, frames in _frames(dataset):
-        gaps += _mark_and_find_gaps(
-            frames, before.get(number, frames), number, times[number].cycle_us
-        )
-        before[number] = {name: column[-1:] for name, column in frames.items()}
-        parts.append(_sums(frames, number, hour_begins(frames["time_us"], zone)))
-        done += len(frames["time_us"])
+    cycles_us = {sensor: each.cycle_us for sensor, each in times.items()}
+    parts, gaps, done = list[pd.DataFrame](), list[Gap](), 0
+    last = list[pd.DataFrame]()  # the last frame of each sensor so far
+    for frames in _frames(dataset):
+        followed = pd.concat([*last, frames], ignore_index=True)
+        marked = _marked(followed, cycles_us, zone).iloc[len(followed) - len(frames) :]
+        after_gap = marked.loc[marked["is_after_gap"], ["sensor", "before_us", "time_us"]]
+        gaps += after_gap.astype({"before_us": np.int64}).itertuples(index=False, name=None)
+        parts.append(marked.groupby(["sensor", "hour"]).agg(_AGGREGATES))
+        last = [followed.groupby("sensor").tail(1)]
+        done += len(frames)
         reporter.progress(STAGE, done, None)
-    for number, each in times.items():
+    for sensor, each in times.items():
         # As if a frame came just beyond both ends, so that frames missing up to there count, too.
         room_us = min(0.55 * each.cycle_us, LONGEST_CYCLE_S * 1e6)
-        gaps.append((number, int(begin_us - room_us), each.first_us))
-        gaps.append((number, each.last_us, int(end_us + room_us)))
-    parts_joined = pd.concat(parts)
-    hours = np.unique(parts_joined["hour"].to_numpy(np.int64))
-    all_pairs = [(number, hour) for number in sorted(times) for hour in hours.tolist()]
+        gaps.append((sensor, int(begin_us - room_us), each.first_us))
+        gaps.append((sensor, each.last_us, int(end_us + room_us)))
+    joined = pd.concat(parts)
+    hours = np.unique(joined.index.get_level_values("hour").to_numpy(np.int64))
+    all_pairs = [(sensor, hour) for sensor in sorted(times) for hour in hours.tolist()]
     dropped = _dropped(hours, gaps, times)
-    totals = (
-        parts_joined.groupby(["number", "hour"]).agg(_AGGREGATES).reindex(all_pairs, fill_value=0)
-    )
+    totals = joined.groupby(["sensor", "hour"]).agg(_AGGREGATES).reindex(all_pairs, fill_value=0)
     return totals.assign(dropped=[dropped.get(each, 0) for each in all_pairs]).reset_index()
 
 
-def _mark_and_find_gaps(
-    frames: Columns, before: Columns, number: int, cycle_us: float
-) -> list[Gap]:
-    """Mark frames that are doubled or repeated; return the gaps in which frames are missing.
-
-    The first frame is compared with the row `before`, which may be itself: then it is neither.
-    """
-    gap, checksum_change, count_change = (
-        np.diff(frames[name], prepend=before[name][:1])
-        for name in ("time_us", "checksum", "detections")
-    )
-    has_previous = np.ones(len(gap), np.bool_)
-    has_previous[0] = before is not frames
-    is_equal = (checksum_change == 0) & (count_change == 0) & (frames["detections"] > 0)
-    frames["repeated"] = (has_previous & is_equal).astype(np.int64)
-    frames["doubled"] = (has_previous & (gap < cycle_us / 2)).astype(np.int64)
-    after_gap = np.flatnonzero(gap > 1.5 * cycle_us)
-    time = frames["time_us"]
-    return [(number, int(time[i] - gap[i]), int(time[i])) for i in after_gap]
+def _marked(frames: pd.DataFrame, cycles_us: Mapping[str, float], zone: ZoneInfo) -> pd.DataFrame:
+    """Return frames with what is summed, each judged by its sensor's frame before."""
+    change = frames.groupby("sensor")[["time_us", "checksum", "detections"]].diff()
+    cycle_us, hit = frames["sensor"].map(cycles_us), frames["tiles_hit"]
+    is_equal = change[["checksum", "detections"]].eq(0.0).all(axis=1) & (frames["detections"] > 0)
+    share = hit / frames["tiles_seen"].clip(lower=1)
+    return frames.assign(
+        hour=hour_begins(frames["time_us"].to_numpy(), zone), frames=1, share=share, hits=hit,
+        fewest=hit, most=hit, seen=frames["tiles_seen"], high=share > HIGH, repeated=is_equal,
+        doubled=change["time_us"] < cycle_us / 2, is_after_gap=change["time_us"] > 1.5 * cycle_us,
+        before_us=frames["time_us"] - change["time_us"],
+    )  # fmt: skip
 
 
 def _dropped(
-    hours: Integers, gaps: list[Gap], times: dict[int, FrameTimes]
-) -> dict[tuple[int, int], int]:
+    hours: Integers, gaps: list[Gap], times: dict[str, FrameTimes]
+) -> dict[tuple[str, int], int]:
     """Count the frames missing in gaps, by sensor and hour, of hours in which any has a frame."""
-    counts: dict[tuple[int, int], int] = defaultdict(int)
-    for number, begin_us, end_us in gaps:
-        cycle_us = times[number].cycle_us
+    counts: dict[tuple[str, int], int] = defaultdict(int)
+    for sensor, begin_us, end_us in gaps:
+        cycle_us = times[sensor].cycle_us
         missing = round((end_us - begin_us) / cycle_us) - 1
         if missing < 1 or not np.isfinite(cycle_us):
             continue
@@ -187,5 +152,5 @@ def _dropped(
             first = max(np.ceil((hour * 1e6 - begin_us) / cycle_us), 1)
             last = min(np.ceil(((hour + HOUR_S) * 1e6 - begin_us) / cycle_us) - 1, missing)
             if last >= first:
-                counts[number, hour] += int(last - first + 1)
+                counts[sensor, hour] += int(last - first + 1)
     return counts

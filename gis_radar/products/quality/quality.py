@@ -7,7 +7,7 @@ data, too few samples, never hit, hit too much, constant, and hits without motio
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC
 from pathlib import Path
@@ -266,9 +266,8 @@ def measure_quality(
     counts = count_frames(dataset, times, zone, reporter)
     poses = _poses_by_sensor(dataset.poses())
     # Hours before the first frame of a sensor have no row.
-    since_first_frame = counts["frames"].gt(0).groupby(counts["number"]).cummax()
-    sensors = dataset.sensors
-    rows = [_row(each, sensors, poses, zone) for each in counts[since_first_frame].itertuples()]
+    since_first_frame = counts["frames"].gt(0).groupby(counts["sensor"]).cummax()
+    rows = [_row(each, poses, zone) for each in counts[since_first_frame].itertuples()]
     recordings = dataset.recordings()
     without_elevation = set(recordings.loc[~recordings["has_elevation"], "sensor"])
     verdicts = {row["verdict"]: row["verdict"] for row in rows}
@@ -314,17 +313,14 @@ def _pose_at(poses: Poses, second: int) -> tuple[str, float]:
     return text, (second - since) / HOUR_S
 
 
-def _row(
-    count: Any, sensors: Sequence[str], poses: Mapping[str, Poses], zone: ZoneInfo
-) -> dict[str, Any]:
-    sensor = sensors[count.number]
+def _row(count: Any, poses: Mapping[str, Poses], zone: ZoneInfo) -> dict[str, Any]:
     begin = pd.Timestamp(count.hour, unit="s", tz=UTC)
     local = begin.tz_convert(zone)
-    pose, age_h = _pose_at(poses.get(sensor, []), count.hour)
+    pose, age_h = _pose_at(poses.get(count.sensor, []), count.hour)
     frames, detections = max(count.frames, 1), max(count.detections, 1)
     nothing = count.frames == 0
     return {
-        "sensor": sensor,
+        "sensor": count.sensor,
         "begin": begin,
         "end": pd.Timestamp(count.hour + HOUR_S, unit="s", tz=UTC),
         "date": f"{local:%Y-%m-%d}",
