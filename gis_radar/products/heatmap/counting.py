@@ -143,8 +143,8 @@ class Tally:
     @classmethod
     def count(
         cls, dataset: Dataset, whole: Timeline, timeline: Timeline, *,
-        chosen: Integers | None = None, labels: MapLabels | None = None,
-        further: Sequence[str] = (), month: str | None = None, reporter: Reporter = QUIET,
+        labels: MapLabels | None = None, further: Sequence[str] = (), month: str | None = None,
+        reporter: Reporter = QUIET,
     ) -> Self:  # fmt: skip
         """Count the steps in which tiles were hit, observed, occupied and visible.
 
@@ -154,8 +154,6 @@ class Tally:
             The dataset.
         whole, timeline : Timeline
             The whole time, and the intervals.
-        chosen : (k,) int64 array, optional
-            Positions of the tiles to count, ascending; by default all.
         labels : MapLabels, optional
             Labels of pictures and reports.
         further : sequence of str
@@ -181,8 +179,6 @@ class Tally:
             raise InputError(
                 "no sensor sees any of the tiles", hint="do the poses belong to this place?"
             )
-        if chosen is not None:
-            seen = seen[np.isin(seen, chosen)]
         if month is None:
             sums, whole_sums = sums_by_interval(dataset, ids[seen], whole, timeline, reporter)
         else:
@@ -193,12 +189,12 @@ class Tally:
         if not sums["hit_steps"].any():
             reporter.warn("no tile was hit while it was observed: the map shows zeros")
         return cls(
-            tiles=tiles if chosen is None else tiles.iloc[chosen].reset_index(drop=True),
+            tiles=tiles,
             fingerprint=dataset.manifest.fingerprint,
             sensors=tuple(dataset.sensors),
             whole=whole,
             timeline=timeline,
-            seen=seen if chosen is None else np.searchsorted(chosen, seen),
+            seen=seen,
             hit=sums["hit_steps"].astype(np.uint32),
             observed=sums["observed_steps"].astype(np.uint32),
             occupancy=None

@@ -14,7 +14,6 @@ import pandas as pd
 from gis_radar.base import (
     QUIET,
     InputError,
-    Integers,
     Reporter,
     Text,
     UsageError,
@@ -25,10 +24,9 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.dataset import Dataset, measured_span, open_dataset
-from gis_radar.hdmap import fingerprint
 from gis_radar.measures import Runs
 from gis_radar.products.heatmap.by_lane import table_by_lane
-from gis_radar.products.heatmap.counting import SHARES, Tally, positions
+from gis_radar.products.heatmap.counting import SHARES, Tally
 from gis_radar.products.heatmap.figure import SMALL_PIXELS, draw, write_figure
 from gis_radar.products.heatmap.intervals import MapLabels, Timeline, intervals_of, whole_of
 from gis_radar.products.heatmap.layers import (
@@ -101,16 +99,7 @@ class HeatMap(Tally):
         ------
         OutputError
             If the folder cannot be written or holds other files.
-        UsageError
-            If it was made with `tile_ids`.
         """
-        folder = Path(folder)
-        if fingerprint(self.tiles) != self.fingerprint:
-            raise UsageError(
-                "{}: a heat map of some tiles is not written",
-                folder,
-                hint="make it without tile_ids; wide() and long() give its tables",
-            )
         raster = partial(write_raster, self, reporter=reporter)
         writers: dict[str, Callable[[Path], object]] = {
             "heatmap.gpkg": lambda path: write_package(self, path, reporter),
@@ -137,7 +126,6 @@ def make_heatmap(
     begin: Any = None,
     end: Any = None,
     month: str | None = None,
-    tile_ids: Sequence[int] | None = None,
     timezone: str | None = None,
     labels: MapLabels | None = None,
     further: Sequence[str] = (),
@@ -162,8 +150,6 @@ def make_heatmap(
     month : str, optional
         A month by the clocks of the site, such as `2026-10`, in place of times and intervals. It is
         made from the roll-up of the month, exact tables or not.
-    tile_ids : sequence of int, optional
-        Ids of the tiles to count; by default all.
     timezone : str, optional
         Time zone of the intervals' hours and days, such as Europe/Berlin, and of pictures where
         `labels` are not given; tables and layers stay in UTC. By default the dataset's.
@@ -211,17 +197,14 @@ def make_heatmap(
         None if time is None else step_at(time, clocks, what=what)
         for time, what in ((begin, "begin"), (end, "end"))
     ]
-    ids = np.sort(dataset.tiles()["tile_id"].to_numpy(np.int64))
-    chosen = None if tile_ids is None else _chosen(ids, tile_ids)
     if month is not None:
         first, last = measured_span(dataset, month)
         whole = timeline = Timeline(begin=np.array([first]), end=np.array([last + 1]))
     else:
         whole = timeline = whole_of(_within(dataset.frame_steps(), *span), at, clocks)
     if interval is not None:
-        counted = len(ids if chosen is None else chosen)
         frames = _within(dataset.frame_steps(valid=False), *span)
-        timeline = intervals_of(frames, interval, zone, counted, reporter).cut(*span)
+        timeline = intervals_of(frames, interval, zone, len(dataset.tiles()), reporter).cut(*span)
         # Steps after the last interval, in which a frame is still valid, do not count.
         whole = whole.cut(None, int(timeline.end[-1]))
     if not dataset.has_vehicles:
@@ -229,8 +212,7 @@ def make_heatmap(
     for doubt in dataset.doubts:
         reporter.warn("{}", doubt)
     return HeatMap.count(
-        dataset, whole, timeline, chosen=chosen, labels=labels, further=further, month=month,
-        reporter=reporter,
+        dataset, whole, timeline, labels=labels, further=further, month=month, reporter=reporter
     )  # fmt: skip
 
 
@@ -311,13 +293,3 @@ def read_heatmap(path: str | Path) -> HeatMap:
         If there is none, it is damaged, or its tiles were changed since.
     """
     return HeatMap(**read_package(Path(path)))
-
-
-def _chosen(all_ids: Integers, tile_ids: Sequence[int]) -> Integers:
-    """Return the positions of the chosen tiles, ascending."""
-    wanted = np.unique(np.asarray(tile_ids, dtype=np.int64))
-    if len(wanted) == 0:
-        raise UsageError("tile_ids names no tile")
-    if unknown := np.setdiff1d(wanted, all_ids).tolist():
-        raise InputError("tile_ids names tile {}, which the tiles lack", unknown[0])
-    return positions(all_ids, wanted)
