@@ -277,10 +277,8 @@ def write_points_geoparquet(points: _PointStream, path: Path) -> None:
     geo = {"version": "1.1.0", "primary_column": GEOMETRY, "columns": {GEOMETRY: column}}
     place = points.schema.get_field_index(GEOMETRY)
     schema = points.schema.set(place, pa.field(GEOMETRY, POINT))
-    batches = (_in_columns(batch, schema) for batch in points)
-    first = next(batches, None)
     split = [f"{GEOMETRY}.{field.name}" for field in POINT]
-    split += [] if first is None else _columns_to_split(first)
+    split += [field.name for field in schema if pa.types.is_float32(field.type)]
     options: dict[str, Any] = {
         "compression": "zstd", "compression_level": LEVEL, "write_page_checksum": True,
         "use_dictionary": [name for name in schema.names if name not in {*split, GEOMETRY}],
@@ -289,8 +287,8 @@ def write_points_geoparquet(points: _PointStream, path: Path) -> None:
     with pq.ParquetWriter(
         path, schema.with_metadata({"geo": json.dumps(geo)}), **options
     ) as writer:
-        for batch in chain([] if first is None else [first], batches):
-            writer.write_batch(batch)
+        for batch in points:
+            writer.write_batch(_in_columns(batch, schema))
 
 
 def _in_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
@@ -302,27 +300,6 @@ def _in_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
     place = schema.get_field_index(GEOMETRY)
     columns = [*batch.columns[:place], axes, *batch.columns[place + 1 :]]
     return pa.RecordBatch.from_arrays(columns, schema=schema)
-
-
-def _columns_to_split(batch: pa.RecordBatch) -> list[str]:
-    """Return the float columns that take less room split by bytes than with a dictionary."""
-    names = [field.name for field in batch.schema if pa.types.is_float32(field.type)]
-    return [
-        name
-        for name in names
-        if _size(batch.select([name]), column_encoding={name: SPLIT}, use_dictionary=False)
-        < _size(batch.select([name]), use_dictionary=True)
-    ]
-
-
-def _size(batch: pa.RecordBatch, **options: Any) -> int:
-    """Return the size in bytes of a batch as Parquet."""
-    sink = pa.BufferOutputStream()
-    with pq.ParquetWriter(
-        sink, batch.schema, compression="zstd", compression_level=LEVEL, **options
-    ) as writer:
-        writer.write_batch(batch)
-    return int(sink.getvalue().size)
 
 
 SCALE_M = 0.001  # resolution of LAS coordinates; a radar resolves decimetres
