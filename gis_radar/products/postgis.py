@@ -7,6 +7,7 @@ sent, dates that the dataset no longer has are removed, all others stay as they 
 from __future__ import annotations
 
 import hashlib
+import io
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.csv
 import shapely
 from pyproj import CRS
 
@@ -25,7 +28,6 @@ from gis_radar.base import QUIET, CrsError, GisRadarError, OutputError, Reporter
 from gis_radar.dataset import TILE_COUNTS, Dataset, LaneTraffic, open_dataset
 from gis_radar.hdmap import TILE_FIELDS
 from gis_radar.measures import lane_names
-from gis_radar.products.postgis_rows import binary_rows_of, csv_rows_of
 from gis_radar.products.traffic import TITLES
 
 if TYPE_CHECKING:
@@ -268,12 +270,7 @@ class Session:
 
     def run(self, statement: str, *values: Any, text: str = "", **names: str) -> None:
         """Execute a statement: values for `%s`, a quoted `{text}`, names for the other holes."""
-        from psycopg.sql import SQL, Identifier, Literal  # noqa: PLC0415 - an extra
-
-        identifiers = {
-            hole: Identifier(name) for hole, name in (names | {"schema": self.schema}).items()
-        }
-        composed = SQL(statement).format(text=Literal(text), **identifiers)
+        composed = self.quoted(statement, text=text, schema=self.schema, **names)
         self.cursor.execute(composed, values or None)
 
     def ask(self, statement: str, *values: Any) -> Any:
@@ -451,16 +448,13 @@ class Session:
             placed = shapely.set_srid(np.asarray(table.geometry), self.srid)
             shown["geometry"] = shapely.to_wkb(placed, hex=True, include_srid=True)
         # rows of tiles are most by far, have no nulls, and are sent three times as fast
-        rows, form = (
-            (binary_rows_of(shown), "binary")
-            if name == "tile_counts"
-            else (csv_rows_of(shown), "csv")
-        )
         columns = SQL(", ").join([Identifier(str(column)) for column in shown])
         place = Identifier(self.schema, name)
-        copy = SQL("COPY {} ({}) FROM STDIN (FORMAT {})").format(place, columns, SQL(form))
+        copy = SQL("COPY {} ({}) FROM STDIN (FORMAT csv)").format(place, columns)
+        rows, text = pa.Table.from_pandas(shown, preserve_index=False), io.BytesIO()
+        pyarrow.csv.write_csv(rows, text, pyarrow.csv.WriteOptions(include_header=False))
         with self.cursor.copy(copy) as target:
-            target.write(rows)
+            target.write(text.getvalue())
         self.rows[name] = self.rows.get(name, 0) + len(shown)
 
 
