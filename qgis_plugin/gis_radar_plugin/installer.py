@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess  # nosec B404
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from .runner import NO_WINDOW, Listener, WorkerError, clean_environment, run_command
+from .runner import Listener, WorkerError, run_command
 from .words import tr
-from .worker import forget_versions, python_in, worker_version
+from .worker import NoPackageError, forget_versions, python_in, worker_version
 
-OLDEST = (3, 11)
 BUNDLED = Path(__file__).parent / "worker"
 _NAMES = ("python3.13", "python3.12", "python3.11", "python3", "python")
-_ASK = "import sys; print('%d.%d' % sys.version_info[:2])"
 GRACE_S = 0.3  # pip and venv do not react to a closed standard input: they are killed
 _PACKAGES = 45  # about as many as gis_radar requires; only the progress bar uses it
 
@@ -85,20 +81,12 @@ def _candidates() -> Iterator[str]:
 
 def _is_new_enough(python: str) -> bool:
     try:
-        done = subprocess.run(  # noqa: S603  # nosec B603
-            [python, "-c", _ASK],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            encoding="utf-8",
-            timeout=30,
-            env=clean_environment(os.environ),
-            creationflags=NO_WINDOW,
-            check=True,
-        )
-        major, minor = done.stdout.strip().split(".")
-    except (OSError, ValueError, subprocess.SubprocessError):
+        worker_version(python)
+    except NoPackageError:
+        return True
+    except WorkerError:
         return False
-    return (int(major), int(minor)) >= OLDEST
+    return True
 
 
 def set_up(

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from qgis.core import (
-    Qgis,
     QgsCategorizedSymbolRenderer,
     QgsGraduatedSymbolRenderer,
     QgsMapLayer,
@@ -17,12 +16,11 @@ from qgis.core import (
     QgsRasterLayer,
     QgsVectorLayer,
 )
+from qgis.PyQt.QtXml import QDomDocument
 
-from .resources import shared_document
-from .timeline import show_time, step_of
-from .words import speaks_german, tr
+from .timeline import show_time
+from .words import shared, speaks_german, tr
 
-SHAVED_MS = 10  # as in the style that gis_radar stores
 INTERVALS = "by_interval"
 Finish = Callable[[QgsMapLayer], None]
 
@@ -137,7 +135,6 @@ def dress_only(layer: QgsMapLayer) -> None:
     if isinstance(layer, QgsVectorLayer):
         translate_legend(layer)
         _translate_columns(layer)
-        switch_time_on(layer)
     elif isinstance(layer, QgsRasterLayer):
         _translate_raster(layer)
     layer.legendChanged.emit()  # the list of layers shows the labels as they were before
@@ -149,7 +146,9 @@ def as_ground(layer: QgsVectorLayer) -> None:
     # Not loadNamedStyle: that prefers the style in the layer's GeoPackage.
     symbology = QgsMapLayer.StyleCategory.Symbology
     layer.loadDefaultStyle()  # for the titles of its columns
-    layer.importNamedStyle(shared_document("products/heatmap/ground.qml"), symbology)
+    document = QDomDocument()
+    document.setContent(shared("products/heatmap/ground.qml").read_text(encoding="utf-8"))
+    layer.importNamedStyle(document, symbology)
     _translate_columns(layer)
     layer.triggerRepaint()
 
@@ -192,25 +191,3 @@ def legend_words(label: str) -> str:
     for words in ("never hit", "no vehicle", "uncertain", "up to", " to "):
         label = label.replace(words, tr(words))
     return label.replace(".", ",") if speaks_german() else label
-
-
-def switch_time_on(layer: QgsVectorLayer) -> bool:
-    """Let the temporal controller drive a layer with begin and end; return whether it has them.
-
-    The style in the GeoPackage has the same settings, but QGIS loads its time switched off. A row
-    is shown for a little less than its interval: QGIS compares the times of a GeoPackage as text,
-    and would show the interval that ends at a moment, too.
-    """
-    fields = layer.fields()
-    if fields.lookupField("begin") < 0 or fields.lookupField("end") < 0:
-        return False
-    properties = layer.temporalProperties()
-    length_ms = step_of(layer).seconds() * 1000
-    properties.setMode(Qgis.VectorTemporalMode.FeatureDateTimeInstantFromField)
-    properties.setStartField("begin")
-    properties.setEndField("end")
-    properties.setDurationUnits(Qgis.TemporalUnit.Milliseconds)
-    properties.setFixedDuration(max(0.0, round(length_ms) - SHAVED_MS))
-    properties.setLimitMode(Qgis.VectorTemporalLimitMode.IncludeBeginExcludeEnd)
-    properties.setIsActive(True)
-    return True

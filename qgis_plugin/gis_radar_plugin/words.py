@@ -16,11 +16,22 @@ WINDS = (
 HERE = Path(__file__).resolve().parent
 
 
+def shared(name: str) -> Path:
+    """Return a file that the plugin shares with gis_radar: its own copy, or the checkout's.
+
+    Parameters
+    ----------
+    name : str
+        From the folder of the package, as tools/plugin_zip.py lists it.
+    """
+    installed = HERE / "resources"
+    return (installed if installed.is_dir() else HERE.parents[1] / "gis_radar") / name
+
+
 @cache
 def dictionary(language: str) -> dict[str, str]:
     """Return the translations into a language (`de`), empty where there are none."""
-    folders = (HERE / "resources", HERE.parents[1] / "gis_radar")
-    folder = next(each for each in folders if each.is_dir()) / "base" / "languages"
+    folder = shared("base/languages")
     path = folder / language / "LC_MESSAGES" / "gis_radar.po"
     if not path.is_file():
         return {}

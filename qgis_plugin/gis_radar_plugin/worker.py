@@ -24,6 +24,10 @@ _PROBE_S = 30
 _GONE = "The worker's Python {python} is not there"
 
 
+class NoPackageError(WorkerError):
+    """A Python has no gis_radar."""
+
+
 def worker_folder(profile: Path) -> Path:
     """Return where 'Set up the worker' puts its environment."""
     return profile / "gis_radar" / "worker"
@@ -102,7 +106,7 @@ def _asked(python: str, _changed: float) -> str:
     if done.returncode == 0:
         return done.stdout.strip()
     if reason[0] == "none":
-        raise WorkerError("{python} has no gis_radar", python=python)
+        raise NoPackageError("{python} has no gis_radar", python=python)
     if reason[0].startswith("old "):
         raise WorkerError(
             "{python} is Python {version}, needed is 3.11 or newer",

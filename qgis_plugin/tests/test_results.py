@@ -238,11 +238,11 @@ app = QgsApplication([], False)
 app.initQgis()
 assert QTimeZone.systemTimeZoneId().data().decode() == sys.argv[3]
 sys.path.insert(0, sys.argv[1])
-from gis_radar_plugin.loading import switch_time_on
+from gis_radar_plugin.loading import dress_only
 from gis_radar_plugin.timeline import extent_of, intervals_of
 from gis_radar_plugin.report.pages import local_time, timezone, zone_name
 layer = QgsVectorLayer(sys.argv[2] + "|layername=by_interval", "x", "ogr")
-switch_time_on(layer)
+dress_only(layer)
 span = extent_of(layer)
 begin, end = intervals_of(layer)[1]
 context = QgsVectorLayerTemporalContext()

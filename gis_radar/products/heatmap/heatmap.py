@@ -39,22 +39,13 @@ from gis_radar.products.heatmap.layers import (
 )
 from gis_radar.products.heatmap.raster import write_raster
 from gis_radar.products.heatmap.style import sidecar_qml
+from gis_radar.products.report.names import REPORT_FILES
 from gis_radar.products.results_folder import write_results
 
 NO_OCCUPANCY = Text("occupancy is missing: no vehicles were measured; the map shows the hit share")
 MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
 # Begins of the names of its files, and of those of a report, which is removed with the heat map.
-OWNED = (
-    "heatmap.",
-    "hits.",
-    *(f"{name}." for name in SHARES),
-    "report.",
-    "lanes.csv",
-    "lanes_by_interval.csv",
-    "quality.csv",
-    "traffic.csv",
-    "turns.csv",
-)
+OWNED = ("heatmap.", "hits.", *(f"{name}." for name in SHARES), *REPORT_FILES)
 
 
 class HeatMap(Tally):

@@ -79,12 +79,8 @@ from gis_radar.products.report.pages import page_of, write_pdf
 from gis_radar.products.report.plan import draw_plan
 from gis_radar.products.report.results import Results, read_results, sensor_table
 from gis_radar.products.report.sources import made_by, settings_of, sources_of
-from gis_radar.products.report.traffic import (
-    traffic_chapters,
-    traffic_of,
-    write_lane_traffic,
-    write_turn_traffic,
-)
+from gis_radar.products.report.traffic import traffic_chapters, traffic_of
+from gis_radar.products.traffic import write_table
 
 MOST_LANES = 150  # rows of the table as read; the CSV file holds all
 
@@ -260,8 +256,8 @@ def _writers(data: ReportData, content: Content) -> dict[str, Callable[[Path], o
     if quality is not None:
         writers[names.QUALITY] = quality.write_rows
     if (traffic := data.traffic) is not None:
-        writers[names.TRAFFIC] = lambda path: write_lane_traffic(path, traffic)
-        writers[names.TURNS] = lambda path: write_turn_traffic(path, traffic)
+        writers[names.TRAFFIC] = lambda path: write_table(traffic.lanes, path)
+        writers[names.TURNS] = lambda path: write_table(traffic.turns, path)
     return writers
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
-from pathlib import Path
 from typing import NamedTuple
 
 import geopandas as gpd
@@ -48,7 +47,7 @@ from gis_radar.products.report.content import (
     text_rows,
 )
 from gis_radar.products.report.courses import MOST_COURSES, WINDOW_S, LongQueue, draw_courses
-from gis_radar.products.traffic import service_levels, write_table
+from gis_radar.products.traffic import service_levels
 from gis_radar.products.traffic_picture import draw_turning_diagram
 
 # Lengths of intervals, each with the longest time (s) that it is used for: some 30 points a strip,
@@ -143,16 +142,6 @@ def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None
         dataset=dataset, begin=begin, end=end, interval=interval, lanes=lanes, turns=turns,
         by_lane=by_lane, by_turn=by_turn, network=LaneTraffic.of(dataset).network,
     )  # fmt: skip
-
-
-def write_lane_traffic(path: Path, traffic: ReportedTraffic) -> None:
-    """Write the traffic of lanes by interval, with the columns of `gis-radar traffic`."""
-    write_table(traffic.lanes, path)
-
-
-def write_turn_traffic(path: Path, traffic: ReportedTraffic) -> None:
-    """Write the volumes of turns by interval, with the columns of `gis-radar traffic`."""
-    write_table(traffic.turns, path)
 
 
 def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Chapter]:

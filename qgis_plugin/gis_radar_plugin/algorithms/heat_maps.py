@@ -16,7 +16,7 @@ from qgis.core import (
 
 from ..base import TRAFFIC, WorkerAlgorithm
 from ..loading import INTERVALS, as_ground, dress, dress_only, heatmap_titles, load, shows_occupancy
-from ..parameters import Folder, Given, Names, OutputFolder, Result, Switch, Text, names_in
+from ..parameters import Folder, Given, Names, OutputFolder, Result, Text, names_in
 from ..runner import Answer
 from ..words import tr
 from . import shared
@@ -43,20 +43,17 @@ class MakeHeatMap(WorkerAlgorithm):
     KEYWORDS = ("hits", "occupancy", "raster", "animation")
     PARAMETERS = (
         shared.DATASET,
-        Text(
-            "INTERVAL", "Interval",
-            "Length of the intervals: 20s, 15min, 1h; empty for the whole time only.",
-            advanced=False, default="15min",
+        replace(
+            shared.INTERVAL,
+            about="Length of the intervals: 20s, 15min, 1h; empty for the whole time only.",
         ),
         replace(
             shared.TIMEZONE,
             about="Whose hours and days the intervals follow, such as Europe/Berlin; by "
             "default the dataset's.",
         ),
-        Text(
-            "BEGIN", "Begin", "Only from this time on, in the time zone: 2025-06-12 07:30.",
-        ),
-        Text("END", "End", "Only before this time."),
+        shared.BEGIN,
+        shared.END,
         shared.LANGUAGE,
         shared.MAP_TITLE,
         replace(shared.SOURCE, about="Where the data come from, to stand under the picture."),
@@ -68,10 +65,7 @@ class MakeHeatMap(WorkerAlgorithm):
             "Columns of the table 'tile_counts', with a comma between them: hidden_steps maps the "
             "share of the time in which vehicles hid a tile.",
         ),
-        Switch(
-            "LOAD", "Load the layers", "Switch it off in a model that continues with the files.",
-            None, default=True,
-        ),
+        shared.LOAD,
         OutputFolder("OUTPUT", "Heat map", "A folder."),
         Result("HEATMAP", "Heat map, whole time", kind=QgsProcessingOutputVectorLayer),
         Result("INTERVALS", "Heat map by interval", kind=QgsProcessingOutputVectorLayer),
@@ -148,10 +142,7 @@ class MapMonth(WorkerAlgorithm):
             "MONTH", "Month", "By the clocks of the sites: 2026-10.", advanced=False,
             optional=False,
         ),
-        Switch(
-            "LOAD", "Load the layers", "Switch it off in a model that continues with the files.",
-            None, default=True,
-        ),
+        shared.LOAD,
         OutputFolder("OUTPUT", "Heat map", "A folder."),
         Result("HEATMAP", "Map of the month", kind=QgsProcessingOutputVectorLayer),
     )  # fmt: skip

@@ -33,12 +33,9 @@ class CountTraffic(WorkerAlgorithm):
     KEYWORDS = ("volume", "counts", "speed", "queue", "turns")
     PARAMETERS = (
         shared.DATASET,
-        Text(
-            "INTERVAL", "Interval", "Length of the intervals: 1min, 5min, 15min, 1h, 24h.",
-            advanced=False, default="15min",
-        ),
-        Text("BEGIN", "Begin", "Only from this time on, in the time zone: 2025-06-12 07:30."),
-        Text("END", "End", "Only before this time."),
+        shared.INTERVAL,
+        shared.BEGIN,
+        shared.END,
         Layer(
             "SECTIONS", "Count sections",
             "Lines across roads, with their names in a field 'name'.",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from qgis.core import QgsProcessingException
 
-from ..parameters import Crs, File, Files, Folder, Given, Language, Layer, Text
+from ..parameters import Crs, File, Files, Folder, Given, Language, Layer, Switch, Text
 from ..words import tr
 
 
@@ -106,6 +106,16 @@ SCANS = Files(
     "LAS or LAZ, whole and not masked: what stands in them hides tiles, which then "
     "are not observed. Without them all that is within the view counts as seen.",
     "--scan", optional=True,
+)  # fmt: skip
+INTERVAL = Text(
+    "INTERVAL", "Interval", "Length of the intervals: 1min, 5min, 15min, 1h, 24h.",
+    advanced=False, default="15min",
+)  # fmt: skip
+BEGIN = Text("BEGIN", "Begin", "Only from this time on, in the time zone: 2025-06-12 07:30.")
+END = Text("END", "End", "Only before this time.")
+LOAD = Switch(
+    "LOAD", "Load the layers", "Switch it off in a model that continues with the files.", None,
+    default=True,
 )  # fmt: skip
 TIMEZONE = Text("TIMEZONE", "Time zone", advanced=False)
 MAP_TITLE = Text("TITLE", "Title")

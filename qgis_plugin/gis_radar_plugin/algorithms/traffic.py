@@ -291,7 +291,7 @@ class RunSite(WorkerAlgorithm):
         File("SITE", "Site file", flag="", kinds="Site files (*.toml)"),
         Number("JOBS", "Stages at once", "As cores and memory allow, without it."),
         Switch("FRESH", "Do all again", "Also what an earlier run has done."),
-        Switch("LOAD", "Load the layers", flag=None, default=True),
+        shared.LOAD,
         OutputFolder("OUTPUT", "Results"),
     )  # fmt: skip
 
