@@ -321,7 +321,7 @@ def test_a_project_in_german(results, tmp_path):
     assert "dd.MM.yyyy" in root.findtext("properties/TitleLabel/Label")
     labels = [each.get("fieldName") for each in root.iter("text-style")]
     assert any("^2), 2, 'de')" in text for text in labels)  # 0,64 m, however QGIS is set
-    with pytest.raises(gr.UsageError, match="'fr', expected one of en, de"):
+    with pytest.raises(gr.UsageError, match="there is no language 'fr'"):
         gr.write_qgis_project(path, heatmap=results / "heatmap", language="fr")
 
 

@@ -143,10 +143,10 @@ def _of_a_month(options: dict[str, Any]) -> dict[str, Any]:
 @click.option(
     "--footprints", type=FILE, help="From gis-radar footprints: the project plays vehicles."
 )
-@click.option("--title", default="", help="Of the project; by default the file's name.")
-@click.option("--timezone", default="UTC", show_default=True, help="Of the time on its layout.")
-@click.option("--source", default="", help="Where the data come from, as its layout shows it.")
-@language("Of its layers, legends and layout.")
+@click.option("--title", help="Of the project; by default that of the heat map.")
+@click.option("--timezone", help="Of the time on its layout; by default that of the heat map.")
+@click.option("--source", help="Where the data come from; by default as the heat map says.")
+@language("Of its layers, legends and layout; by default that of the heat map.", default=None)
 @output
 def qgis(*, output: Path, reporter: Reporter, **options: Any) -> Result:
     """Write a QGIS project that shows a heat map ready to present, with a print layout."""

@@ -13,12 +13,12 @@ from .qgis.project_file import was_edited
 from .quality.quality import Quality, measure_quality, require_table_name
 from .report.chart import strip_of
 from .report.content import Column, Fact, Strip, Table, text_rows
-from .report.names import PAGE, REPORT_FILES
 from .report.pages import render_page
 from .report.report import Report, write_report
 from .report.results import as_stated, lost_sensors, read_run
 from .report.sources import made_by
 from .report.traffic import LEAST_QUEUE_M, longest_queue_text
+from .report_files import PAGE, REPORT_FILES
 from .traffic import Traffic, make_traffic, service_levels
 from .traffic_exchange import publisher_of
 

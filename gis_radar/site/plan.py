@@ -396,13 +396,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
         work=stages.project_stage,
         inputs={},
         beside=((folder / "heatmap",), poses, (dataset,)),
-        options={
-            "title": site.title,
-            "timezone": site.timezone,
-            "source": "; ".join(site.credits),
-            "language": site.language,
-            "footprints": site.vehicles.footprints,
-        },
+        options={"footprints": site.vehicles.footprints},
         outputs=(
             folder / "sensors.gpkg",
             folder / "sight.gpkg",

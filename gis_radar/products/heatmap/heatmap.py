@@ -39,7 +39,7 @@ from gis_radar.products.heatmap.layers import (
 )
 from gis_radar.products.heatmap.raster import write_raster
 from gis_radar.products.heatmap.style import sidecar_qml
-from gis_radar.products.report.names import REPORT_FILES
+from gis_radar.products.report_files import REPORT_FILES
 from gis_radar.products.results_folder import write_results
 
 NO_OCCUPANCY = Text("occupancy is missing: no vehicles were measured; the map shows the hit share")

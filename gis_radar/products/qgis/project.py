@@ -7,11 +7,11 @@ import json
 from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import pyogrio
 
 from gis_radar.base import (
-    LANGUAGES,
     QUIET,
     STEPS_PER_SECOND,
     Box,
@@ -20,6 +20,7 @@ from gis_radar.base import (
     Text,
     UsageError,
     in_language,
+    known_language,
     long_span,
     metric_crs,
     zone_of,
@@ -56,10 +57,10 @@ def write_qgis_project(
     sight: str | Path | None = None,
     lanes: str | Path | None = None,
     footprints: str | Path | None = None,
-    title: str = "",
-    timezone: str = "UTC",
-    source: str = "",
-    language: str = "en",
+    title: str | None = None,
+    timezone: str | None = None,
+    source: str | None = None,
+    language: str | None = None,
 ) -> None:
     """Write a QGIS project with a print layout: a heat map, and the sensors that made it.
 
@@ -80,14 +81,14 @@ def write_qgis_project(
     footprints : str or Path, optional
         GeoPackage of :meth:`gis_radar.Dataset.write_footprints`: the project then plays single
         vehicles, half second by half second.
-    title : str
-        Title of project and layout; by default the file's name.
-    timezone : str
-        Time zone of the times on layout and map, such as `Europe/Berlin`.
-    source : str
-        Source of the data, for the layout.
-    language : str
-        Language of names of layers, legends and layout: `en` or `de`.
+    title : str, optional
+        Title of project and layout; by default that of the heat map, else the file's name.
+    timezone : str, optional
+        Time zone of the times on layout and map; by default that of the heat map.
+    source : str, optional
+        Source of the data, for the layout; by default those of the heat map.
+    language : str, optional
+        Language of names of layers, legends and layout; by default that of the heat map.
 
     Raises
     ------
@@ -101,11 +102,10 @@ def write_qgis_project(
     path = Path(path)
     if path.suffix.lower() != ".qgz":
         raise UsageError("{}: a QGIS project ends in .qgz", path, hint="end the name in .qgz")
-    if language not in LANGUAGES:
-        raise UsageError("language is {}, expected one of {}", repr(language), ", ".join(LANGUAGES))
     if was_edited(path):
         raise OutputError("{}: somebody has edited this project", path, hint="name another output")
     heat = Tally(**read_package(Path(heatmap)))
+    timezone, language = timezone or heat.labels.timezone, language or heat.labels.language
     played = _time_range(heat, timezone)
     layers = _heatmap_layers(heat, Path(heatmap).resolve())
     if sensors is not None:
@@ -122,10 +122,13 @@ def write_qgis_project(
             Path(footprints).resolve(), footprint_style(), FOOTPRINTS
         )
         played = played._replace(step_s=SHOWN_S)
-    with in_language(language):  # the last interval may end later than what was recorded
+    with in_language(
+        known_language(language)
+    ):  # the last interval may end later than what was recorded
         time = long_span(*heat.whole.span(), zone_of(timezone))
     content = ProjectContent(
-        title=title or path.stem, time=time, source=source,
+        title=title or heat.labels.title or path.stem, time=time,
+        source="; ".join(heat.labels.sources) if source is None else source,
         crs=metric_crs(heat.crs, what=str(heatmap)), box=_observed_box(heat), layers=layers,
         played=played, measure=heat.measure, language=language,
     )  # fmt: skip
@@ -136,11 +139,8 @@ def write_site_project(
     folder: str | Path,
     *,
     footprints: bool = False,
-    title: str = "",
-    timezone: str = "UTC",
-    source: str = "",
-    language: str = "en",
     reporter: Reporter = QUIET,
+    **options: Any,
 ) -> list[Path]:
     """Write the layers of the sensors and the project into the folder of a site's results.
 
@@ -150,34 +150,34 @@ def write_site_project(
     ----------
     folder : str or Path
         Holds `heatmap/`, the poses as `sensors/NAME/pose.json` or `track.csv`, of which the last
-        pose counts, and `dataset/` of the sensors that the heat map shows; without it, all sensors
-        are shown.
+        pose counts, and `dataset/` of the sensors that the heat map shows.
     footprints : bool
         Whether the single vehicles of the dataset are written as a layer that the project plays;
         without it, an earlier such layer is deleted.
-    title : str
-        Title of the project; by default the folder's name.
-    timezone, source, language : str
-        As for :func:`write_qgis_project`.
     reporter : Reporter
         Receives a warning where an edited project is in the way.
+    **options
+        Title, time zone, source and language, as for :func:`write_qgis_project`.
 
     Returns
     -------
     list of Path
-        `sensors.gpkg`, where there is a pose, `sight.gpkg`, where there is a dataset,
+        `sensors.gpkg`, where there is a pose, `sight.gpkg`,
         `footprints.gpkg`, where they are asked for and there are vehicles, and `site.qgz`;
         `site_2.qgz` where that was edited.
     """
     folder = Path(folder)
-    place = folder / "dataset"
-    dataset = open_dataset(place) if place.is_dir() else None
+    dataset = open_dataset(folder / "dataset")
     poses = _poses(folder, dataset)
     sensors = folder / "sensors.gpkg" if poses else None
     if sensors is not None:
         write_sensors([read_track(path).poses[-1] for path in poses], sensors)
     sight = _write_sight(folder, dataset)
-    vehicles = _write_footprints(folder, dataset if footprints else None, reporter)
+    vehicles = folder / f"{FOOTPRINTS}.gpkg" if footprints and dataset.has_vehicles else None
+    if vehicles is None:
+        (folder / f"{FOOTPRINTS}.gpkg").unlink(missing_ok=True)
+    else:
+        dataset.write_footprints(vehicles, reporter=reporter)
     numbered = (folder / f"site_{number}.qgz" for number in itertools.count(2))
     names = itertools.chain([folder / "site.qgz"], numbered)
     project = next(name for name in names if not was_edited(name))
@@ -186,9 +186,7 @@ def write_site_project(
     tiles = folder / "tiles.gpkg"
     write_qgis_project(
         project, heatmap=folder / "heatmap", sensors=sensors, sight=sight, footprints=vehicles,
-        lanes=tiles if _lane_layers(tiles.resolve()) else None,
-        title=title or folder.resolve().name, timezone=timezone, source=source,
-        language=language,
+        lanes=tiles if _lane_layers(tiles.resolve()) else None, **options,
     )  # fmt: skip
     return [path for path in (sensors, sight, vehicles, project) if path is not None]
 
@@ -202,10 +200,8 @@ def _lane_layers(tiles: Path) -> dict[str, LayerSource]:
     )
 
 
-def _write_sight(folder: Path, dataset: Dataset | None) -> Path | None:
-    """Write the sensors' sights of the dataset; return the file, None without a dataset."""
-    if dataset is None:
-        return None
+def _write_sight(folder: Path, dataset: Dataset) -> Path:
+    """Write the sensors' sights of the dataset; return the file."""
     tiles, poses = dataset.tiles(), dataset.poses()
     road, sights = SightTiles.of(tiles), []
     for sensor in dataset.sensors:
@@ -216,22 +212,11 @@ def _write_sight(folder: Path, dataset: Dataset | None) -> Path | None:
     return folder / "sight.gpkg"
 
 
-def _write_footprints(folder: Path, dataset: Dataset | None, reporter: Reporter) -> Path | None:
-    """Write the layer of single vehicles; return the file, None if there are none to write."""
-    path = folder / f"{FOOTPRINTS}.gpkg"
-    if dataset is None or not dataset.has_vehicles:
-        path.unlink(missing_ok=True)
-        return None
-    dataset.write_footprints(path, reporter=reporter)
-    return path
-
-
-def _poses(folder: Path, dataset: Dataset | None) -> list[Path]:
+def _poses(folder: Path, dataset: Dataset) -> list[Path]:
     """Return the poses of the sensors that the heat map shows, by name."""
     paths = {path.parent.name: path for path in (folder / "sensors").glob("*/track.csv")}
     paths |= {path.parent.name: path for path in (folder / "sensors").glob("*/pose.json")}
-    shown = paths.keys() if dataset is None else dataset.sensors
-    return [paths[name] for name in sorted(paths) if name in shown]
+    return [paths[name] for name in sorted(paths) if name in dataset.sensors]
 
 
 def _observed_box(heat: Tally) -> Box:

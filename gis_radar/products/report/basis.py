@@ -26,9 +26,9 @@ from gis_radar.base import (
 )
 from gis_radar.calibration import FITS, WRONG, Finding
 from gis_radar.measures import Runs
+from gis_radar.products import report_files as names
 from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.quality.quality import GOOD, Quality
-from gis_radar.products.report import names
 from gis_radar.products.report.content import Column, Fact, Table, text_columns, text_rows
 from gis_radar.products.report.lanes import part_and_base
 from gis_radar.products.report.results import NOT_KNOWN, Results

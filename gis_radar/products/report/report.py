@@ -36,10 +36,10 @@ from gis_radar.base import (
 )
 from gis_radar.dataset import FRAMES
 from gis_radar.hdmap import lanes_of
+from gis_radar.products import report_files as names
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.picture import MapPicture
 from gis_radar.products.quality.quality import Quality, measure_quality
-from gis_radar.products.report import names
 from gis_radar.products.report.basis import (
     ReportData,
     as_high_as,

@@ -32,9 +32,9 @@ from gis_radar.base import (
 )
 from gis_radar.dataset import Dataset, LaneTraffic
 from gis_radar.measures import JOINED_M, LEAST_SHARE, TURN_WORDS, LaneNetwork
+from gis_radar.products import report_files as names
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.picture import NARROW_IN, for_a_phone, image_of_figure, png
-from gis_radar.products.report import names
 from gis_radar.products.report.chart import chart_over
 from gis_radar.products.report.content import (
     QUEUES,

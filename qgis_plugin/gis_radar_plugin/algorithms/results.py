@@ -101,7 +101,8 @@ class WriteProject(WorkerAlgorithm):
         shared.MAP_TITLE,
         shared.SOURCE,
         replace(
-            shared.TIMEZONE, about="Of the times on its map, such as Europe/Berlin; UTC without."
+            shared.TIMEZONE,
+            about="Such as Europe/Berlin; without one that of the heat map.",
         ),
         shared.LANGUAGE,
         Output("OUTPUT", "QGIS project", kinds="QGIS projects (*.qgz)"),
