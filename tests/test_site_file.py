@@ -14,11 +14,9 @@ from pydantic import TypeAdapter
 import gis_radar as gr
 from gis_radar.base import InputError
 from gis_radar.live import edge_template, read_edge_file
-from gis_radar.live.wire.settings import EdgeFile
 from gis_radar.site import Name, Site, site_template
-from gis_radar.site.settings import site_reference
-from gis_radar.site.toml_file import toml_reference
 from gis_radar.site.values import lines_of, table_of
+from tools import toml_pages
 
 ROOT = Path(__file__).parents[1]
 FILES = ("junction.osm", "scan_1.laz", "scan_2.laz", "R1_1.parquet", "R1_2.parquet", "R2.parquet",
@@ -212,12 +210,12 @@ def test_the_template_holds_every_key_and_its_values_fit(read, tmp_path):
     assert read(one_of_each).sensor[0].view.max_range_m == 300.0
 
 
-def test_the_document_is_that_of_the_models():
-    document = (ROOT / "docs" / "site-file.md").read_text(encoding="utf-8")
-    assert "default True" not in document  # TOML writes true
-    assert document.endswith(site_reference()), "docs/site-file.md: put site_reference() at its end"
-    document = (ROOT / "docs" / "live.md").read_text(encoding="utf-8")
-    assert document.endswith(toml_reference(EdgeFile)), "docs/live.md: put that at its end"
+def test_the_documents_are_those_of_the_models():
+    """After a change of the models run python tools/toml_pages.py."""
+    for page, root in toml_pages.PAGES.items():
+        document = page.read_text(encoding="utf-8")
+        assert "default True" not in document  # TOML writes true
+        assert document.endswith(toml_pages.reference(root))
 
 
 def test_the_template_of_a_sensor_needs_its_uncommented_lines_only(tmp_path):

@@ -127,18 +127,35 @@ class Dataset(DatasetFiles, SqlQueries):
         """Read the table of recordings from which it was made."""
         return self._read_single(tables.RECORDINGS)
 
-    def sight_of(self, sensor: str) -> Integers:
-        """Return the ids of the tiles in sight of the last pose of a sensor."""
-        recordings, poses, sights = (
-            self.single_table(table).to_pandas()
-            for table in (tables.RECORDINGS, tables.POSES, tables.SIGHTS)
+    def last_poses(self) -> gpd.GeoDataFrame:
+        """Return for each sensor the pose by which its last recording was measured.
+
+        Returns
+        -------
+        GeoDataFrame
+            Rows of :meth:`poses`, by sensor.
+        """
+        used = self.recordings().groupby("pose")["end"].max()
+        poses = self.poses()
+        order = poses.assign(used=used.reindex(poses["track"]).array).sort_values(
+            ["sensor", "used", "since"], na_position="first"
         )
-        if not (isinstance(sensor, str) and sensor in self.sensors):
+        return poses.loc[order.drop_duplicates("sensor", keep="last").index]
+
+    def sight_of(self, sensor: str) -> Integers:
+        """Return the ids of the tiles in sight of the last pose of a sensor.
+
+        Raises
+        ------
+        UsageError
+            If it has no such sensor.
+        """
+        sight = self.last_poses().set_index("sensor")["sight"]
+        if not (isinstance(sensor, str) and sensor in sight):
             raise UsageError("{}: has no sensor {}", self.folder, repr(sensor),
                              hint=Text("it has {}", ", ".join(self.sensors)))  # fmt: skip
-        of_sensor = recordings[recordings["sensor"] == sensor].sort_values("last_time")
-        sight_name = poses.loc[poses["track"] == of_sensor["pose"].iloc[-1], "sight"].iloc[-1]
-        return np.asarray(sights.loc[sights["pose"] == sight_name, "tile_id"], np.int64)
+        pairs = self.sights()
+        return np.asarray(pairs.loc[pairs["pose"] == sight[sensor], "tile_id"], np.int64)
 
     def hours(self) -> pd.DataFrame:
         """Return the complete hours, with the number of rows of each table."""

@@ -366,7 +366,7 @@ class Session:
             names = dict(zip(network.lane.tolist(), lane_names(lanes, network), strict=True))
         lanes = lanes.drop(columns="name", errors="ignore")  # `names` includes lanes' own names
         lanes.insert(1, "name", lanes["lane"].map(names).astype("string"))
-        layers = {"lanes": lanes, "sensors": _last_poses(dataset)}
+        layers = {"lanes": lanes, "sensors": dataset.last_poses().drop(columns="document")}
         if self.is_new:
             layers["tiles"] = dataset.tiles()
         for name, table in layers.items():
@@ -456,16 +456,6 @@ class Session:
         with self.cursor.copy(copy) as target:
             target.write(text.getvalue())
         self.rows[name] = self.rows.get(name, 0) + len(shown)
-
-
-def _last_poses(dataset: Dataset) -> gpd.GeoDataFrame:
-    """Return for each sensor the pose by which its last recording was measured."""
-    used = dataset.recordings().groupby("pose")["end"].max()
-    poses = dataset.poses().drop(columns="document")
-    order = poses.assign(used=used.reindex(poses["track"]).array).sort_values(
-        ["sensor", "used", "since"], na_position="first"
-    )
-    return poses.loc[order.drop_duplicates("sensor", keep="last").index]
 
 
 def _meaning(table: str, column: str) -> str:

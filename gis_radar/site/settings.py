@@ -15,7 +15,7 @@ from pydantic import Field, PrivateAttr, model_validator
 from gis_radar import recordings
 from gis_radar.base import Text
 from gis_radar.site.live_table import LiveTable
-from gis_radar.site.toml_file import read_toml, toml_reference, toml_template
+from gis_radar.site.toml_file import read_toml, toml_template
 from gis_radar.site.values import (  # fmt: skip
     CompassBearing,
     Crs,
@@ -395,8 +395,3 @@ _NOT_COMMENTED = {("scan", "files"), ("sensor", "guess")}  # one of several keys
 def site_template() -> str:
     """Return a commented site file to fill in."""
     return toml_template(Site, _HEAD, given=_NOT_COMMENTED)
-
-
-def site_reference() -> str:
-    """Return the reference of all keys as Markdown: a table of keys for each table of the file."""
-    return toml_reference(Site)

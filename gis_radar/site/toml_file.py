@@ -166,19 +166,14 @@ def toml_template(
     return "\n".join([head, *_template(root, "", given)]).rstrip() + "\n"
 
 
-def toml_reference(root: type[TomlTable]) -> str:
-    """Return the reference of all keys as Markdown: a table of keys for each table of the file."""
-    return "\n".join(_reference(root, "", "At the top")).rstrip() + "\n"
-
-
 def _template(
     table: type[TomlTable], path: str, given: Collection[tuple[str, str]], *, comment: str = ""
 ) -> Iterator[str]:
     """Yield the lines of a table: first its keys, then the tables below it."""
-    keys, subtables = _keys_and_subtables(table, path)
+    keys, subtables = keys_and_subtables(table, path)
     for name, field in keys.items():
         needed = field.is_required() or (path, name) in given
-        text = f"{field.description} ({value_of(field)}; {_default(field)})"
+        text = f"{field.description} ({value_of(field)}; {default_of(field)})"
         yield from textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ")
         yield f"{comment if needed else '# '}{name} = {(field.examples or [''])[0]}"
     yield ""
@@ -186,24 +181,11 @@ def _template(
         optional = inner_path in OPTIONAL and not field.is_required()
         inner_comment = "# " if optional else comment
         header_comment = "# " if inner_path.startswith("sensor.") else inner_comment
-        yield f"{header_comment}{_header(inner_path, field)}  # {field.description}"
+        yield f"{header_comment}{header_of(inner_path, field)}  # {field.description}"
         yield from _template(inner, inner_path, given, comment=inner_comment)
 
 
-def _reference(table: type[TomlTable], path: str, title: str) -> Iterator[str]:
-    """Yield the lines of the reference of a table and of those below it."""
-    keys, subtables = _keys_and_subtables(table, path)
-    yield from (f"### {title}", "", "| key | value | what it is |", "|---|---|---|")
-    for name, field in keys.items():
-        value = value_of(field).replace("|", "\\|").replace("*", "\\*")
-        meaning = (field.description or "").replace("|", "\\|")
-        yield f"| `{name}` | {value}; {_default(field)} | {meaning} |"
-    yield ""
-    for inner_path, field, inner in subtables:
-        yield from _reference(inner, inner_path, f"`{_header(inner_path, field)}`")
-
-
-def _keys_and_subtables(
+def keys_and_subtables(
     table: type[TomlTable], path: str
 ) -> tuple[dict[str, FieldInfo], list[tuple[str, FieldInfo, type[TomlTable]]]]:
     """Return the keys of a table, and the tables below it with their paths."""
@@ -217,11 +199,12 @@ def _keys_and_subtables(
     return keys, subtables
 
 
-def _header(path: str, field: FieldInfo) -> str:
+def header_of(path: str, field: FieldInfo) -> str:
+    """Return the header of a table, `[name]` or `[[name]]`."""
     return f"[[{path}]]" if is_repeated(field) else f"[{path}]"
 
 
-def _default(field: FieldInfo) -> str:
+def default_of(field: FieldInfo) -> str:
     """Return `required`, or the default of a key as TOML writes it."""
     if field.is_required():
         return "required"

@@ -202,10 +202,9 @@ def _lane_layers(tiles: Path) -> dict[str, LayerSource]:
 
 def _write_sight(folder: Path, dataset: Dataset) -> Path:
     """Write the sensors' sights of the dataset; return the file."""
-    tiles, poses = dataset.tiles(), dataset.poses()
+    tiles, poses = dataset.tiles(), dataset.last_poses()
     road, sights = SightTiles.of(tiles), []
-    for sensor in dataset.sensors:
-        document = poses.loc[poses["sensor"] == sensor, "document"].iloc[-1]
+    for sensor, document in zip(poses["sensor"], poses["document"], strict=True):
         pose = pose_from_dict(json.loads(document), what=Text("{}: a pose", dataset.folder))
         sights.append(sight_of_tiles(dataset.sight_of(sensor), pose, road))
     write_sights(sights, tiles, folder / "sight.gpkg")

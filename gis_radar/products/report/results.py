@@ -276,11 +276,9 @@ def _poses(folder: Path, dataset: Dataset | None) -> list[Pose]:
     """Return the last pose of each sensor, from the dataset, else from pose files."""
     by_sensor: dict[str, Pose] = {}
     if dataset is not None:
-        for document in dataset.poses()["document"]:
+        for document in dataset.last_poses()["document"]:
             pose = pose_from_dict(json.loads(document), what=Text("{}: a pose", dataset.folder))
-            earlier = by_sensor.get(pose.sensor)
-            if earlier is None or earlier.parsed_evidence().time <= pose.parsed_evidence().time:
-                by_sensor[pose.sensor] = pose
+            by_sensor[pose.sensor] = pose
     elif (folder / "sensors").is_dir():
         for path in sorted((folder / "sensors").glob("*/pose.json")):
             by_sensor[path.parent.name] = read_track(path).poses[-1]
