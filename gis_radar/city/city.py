@@ -14,10 +14,10 @@ from gis_radar import dataset as dataset_room
 from gis_radar.base import (
     QUIET,
     CrsError,
+    GisRadarError,
     InputError,
     NoAnswerError,
     Reporter,
-    UsageError,
     atomic_write,
 )
 from gis_radar.dataset import (
@@ -184,19 +184,12 @@ class City(SqlQueries):
         NoAnswerError, InputError
             The error of the first site, if none can be compared.
         """
-        compared: dict[str, Comparison] = {}
-        refused: list[NoAnswerError | InputError] = []
-        for name, dataset in self.sites.items():
-            try:
-                compared[name] = compare(
-                    dataset, before=before, after=after, days=days, language=language
-                )
-            except (NoAnswerError, InputError) as error:
-                refused.append(error)
-                reporter.warn("{} is left out: {}", name, error.message)
-        if not compared:
-            raise refused[0]
-        return compared
+        return self._of_sites(
+            lambda dataset: compare(
+                dataset, before=before, after=after, days=days, language=language
+            ),
+            (NoAnswerError, InputError), reporter,
+        )  # fmt: skip
 
     def write_catalogue(self, path: str | Path, *, root: str | None = None) -> None:
         """Write an SQL file that makes views of the tables of all sites in DuckDB.
@@ -224,14 +217,21 @@ class City(SqlQueries):
             views = dataset_room.catalogue_of(folders, f"{place.rstrip('/')}/site=*")
             part.write_text(views, encoding="utf-8")
 
-    def _of_sites(self, ask: Callable[[Dataset], Any]) -> dict[str, Any]:
-        """Return the answers of the sites that have one, by name."""
-        answers, refused = dict[str, Any](), list[InputError | UsageError]()
+    def _of_sites(
+        self, ask: Callable[[Dataset], Any],
+        without: tuple[type[GisRadarError], ...] = (
+            NotMeasuredError, UnknownStreetError, NoVehiclesError,
+        ),
+        reporter: Reporter = QUIET,
+    ) -> dict[str, Any]:  # fmt: skip
+        """Return the answers of the sites that have one, by name; `without` one are some errors."""
+        answers, refused = dict[str, Any](), list[GisRadarError]()
         for name, dataset in self.sites.items():
             try:
                 answers[name] = ask(dataset)
-            except (NotMeasuredError, UnknownStreetError, NoVehiclesError) as error:
+            except without as error:
                 refused.append(error)
+                reporter.warn("{} is left out: {}", name, error.message)
         if not answers:  # "nothing measured" comes before "no such street": some site may have it
             raise next((each for each in refused if isinstance(each, NotMeasuredError)), refused[0])
         return answers

@@ -39,8 +39,8 @@ from .questions.profiles import NotMeasuredError, measured_span
 from .questions.sql import SqlQueries
 from .questions.street_profile import By, UnknownStreetError
 from .questions.views import catalogue_of
+from .traffic.reader import stated_lanes
 from .traffic.shifts import Shifts, chance_of_others, lanes_beside, shifts_of
-from .traffic.stated_lanes import stated_lanes
 from .vehicles.footprints import FOOTPRINTS, SHOWN_S, footprint_style
 from .vehicles.states import states_of
 

@@ -25,8 +25,8 @@ from gis_radar.dataset.questions import profiles
 from gis_radar.dataset.questions.sql import SqlQueries
 from gis_radar.dataset.traffic import headways_cycles, sections
 from gis_radar.dataset.traffic import tables as traffic_tables
-from gis_radar.dataset.traffic.stated_lanes import stated_lanes
-from gis_radar.dataset.vehicles import footprints, trajectories
+from gis_radar.dataset.traffic.reader import stated_lanes
+from gis_radar.dataset.vehicles import footprints, states
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER
 
 
@@ -59,8 +59,8 @@ class Dataset(DatasetFiles, SqlQueries):
     queues = traffic_tables.queues
     count_sections = sections.count_sections
     signal_cycles = headways_cycles.signal_cycles
-    track_points = trajectories.track_points
-    to_trajectories = trajectories.to_trajectories
+    track_points = states.track_points
+    to_trajectories = states.to_trajectories
     write_footprints = footprints.write_footprints
 
     @property

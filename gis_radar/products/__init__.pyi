@@ -8,8 +8,7 @@ from .heatmap.style import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_cl
 from .postgis import Publication, publish
 from .postgis_city import CityPublication, is_city, publish_city
 from .projection.project import project, write_projection
-from .qgis.project import write_qgis_project, write_site_project
-from .qgis.project_file import was_edited
+from .qgis.project import was_edited, write_qgis_project, write_site_project
 from .quality.quality import Quality, measure_quality, require_table_name
 from .report.chart import strip_of
 from .report.content import Column, Fact, Strip, Table, text_rows

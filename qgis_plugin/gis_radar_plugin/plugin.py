@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from qgis.core import Qgis, QgsApplication
+from qgis.core import Qgis, QgsApplication, QgsProcessingProvider
 from qgis.PyQt.QtGui import QIcon
 
+from .algorithms import ALGORITHMS
 from .base import ICONS, chosen_python
 from .opening import PROVIDER
-from .provider import GisRadarProvider
 from .runner import WorkerError
 from .words import language, tr
 
@@ -139,3 +139,35 @@ class GisRadarPlugin:
         if self._provider is not None:
             QgsApplication.processingRegistry().removeProvider(self._provider)
             self._provider = None
+
+
+class GisRadarProvider(QgsProcessingProvider):  # type: ignore[misc]
+    """All algorithms of gis_radar."""
+
+    def id(self) -> str:
+        return PROVIDER
+
+    def name(self) -> str:
+        return "gis_radar"
+
+    def longName(self) -> str:  # noqa: N802
+        return "gis_radar: radar to traffic maps"
+
+    def icon(self) -> QIcon:
+        return QIcon(self.svgIconPath())
+
+    def svgIconPath(self) -> str:  # noqa: N802
+        return str(ICONS / "gis_radar.svg")
+
+    def loadAlgorithms(self) -> None:  # noqa: N802
+        for algorithm in ALGORITHMS:
+            self.addAlgorithm(algorithm())
+
+    def supportedOutputVectorLayerExtensions(self) -> list[str]:  # noqa: N802
+        return ["gpkg"]
+
+    def defaultVectorFileExtension(self, _has_geometry: bool = True) -> str:  # noqa: N802, FBT001, FBT002
+        return "gpkg"
+
+    def supportsNonFileBasedOutput(self) -> bool:  # noqa: N802
+        return False

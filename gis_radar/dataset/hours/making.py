@@ -38,7 +38,7 @@ from gis_radar.dataset.files.registry import (
     validity_by_sensor,
 )
 from gis_radar.dataset.files.tables import DAY_TABLES, HOUR_TABLES
-from gis_radar.dataset.hours.job import HourSite, MadeHour, make_hour, read_sensors
+from gis_radar.dataset.hours.job import HourSite, MadeHour, read_sensors
 from gis_radar.dataset.hours.registered import (
     hours_to_make,
     is_complete,
@@ -94,7 +94,7 @@ def update_dataset(
     """
     margin = site.settings.margin
     records, just_read = read_hours(site.folder), list(just_read)
-    validity_s = validity_by_sensor(after.entries)
+    validity_by_sensor(after.entries)  # refuses different ones of a sensor
     just_read_paths = {each.path for each in just_read}
     added = _added(before, after, just_read_paths)
     for each in added:
@@ -103,12 +103,11 @@ def update_dataset(
     missing = [hour for hour in missing if before_hour is None or hour < before_hour]
     _refuse_dropped(site.folder, missing, records)
     _require_recordings(after, missing, margin, just_read_paths)
-    reaching = after.by_hour(margin)
-    placings = {hour: [after.placing(each) for each in reaching[hour]] for hour in missing}
     present = (records[hour] for hour in missing if hour in records)
     if any(is_complete(site.folder, each) for each in present):  # whole hours stay on a refusal
+        reaching = after.by_hour(margin)
         for hour in touched_hours(missing, added, margin):
-            _check_recordings(site, hour, placings[hour])
+            _check_recordings(site, hour, [after.placing(each) for each in reaching[hour]])
     after = after.without_hours(missing)
     all_poses = before.poses.joined(after.poses)
     if added:
@@ -121,7 +120,7 @@ def update_dataset(
     for hour in {*missing, *removed}:
         remove_record(site.folder, hour)
     _remove_parts(site.folder, removed)
-    made = _make_and_record(site, before, after, placings, validity_s, processes, reporter)
+    made = _make_and_record(site, before, after, missing, processes, reporter)
     if missing:
         after = after.with_hours(missing, margin)
         after.write_recordings()
@@ -166,8 +165,8 @@ def _added(before: Registry, after: Registry, just_read: set[str]) -> list[Recor
 
 
 def _make_and_record(
-    site: HourSite, before: Registry, after: Registry, placings: Mapping[int, Sequence[Placing]],
-    validity_s: Mapping[str, float], processes: int, reporter: Reporter,
+    site: HourSite, before: Registry, after: Registry, hours: Sequence[int], processes: int,
+    reporter: Reporter,
 ) -> list[MadeHour]:  # fmt: skip
     """Make hours, and record from time to time which are made, so that a killed run can resume."""
     made, written_s = list[MadeHour](), time.monotonic()
@@ -175,11 +174,11 @@ def _make_and_record(
     def write_registry() -> None:
         after.with_hours([each.hour for each in made], site.settings.margin).write_recordings()
 
-    reporter.progress(STAGE, 0, len(placings))
+    reporter.progress(STAGE, 0, len(hours))
     try:
-        for each in _make_hours(site, placings, validity_s, processes):
+        for each in _make_hours(site, hours, processes):
             made.append(each)
-            reporter.progress(STAGE, len(made), len(placings))
+            reporter.progress(STAGE, len(made), len(hours))
             if time.monotonic() - written_s > REGISTRY_EVERY_S:
                 write_registry()
                 written_s = time.monotonic()
@@ -344,20 +343,15 @@ def open_hours(folder: Path, reporter: Reporter) -> Iterator[OpenHours]:
         yield OpenHours(registry=without, margin=margin, missing=missing, refused=refused)
 
 
-def _make_hours(
-    site: HourSite, tasks: Mapping[int, Sequence[Placing]], validity_s: Mapping[str, float],
-    processes: int,
-) -> Iterator[MadeHour]:  # fmt: skip
+def _make_hours(site: HourSite, hours: Sequence[int], processes: int) -> Iterator[MadeHour]:
     """Make hours, one after the other or in parallel, and yield them as they are done."""
-    workers = min(processes, len(tasks))
+    keep_site(site, Manifest.read(site.folder))
+    workers = min(processes, len(hours))
     if workers < 2:
-        for hour, placings in tasks.items():
-            sources = [source_of(*each) for each in placings]
-            yield make_hour(site, hour, sources, validity_s, processes=processes)
+        yield from (make_registered(site.folder, hour, processes) for hour in hours)
         return
     share = processes // workers
-    keep_site(site, Manifest.read(site.folder))
     with worker_pool(workers, watch_parent) as pool:
-        running = [pool.submit(make_registered, site.folder, hour, share) for hour in tasks]
+        running = [pool.submit(make_registered, site.folder, hour, share) for hour in hours]
         for each in as_completed(running):
             yield each.result()

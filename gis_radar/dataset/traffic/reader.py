@@ -1,10 +1,14 @@
-"""Traffic by lane as tidy tables with names, local times, km/h and vehicles an hour."""
+"""Traffic by lane as tidy tables with names, local times, km/h and vehicles an hour.
+
+A site states names and free speeds of lanes in place of those of its map.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
@@ -35,7 +39,6 @@ from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.files.tables import LANE_MEASURES, TRACKS, TURNS
 from gis_radar.dataset.traffic.shifts import MISSED_ACROSS, OtherLanes, lanes_across, shifts_of
-from gis_radar.dataset.traffic.stated_lanes import delays
 from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 from gis_radar.measures import LEAST_SHARE, SPEED_CLASS_KMH, LaneNetwork, lane_names, turn_lines
 
@@ -404,3 +407,61 @@ def _speed_85_kmh(counts: pd.Series) -> Floats:
     before = np.where(k > 0, below[row, k - 1], 0.0)
     speeds[rows] = (k + (wanted - before) / (below[row, k] - before)) * SPEED_CLASS_KMH
     return speeds
+
+
+def stated_lanes(
+    layer: gpd.GeoDataFrame, lanes: Sequence[Mapping[str, Any]], speed_kmh: float | None,
+    source: Path,
+) -> gpd.GeoDataFrame:  # fmt: skip
+    """Return the layer `lanes` with the column `name`, and the free speeds stated.
+
+    Parameters
+    ----------
+    layer : GeoDataFrame
+        The layer of the dataset.
+    lanes, speed_kmh
+        As for :meth:`gis_radar.Dataset.with_lanes`.
+    source : Path
+        Dataset or site file, for the message.
+
+    Raises
+    ------
+    InputError
+        If a lane is none of the layer's.
+    """
+    stated = {int(each["id"]): each for each in lanes}
+    if unknown := sorted(set(stated) - set(layer["lane"].tolist())):
+        raise InputError(
+            "{}: has no lane {}", source, unknown[0], hint="the column lane of traffic.csv has them"
+        )
+    names, speeds = (
+        layer["lane"].map({number: each.get(name) for number, each in stated.items()})
+        for name in ("name", "speed_kmh")
+    )
+    limit = pd.Series(layer.get("speed_limit_kmh", np.nan), layer.index).astype(np.float64)
+    free = speeds.astype(np.float64).fillna(limit)
+    free = free if speed_kmh is None else free.fillna(speed_kmh)
+    return layer.assign(name=names.astype(object), speed_limit_kmh=free)
+
+
+def delays(table: pd.DataFrame, layer: gpd.GeoDataFrame, network: LaneNetwork) -> pd.Series:
+    """Return delays against the free speeds of a layer, which may differ from those when measured.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Table with `lane` and `travel_time_s`.
+    layer : GeoDataFrame
+        The layer `lanes`.
+    network : LaneNetwork
+        Its lengths.
+
+    Returns
+    -------
+    Series
+        Seconds; NaN where travel time or free speed is unknown.
+    """
+    limit = layer.get("speed_limit_kmh", pd.Series(np.nan, layer.index)).astype(np.float64)
+    free_s = pd.Series(network.length_m, network.lane) / (limit.set_axis(layer["lane"]) / 3.6)
+    delay: pd.Series = table["travel_time_s"] - table["lane"].map(free_s)
+    return delay.clip(lower=0.0)

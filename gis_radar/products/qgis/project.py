@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
+import zipfile
 from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -19,6 +21,7 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
+    atomic_write,
     in_language,
     known_language,
     long_span,
@@ -41,7 +44,6 @@ from gis_radar.products.heatmap import style
 from gis_radar.products.heatmap.counting import Tally
 from gis_radar.products.heatmap.layers import FILE, read_package, styles_of
 from gis_radar.products.heatmap.package_tables import LONG, WIDE, interval_times
-from gis_radar.products.qgis.project_file import was_edited, write_project_file
 from gis_radar.products.qgis.project_xml import LayerSource, ProjectContent, TimeRange, project_xml
 from gis_radar.scans import SIGHT_LAYER, SightTiles, write_sights
 
@@ -259,3 +261,32 @@ def _heatmap_layers(heat: Tally, folder: Path) -> dict[str, LayerSource]:
         layers["raster"] = LayerSource(raster, style.sidecar_qml(heat.measure))
     # No id may begin as another: QGIS's lists of layers would drop the wrong one.
     return {f"gis_radar_{name}": layer for name, layer in layers.items()}
+
+
+_MARK = b"gis_radar "
+
+
+def write_project_file(path: Path, text: str) -> None:
+    """Write a project; the same text gives the same file.
+
+    A mark in the file, which is lost when QGIS saves the project, shows that it was not edited.
+    """
+    with atomic_write(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(zipfile.ZipInfo(f"{path.stem}.qgs"), text, zipfile.ZIP_DEFLATED)
+        archive.comment = _mark(text.encode())
+
+
+def was_edited(path: Path) -> bool:
+    """Return whether a file exists and differs from what was written."""
+    if not path.exists():
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            (name,) = archive.namelist()
+            return archive.comment != _mark(archive.read(name))
+    except (OSError, ValueError, zipfile.BadZipFile):
+        return True
+
+
+def _mark(content: bytes) -> bytes:
+    return _MARK + hashlib.blake2b(content, digest_size=16).hexdigest().encode()
