@@ -42,7 +42,7 @@ from gis_radar.dataset.hours.job import HourSite, MadeHour, read_sensors
 from gis_radar.dataset.hours.registered import (
     hours_to_make,
     is_complete,
-    keep_site,
+    kept_site,
     make_registered,
     measure_settings_of,
 )
@@ -345,13 +345,13 @@ def open_hours(folder: Path, reporter: Reporter) -> Iterator[OpenHours]:
 
 def _make_hours(site: HourSite, hours: Sequence[int], processes: int) -> Iterator[MadeHour]:
     """Make hours, one after the other or in parallel, and yield them as they are done."""
-    keep_site(site, Manifest.read(site.folder))
     workers = min(processes, len(hours))
-    if workers < 2:
-        yield from (make_registered(site.folder, hour, processes) for hour in hours)
-        return
-    share = processes // workers
-    with worker_pool(workers, watch_parent) as pool:
-        running = [pool.submit(make_registered, site.folder, hour, share) for hour in hours]
-        for each in as_completed(running):
-            yield each.result()
+    with kept_site(site):
+        if workers < 2:
+            yield from (make_registered(site.folder, hour, processes) for hour in hours)
+            return
+        share = processes // workers
+        with worker_pool(workers, watch_parent) as pool:
+            running = [pool.submit(make_registered, site.folder, hour, share) for hour in hours]
+            for each in as_completed(running):
+                yield each.result()

@@ -7,7 +7,8 @@ it can make the hour: a worker here, or one of a cluster.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -59,21 +60,23 @@ def site_of(folder: Path, manifest: Manifest) -> HourSite:
             if described["digest"] != manifest.map:
                 raise InputError("{}: is of another run", folder / MAP, hint=BRING_BACK)
             graph = lane_graph(roads.lanelets)
-        keep_site(
-            HourSite(
-                folder=folder, tiles=tiles, graph=graph, origin=manifest.origin,
-                settings=settings,
-            ),
-            manifest,
-        )  # fmt: skip
+        while len(_sites) >= _MOST_SITES:
+            del _sites[next(iter(_sites))]
+        _sites[key] = HourSite(
+            folder=folder, tiles=tiles, graph=graph, origin=manifest.origin, settings=settings
+        )
     return _sites[key]
 
 
-def keep_site(site: HourSite, manifest: Manifest) -> None:
+@contextmanager
+def kept_site(site: HourSite) -> Iterator[None]:
     """Keep the site of a dataset for :func:`site_of` in this process and those that it forks."""
-    while len(_sites) >= _MOST_SITES:
-        del _sites[next(iter(_sites))]
-    _sites[_site_key(site.folder, manifest)] = site
+    key = _site_key(site.folder, Manifest.read(site.folder))
+    _sites[key] = site
+    try:
+        yield
+    finally:
+        _sites.pop(key, None)
 
 
 def _site_key(folder: Path, manifest: Manifest) -> str:
