@@ -323,7 +323,7 @@ def test_the_zip(tmp_path):
 def documents_of_the_plugin():
     """Return the files of the package that the plugin's source asks for."""
     text = "".join(path.read_text(encoding="utf-8") for path in FOLDER.rglob("*.py"))
-    return set(re.findall(r'shared_document\("([^"]+)"\)', text))
+    return set(re.findall(r'shared\("([^"]+\.\w+)"\)', text))
 
 
 def test_a_wheel_of_another_version_is_refused(tmp_path):
