@@ -371,6 +371,25 @@ def test_right_poses_pass_and_too_little_traffic_is_said(tmp_path, tiles, minute
     assert ("too little traffic" in str(heard.messages)) == (seconds < 1)
 
 
+def test_a_few_vehicles_tell_a_pose_that_is_turned(tmp_path, minute):
+    """They do not tell that a pose fits; with none of them on lanes, it does not."""
+    table = minute["R1"]
+    table[table["time"] < table["time"].iloc[0] + 1.0].to_parquet(tmp_path / "R1.parquet")
+    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
+
+    def found(pose):
+        recorded = RecordedSensor(
+            recordings=[gr.open_recording(tmp_path / "R1.parquet")], tracks=[as_track(pose)]
+        )
+        return check_plausibility({"R1": recorded}, lanes)[0]
+
+    right, wrong_way = found(POSES["R1"]), found(turned("yaw", YAW + 180.0))
+    assert right.verdict == UNKNOWN
+    assert "vehicles move, 10 are needed" in right.evidence
+    assert wrong_way.refused
+    assert wrong_way.cause == "yaw is off by 180 deg"
+
+
 def test_without_elevation_and_without_a_map_poses_are_judged_as_well(tmp_path, tiles, rows):
     rows["R1"].assign(z=np.float32(np.nan)).to_parquet(tmp_path / "R1.parquet")
     made = gr.measure(

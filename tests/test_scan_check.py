@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from datetime import date
+from itertools import product
 
 import laspy
 import numpy as np
@@ -27,8 +28,14 @@ from gis_radar.calibration import (
     localize_together,
     require_scans_near,
 )
+from gis_radar.calibration.scan import scan_check
 from gis_radar.calibration.scan.scan_check import CLOSE_M, align
-from gis_radar.calibration.scan.surroundings import LevelFrame, read_structure
+from gis_radar.calibration.scan.surroundings import (
+    LevelFrame,
+    Standing,
+    Structure,
+    read_structure,
+)
 from gis_radar.calibration.several import joint
 from gis_radar.calibration.single import localization as localizing
 from gis_radar.cli import group
@@ -277,6 +284,31 @@ def test_the_mirrored_place_in_a_symmetric_junction_is_not_confirmed():
     found = gr.check_against_scan(R2, mirrored, [SCAN])
     assert found.verdict == "undecided"
     assert "both may be right" in found.reason
+
+
+@pytest.mark.parametrize(("trees_m", "verdict"), [(0.0, "confirms"), (7.0, "undecided")])
+def test_a_corner_that_looks_alike_is_not_confirmed(monkeypatch, trees_m, verdict):
+    """The fronts of two streets lie where those of another corner do; its trees do not."""
+    front, middle = np.arange(0.25, 110.0, 0.5), 300
+    walls = np.array([*product(front, [9.75]), *product([-9.75], front)])
+    spots = np.array([*product(front[20::34], [4.25]), *product([-4.25], front[36::34])])
+    trees = np.vstack([spots + step for step in product((0.0, 0.5, 1.0), repeat=2)])
+    visible = np.zeros((2 * middle, 2 * middle), bool)
+    visible[tuple(np.floor(np.vstack([walls, trees]) / CELL_M).astype(int).T + middle)] = True
+    along = np.where(trees[:, :1] > 0.0, [1.0, 0.0], [0.0, 1.0])
+    cells = np.vstack([walls, trees + trees_m * along])
+    flat, none = np.zeros(visible.shape), np.zeros(visible.shape, bool)
+    structure = Structure(
+        top=flat, ground=flat, canopy=none, roof=none, edge=visible, classified=True
+    )
+    stand = Standing(points=np.column_stack([cells, 0.0 * cells[:, 0]]), rustles=0.0 * cells[:, 0])
+    monkeypatch.setattr(scan_check, "read_structure", lambda *_, **__: structure)
+    monkeypatch.setattr(scan_check, "standing", lambda *_, **__: stand)
+    found = gr.check_against_scan(R2, POSE, [SCAN])
+    assert found.score > 0.8
+    assert found.z_score > 2.0
+    assert found.verdict == verdict
+    assert ("looks alike" in found.reason) == (verdict == "undecided")
 
 
 def test_a_plain_has_nothing_to_compare(tmp_path):

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import TypeAlias
 
 import numpy as np
+import scipy
 
 from gis_radar.base import Text
 from gis_radar.calibration.check.evidence import REFLECTION_M, LaneMap, Score, score
@@ -34,9 +35,9 @@ FOUND_SHARE = 0.8  # least share of a searched pose: a search explains a part of
 # Where no mistake fits, a pose is wrong if its share exceeds that of turned sensors by less than
 # OVER_CHANCE, or is below LEAST_SHARE; up to FIT_SHARE it is doubted, as maps lack lanes.
 OVER_CHANCE = 0.1
-# Share of the vehicles that right poses put on lanes, and the standard errors of a binomial
-# proportion by which a sample of few vehicles may fall short of it.
-RIGHT_SHARE, SIGMAS_BELOW = 0.84, 3.0
+# Share of the vehicles that right poses put on lanes, and the probability with which a sample of
+# few vehicles may fall short of it (three standard deviations).
+RIGHT_SHARE, SHORT_BY_CHANCE = 0.84, 0.00135
 MOST_CAUSES = 2  # if more causes are equally likely, none is named
 HIGH_M = 1.5  # larger errors of the median height over the road may be of height or tilt
 # Where all range rates have one sign, signs are lost if so many vehicles (number, and share of all)
@@ -132,7 +133,7 @@ def least_share(vehicles: int, random_share: float = 0.0) -> float:
     random_share : float
         Share with the sensor turned at random, plus a margin.
     """
-    usual_least = RIGHT_SHARE - SIGMAS_BELOW * np.sqrt(RIGHT_SHARE * (1.0 - RIGHT_SHARE) / vehicles)
+    usual_least = scipy.stats.binom.ppf(SHORT_BY_CHANCE, vehicles, RIGHT_SHARE) / vehicles
     return float(min(max(LEAST_SHARE, min(random_share, FIT_SHARE)), usual_least))
 
 

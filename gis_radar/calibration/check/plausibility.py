@@ -200,7 +200,7 @@ def _judge_excerpt(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose])
     finding = (
         odd_scale(scale)
         or _sensor_replaced(excerpt, lanes, others)
-        or _too_little_traffic(excerpt)
+        or _few_vehicles(excerpt, lanes, others, units_known=units_known)
         or _fault_from_moment(excerpt, lanes, others)
         or compare_explanations(excerpt, lanes, others, units_known=units_known)
     )
@@ -225,6 +225,23 @@ def _too_little_traffic(excerpt: Excerpt) -> Finding | None:
     if len(excerpt.moving) == 0:  # nothing moves, or the radar does not measure it
         evidence = Text("{}; no range rate is over {:g} m/s", evidence, MIN_SPEED_MPS)
     return judged(UNKNOWN, evidence, Cause("", RECORD_MORE))
+
+
+def _few_vehicles(
+    excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose], *, units_known: bool
+) -> Finding | None:
+    """Return the finding on a sensor with too little traffic for a verdict, if so.
+
+    A few vehicles do not tell that a pose fits, but may tell a mistake that explains them: with a
+    cause not known they may be walkers beside the road.
+    """
+    little, few = _too_little_traffic(excerpt), excerpt.vehicles
+    if little is None or few == 0 or score(excerpt, lanes).share >= least_share(few):
+        return little
+    found = compare_explanations(excerpt, lanes, others, units_known=units_known)
+    if found.verdict == WRONG and found.cause != UNKNOWN_CAUSE:
+        return found
+    return replace(little, evidence=Text("{}; {}", little.evidence, found.evidence))
 
 
 def _sensor_replaced(

@@ -44,13 +44,14 @@ from gis_radar.scans import box_with_margin, open_scan
 # the edge of the roof over it.
 CLOSE_M = 0.75
 LANE_M, ASKEW_DEG = 3.0, 3.0  # offsets from here on (a lane's width) are another pose
-# Least z score of another pose for `doubts` (by chance one in 700), and of the pose over all others
-# for `confirms` (one in 40).
+# Least z score of another pose, or of shifts, for `doubts` (by chance one in 700), and of the pose
+# over all others and over shifts for `confirms` (one in 40).
 BETTER_SIGMAS, CLEAR_SIGMAS = 3.0, 2.0
 LEAST_CELLS = 60  # fewer static cells are not compared
 LEAST_COVERED = 0.5  # least share of the cells over which the scan has points
 COARSE_CELLS = 2  # side of the coarse cells in the search over all headings, in cells
 TURN_DEG = 1.0  # step of heading in that search
+ALONG_DEG = 15.0  # between the directions in which patches are moved along what stands
 CANDIDATES = 8  # peaks of that search that are refined
 # Steps of the hill climbing, metres and degrees.
 CLIMBING_STEPS: tuple[tuple[float, float], ...] = ((1.0, 1.0), (0.5, 0.5), (0.25, 0.25), (0.1, 0.1))
@@ -126,9 +127,18 @@ class Alignment:
         """
         return self._z_score(self.closeness_at(one.place) - self.closeness_at(other.place))
 
-    def z_score_over_chance(self, chance: float) -> float:
-        """Return the z score of the checked pose over the mean score of all poses, `chance`."""
-        return self._z_score(self.closeness_at(HERE) - chance)
+    def z_score_along(self, one: PoseOffset) -> float:
+        """Return the z score of an offset over shifts of it along what stands.
+
+        A wall lies on walls wherever it is moved along itself, and on those of other streets. So
+        each patch is compared with itself moved to and fro, in the direction in which it lies on
+        most: crowns, corners and gaps between houses decide.
+        """
+        patch, shifted = self.standing.patch, one.place + _ALONG
+        most = np.max(
+            [np.bincount(patch, self.closeness_at(each).mean(axis=0)) for each in shifted], axis=0
+        )
+        return self._z_score(self.closeness_at(one.place) - (most / np.bincount(patch))[patch])
 
     def _z_score(self, gain: Floats) -> float:
         votes = np.bincount(self.standing.patch, gain)
@@ -173,6 +183,15 @@ class Alignment:
 
 
 _MOVES = np.array([move for move in product((-1, 0, 1), repeat=3) if any(move)], float)
+# Shifts to and fro in directions all around, (directions, shifts, 3).
+_ALONG = np.array([
+    [
+        (shift_m * np.cos(turn), shift_m * np.sin(turn), 0.0)
+        for shift_m in np.arange(-SHIFT_M, SHIFT_M + CELL_M / 2.0, CELL_M)
+        if abs(shift_m) >= LANE_M
+    ]
+    for turn in np.radians(np.arange(0.0, 180.0, ALONG_DEG))
+])  # fmt: skip
 
 
 def align(standing: Standing, structure: Structure) -> Alignment:
@@ -363,12 +382,18 @@ def _verdict(
         return DOUBTS, Text("{}, but {:.0%} {}", fits, best.score, best.words())
     if covered < LEAST_COVERED:
         return UNCLEAR, Text("the scan covers {:.0%} of what stands in view", covered)
-    if alignment.z_score_over_chance(chance) < BETTER_SIGMAS:
-        return DOUBTS, Text("{}, hardly more than by chance ({:.0%})", fits, chance)
+    over_along = alignment.z_score_along(at_pose if elsewhere else best)
+    alike = Text(
+        "{}, hardly more than if it is moved along them: it may be a street that looks alike", fits
+    )
+    if over_along <= -BETTER_SIGMAS:
+        return DOUBTS, alike
     if alternative is not None and (
         elsewhere or alignment.z_score(best, alternative) < CLEAR_SIGMAS
     ):
         return UNDECIDED, Text(
             "{}, and {:.0%} {}: both may be right", fits, alternative.score, alternative.words()
         )
+    if over_along < CLEAR_SIGMAS:
+        return UNDECIDED, alike
     return CONFIRMS, Text("{}, by chance {:.0%}; most of all {}", fits, chance, best.words())
