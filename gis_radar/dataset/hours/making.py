@@ -37,7 +37,8 @@ from gis_radar.dataset.files.registry import (
     touched_hours,
     validity_by_sensor,
 )
-from gis_radar.dataset.files.tables import DAY_TABLES, HOUR_TABLES, TableSchema
+from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.tables import DAY_TABLES, HOUR_TABLES
 from gis_radar.dataset.hours.job import HourSite, MadeHour, make_hour, read_sensors
 from gis_radar.dataset.hours.registered import (
     hours_to_make,
@@ -120,8 +121,7 @@ def update_dataset(
     removed = {hour for hour in records.keys() - set(after.hours) if not records[hour].dropped}
     for hour in {*missing, *removed}:
         remove_record(site.folder, hour)
-    left = _hours_with_parts(site.folder).difference(records, missing)  # by a killed run
-    _remove_parts(site.folder, removed | left)
+    _remove_parts(site.folder, removed | _left_hours(site.folder, {*records, *missing}))
     made = _make_and_record(site, before, after, placings, validity_s, processes, reporter)
     if missing:
         after = after.with_hours(missing, margin)
@@ -270,9 +270,10 @@ def _counted_dates(folder: Path) -> set[int]:
     return {_hour_of(path, "00") for path in _files_of(folder, DAY_TABLES, "*")}
 
 
-def _hours_with_parts(folder: Path) -> set[int]:
-    """Return the hours that have parts, also where their record is gone."""
-    return {_hour_of(path, path.stem) for path in _files_of(folder, HOUR_TABLES, "[0-2][0-9]")}
+def _left_hours(folder: Path, known: set[int]) -> set[int]:
+    """Return the hours, other than the known ones, of which a killed run left parts."""
+    paths = _files_of(folder, HOUR_TABLES, "[0-2][0-9]")
+    return {_hour_of(path, path.stem) for path in paths} - known
 
 
 def _files_of(folder: Path, tables: Iterable[TableSchema], stem: str) -> Iterator[Path]:
