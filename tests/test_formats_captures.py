@@ -221,6 +221,32 @@ def test_a_short_snap_length_is_named(tmp_path):
     assert "tcpdump -s 0" in notes.text
 
 
+@pytest.mark.parametrize("whole", [0.5, 0.0])
+def test_packets_cut_by_a_program_that_hides_it_are_named(tmp_path, whole):
+    """It states what it kept as the length of all."""
+    packets, notes = list(frames_of(times(4))), Listener()
+    kept = round(whole * len(packets))
+    cut = [(time, packet[:128]) for time, packet in packets[kept:]]
+    path = write_pcap(tmp_path / "r.pcap", packets[:kept] + cut)
+    if whole:
+        convert(path, reporter=notes)
+        assert len(frame_times(path.with_suffix(".parquet"))) == 2
+    else:
+        with pytest.raises(InputError, match="no ARS548"):
+            convert(path, reporter=notes)
+    assert "captured only in part" in notes.text
+
+
+def test_nanoseconds_that_are_called_microseconds_are_no_times(tmp_path):
+    notes, path = Listener(), write_pcap(tmp_path / "r.pcap", frames_of(times(3)), nano=True)
+    held = path.read_bytes()
+    magic = {b"\x4d\x3c\xb2\xa1": b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d": b"\xa1\xb2\xc3\xd4"}
+    path.write_bytes(magic[held[:4]] + held[4:])
+    with pytest.raises(InputError, match="no ARS548"):
+        convert(path, reporter=notes)
+    assert "parts of a second, of which it has 1,000,000 at byte 24" in notes.text
+
+
 @pytest.mark.parametrize(
     ("content", "message", "said"),
     [

@@ -24,6 +24,7 @@ from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset import read_hours, write_record
 from gis_radar.measures import (
     FrontStates,
+    Greens,
     LaneNetwork,
     StepGrid,
     TrackedLanes,
@@ -32,7 +33,7 @@ from gis_radar.measures import (
     cycles,
     headways,
 )
-from gis_radar.measures.cycles import FEW, HIDDEN, UNEVEN, period_of
+from gis_radar.measures.cycles import CHANCE, FEW, HIDDEN, UNEVEN, period_of
 from gis_radar.products import service_levels
 from gis_radar.products.traffic import HANDBOOKS
 
@@ -338,6 +339,20 @@ def test_known_green_times_are_the_cycles(run, dataset, tmp_path):
     code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", *options)
     assert code == 0, err
     assert len((tmp_path / "out" / "cycles.csv").read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    ("late_s", "ends", "reason"),
+    [(0, True, ""), (1, True, ""), (35, True, CHANCE), (35, False, "")],
+)
+def test_green_times_in_which_nobody_leaves_are_not_taken(late_s, ends, reason):
+    """They are of another signal, or by another clock."""
+    begin = BEGIN + 20 * (CYCLE_S * np.arange(15) + late_s).astype(np.int64)
+    end = begin + 20 * round(CYCLE_S - RED_S) if ends else np.full(15, -1)
+    lanes = tracked(at_signal(6.0, 3), visible())
+    found = cycles(lanes, {0: Greens(begin, end)})
+    assert {each.reason for each in found} == {reason}
+    assert len(found) == (1 if reason else 14)
 
 
 def test_cycles_of_hours_without_vehicles_have_the_types_of_others(dataset):

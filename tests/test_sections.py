@@ -64,6 +64,20 @@ def test_a_section_at_the_stop_line_counts_what_its_lane_does(dataset):
         )
 
 
+def test_sections_whose_names_are_all_empty_are_numbered(dataset, tmp_path):
+    ACROSS.assign(name=None).to_file(tmp_path / "lines.gpkg")
+    found = dataset.count_sections(tmp_path / "lines.gpkg", "15min")
+    assert sorted(found["section"].unique()) == ["1", "2", "3"]
+
+
+@pytest.mark.parametrize("off", [0.0, 0.003, -0.003])
+def test_a_section_through_the_end_of_a_lane_counts_once(dataset, off):
+    """It was snapped there: lanes that begin in the same place are not crossed as well."""
+    node = lines(node=[(60 + off, -2), (60 + off, 2)])
+    found = dataset.count_sections(node, "15min")
+    assert found["counted"].sum() == 8
+
+
 def test_a_direction_that_nobody_sees_has_rows_without_figures(tmp_path):
     tracks = [through(n, BEGIN + 1200 * n, STRAIGHT) for n in range(3)]
     left = fork().query(f"lanelet_id == {LEFT}")["tile_id"]
@@ -258,6 +272,10 @@ def test_a_count_by_hand_may_be_any_number(dataset, given):
         (
             "section,begin,end,volume\nlate,2023-11-15 22:00,2023-11-15 22:05,3\n",
             "none of its counts is of the time that was measured, 2023-11-14 2",
+        ),
+        (
+            "section,begin,end,volume" + 2 * "\nlate,2023-11-14 22:00,2023-11-14 22:05,3",
+            "counts late from 2023-11-14 22:00+00:00 twice",
         ),
         ("section,begin,end,volume\n", "holds no counts"),
         (

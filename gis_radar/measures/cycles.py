@@ -40,6 +40,10 @@ FEW = Text("fewer than {} begins of green seen", LEAST_GREENS)
 UNEVEN = Text("vehicles do not leave periodically")
 UNSTATED = Text("no two begins of green stated")
 HIDDEN = Text("stop line not visible throughout")
+CHANCE = Text("vehicles leave in the stated greens no more than by chance")
+AMBER_S = 3.0  # after green, in which vehicles still cross
+LEAST_LEAVING = 10  # vehicles that tell greens of another signal or clock
+MOST_AT_RED = 0.2  # share of them up to which greens are taken, whatever chance explains
 
 
 class Cycle(NamedTuple):
@@ -170,7 +174,7 @@ def cycles(lanes: TrackedLanes, known: Mapping[int, Greens] | None = None) -> li
             np.asarray(np.argsort(crossings_here.step, kind="stable"), np.int64)
         )
         if (stated := greens.get(lane)) is not None:
-            of_lane = _stated_cycles(lane, stated, grid)
+            of_lane = _stated_cycles(lane, stated, crossings_here.step, grid)
         else:
             of_lane = _inferred_cycles(lane, _seen_begins(lane, crossings_here, lanes), grid)
         if of_lane[0].reason:
@@ -199,12 +203,33 @@ def _inferred_cycles(lane: int, begins: Integers, grid: StepGrid) -> list[Cycle]
     return [Cycle(lane, *each, period.length_s, period.error_s) for each in pairwise(edges)]
 
 
-def _stated_cycles(lane: int, greens: Greens, grid: StepGrid) -> list[Cycle]:
+def _stated_cycles(lane: int, greens: Greens, crossed: Integers, grid: StepGrid) -> list[Cycle]:
     """Return the cycles of green times that are known, without figures."""
     inside = (greens.begin >= grid.begin) & (greens.begin < grid.end)
-    edges = greens.begin[inside].tolist()
-    known = [Cycle(lane, a, b, (b - a) * STEP_S, 0.0) for a, b in pairwise(edges)]
-    return known or [Cycle(lane, grid.begin, grid.end, reason=UNSTATED)]
+    stated = Greens(greens.begin[inside], greens.end[inside])
+    if len(stated.begin) < 2:
+        return [Cycle(lane, grid.begin, grid.end, reason=UNSTATED)]
+    if _are_of_another(stated, crossed):
+        return [Cycle(lane, grid.begin, grid.end, reason=CHANCE)]
+    return [Cycle(lane, a, b, (b - a) * STEP_S, 0.0) for a, b in pairwise(stated.begin.tolist())]
+
+
+def _are_of_another(greens: Greens, crossed: Integers) -> bool:
+    """Return whether greens explain no crossings: they are of another signal, or another clock.
+
+    Where turning at red is allowed, many leave at red, but still more than by chance at green.
+    """
+    last = np.minimum(greens.end[:-1] + round(AMBER_S / STEP_S), greens.begin[1:])
+    cycle = np.searchsorted(greens.begin, crossed, side="right") - 1
+    is_known = (cycle >= 0) & (cycle < len(last))
+    cycle, crossed = cycle[is_known], crossed[is_known]
+    ends_known = greens.end[:-1] >= 0
+    leaving = crossed[ends_known[cycle]], cycle[ends_known[cycle]]
+    at_green = int((leaving[0] < last[leaving[1]]).sum())
+    if len(leaving[0]) < LEAST_LEAVING or at_green >= (1.0 - MOST_AT_RED) * len(leaving[0]):
+        return False
+    share = (last - greens.begin[:-1])[ends_known].sum() / np.diff(greens.begin)[ends_known].sum()
+    return bool(scipy.stats.binom.sf(at_green - 1, len(leaving[0]), share) > MOST_CHANCE)
 
 
 def _seen_begins(lane: int, crossed: Crossings, lanes: TrackedLanes) -> Integers:

@@ -47,8 +47,8 @@ def beside_hand_counts(
     Raises
     ------
     InputError
-        If the file is no such table, has an unknown lane or section, or a time inside one of our
-        intervals.
+        If the file is no such table, has an unknown lane or section, a time inside one of our
+        intervals, or one count twice.
     """
     compared = []
     for number, row in _read(path):
@@ -75,6 +75,12 @@ def beside_hand_counts(
             ),
         })  # fmt: skip
     table = pd.DataFrame(compared)
+    if (twice := table.duplicated(["place", "direction", "begin", "end"])).any():
+        raise InputError(
+            "{}: counts {} from {} twice", path, table["place"][twice].iloc[0],
+            table["begin"][twice].iloc[0].isoformat(" ", "minutes"),
+            hint="add up the classes of vehicles, and name each place and time once",
+        )  # fmt: skip
     first, after = lanes["begin"].min(), lanes["end"].max()
     if not ((table["begin"] < after) & (table["end"] > first)).any():
         raise InputError(

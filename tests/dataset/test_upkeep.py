@@ -346,6 +346,28 @@ def test_what_a_killed_run_withdrew_is_completed(files, two_days, tmp_path, monk
     assert contents(tmp_path / "site") == contents(tmp_path / "never")
 
 
+@pytest.mark.parametrize("at", ["_remove_parts", "_update_tables"])
+@pytest.mark.parametrize("what", ["recordings", "day"])
+def test_nothing_of_what_a_killed_run_withdrew_is_left(
+    files, two_days, tmp_path, monkeypatch, what, at
+):
+    """Neither tables of its hours, nor sums of its day: its recording and records are gone."""
+    site_of(tmp_path / "never", *pairs(files, ("R1", EVE), ("R2", EVE)))
+    dataset = gr.open_dataset(shutil.copytree(two_days.folder, tmp_path / "site"))
+    named = [path for (_, day), path in files.items() if day == DAY]
+    wanted = {"recordings": named} if what == "recordings" else {"day": DAY}
+
+    def killed(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(f"gis_radar.dataset.hours.making.{at}", killed)
+        dataset.withdraw(**wanted)
+    with pytest.raises(gr.InputError, match="has no "):
+        dataset.withdraw(**wanted)
+    assert contents(tmp_path / "site") == contents(tmp_path / "never")
+
+
 def test_hours_of_what_a_killed_run_withdrew_are_removed(files, two_days, tmp_path, monkeypatch):
     """No recording reaches into them any more, so that none of them is missing."""
     dataset = gr.open_dataset(shutil.copytree(two_days.folder, tmp_path / "site"))

@@ -37,6 +37,7 @@ from gis_radar.dataset.files.registry import (
     touched_hours,
     validity_by_sensor,
 )
+from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import DAY_TABLES, HOUR_TABLES
 from gis_radar.dataset.hours.job import HourSite, MadeHour, read_sensors
 from gis_radar.dataset.hours.registered import (
@@ -119,7 +120,7 @@ def update_dataset(
     removed = {hour for hour in records.keys() - set(after.hours) if not records[hour].dropped}
     for hour in {*missing, *removed}:
         remove_record(site.folder, hour)
-    _remove_parts(site.folder, removed)
+    _remove_parts(site.folder, removed | _left_hours(site.folder, {*records, *missing}))
     made = _make_and_record(site, before, after, missing, processes, reporter)
     if missing:
         after = after.with_hours(missing, margin)
@@ -137,8 +138,8 @@ def update_dataset(
         _update_tables(
             site.folder, changed | {*list(kept_records)[-1:]}, dict(sorted(records_after.items()))
         )
-    else:
-        _update_tables(site.folder, records, records)  # an earlier run may have been killed here
+    else:  # an earlier run may have been killed here
+        _update_tables(site.folder, {*records, *_counted_dates(site.folder)}, records)
     return sorted(made, key=lambda each: each.hour)
 
 
@@ -265,11 +266,23 @@ def update_days(folder: Path, reporter: Reporter) -> None:
 
 def _counted_dates(folder: Path) -> set[int]:
     """Return the first hours of the dates that have tables, also where all hours are gone."""
-    dates = {
-        path.parent.name.removeprefix("date=")
-        for table in DAY_TABLES for path in (folder / table.name).glob("date=????-??-??/*.parquet")
-    }  # fmt: skip
-    return {int(datetime.fromisoformat(f"{name}T00:00Z").timestamp()) // 3600 for name in dates}
+    return {_hour_of(path, "00") for path in _files_of(folder, DAY_TABLES, "*")}
+
+
+def _left_hours(folder: Path, known: set[int]) -> set[int]:
+    """Return the hours, other than the known ones, of which a killed run left parts."""
+    paths = _files_of(folder, HOUR_TABLES, "[0-2][0-9]")
+    return {_hour_of(path, path.stem) for path in paths} - known
+
+
+def _files_of(folder: Path, tables: Iterable[TableSchema], stem: str) -> Iterator[Path]:
+    for table in tables:
+        yield from (folder / table.name).glob(f"date=????-??-??/{stem}.parquet")
+
+
+def _hour_of(path: Path, hour: str) -> int:
+    date = path.parent.name.removeprefix("date=")
+    return int(datetime.fromisoformat(f"{date}T{hour}:00Z").timestamp()) // 3600
 
 
 def _update_tables(folder: Path, hours: Iterable[int], records: Mapping[int, HourRecord]) -> None:

@@ -120,15 +120,12 @@ def withdraw(
             withdrawn = [
                 _recording_named(before, each) for each in recordings
             ] or _recordings_of_sensor(before, sensor)
-        except InputError:
-            left = {hour for hour, each in read_hours(folder).items() if not each.dropped}
-            # a killed run has withdrawn it
-            if before.missing_hours(settings.margin) or left - set(before.hours):
-                site = site_of(folder, manifest)
-                update_dataset(site, before, before, processes=processes, reporter=reporter)
+            if day is not None:
+                withdrawn = _recordings_of_day(folder, withdrawn, day, zone_of(manifest.timezone))
+        except InputError:  # a killed run may have withdrawn it, and left some of its tables
+            site = site_of(folder, manifest)
+            update_dataset(site, before, before, processes=processes, reporter=reporter)
             raise
-        if day is not None:
-            withdrawn = _recordings_of_day(folder, withdrawn, day, zone_of(manifest.timezone))
         kept = tuple(each for each in before.entries if each not in withdrawn)
         hours = touched_hours(before.hours, withdrawn, settings.margin)
         _refuse_dropped(folder, hours)

@@ -24,6 +24,7 @@ from gis_radar.measures import LaneNetwork, bound_name, place_on
 NAME_FIELDS = ("name", "section", "id")  # columns that may hold a section's name, in this order
 ALONG = math.sin(math.radians(30.0))  # sine of the angle below which a section runs along a lane
 HALF_LANE_M = 1.75  # half of the usual width of a lane
+SAME_M = 0.01  # distance below which two places are one
 _FIGURES = ["visible_share", "counted", "volume", "volume_se", "heavy", "speed_time_mean_kmh"]
 
 
@@ -134,7 +135,7 @@ def _lines(
     names = pd.Series(range(1, len(table) + 1)).astype("string")
     if column is not None:  # a column of ids with an empty value is read as float
         given = table[column].convert_dtypes().astype("string").map(one_line, na_action="ignore")
-        names = given.replace("", pd.NA).fillna(names)
+        names = given.astype("string").replace("", pd.NA).fillna(names)  # all empty: of no type
     by_name = dict(zip(names, lines, strict=True))
     if len(by_name) < len(table):
         raise InputError("{}: two sections have one name", what)
@@ -155,7 +156,7 @@ def _only_lines(layers: Mapping[str, str], path: Path) -> str:
 def _crossings(
     line: shapely.LineString, lanes: gpd.GeoDataFrame, network: LaneNetwork, what: str
 ) -> list[_Crossing]:
-    crossings = []
+    crossings, ends = [], []
     known = lanes.set_index("lane").geometry
     for number, length_m in zip(network.lane.tolist(), network.length_m.tolist(), strict=True):
         lane = known[number]
@@ -173,9 +174,16 @@ def _crossings(
             raise InputError("{} runs along lane {}", what, number, hint="draw it across the road")
         along_m = along / lane.length * length_m
         crossings.append(_Crossing(number, along_m, direction, is_left=sine < 0.0, at_m=at_m))
+        if lane.length - along < SAME_M:
+            ends.append(lane.coords[-1][:2])
     if not crossings:
         raise InputError("{} crosses no lane", what, hint="draw it across a road of the map")
-    return crossings
+    # drawn through the end of a lane, as by snapping, it crosses the next ones at their begin
+    return [
+        each for each in crossings
+        if each.along_m >= SAME_M
+        or all(math.dist(known[each.lane].coords[0][:2], end) >= SAME_M for end in ends)
+    ]  # fmt: skip
 
 
 def _groups_with_distinct_lanes(crossed: Mapping[str, Sequence[_Crossing]]) -> list[list[str]]:

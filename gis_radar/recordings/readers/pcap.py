@@ -146,6 +146,9 @@ def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packe
             raise DamagedError(Text("only zeros from byte {:,} on", position))
         if kept > LARGEST_BLOCK:
             raise DamagedError(Text("a packet of {:,} bytes at byte {:,}", kept, position))
+        if fraction >= ticks:  # nanoseconds, under the magic number of microseconds
+            what = Text("{:,} parts of a second, of which it has {:,}", fraction, ticks)
+            raise DamagedError(Text("a time of {} at byte {:,}", what, position))
         data = _read_exactly(stream, kept)
         position += record.size + kept
         yield Packet(seconds + fraction / ticks, link, data, kept >= length), position
@@ -345,6 +348,7 @@ class Datagrams:
             self._others[f"IP protocol {kind}"] += 1
             return None
         if end > len(data):
+            self.cut += packet.whole  # cut by a program that states the rest as the whole
             return None
         if flags & (_MORE | _FRAGMENT_OFFSET):
             content = self._reassemble(packet, start, flags, data[begin:end])
