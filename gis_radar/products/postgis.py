@@ -447,7 +447,6 @@ class Session:
         if isinstance(table, gpd.GeoDataFrame):
             placed = shapely.set_srid(np.asarray(table.geometry), self.srid)
             shown["geometry"] = shapely.to_wkb(placed, hex=True, include_srid=True)
-        # rows of tiles are most by far, have no nulls, and are sent three times as fast
         columns = SQL(", ").join([Identifier(str(column)) for column in shown])
         place = Identifier(self.schema, name)
         copy = SQL("COPY {} ({}) FROM STDIN (FORMAT csv)").format(place, columns)
