@@ -247,6 +247,17 @@ def test_nanoseconds_that_are_called_microseconds_are_no_times(tmp_path):
     assert "parts of a second, of which it has 1,000,000 at byte 24" in notes.text
 
 
+def test_a_time_that_was_rounded_up_to_a_second_is_read(tmp_path):
+    """As by programs that round the fraction, which write a million microseconds."""
+    path = write_pcap(tmp_path / "r.pcap", [])
+    with path.open("ab") as file:
+        for _, packet in frames_of(times(1)):
+            length = len(packet)
+            file.write(struct.pack("<IIII", int(START), 1_000_000, length, length) + packet)
+    convert(path)
+    assert len(frame_times(path.with_suffix(".parquet"))) == 1
+
+
 @pytest.mark.parametrize(
     ("content", "message", "said"),
     [

@@ -170,6 +170,16 @@ def test_the_same_results_give_the_same_project(results, tmp_path):
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
+def test_a_heat_map_may_be_named_by_its_file(results, tmp_path):
+    for name in ("a.qgz", "b.qgz"):
+        place = results / "heatmap" if name == "a.qgz" else results / "heatmap" / "heatmap.gpkg"
+        gr.write_qgis_project(tmp_path / name, heatmap=place, title="x")
+    first, second = (read_project(tmp_path / name) for name in ("a.qgz", "b.qgz"))
+    assert [each.text for each in first.iter("datasource")] == [
+        each.text for each in second.iter("datasource")
+    ]
+
+
 FOREIGN = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
 <qgis version="3.40"><editforminitcode>import os; os.abort()</editforminitcode>
 <attributeactions><actionsetting action="[% env('PATH') %]" type="1" /></attributeactions>

@@ -40,10 +40,11 @@ FEW = Text("fewer than {} begins of green seen", LEAST_GREENS)
 UNEVEN = Text("vehicles do not leave periodically")
 UNSTATED = Text("no two begins of green stated")
 HIDDEN = Text("stop line not visible throughout")
-CHANCE = Text("vehicles leave in the stated greens no more than by chance")
+CHANCE = Text("vehicles leave in the stated greens hardly more than by chance")
 AMBER_S = 3.0  # after green, in which vehicles still cross
 LEAST_LEAVING = 10  # vehicles that tell greens of another signal or clock
 MOST_AT_RED = 0.2  # share of them up to which greens are taken, whatever chance explains
+LEAST_WAITING = 0.3  # least share of them that waits for green where others turn at red
 
 
 class Cycle(NamedTuple):
@@ -215,9 +216,10 @@ def _stated_cycles(lane: int, greens: Greens, crossed: Integers, grid: StepGrid)
 
 
 def _are_of_another(greens: Greens, crossed: Integers) -> bool:
-    """Return whether greens explain no crossings: they are of another signal, or another clock.
+    """Return whether greens are of another signal, or by another clock: few vehicles leave in them.
 
-    Where turning at red is allowed, many leave at red, but still more than by chance at green.
+    Where turning at red is allowed, many leave at red, but some wait for green. Few vehicles do
+    not tell: then the greens are taken.
     """
     last = np.minimum(greens.end[:-1] + round(AMBER_S / STEP_S), greens.begin[1:])
     cycle = np.searchsorted(greens.begin, crossed, side="right") - 1
@@ -229,7 +231,8 @@ def _are_of_another(greens: Greens, crossed: Integers) -> bool:
     if len(leaving[0]) < LEAST_LEAVING or at_green >= (1.0 - MOST_AT_RED) * len(leaving[0]):
         return False
     share = (last - greens.begin[:-1])[ends_known].sum() / np.diff(greens.begin)[ends_known].sum()
-    return bool(scipy.stats.binom.sf(at_green - 1, len(leaving[0]), share) > MOST_CHANCE)
+    least = share + LEAST_WAITING * (1.0 - share)
+    return bool(scipy.stats.binom.cdf(at_green, len(leaving[0]), least) < MOST_CHANCE)
 
 
 def _seen_begins(lane: int, crossed: Crossings, lanes: TrackedLanes) -> Integers:

@@ -91,7 +91,7 @@ class ScanCheck:
     pose : Pose
         The pose that was checked.
     verdict : str
-        `confirms`, `doubts`, `undecided` (two poses fit alike) or `nothing to compare`.
+        `confirms`, `doubts`, `undecided` (others may fit alike) or `nothing to compare`.
     reason : str
         The reason for the verdict, in one line.
     score : float

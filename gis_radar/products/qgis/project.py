@@ -73,7 +73,7 @@ def write_qgis_project(
     path : str or Path
         The project, ending in `.qgz`; it appears whole or not at all.
     heatmap : str or Path
-        Folder of a heat map.
+        Folder of a heat map, or its GeoPackage.
     sensors : str or Path, optional
         GeoPackage of :func:`gis_radar.poses.write_sensors`.
     sight : str or Path, optional
@@ -106,10 +106,12 @@ def write_qgis_project(
         raise UsageError("{}: a QGIS project ends in .qgz", path, hint="end the name in .qgz")
     if was_edited(path):
         raise OutputError("{}: somebody has edited this project", path, hint="name another output")
+    package = Path(heatmap).resolve()
+    package = package / FILE if package.is_dir() else package
     heat = Tally(**read_package(Path(heatmap)))
     timezone, language = timezone or heat.labels.timezone, language or heat.labels.language
     played = _time_range(heat, timezone)
-    layers = _heatmap_layers(heat, Path(heatmap).resolve())
+    layers = _heatmap_layers(heat, package)
     if sensors is not None:
         layers |= _layers_with_rows(
             Path(sensors).resolve(), (SENSORS, UNCERTAINTY, VIEWS), read_style
@@ -124,9 +126,8 @@ def write_qgis_project(
             Path(footprints).resolve(), footprint_style(), FOOTPRINTS
         )
         played = played._replace(step_s=SHOWN_S)
-    with in_language(
-        known_language(language)
-    ):  # the last interval may end later than what was recorded
+    with in_language(known_language(language)):
+        # of what was recorded: the last interval may end later
         time = long_span(*heat.whole.span(), zone_of(timezone))
     content = ProjectContent(
         title=title or heat.labels.title or path.stem, time=time,
@@ -230,9 +231,9 @@ def _observed_box(heat: Tally) -> Box:
 
 
 def _time_range(heat: Tally, timezone: str) -> TimeRange:
-    first, *_, last = *interval_times(heat), *interval_times(heat)
+    times = [*interval_times(heat)]
     length_s = float(heat.timeline.end[0] - heat.timeline.begin[0]) / STEPS_PER_SECOND
-    return TimeRange(first[1], last[2], length_s, timezone)
+    return TimeRange(times[0][1], times[-1][2], length_s, timezone)
 
 
 def _layers_with_rows(
@@ -248,10 +249,10 @@ def _layers_with_rows(
     }
 
 
-def _heatmap_layers(heat: Tally, folder: Path) -> dict[str, LayerSource]:
+def _heatmap_layers(heat: Tally, package: Path) -> dict[str, LayerSource]:
     """Return the layers of a heat map in our own styles, whatever styles its file holds."""
-    package, qml = folder / FILE, styles_of(heat)
-    raster = folder / ("hits.tif" if heat.occupancy is None else "heatmap.tif")
+    qml = styles_of(heat)
+    raster = package.with_name("hits.tif" if heat.occupancy is None else "heatmap.tif")
     layers = {
         "by_interval": LayerSource(package, qml[LONG], LONG),
         "heatmap": LayerSource(package, qml[WIDE], WIDE),

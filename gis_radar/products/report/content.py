@@ -17,7 +17,7 @@ HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 LOOKS = {
     "confirms": "the airborne scan confirms it",
     "doubts": "the airborne scan speaks against it",
-    "undecided": "two places fit the airborne scan alike",
+    "undecided": "other places may fit the airborne scan alike",
     "nothing to compare": "the airborne scan shows nothing to compare",
 }
 

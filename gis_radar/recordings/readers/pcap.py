@@ -146,7 +146,8 @@ def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packe
             raise DamagedError(Text("only zeros from byte {:,} on", position))
         if kept > LARGEST_BLOCK:
             raise DamagedError(Text("a packet of {:,} bytes at byte {:,}", kept, position))
-        if fraction >= ticks:  # nanoseconds, under the magic number of microseconds
+        # nanoseconds under the magic number of microseconds; some programs round up to a second
+        if fraction > ticks:
             what = Text("{:,} parts of a second, of which it has {:,}", fraction, ticks)
             raise DamagedError(Text("a time of {} at byte {:,}", what, position))
         data = _read_exactly(stream, kept)
