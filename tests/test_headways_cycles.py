@@ -33,7 +33,7 @@ from gis_radar.measures import (
     cycles,
     headways,
 )
-from gis_radar.measures.cycles import CHANCE, FEW, HIDDEN, UNEVEN, _are_of_another, period_of
+from gis_radar.measures.cycles import CHANCE, FEW, HIDDEN, UNEVEN, are_of_another, period_of
 from gis_radar.products import service_levels
 from gis_radar.products.traffic import HANDBOOKS
 
@@ -362,7 +362,7 @@ def test_green_times_are_taken_where_many_turn_at_red(at_green, at_red):
     greens, random = Greens(begin, begin + 20 * 30), np.random.default_rng(7)
     cycle = begin[random.integers(0, len(begin) - 1, at_green + at_red)]
     after_s = np.append(random.uniform(0, 30, at_green), random.uniform(35, 69, at_red))
-    assert not _are_of_another(greens, np.sort(cycle + np.rint(20 * after_s).astype(np.int64)))
+    assert not are_of_another(greens, np.sort(cycle + np.rint(20 * after_s).astype(np.int64)))
 
 
 def test_cycles_of_hours_without_vehicles_have_the_types_of_others(dataset):

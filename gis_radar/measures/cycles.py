@@ -210,16 +210,23 @@ def _stated_cycles(lane: int, greens: Greens, crossed: Integers, grid: StepGrid)
     stated = Greens(greens.begin[inside], greens.end[inside])
     if len(stated.begin) < 2:
         return [Cycle(lane, grid.begin, grid.end, reason=UNSTATED)]
-    if _are_of_another(stated, crossed):
+    if are_of_another(stated, crossed):
         return [Cycle(lane, grid.begin, grid.end, reason=CHANCE)]
     return [Cycle(lane, a, b, (b - a) * STEP_S, 0.0) for a, b in pairwise(stated.begin.tolist())]
 
 
-def _are_of_another(greens: Greens, crossed: Integers) -> bool:
+def are_of_another(greens: Greens, crossed: Integers) -> bool:
     """Return whether greens are of another signal, or by another clock: few vehicles leave in them.
 
     Where turning at red is allowed, many leave at red, but some wait for green. Few vehicles do
     not tell: then the greens are taken.
+
+    Parameters
+    ----------
+    greens : Greens
+        The greens of a lane.
+    crossed : (n,) int64 array
+        Steps in which vehicles cross its stop line, ascending.
     """
     last = np.minimum(greens.end[:-1] + round(AMBER_S / STEP_S), greens.begin[1:])
     cycle = np.searchsorted(greens.begin, crossed, side="right") - 1
