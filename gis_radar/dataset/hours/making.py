@@ -260,8 +260,14 @@ def update_days(folder: Path, reporter: Reporter) -> None:
         If another run is writing it.
     """
     with locked_for_writing(folder, reporter):
-        records = read_hours(folder)
-        _update_tables(folder, {*records, *_counted_dates(folder)}, records)
+        finish_tables(folder)
+
+
+def finish_tables(folder: Path) -> None:
+    """Bring the tables of all dates up to date, and remove those of hours that are gone."""
+    records = read_hours(folder)
+    _remove_parts(folder, _left_hours(folder, set(records)))
+    _update_tables(folder, {*records, *_counted_dates(folder)}, records)
 
 
 def _counted_dates(folder: Path) -> set[int]:

@@ -102,7 +102,10 @@ def withdraw(
         If there is no such recording, one reaches out of the day, another needed one is missing
         or changed, or exact tables of their hours were deleted.
     """
-    from gis_radar.dataset.hours.making import update_dataset  # noqa: PLC0415 - the tracker, 0.6 s
+    from gis_radar.dataset.hours.making import (  # noqa: PLC0415 - the tracker, 0.6 s
+        finish_tables,
+        update_dataset,
+    )
     from gis_radar.dataset.hours.registered import measure_settings_of, site_of  # noqa: PLC0415
 
     if bool(recordings) == (sensor is not None or day is not None):
@@ -123,8 +126,12 @@ def withdraw(
             if day is not None:
                 withdrawn = _recordings_of_day(folder, withdrawn, day, zone_of(manifest.timezone))
         except InputError:  # a killed run may have withdrawn it, and left some of its tables
-            site = site_of(folder, manifest)
-            update_dataset(site, before, before, processes=processes, reporter=reporter)
+            left = {hour for hour, each in read_hours(folder).items() if not each.dropped}
+            if before.missing_hours(settings.margin) or left - set(before.hours):
+                site = site_of(folder, manifest)
+                update_dataset(site, before, before, processes=processes, reporter=reporter)
+            else:
+                finish_tables(folder)
             raise
         kept = tuple(each for each in before.entries if each not in withdrawn)
         hours = touched_hours(before.hours, withdrawn, settings.margin)
