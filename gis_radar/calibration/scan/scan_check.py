@@ -383,11 +383,8 @@ def _verdict(
     if covered < LEAST_COVERED:
         return UNCLEAR, Text("the scan covers {:.0%} of what stands in view", covered)
     over_along = alignment.z_score_along(at_pose if elsewhere else best)
-    alike = Text(
-        "{}, hardly more than if it is moved along them: it may be a street that looks alike", fits
-    )
     if over_along <= -BETTER_SIGMAS:
-        return DOUBTS, alike
+        return DOUBTS, Text("{}, but more if it is moved along them", fits)
     if alternative is not None and (
         elsewhere or alignment.z_score(best, alternative) < CLEAR_SIGMAS
     ):
@@ -395,5 +392,8 @@ def _verdict(
             "{}, and {:.0%} {}: both may be right", fits, alternative.score, alternative.words()
         )
     if over_along < CLEAR_SIGMAS:
-        return UNDECIDED, alike
+        return UNDECIDED, Text(
+            "{}, hardly more than if it is moved along them: it may be a street that looks alike",
+            fits,
+        )
     return CONFIRMS, Text("{}, by chance {:.0%}; most of all {}", fits, chance, best.words())
