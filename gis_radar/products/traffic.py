@@ -413,9 +413,10 @@ def write_workbook(sheets: Mapping[str, pd.DataFrame], path: Path) -> None:
     path : Path
         The file.
     """
+    # its temporary files lie beside it: a full disk there is named as that of any output
     with pd.ExcelWriter(
         path, engine="xlsxwriter", datetime_format="yyyy-mm-dd hh:mm:ss",
-        engine_kwargs={"options": _AS_TEXT},
+        engine_kwargs={"options": _AS_TEXT | {"tmpdir": str(path.parent)}},
     ) as writer:  # fmt: skip
         book = writer.book
         book.set_properties({"created": datetime.combine(FILE_DATE, datetime.min.time())})
