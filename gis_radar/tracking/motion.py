@@ -120,7 +120,9 @@ class Motion:
             along_m=self.along_m[mine], left_m=self.left_m[mine],
         )  # fmt: skip
 
-    def frame(self, detections: MapDetections, rows: Integers) -> tuple[Floats, Floats, Floats]:
+    def frame(
+        self, detections: MapDetections, rows: Integers
+    ) -> tuple[Floats, Floats, Floats, Floats]:
         """Return detections in the frame that moves along with the vehicle.
 
         Returns
@@ -129,6 +131,8 @@ class Motion:
             From the middle of the vehicle forward, from its path to the left.
         rate_mps : (k,) array
             Range rate of the detection less that of the vehicle.
+        speed_mps : (k,) array
+            Speed of the vehicle.
         """
         s, speed = self.at(detections.time[rows])
         along, left = self.path.project(detections.points[rows], s, 25.0)
@@ -137,7 +141,7 @@ class Motion:
             np.cos(heading) * detections.sight[rows, 0]
             + np.sin(heading) * detections.sight[rows, 1]
         )
-        return along - s, left, detections.range_rate[rows] - speed * cos
+        return along - s, left, detections.range_rate[rows] - speed * cos, speed
 
 
 def fit_motion(detections: MapDetections, rows: Integers, states: Floats) -> Motion:

@@ -32,6 +32,7 @@ GAP_S, GAP_SPREAD, DRIVES_MPS = 1.8, 0.6, 2.0
 GAP_LASTS_S = 5.0  # time after which a gap counts as chosen anew
 LEAST_GAP_M = 0.5  # a shorter gap, or an overlap, is within the error of two lengths
 LENGTH_CHANGES_M = (2.0, 1.0, 0.5)  # steps of the search for a merged length, coarse to fine
+HOPELESS = -300.0  # log odds by coarse lengths, of which finer ones never made up all; nats
 # Sigma of the distance of parts of one body. Above FLOWING_MPS two drivers' speeds differ by
 # DRIFT_MPS, but a follower lets the gap vary by this share of it at most. Least time of both so.
 RIGID_M, FLOWING_MPS, DRIFT_MPS, GAP_VARIES, LEAST_S = 0.4, 5.0, 1.0, 0.25, 1.0
@@ -51,8 +52,10 @@ def join_neighbours(posterior: Posterior) -> list[Motion]:
     for first, second in _neighbours(posterior):
         if len(posterior.motions[first].s_m) < len(posterior.motions[second].s_m):
             first, second = second, first  # noqa: PLW2901 - the longer track is kept
-        length, ahead, gain = _merged(posterior, first, second)
-        gain = max(gain, _driven_as_one_odds(posterior.motions[first], posterior.motions[second]))
+        driven = _driven_as_one_odds(posterior.motions[first], posterior.motions[second])
+        least = HOPELESS if driven <= LEAST_GAIN else -np.inf
+        length, ahead, gain = _merged(posterior, first, second, least)
+        gain = max(gain, driven)
         if gain > LEAST_GAIN and length > 0.0:
             candidates.append((-gain, first, second, length, ahead))
     used: set[int] = set()
@@ -117,8 +120,13 @@ def _relative(one: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
     return along, left, turn
 
 
-def _merged(posterior: Posterior, first: int, second: int) -> tuple[float, float, float]:
-    """Return the best vehicle in place of two: length, middle ahead of the first's, log odds."""
+def _merged(
+    posterior: Posterior, first: int, second: int, least: float
+) -> tuple[float, float, float]:
+    """Return the best vehicle in place of two: length, middle ahead of the first's, log odds.
+
+    The search ends where the odds by the coarsest lengths are below `least`.
+    """
     states = posterior.states
     a, b = sample(posterior, (first, second))
     lengths = [posterior.motions[k].length_m for k in (first, second)]
@@ -152,6 +160,8 @@ def _merged(posterior: Posterior, first: int, second: int) -> tuple[float, float
         gains += length_prior(np.array([length for length, _ in tried])) - prior_of_two
         k = int(np.argmax(gains))
         best, gain, extra = tried[k], float(gains[k]), []
+        if gain < least:
+            break
     for each in (first, second):
         posterior.include(each)
     return (*best, gain)

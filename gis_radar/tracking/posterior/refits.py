@@ -74,5 +74,5 @@ def _with_rows(posterior: Posterior, vehicle: int, rows: Integers) -> Motion:
     motion = posterior.motions[vehicle]
     if len(rows) == 0:
         return motion
-    along, left, _ = motion.frame(posterior.detections, rows)
+    along, left, *_ = motion.frame(posterior.detections, rows)
     return replace(motion, rows=rows, along_m=along, left_m=left)

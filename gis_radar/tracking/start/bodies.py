@@ -149,28 +149,30 @@ def absorb(
         State of the filter at each detection.
     """
     motions = [each for rows in parts for each in purified(detections, rows, states)]
-    boxes = [_box(detections, each.rows) for each in motions]
-    absorbed: set[int] = set()
-    for base in sorted(range(len(motions)), key=lambda k: -len(motions[k].rows)):
-        grew = base not in absorbed
+    if not motions:
+        return []
+    boxes = np.stack([_box(detections, each.rows) for each in motions])
+    sizes = np.array([len(each.rows) for each in motions])
+    is_apart = np.ones(len(motions), np.bool_)
+    for base in np.argsort(-sizes, kind="stable").tolist():
+        order, grew = np.arange(len(motions)), is_apart[base]
         while grew:
-            grew = False
-            for other in range(len(motions)):
-                weaker = len(motions[other].rows) <= len(motions[base].rows)
-                if other == base or other in absorbed or not weaker:
-                    continue
-                if (boxes[other][0] > boxes[base][1]).any() or (
-                    boxes[other][1] < boxes[base][0]
-                ).any():
-                    continue
-                odds = log_odds(detections, motions[base], motions[other])
-                if odds > LEAST_ODDS:
-                    rows = np.concatenate([motions[base].rows, motions[other].rows])
-                    motions[base] = fit_motion(detections, rows, states)
-                    boxes[base] = _box(detections, rows)
-                    absorbed.add(other)
-                    grew = True
-    return [each for k, each in enumerate(motions) if k not in absorbed]
+            near = (boxes[:, 0] <= boxes[base, 1]) & (boxes[:, 1] >= boxes[base, 0])
+            may_join = is_apart & near.all(axis=1) & (sizes <= sizes[base])
+            may_join[base] = False
+            found = (
+                other for other in order[may_join[order]].tolist()
+                if log_odds(detections, motions[base], motions[other]) > LEAST_ODDS
+            )  # fmt: skip
+            other = next(found, NONE)
+            grew = other != NONE
+            if grew:
+                rows = np.concatenate([motions[base].rows, motions[other].rows])
+                motions[base] = fit_motion(detections, rows, states)
+                boxes[base], sizes[base] = _box(detections, rows), len(motions[base].rows)
+                is_apart[other] = False
+                order = np.roll(np.arange(len(motions)), -other - 1)  # all anew, the next one first
+    return [motions[k] for k in np.flatnonzero(is_apart).tolist()]
 
 
 def _box(detections: MapDetections, rows: Integers) -> Floats:
@@ -197,8 +199,7 @@ def log_odds(detections: MapDetections, body: Motion, other: Motion) -> float:
     rows = rows[np.abs(own[near] - detections.time[rows]) < SEEN_S]
     if len(rows) < 3 or np.ptp(detections.time[rows]) < 0.1:
         return -np.inf
-    along, left, rate = body.frame(detections, rows)
-    _, speed = body.at(detections.time[rows])
+    along, left, rate, speed = body.frame(detections, rows)
     beside = LEFT_M + BEARING_RAD * detections.range_m[rows]
     fits = (np.abs(left) < beside) & (np.abs(rate) < _rate_tolerance(body, along, speed))
     if fits.mean() < LEAST_FIT or fits.sum() < 3:
@@ -222,8 +223,7 @@ def purified(detections: MapDetections, rows: Integers, states: Floats) -> list[
     motions: list[Motion] = []
     while len(rows) >= LEAST_ROWS and len(motions) < MOST_SPLIT:
         body = fit_motion(detections, rows, states)
-        along, left, rate = body.frame(detections, body.rows)
-        _, speed = body.at(detections.time[body.rows])
+        along, left, rate, speed = body.frame(detections, body.rows)
         fits = np.abs(along) < 0.5 * REACH_M + 1.0
         fits &= np.abs(left) < 2.0 * LEFT_M
         fits &= np.abs(rate) < 2.0 * _rate_tolerance(body, along, speed) + speed
