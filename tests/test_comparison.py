@@ -319,6 +319,8 @@ def test_periods_are_written_as_on_the_command_line_too(dataset):
     assert found.figures() == gr.compare(dataset, before=BEFORE, after=AFTER).figures()
     with pytest.raises(UsageError, match="'2023-11-14' is no period"):
         gr.compare(dataset, before="2023-11-14", after=AFTER)
+    with pytest.raises(UsageError, match="overlap"):
+        gr.compare(dataset, after=AFTER)  # before is all the time
 
 
 def test_a_difference_below_what_is_resolved_is_not_told(tmp_path):

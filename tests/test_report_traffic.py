@@ -135,6 +135,16 @@ def test_the_busiest_lane_stands_first_by_name(page):
     assert " ".join(fact.split()) in words
 
 
+def test_no_lane_is_named_the_busiest_of_which_half_the_time_was_hidden(tmp_path, monkeypatch):
+    monkeypatch.setattr("gis_radar.products.report.report.write_pdf", lambda *_: None)
+    tiles = fork()
+    line = tiles[(tiles["lane"] == APPROACH) & (tiles["s_m"] > LINE_M - 2.0)]["tile_id"]
+    half = dict.fromkeys(line, BEGIN + 2200)
+    folder = reported(tmp_path, cars(), until=half)
+    words = " ".join(Page((folder / "en" / "report.html").read_text(encoding="utf-8")).words)
+    assert "Busiest lane none to be named too little seen" in " ".join(words.split())
+
+
 def test_what_is_not_visible_is_not_seen_and_not_0(page):
     row = volumes(page)[LEFT]
     assert (row["Counted vehicles"], row["Volume veh/h"]) == ("not seen", "not seen")

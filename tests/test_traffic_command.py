@@ -16,7 +16,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from datasets import HOUR, write_dataset
-from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
+from driven import driven
+from forks import APPROACH, LEFT, LINE_M, STRAIGHT, fork, fork_dataset, fork_lanes, through
 from maps import EAST, NORTH, Listener
 from shapely import LineString, box
 from shapely.affinity import rotate
@@ -455,6 +456,17 @@ def test_a_recording_too_short_for_its_intervals_is_told(run, dataset, tmp_path)
     code, out, _ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h")
     assert code == 0
     assert "take a shorter --interval" in out
+
+
+@pytest.mark.parametrize("line_m", [np.nan, LINE_M])
+def test_a_map_without_stop_lines_is_named_as_why_there_are_no_queues(run, tmp_path, line_m):
+    tracks = [through(n, HOUR * STEPS_PER_HOUR + 1200 * n, STRAIGHT) for n in range(3)]
+    dataset = driven(
+        tmp_path / "data", fork(), pd.concat(tracks), lanes=fork_lanes(line_m)
+    )  # fmt: skip
+    code, out, _ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "1min")
+    assert code == 0
+    assert ("the map has no stop line" in out) == np.isnan(line_m)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,9 @@ TOO_SHORT = Text(
     "no interval was visible for a fifth of its length, which a volume needs: "
     "take a shorter --interval"
 )
+NO_STOP_LINES = Text(
+    "the map has no stop line on these lanes: queues, cycles and levels of service are not known"
+)
 DAY_S = 86_400.0
 names_of_lanes = click.option(
     "--site", type=FILE, help="SITE.toml with names and free speeds of lanes."
@@ -90,7 +93,8 @@ def traffic(
     with base.csv_for(csv_locale):
         outputs = made.write(output, datex=datex, language=language, reporter=reporter)
     figures = made.figures()
-    advice = "" if figures["rows_with_volume"] else TOO_SHORT
+    advice = NO_STOP_LINES if made.lanes["sight_m"].isna().all() else ""
+    advice = advice if figures["rows_with_volume"] else TOO_SHORT
     return Result(outputs=outputs, summary=figures, advice=advice, timezone=measured.timezone)
 
 

@@ -137,7 +137,9 @@ def _our_volumes_at(
         ours = sections[sections["section"] == section]
         names, directions = sorted(set(sections["section"])), sorted(set(ours["direction"]))
         if ours.empty:
-            raise InputError("{}: section {} is none of {}", what, section, ", ".join(names))
+            raise InputError(
+                "{}: section is {}, expected one of {}", what, repr(section), ", ".join(names)
+            )
         if direction not in directions and (direction or len(directions) > 1):
             expected = ", ".join(directions)
             raise InputError(

@@ -179,6 +179,14 @@ def test_folders_that_are_no_dataset_are_refused(tmp_path):
         open_dataset(tmp_path / "nothing")
 
 
+def test_a_folder_of_results_is_told_where_its_dataset_is(dataset, tmp_path):
+    dataset.folder.rename(dataset.folder.with_name("dataset"))
+    results = dataset.folder.parent
+    with pytest.raises(InputError, match="is no dataset") as refused:
+        open_dataset(results)
+    assert refused.value.hint == f"did you mean {results / 'dataset'}?"
+
+
 @pytest.mark.parametrize(
     ("other", "what"),
     [

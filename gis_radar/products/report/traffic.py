@@ -266,6 +266,8 @@ def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> l
             tr("Not seen: the place of counting was not visible, which is not 0; too little seen: "
                "under {share} of the time.", share=share)
         )  # fmt: skip
+    if not _lanes_with_stop_lines(traffic):
+        notes.append(tr("The map has no stop lines, so queues are not known."))
     if missing := len(traffic.network.lane) - len(traffic.by_lane):
         notes.append(plural(missing, WORDS["occupancy"].unseen_one, WORDS["occupancy"].unseen_many))
     if len(rows) > shown:
@@ -375,6 +377,14 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
     ways = [way for way in TURN_WORDS if way in set(table["turn"])]
     numbers = table.groupby("from_lane")["from_name"].first()
     numbers = numbers.sort_values(key=lambda each: each.map(by_number))
+    known = set(table.loc[table["volume"].notna(), "from_lane"])
+    note = tr("Turns of a lane sum to its volume where all of its exits were seen. No routes: where "
+              "vehicles come from or go to beyond the junction is not known.")  # fmt: skip
+    if unseen := len(numbers) - len(known):
+        note += " " + plural(
+            unseen, "{n} other lane has no turn that was seen.",
+            "{n} other lanes have no turn that was seen.",
+        )  # fmt: skip
 
     def volume(lane: int, way: str) -> str:
         mine = table[(table["from_lane"] == lane) & (table["turn"] == way)]
@@ -393,10 +403,9 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
         name="turns", caption=tr("Turns over the whole time"), columns=titles,
         rows=[
             [str(name), str(lane), *(volume(int(str(lane)), way) for way in ways)]
-            for lane, name in numbers.items()
+            for lane, name in numbers.items() if lane in known
         ],
-        note=tr("Turns of a lane sum to its volume where all of its exits were seen. No routes: "
-                "where vehicles come from or go to beyond the junction is not known."),
+        note=note,
         files=[(names.TURNS, tr("each turn in each interval"))],
     )  # fmt: skip
 
