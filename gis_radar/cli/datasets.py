@@ -118,7 +118,7 @@ def compare(
     """Compare the traffic of two periods by lane: what changed, and how sure that is."""
     if other is None and (before is None or after is None):
         raise UsageError(
-            "a period is missing", hint="name --before and --after, or a second dataset"
+            "a period is missing", hint="name both, before and after, or a second dataset"
         )
     first = _opened(folder, site, reporter)
     second = None if other is None else _opened(other, site, reporter)

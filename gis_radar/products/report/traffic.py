@@ -378,8 +378,10 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
     numbers = table.groupby("from_lane")["from_name"].first()
     numbers = numbers.sort_values(key=lambda each: each.map(by_number))
     known = set(table.loc[table["volume"].notna(), "from_lane"])
-    note = tr("Turns of a lane sum to its volume where all of its exits were seen. No routes: where "
-              "vehicles come from or go to beyond the junction is not known.")  # fmt: skip
+    note = tr(
+        "Turns of a lane sum to its volume where all of its exits were seen. No routes: where "
+        "vehicles come from or go to beyond the junction is not known."
+    )
     if unseen := len(numbers) - len(known):
         note += " " + plural(
             unseen, "{n} other lane has no turn that was seen.",
