@@ -122,6 +122,15 @@ def test_figures_are_those_of_the_dataset(folder, page):
     assert rows[STRAIGHT]["Longest queue m"] == "\u2013"  # it has no stop line
 
 
+def test_lanes_have_the_names_of_their_traffic_in_all_tables(folder):
+    named = [
+        pd.read_csv(folder / "en" / name).dropna(subset="name").set_index("lane")["name"]
+        for name in ("lanes.csv", "traffic.csv")
+    ]
+    assert named[0].to_dict() == named[1].to_dict()
+    assert len(named[0]) == 3
+
+
 def test_tracks_are_those_of_the_dataset_where_there_was_no_run(page):
     (row,) = (
         each for each in table_of(page, ["What", "Here"]) if each["What"] == "Vehicles followed"

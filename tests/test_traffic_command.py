@@ -106,6 +106,16 @@ def test_verbs_take_a_dataset_or_its_folder(dataset):
     assert gr.open_dataset(dataset) is dataset
 
 
+def test_traffic_reads_as_one_line_and_as_a_card(dataset):
+    made = gr.make_traffic(dataset)
+    known = made.figures()
+    assert repr(made) == (
+        f"Traffic({known['begin']} to {known['end']}: {known['lanes']} lanes, "
+        f"{known['turns']} turns, {known['intervals']} intervals)"
+    )
+    assert "vehicles at stop lines" in made._repr_html_()
+
+
 def test_an_interval_that_is_a_number_is_named(dataset):
     with pytest.raises(gr.UsageError, match="interval 15 is no duration"):
         dataset.traffic(15)

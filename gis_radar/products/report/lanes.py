@@ -208,7 +208,7 @@ _OCCUPIED = {
     "part_s": ("occupied_tile_s", 2), "base_s": ("visible_tile_s", 2),
     "share": ("occupancy", 6), "share_se": ("occupancy_se", 6),
 }  # fmt: skip
-_LANE = {"lane": ("", 0), "rank": ("", 0), "tracks": ("", 0), "lanelets": ("", 0),
+_LANE = {"lane": ("", 0), "name": ("", 0), "rank": ("", 0), "tracks": ("", 0), "lanelets": ("", 0),
          "subtype": ("", 0), "street": ("", 0), "street_part": ("", 0), "leads_to": ("", 0),
          "length_m": ("", 2)}  # fmt: skip
 _BUSIEST = {
@@ -235,7 +235,7 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
         tracks=table["tracks"].astype(object).where(table["tracks"] >= 0),
         lanelets=[each[0] if len(each) == 1 else " ".join(map(str, each))
                   for each in table["lanelets"]],
-        street=table.get("street", ""), street_part=table.get("street_part", ""),
+        **{name: table.get(name, "") for name in ("name", "street", "street_part")},
         leads_to=[wind_of(*each) or NO_FIGURE for each in towards],
         busiest_begin_utc=["" if pd.isna(each) else utc(each) for each in begins],
         busiest_begin_local=["" if pd.isna(each) else clock.iso(each) for each in begins],
