@@ -463,9 +463,13 @@ def test_without_volumes_there_is_no_diagram(run, dataset, tmp_path):
 
 
 def test_a_recording_too_short_for_its_intervals_is_told(run, dataset, tmp_path):
-    code, out, _ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h")
+    words = ["traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h"]
+    code, _, err = run(*words)
     assert code == 0
-    assert "take a shorter --interval" in out
+    assert "warning: no interval was visible for a fifth" in err
+    _, out, _ = run(*words, "--json")  # QGIS shows it, too
+    assert any("take a shorter interval" in json.loads(line).get("message", "")
+               for line in out.splitlines())  # fmt: skip
 
 
 @pytest.mark.parametrize("line_m", [np.nan, LINE_M])
@@ -474,9 +478,9 @@ def test_a_map_without_stop_lines_is_named_as_why_there_are_no_queues(run, tmp_p
     dataset = driven(
         tmp_path / "data", fork(), pd.concat(tracks), lanes=fork_lanes(line_m)
     )  # fmt: skip
-    code, out, _ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "1min")
+    code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "1min")
     assert code == 0
-    assert ("the map has no stop line" in out) == np.isnan(line_m)
+    assert ("the map has no stop line" in err) == np.isnan(line_m)
 
 
 @pytest.mark.parametrize(

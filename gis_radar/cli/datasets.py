@@ -17,7 +17,7 @@ from gis_radar.cli.options import dataset as dataset_argument
 
 TOO_SHORT = Text(
     "no interval was visible for a fifth of its length, which a volume needs: "
-    "take a shorter --interval"
+    "take a shorter interval"
 )
 NO_STOP_LINES = Text(
     "the map has no stop line on these lanes: queues, cycles and levels of service are not known"
@@ -93,9 +93,11 @@ def traffic(
     with base.csv_for(csv_locale):
         outputs = made.write(output, datex=datex, language=language, reporter=reporter)
     figures = made.figures()
-    advice = NO_STOP_LINES if made.lanes["sight_m"].isna().all() else ""
-    advice = advice if figures["rows_with_volume"] else TOO_SHORT
-    return Result(outputs=outputs, summary=figures, advice=advice, timezone=measured.timezone)
+    if not figures["rows_with_volume"]:
+        reporter.warn(TOO_SHORT)
+    if made.lanes["sight_m"].isna().all():
+        reporter.log(NO_STOP_LINES)
+    return Result(outputs=outputs, summary=figures, timezone=measured.timezone)
 
 
 @command(
