@@ -15,8 +15,10 @@ import pytest
 from datasets import HOUR
 from driven import drive
 from forks import APPROACH, LEFT, LINE_M, STRAIGHT, fork, fork_dataset, through
+from maps import EAST, NORTH
 from PIL import Image
 from report_site import Page, reports_of_whole_run
+from sites import pose
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
@@ -152,6 +154,18 @@ def test_no_lane_is_named_the_busiest_of_which_half_the_time_was_hidden(tmp_path
     folder = reported(tmp_path, cars(), until=half)
     words = " ".join(Page((folder / "en" / "report.html").read_text(encoding="utf-8")).words)
     assert "Busiest lane none to be named too little seen" in " ".join(words.split())
+
+
+@pytest.mark.parametrize(("away_m", "said"), [(99.0, f"{STRAIGHT}"), (101.0, f"{APPROACH}")])
+def test_lanes_far_from_every_sensor_are_named(tmp_path, monkeypatch, away_m, said):
+    """The sensor stands before the line of the approach, 20 m farther from that of the exit."""
+    monkeypatch.setattr("gis_radar.products.report.report.write_pdf", lambda *_: None)
+    there = pose(easting=EAST + LINE_M - away_m, northing=NORTH)
+    folder = reported(tmp_path, cars(), ["en"], seen_from=there)
+    words = " ".join(Page((folder / "en" / "report.html").read_text(encoding="utf-8")).words)
+    _, _, named = " ".join(words.split()).partition("missed than \u00b1 states: ")
+    assert said in named.partition(".")[0]
+    assert (str(APPROACH) in named.partition(".")[0]) == (away_m > 100.0)
 
 
 def test_what_is_not_visible_is_not_seen_and_not_0(page):

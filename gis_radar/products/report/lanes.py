@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 
 from gis_radar.base import NO_FIGURE, Clock, Floats, Integers, wind_of, write_csv
 from gis_radar.dataset import Dataset
 from gis_radar.hdmap import LANE_COLUMN, LANE_EXIT_M, Lane, lanes_of, quads
+from gis_radar.measures import LaneNetwork
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.intervals import When
 from gis_radar.products.heatmap.occupancy import surest
@@ -21,6 +23,7 @@ BUSY = 0.2  # least share of a busy tile; a class break of all heat maps
 LEAST_TRACKS = 10  # of vehicles that followed it: of ten, chance alone moves a share by a third
 LEAST_SEEN = 0.5  # share of its length: less may be its queue alone, or all but its queue
 MOST_ERROR = 0.5  # standard error, as a share of the occupancy: beyond, 0 is within two of them
+FAR_M = 100.0  # distance from every sensor, beyond which accuracy is not measured
 
 
 def part_and_base(heat: HeatMap, interval: When = None) -> tuple[Floats, Floats]:
@@ -198,6 +201,25 @@ def _busiest(heat: HeatMap, rows: pd.DataFrame) -> dict[str, object]:
         "busiest_share": share[best],
         "busiest_share_se": rows["share_se"].iloc[best],
     }
+
+
+def far_lanes(rows: gpd.GeoDataFrame, network: LaneNetwork, poses: gpd.GeoDataFrame) -> list[int]:
+    """Return the counted lanes whose line lies over `FAR_M` from every sensor.
+
+    Parameters
+    ----------
+    rows : GeoDataFrame
+        Rows of :meth:`gis_radar.Dataset.traffic`.
+    network : LaneNetwork
+        The lanes.
+    poses : GeoDataFrame
+        The sensors.
+    """
+    counted = rows[rows["counted"].notna()]
+    at = np.searchsorted(network.lane, counted["lane"].to_numpy(np.int64))
+    line = counted.geometry.interpolate(network.line_m[at] / network.length_m[at], normalized=True)
+    far = [poses.distance(place).min() > FAR_M for place in line]
+    return [int(lane) for lane in counted.loc[far, "lane"]]
 
 
 # The tables: of occupancy, with hits as the last columns; of hits where no vehicles are known.

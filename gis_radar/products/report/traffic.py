@@ -24,6 +24,7 @@ from gis_radar.base import (
     by_number,
     figure_text,
     interval_steps,
+    listed,
     percent,
     plural,
     seconds_text,
@@ -47,6 +48,7 @@ from gis_radar.products.report.content import (
     text_rows,
 )
 from gis_radar.products.report.courses import MOST_COURSES, WINDOW_S, LongQueue, draw_courses
+from gis_radar.products.report.lanes import FAR_M, far_lanes
 from gis_radar.products.traffic import service_levels
 from gis_radar.products.traffic_picture import draw_turning_diagram
 
@@ -268,6 +270,11 @@ def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> l
         )  # fmt: skip
     if not _lanes_with_stop_lines(traffic):
         notes.append(tr("The map has no stop lines, so queues are not known."))
+    if far := far_lanes(rows, traffic.network, traffic.dataset.poses()):
+        notes.append(
+            tr("Over {far} m from every sensor, where more vehicles may be missed than ± states: "
+               "{lanes}.", far=int(FAR_M), lanes=listed([*map(str, far)]))
+        )  # fmt: skip
     if missing := len(traffic.network.lane) - len(traffic.by_lane):
         notes.append(plural(missing, WORDS["occupancy"].unseen_one, WORDS["occupancy"].unseen_many))
     if len(rows) > shown:
