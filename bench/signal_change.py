@@ -94,6 +94,7 @@ class SignalHour:
         return TileSteps(
             tile_id=np.repeat(network.tile_id, grid.count),
             interval=np.tile(np.arange(grid.count), len(network.tile_id)), visible=whole,
+            hidden=np.zeros(size),
             occupied=np.minimum(np.bincount(cell, minlength=size) * float(STATE_STEPS), whole),
             inferred=np.zeros(size), variance=np.zeros(size),
         )  # fmt: skip

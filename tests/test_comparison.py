@@ -317,8 +317,13 @@ def test_a_third_fewer_cars_are_told(dataset):
 def test_periods_are_written_as_on_the_command_line_too(dataset):
     found = gr.compare(dataset, before="/".join(BEFORE), after="/".join(AFTER))
     assert found.figures() == gr.compare(dataset, before=BEFORE, after=AFTER).figures()
+    told = (found.table["verdict"] != "not told") & found.table["lane"].notna()
+    assert f": 1 lanes, {told.sum()} changes told)" in repr(found)
+    assert "lanes compared" in found._repr_html_()
     with pytest.raises(UsageError, match="'2023-11-14' is no period"):
         gr.compare(dataset, before="2023-11-14", after=AFTER)
+    with pytest.raises(UsageError, match="overlap"):
+        gr.compare(dataset, after=AFTER)  # before is all the time
 
 
 def test_a_difference_below_what_is_resolved_is_not_told(tmp_path):

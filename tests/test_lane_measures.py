@@ -76,8 +76,8 @@ def seen_all(grid, tiles=TILES, share=1.0):
         runs = VisibleRuns(tile_id=tile[:0], first=first[:0], last=first[:0])
     counts = TileSteps(
         tile_id=tile, interval=np.tile(np.arange(grid.count), len(ids)),
-        visible=np.full(len(tile), float(long)), occupied=np.zeros(len(tile)),
-        inferred=np.zeros(len(tile)), variance=np.zeros(len(tile)),
+        visible=np.full(len(tile), float(long)), hidden=np.zeros(len(tile)),
+        occupied=np.zeros(len(tile)), inferred=np.zeros(len(tile)), variance=np.zeros(len(tile)),
     )  # fmt: skip
     return runs, counts
 
@@ -264,6 +264,21 @@ def test_a_front_over_the_line_unseen_is_not_counted():
     cars = [(STRAIGHT, BEGIN + QUARTER // 2, np.arange(50.0, 90.0, 2.0))]
     lanes, _ = measured(cars, GRID, share=0.5)
     assert lanes.loc[(APPROACH, 0), "counted"] == 0.0
+
+
+@pytest.mark.parametrize(("followed", "volume"), [(2, 4.0), (0, 3.0)])
+def test_while_vehicles_hide_the_line_as_many_come_as_before_or_as_are_followed(followed, volume):
+    """Two cars come while the line is visible, for half of the time; then a queue hides it."""
+    way = np.arange(50.0, 90.0, 2.0)
+    begins = [BEGIN, BEGIN + 200, *(BEGIN + QUARTER // 2 + 200 * n for n in range(1, followed + 1))]
+    _, counts = seen_all(GRID, share=0.5)
+    counts = TileSteps(**{**vars(counts), "hidden": counts.visible})
+    lanes, _ = measured([(STRAIGHT, begin, way) for begin in begins], GRID, 0.5, counts)
+    row = lanes.loc[(APPROACH, 0)]
+    assert row["counted"] == 2.0
+    assert row["volume"] == volume
+    variance = 2 * 0.3**2 + 2.5 * 0.5 / 0.5**2 + ((2.0 - followed) / 2.0) ** 2
+    assert row["volume_se"] == pytest.approx(math.sqrt(variance))
 
 
 def test_doubt_of_existence_adds_to_the_error():

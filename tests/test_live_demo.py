@@ -1,5 +1,6 @@
 """`make live-demo`: all its programs run, and none is left behind by a stop."""
 
+import importlib.util
 import re
 import signal
 import subprocess
@@ -10,7 +11,19 @@ import pytest
 from live_programs import takes_long
 from live_site import LONGEST_S, is_open, needs_mosquitto, wait_for
 
+from gis_radar.live import read_edge_file, read_live_site
+
 ROOT = Path(__file__).parents[1]
+
+
+def test_its_files_have_the_keys_that_the_programs_read(tmp_path):
+    spec = importlib.util.spec_from_file_location("live_demo", ROOT / "tools" / "live_demo.py")
+    demo = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(demo)
+    demo.write_files(tmp_path, 1883, 8080)
+    assert read_live_site(tmp_path / "SITE.toml").live.site == "junction"
+    for name in demo.SENSORS:
+        assert read_edge_file(tmp_path / f"{name}.toml").sensor == name
 
 
 @takes_long

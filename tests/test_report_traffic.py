@@ -15,8 +15,10 @@ import pytest
 from datasets import HOUR
 from driven import drive
 from forks import APPROACH, LEFT, LINE_M, STRAIGHT, fork, fork_dataset, through
+from maps import EAST, NORTH
 from PIL import Image
 from report_site import Page, reports_of_whole_run
+from sites import pose
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
@@ -122,6 +124,15 @@ def test_figures_are_those_of_the_dataset(folder, page):
     assert rows[STRAIGHT]["Longest queue m"] == "\u2013"  # it has no stop line
 
 
+def test_lanes_have_the_names_of_their_traffic_in_all_tables(folder):
+    named = [
+        pd.read_csv(folder / "en" / name).dropna(subset="name").set_index("lane")["name"]
+        for name in ("lanes.csv", "traffic.csv")
+    ]
+    assert named[0].to_dict() == named[1].to_dict()
+    assert len(named[0]) == 3
+
+
 def test_tracks_are_those_of_the_dataset_where_there_was_no_run(page):
     (row,) = (
         each for each in table_of(page, ["What", "Here"]) if each["What"] == "Vehicles followed"
@@ -133,6 +144,28 @@ def test_the_busiest_lane_stands_first_by_name(page):
     row, words = volumes(page)[APPROACH], " ".join(" ".join(page.words).split())
     fact = f"Busiest lane {row['Volume veh/h']} veh/h {row['Lane']} ({APPROACH})"
     assert " ".join(fact.split()) in words
+
+
+def test_no_lane_is_named_the_busiest_of_which_half_the_time_was_hidden(tmp_path, monkeypatch):
+    monkeypatch.setattr("gis_radar.products.report.report.write_pdf", lambda *_: None)
+    tiles = fork()
+    line = tiles[(tiles["lane"] == APPROACH) & (tiles["s_m"] > LINE_M - 2.0)]["tile_id"]
+    half = dict.fromkeys(line, BEGIN + 2200)
+    folder = reported(tmp_path, cars(), until=half)
+    words = " ".join(Page((folder / "en" / "report.html").read_text(encoding="utf-8")).words)
+    assert "Busiest lane none to be named too little seen" in " ".join(words.split())
+
+
+@pytest.mark.parametrize(("away_m", "said"), [(99.0, f"{STRAIGHT}"), (101.0, f"{APPROACH}")])
+def test_lanes_far_from_every_sensor_are_named(tmp_path, monkeypatch, away_m, said):
+    """The sensor stands before the line of the approach, 20 m farther from that of the exit."""
+    monkeypatch.setattr("gis_radar.products.report.report.write_pdf", lambda *_: None)
+    there = pose(easting=EAST + LINE_M - away_m, northing=NORTH)
+    folder = reported(tmp_path, cars(), ["en"], seen_from=there)
+    words = " ".join(Page((folder / "en" / "report.html").read_text(encoding="utf-8")).words)
+    _, _, named = " ".join(words.split()).partition("missed than \u00b1 states: ")
+    assert said in named.partition(".")[0]
+    assert (str(APPROACH) in named.partition(".")[0]) == (away_m > 100.0)
 
 
 def test_what_is_not_visible_is_not_seen_and_not_0(page):

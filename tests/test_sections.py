@@ -54,6 +54,11 @@ def test_who_crosses_a_section_is_counted_there(dataset):
     assert whole["counted"].to_dict() == sums.to_dict()
 
 
+def test_sections_have_the_names_of_a_column_in_capitals(dataset):
+    found = dataset.count_sections(ACROSS.rename(columns={"name": "NAME"}), "15min")
+    assert set(found["section"]) == set(ACROSS["name"])
+
+
 def test_a_section_at_the_stop_line_counts_what_its_lane_does(dataset):
     there = lines(line=[(60 - 1e-6, -2), (60 - 1e-6, 2)])
     found = dataset.count_sections(there, "5min").set_index("begin")
@@ -251,7 +256,10 @@ def test_a_count_by_hand_may_be_any_number(dataset, given):
     [
         ("begin,end,volume\n2023-11-14,2023-11-15,3\n", "lacks the columns section or lane"),
         ("lane,begin,end,volume\n99,22:00,22:05,3\n", "line 2: lane '99' is none"),
-        ("section,begin,end,volume\nx,22:00,22:05,3\n", "line 2: section x is none of early"),
+        (
+            "section,begin,end,volume\nx,22:00,22:05,3\n",
+            "line 2: section is 'x', expected one of early",
+        ),
         (
             "section,begin,end,volume\nlate,2023-11-14 22:01,2023-11-14 22:05,3\n",
             "line 2: begins or ends within one of our intervals",

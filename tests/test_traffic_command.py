@@ -16,7 +16,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from datasets import HOUR, write_dataset
-from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
+from driven import driven
+from forks import APPROACH, LEFT, LINE_M, STRAIGHT, fork, fork_dataset, fork_lanes, through
 from maps import EAST, NORTH, Listener
 from shapely import LineString, box
 from shapely.affinity import rotate
@@ -103,6 +104,16 @@ def test_verbs_take_a_dataset_or_its_folder(dataset):
     assert repr(gr.make_heatmap(folder)) == repr(gr.make_heatmap(dataset))
     assert repr(gr.measure_quality(folder)) == repr(gr.measure_quality(dataset))
     assert gr.open_dataset(dataset) is dataset
+
+
+def test_traffic_reads_as_one_line_and_as_a_card(dataset):
+    made = gr.make_traffic(dataset)
+    known = made.figures()
+    assert repr(made) == (
+        f"Traffic({known['begin']} to {known['end']}: {known['lanes']} lanes, "
+        f"{known['turns']} turns, {known['intervals']} intervals)"
+    )
+    assert "vehicles at stop lines" in made._repr_html_()
 
 
 def test_an_interval_that_is_a_number_is_named(dataset):
@@ -452,9 +463,24 @@ def test_without_volumes_there_is_no_diagram(run, dataset, tmp_path):
 
 
 def test_a_recording_too_short_for_its_intervals_is_told(run, dataset, tmp_path):
-    code, out, _ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h")
+    words = ["traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h"]
+    code, _, err = run(*words)
     assert code == 0
-    assert "take a shorter --interval" in out
+    assert "warning: no interval was visible for a fifth" in err
+    _, out, _ = run(*words, "--json")  # QGIS shows it, too
+    assert any("take a shorter interval" in json.loads(line).get("message", "")
+               for line in out.splitlines())  # fmt: skip
+
+
+@pytest.mark.parametrize("line_m", [np.nan, LINE_M])
+def test_a_map_without_stop_lines_is_named_as_why_there_are_no_queues(run, tmp_path, line_m):
+    tracks = [through(n, HOUR * STEPS_PER_HOUR + 1200 * n, STRAIGHT) for n in range(3)]
+    dataset = driven(
+        tmp_path / "data", fork(), pd.concat(tracks), lanes=fork_lanes(line_m)
+    )  # fmt: skip
+    code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "1min")
+    assert code == 0
+    assert ("the map has no stop line" in err) == np.isnan(line_m)
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,6 @@ file = "{sample}/junction.osm"
 [live]
 site = "junction"
 tiles = "tiles.gpkg"
-health = "127.0.0.1:{health}"
 [live.page]
 address = "127.0.0.1:{page}"
 [live.broker]
@@ -69,7 +68,8 @@ def main(folder: Path) -> None:
     if mosquitto is None:
         sys.exit("live-demo: Mosquitto is not installed: sh tools/get_mosquitto.sh, as root")
     folder.mkdir(parents=True, exist_ok=True)
-    health, page = _write_files(folder, _free_port(), _free_port(), _free_port())
+    page = write_files(folder, _free_port(), _free_port())
+    health = f"{page}metrics"
     broker = [mosquitto, "-c", "broker/mosquitto.conf"]
     ours = [["live", "SITE.toml"], *(["edge", f"{name}.toml"] for name in SENSORS)]
     programs: list[subprocess.Popen[bytes]] = []
@@ -112,13 +112,13 @@ def _end(programs: Sequence[subprocess.Popen[bytes]]) -> None:
         each.wait()
 
 
-def _write_files(folder: Path, port: int, health: int, page: int) -> tuple[str, str]:
-    """Write tiles, files of site, sensors and broker; return the addresses of health and page."""
+def write_files(folder: Path, port: int, page: int) -> str:
+    """Write tiles, files of site, sensors and broker; return the address of the page."""
     sample = gr.sample_folder().resolve()
     if not (folder / "tiles.gpkg").exists():
         roads = gr.read_map(sample / "junction.osm")
         gr.write_tiles(gr.make_tiles(roads), folder / "tiles.gpkg", problems=roads.problems)
-    texts = {"sample": sample, "port": port, "health": health, "page": page}
+    texts = {"sample": sample, "port": port, "page": page}
     site = folder / "SITE.toml"
     site.write_text(SITE.format(password="", **texts), encoding="utf-8")
     write_broker_files(site, folder / "broker")
@@ -129,7 +129,7 @@ def _write_files(folder: Path, port: int, health: int, page: int) -> tuple[str, 
     if hasattr(os, "geteuid") and os.geteuid() == 0:  # else it would become another user
         with (folder / "broker" / "mosquitto.conf").open("a", encoding="utf-8") as config:
             config.write("user root\n")
-    return f"http://127.0.0.1:{health}/metrics", f"http://127.0.0.1:{page}/"
+    return f"http://127.0.0.1:{page}/"
 
 
 def _show(address: str) -> None:

@@ -17,7 +17,10 @@ from gis_radar.cli.options import dataset as dataset_argument
 
 TOO_SHORT = Text(
     "no interval was visible for a fifth of its length, which a volume needs: "
-    "take a shorter --interval"
+    "take a shorter interval"
+)
+NO_STOP_LINES = Text(
+    "the map has no stop line on these lanes: queues, cycles and levels of service are not known"
 )
 DAY_S = 86_400.0
 names_of_lanes = click.option(
@@ -90,8 +93,11 @@ def traffic(
     with base.csv_for(csv_locale):
         outputs = made.write(output, datex=datex, language=language, reporter=reporter)
     figures = made.figures()
-    advice = "" if figures["rows_with_volume"] else TOO_SHORT
-    return Result(outputs=outputs, summary=figures, advice=advice, timezone=measured.timezone)
+    if not figures["rows_with_volume"]:
+        reporter.warn(TOO_SHORT)
+    if made.lanes["sight_m"].isna().all():
+        reporter.log(NO_STOP_LINES)
+    return Result(outputs=outputs, summary=figures, timezone=measured.timezone)
 
 
 @command(
@@ -114,7 +120,7 @@ def compare(
     """Compare the traffic of two periods by lane: what changed, and how sure that is."""
     if other is None and (before is None or after is None):
         raise UsageError(
-            "a period is missing", hint="name --before and --after, or a second dataset"
+            "a period is missing", hint="name both, before and after, or a second dataset"
         )
     first = _opened(folder, site, reporter)
     second = None if other is None else _opened(other, site, reporter)

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from gis_radar.base import QUIET, Integers, Reporter, Text, UsageError, card
+from gis_radar.base import QUIET, Integers, Reporter, Text, UsageError, card, iso_from_time
 from gis_radar.dataset.days.lane_measures import day_makers, maker_of
 from gis_radar.dataset.files import frame_times, tables
 from gis_radar.dataset.files.manifest import Manifest
@@ -230,10 +230,17 @@ class Dataset(DatasetFiles, SqlQueries):
     def figures(self) -> dict[str, Any]:
         """Return sensors, recordings, time span, hours and numbers of rows of the tables."""
         records = self.records()
-        recordings = sorted({Path(path).name for path in self.recordings()["path"]})
+        recordings = self.recordings()
         figures: dict[str, Any] = {
-            "sensors": self.sensors, "recordings": recordings, "hours": len(records)
-        }  # fmt: skip
+            "sensors": self.sensors,
+            "recordings": sorted({Path(path).name for path in recordings["path"]}),
+        }
+        if len(recordings):
+            figures |= {
+                "first_frame": iso_from_time(recordings["begin"].min()),
+                "last_frame": iso_from_time(recordings["end"].max()),
+            }
+        figures["hours"] = len(records)
         if records:
             figures |= {"begin": hour_text(min(records)), "end": hour_text(max(records) + 1)}
         for table in tables.HOUR_TABLES:

@@ -309,9 +309,17 @@ class TrackedLanes:
     @property
     def visible_crossings(self) -> Crossings:
         """Those of them at which the line is visible."""
+        return self.crossings.take(self._at_visible_line)
+
+    @property
+    def hidden_crossings(self) -> Crossings:
+        """Those of them at which it is not."""
+        return self.crossings.take(~self._at_visible_line)
+
+    @cached_property
+    def _at_visible_line(self) -> Booleans:
         crossed = self.crossings
-        at_line = self.visible.at(self.line_tile_id[crossed.lane], crossed.step)
-        return crossed.take(at_line)
+        return self.visible.at(self.line_tile_id[crossed.lane], crossed.step)
 
     def cell_of(self, lane: Integers, step: Integers) -> Integers:
         """Return the cell of each pair of a lane and a step in the grid."""

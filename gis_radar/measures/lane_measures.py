@@ -48,14 +48,15 @@ class TileSteps:
     ----------
     tile_id, interval : (n,) int64 arrays
         Id of the tile, and number of the interval in the grid.
-    visible, occupied, inferred, variance : (n,) arrays
-        Steps visible, steps occupied and visible, steps visible although hidden by vehicles, and
-        the variance of the occupied steps, steps^2.
+    visible, hidden, occupied, inferred, variance : (n,) arrays
+        Steps visible, steps observed but not visible, steps occupied and visible, steps visible
+        although hidden by vehicles, and the variance of the occupied steps, steps^2.
     """
 
     tile_id: Integers
     interval: Integers
     visible: Floats
+    hidden: Floats
     occupied: Floats
     inferred: Floats
     variance: Floats
@@ -81,10 +82,15 @@ def measure_lanes(lanes: TrackedLanes, tiles: TileSteps) -> Measured:
     network, grid, crossed = lanes.network, lanes.grid, lanes.visible_crossings
     areas = _areas(lanes, tiles)
     share = _share_at(lanes.line_tile_id, grid, tiles)
+    unseen = lanes.hidden_crossings
+    hidden = _Hidden(
+        _share_at(lanes.line_tile_id, grid, tiles, "hidden"),
+        np.bincount(lanes.cell_of(unseen.lane, unseen.step), minlength=lanes.cells),
+    )
     counts = _Counts.of(crossed, lanes)
     seconds, metres = driven(lanes)
     most_m, sum_m = queue_backs(lanes)
-    columns: dict[str, Any] = _volumes(counts, share)
+    columns: dict[str, Any] = _volumes(counts, share, hidden)
     columns |= _speeds(counts, seconds, metres, share)
     columns |= _occupancies(areas)
     columns |= _flows(network, grid, areas, seconds, metres)
@@ -131,14 +137,14 @@ def _areas(lanes: TrackedLanes, tiles: TileSteps) -> _Areas:
     return _Areas(np.bincount(cell, minlength=size) > 0, *sums)
 
 
-def _share_at(tile_id: Integers, grid: StepGrid, tiles: TileSteps) -> Floats:
-    """Return the visible share of each interval, for each of some tiles, (tiles * intervals,)."""
+def _share_at(tile_id: Integers, grid: StepGrid, tiles: TileSteps, of: str = "visible") -> Floats:
+    """Return the share of each interval in a state, for each of some tiles and each interval."""
     wanted, place = np.unique(tile_id, return_inverse=True)
     shares = np.zeros(len(wanted) * grid.count)
     index = np.minimum(np.searchsorted(wanted, tiles.tile_id), max(len(wanted) - 1, 0))
     is_wanted = wanted[index] == tiles.tile_id if len(wanted) else np.zeros(len(index), np.bool_)
     shares[index[is_wanted] * grid.count + tiles.interval[is_wanted]] = (
-        tiles.visible[is_wanted] / grid.steps
+        getattr(tiles, of)[is_wanted] / grid.steps
     )
     return np.asarray(shares.reshape(-1, grid.count)[place].ravel(), np.float64)
 
@@ -174,16 +180,34 @@ class _Counts:
         )  # fmt: skip
 
 
-def _volumes(counts: _Counts, share: Floats) -> dict[str, Any]:
-    """Return the counts, and the estimates for whole intervals."""
+class _Hidden(NamedTuple):
+    """When lines were observed but hidden, by cells: share of the interval, vehicles followed."""
+
+    share: Floats
+    followed: Integers
+
+
+def _volumes(counts: _Counts, share: Floats, hidden: _Hidden) -> dict[str, Any]:
+    """Return the counts, and the estimates for whole intervals.
+
+    While vehicles hide a line, as many come as while it is visible, or, as in a queue, only those
+    that are followed beyond it: the estimate is the mean of both.
+    """
     estimated = share >= LEAST_SHARE
-    whole = np.where(estimated, share, 1.0)
-    unseen = (counts.counted + 0.5) * (1.0 - whole)
+    visible = np.where(estimated, share, 1.0)
+    out_of_sight = np.where(estimated, hidden.share, 0.0)
+    observed = visible + out_of_sight
+    by_rate = counts.counted * out_of_sight / visible
+    followed = np.where(out_of_sight > 0.0, hidden.followed, 0.0)
+    while_observed = counts.counted + (by_rate + followed) / 2.0
+    variance = counts.variance + ((by_rate - followed) / 2.0) ** 2
+    variance += (counts.counted + 0.5) * out_of_sight * observed / visible**2
+    variance += (while_observed + 0.5) * (1.0 - observed)
     return {
         "visible_share": share,
         "counted": _masked(counts.counted, share == 0.0),
-        "volume": np.where(estimated, counts.counted / whole, np.nan),
-        "volume_se": np.where(estimated, np.sqrt(counts.variance + unseen) / whole, np.nan),
+        "volume": np.where(estimated, while_observed / observed, np.nan),
+        "volume_se": np.where(estimated, np.sqrt(variance) / observed, np.nan),
         "heavy": np.where(share > 0.0, counts.heavy, np.nan),
     }
 

@@ -132,12 +132,14 @@ def _our_volumes_at(
     section, lane, direction = (text_in(row, name) for name in (*_PLACES, "direction"))
     if section:
         if sections is None:
-            hint = "give the layer of sections, too: --sections"
+            hint = "give the layer of sections, too"
             raise InputError("{}: section {} is not known", what, section, hint=hint)
         ours = sections[sections["section"] == section]
         names, directions = sorted(set(sections["section"])), sorted(set(ours["direction"]))
         if ours.empty:
-            raise InputError("{}: section {} is none of {}", what, section, ", ".join(names))
+            raise InputError(
+                "{}: section is {}, expected one of {}", what, repr(section), ", ".join(names)
+            )
         if direction not in directions and (direction or len(directions) > 1):
             expected = ", ".join(directions)
             raise InputError(
@@ -163,7 +165,7 @@ def _within(ours: pd.DataFrame, begin: pd.Timestamp, end: pd.Timestamp, what: st
     if len(overlapping):
         raise InputError(
             "{}: begins or ends within one of our intervals", what,
-            hint="choose a shorter --interval that fits",
+            hint="choose a shorter interval that fits",
         )  # fmt: skip
     inside = ours[(ours["begin"] >= begin) & (ours["end"] <= end)]
     is_covered = (inside["end"] - inside["begin"]).sum() == end - begin

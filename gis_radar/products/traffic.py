@@ -23,6 +23,7 @@ from gis_radar.base import (
     Text,
     UsageError,
     add_layer,
+    card,
     iso_from_time,
     style_layers,
     tr,
@@ -128,6 +129,14 @@ class Traffic:
             "rows_with_volume": int(rows["volume"].notna().sum()),
             "rows": len(rows),
         }
+
+    def __repr__(self) -> str:
+        known = self.figures()
+        counts = ", ".join(f"{known[name]} {name}" for name in ("lanes", "turns", "intervals"))
+        return f"Traffic({known['begin']} to {known['end']}: {counts})"
+
+    def _repr_html_(self) -> str:
+        return card("Traffic", self.figures())
 
     def write(
         self, folder: str | Path, *, datex: str | None = None, language: str | None = None,

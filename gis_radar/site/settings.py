@@ -250,7 +250,7 @@ class Site(TomlTable):
     timezone: Zone = key('"Europe/Berlin"', "UTC")
     """Zone of the times in pictures, report and summary, for all sensors; data files keep UTC."""
     language: Literal["en", "de"] = key('"de"', "en")
-    """Language of report, pictures, summary and QGIS project: en or de."""
+    """Language of report, pictures and QGIS project: en or de."""
     csv_locale: Literal["en", "de"] = key('"de"', "en")
     """Numbers in the report's tables: de as Excel in Germany opens them, 0,5 and semicolons."""
     attribution: Texts = key('["Recordings: City of Example"]', (), "nobody")

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pandas as pd
 import pytest
-from datasets import BEGIN, HOUR, square_tiles, stored, write_dataset
+from datasets import BEGIN, HOUR, recordings_of, square_tiles, stored, write_dataset
 from maps import EAST, NORTH, Listener
 
 from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError
@@ -177,6 +177,22 @@ def test_folders_that_are_no_dataset_are_refused(tmp_path):
         open_dataset(tmp_path)
     with pytest.raises(InputError, match="is no dataset"):
         open_dataset(tmp_path / "nothing")
+
+
+def test_a_dataset_tells_its_first_and_its_last_frame(tmp_path):
+    rows = recordings_of({"R1", "R2"})
+    rows |= {"first_time": [1.7e9, 1.7e9 + 5], "last_time": [1.7e9 + 60, 1.7e9 + 90]}
+    figures = write_dataset(tmp_path / "data", recordings=rows).figures()
+    assert figures["first_frame"] == "2023-11-14T22:13:20Z"
+    assert figures["last_frame"] == "2023-11-14T22:14:50Z"
+
+
+def test_a_folder_of_results_is_told_where_its_dataset_is(dataset, tmp_path):
+    dataset.folder.rename(dataset.folder.with_name("dataset"))
+    results = dataset.folder.parent
+    with pytest.raises(InputError, match="is no dataset") as refused:
+        open_dataset(results)
+    assert refused.value.hint == f"did you mean {results / 'dataset'}?"
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from datasets import write_dataset
+from datasets import recordings_of, write_dataset
 from driven import drive, driven, straight_tiles
 from forks import APPROACH, LEFT, LINE_M, STRAIGHT, fork, fork_dataset, fork_lanes, through
 from shapely import LineString
@@ -16,6 +16,7 @@ from sites import pose
 
 from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError
 from gis_radar.dataset import (
+    RECORDINGS,
     STEPS_PER_QUARTER,
     TILE_COUNTS,
     LaneTraffic,
@@ -25,6 +26,7 @@ from gis_radar.dataset import (
     read_hours,
     record_path,
     write_record,
+    write_single_file,
 )
 from gis_radar.dataset.files.tables import HOUR_TABLES, LANE_MEASURES, TURNS, VISIBLE
 
@@ -208,6 +210,19 @@ def test_traffic_is_tidy(measured):
     assert table["volume_veh_h"].iloc[0] == pytest.approx(4.0 * table["volume"].iloc[0])
     assert table.geometry.length.unique().tolist() == [60.0]
     assert table["speed_85_kmh"].iloc[0] == pytest.approx(39.25)  # in the class from 35 to 40
+
+
+@pytest.mark.parametrize(("last", "intervals"), [(EDGE - 1, 1), (EDGE, 2)])
+def test_an_interval_without_a_frame_has_no_rows_while_the_last_frame_is_valid(
+    tmp_path, last, intervals
+):
+    tracks = over_the_edge(0, EDGE - 100, np.arange(0.0, 50.5, 0.5))  # its last step is at the edge
+    dataset = dataset_of(tmp_path / "data", tracks)
+    rows = recordings_of({"R1"}) | {"first_time": [(EDGE - 100) / 20], "last_time": [last / 20]}
+    write_single_file(RECORDINGS, dataset.folder, rows, dataset.manifest.fingerprint)
+    dataset = open_dataset(dataset.folder)
+    for interval in ("1min", "15min", "1h"):
+        assert dataset.traffic(interval)["begin"].nunique() == intervals
 
 
 def test_intervals_sum_to_the_hour(measured):

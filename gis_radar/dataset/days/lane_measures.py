@@ -48,10 +48,12 @@ from gis_radar.measures import (
     queue_course,
 )
 
-METHOD = 5
+METHOD = 6
 """Raised whenever the same parts would give other lane measures or turns."""
 
-_TILE_COLUMNS = ("visible_steps", "occupied_steps", "inferred_steps", "occupied_variance")
+_TILE_COLUMNS = (
+    "visible_steps", "hidden_steps", "occupied_steps", "inferred_steps", "occupied_variance"
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -208,12 +210,12 @@ class LaneTraffic(DayTables):
         self, record: HourRecord, steps: int, tile: Integers, interval: Integers,
         counts: Sequence[Any],
     ) -> Measured:  # fmt: skip
-        visible, occupied, inferred, variance = (each.astype(np.float64) for each in counts)
+        visible, hidden, occupied, inferred, variance = (each.astype(np.float64) for each in counts)
         return measure_lanes(
             self._lanes(record, _parts_of(record, steps)),
             TileSteps(
                 tile_id=tile, interval=interval.astype(np.int64), visible=visible,
-                occupied=occupied, inferred=inferred, variance=variance,
+                hidden=hidden, occupied=occupied, inferred=inferred, variance=variance,
             ),
         )  # fmt: skip
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 import pyarrow.compute as pc
 
-from gis_radar.base import STEPS_PER_HOUR, InputError, step_of
+from gis_radar.base import STEPS_PER_HOUR, Booleans, InputError, Integers, step_of
 from gis_radar.dataset.files.parts import MEASURE_AGAIN
 from gis_radar.dataset.files.records import HourRecord, read_rows
 from gis_radar.dataset.files.source import DatasetFiles
@@ -68,6 +68,17 @@ def _recorded(
     dataset: DatasetFiles, hours: Iterable[int], sensor: str | None, *, valid: bool
 ) -> Iterator[Runs]:
     """Yield the steps of recordings in hours without frames: from their first to their last."""
+    recorded = _recording_steps(dataset, sensor, valid=valid)
+    begins = np.array(sorted(hours), np.int64) * STEPS_PER_HOUR
+    blocks = union_of_runs([Runs(first=begins, last=begins + STEPS_PER_HOUR - 1)])
+    for block in zip(blocks.first.tolist(), blocks.last.tolist(), strict=True):
+        yield recorded.within(*block)
+
+
+def _recording_steps(
+    dataset: DatasetFiles, sensor: str | None = None, *, valid: bool = False
+) -> Runs:
+    """Return the steps from the first to the last frame of each recording."""
     rows = dataset.single_table(RECORDINGS)
     if sensor is not None:
         rows = rows.filter(pc.equal(rows["sensor"], sensor))
@@ -75,8 +86,22 @@ def _recorded(
     if valid:
         valid_after = [valid_steps(each) for each in rows["validity_s"].to_pylist()]
         last = last + np.array(valid_after, np.int64)
-    recorded = union_of_runs([Runs(first=first, last=last)])
-    begins = np.array(sorted(hours), np.int64) * STEPS_PER_HOUR
-    blocks = union_of_runs([Runs(first=begins, last=begins + STEPS_PER_HOUR - 1)])
-    for block in zip(blocks.first.tolist(), blocks.last.tolist(), strict=True):
-        yield recorded.within(*block)
+    return union_of_runs([Runs(first=first, last=last)])
+
+
+def follow_a_recording(dataset: DatasetFiles, first: Integers, steps: int) -> Booleans:
+    """Return which intervals hold no frame, only the time in which an earlier one is still valid.
+
+    Parameters
+    ----------
+    first : (n,) array of int
+        First steps of the intervals.
+    steps : int
+        Their length.
+    """
+    recorded, valid = (_recording_steps(dataset, valid=each) for each in (False, True))
+    reached, still_valid = (
+        np.append(runs.last, -1)[np.searchsorted(runs.first, first + steps) - 1] >= first
+        for runs in (recorded, valid)
+    )
+    return np.asarray(still_valid & ~reached)

@@ -127,7 +127,9 @@ class Manifest:
         """
         path = Path(folder) / MANIFEST
         if not path.is_file():
-            raise InputError("{}: is no dataset: lacks {}", folder, MANIFEST, hint=MAKE_ONE)
+            inside = Path(folder) / "dataset"
+            hint = Text("did you mean {}?", inside) if cls.is_there(inside) else MAKE_ONE
+            raise InputError("{}: is no dataset: lacks {}", folder, MANIFEST, hint=hint)
         document = read_json(path, what="the manifest of a dataset", hint=MAKE_ONE)
         try:
             if document["schema"] > SCHEMA:

@@ -33,6 +33,7 @@ from gis_radar.base import (
 )
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
+from gis_radar.dataset.files.frame_times import follow_a_recording
 from gis_radar.dataset.files.parts import hour_text
 from gis_radar.dataset.files.records import HourRecord, Span
 from gis_radar.dataset.files.schema import TableSchema
@@ -192,6 +193,7 @@ class TrafficReader:
         parts = self._finer(table, known, part_steps) if finer else read(table, known, self.span)
         empty = table.empty().append_column("first_step", pa.array([], pa.int64()))
         rows = pa.concat_tables([empty, *parts]).drop_columns(["interval"]).to_pandas()
+        rows = rows[~follow_a_recording(self.dataset, rows["first_step"].to_numpy(), part_steps)]
         begin = pd.to_datetime(rows.pop("first_step") * STEP_US, unit="us", utc=True)
         part_h = part_steps * STEP_S / 3600.0
         rows = rows.assign(begin=begin, end=begin + _timedelta(part_steps), hours=part_h)

@@ -131,7 +131,8 @@ def _lines(
         raise InputError(
             "{}: sections are lines across a road", what, hint="each of one part, a row each"
         )
-    column = next((name for name in NAME_FIELDS if name in table), None)
+    columns = {str(name).lower(): name for name in reversed(table.columns)}
+    column = next((columns[name] for name in NAME_FIELDS if name in columns), None)
     names = pd.Series(range(1, len(table) + 1)).astype("string")
     if column is not None:  # a column of ids with an empty value is read as float
         given = table[column].convert_dtypes().astype("string").map(one_line, na_action="ignore")

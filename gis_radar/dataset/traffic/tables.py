@@ -81,7 +81,9 @@ def queues(
     dataset: DatasetFiles, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
     language: str | None = None,
 ) -> gpd.GeoDataFrame:  # fmt: skip
-    """Return the queues at stop lines: rows of :meth:`traffic`, of lanes with a stop line.
+    """Return the queues at stop lines: rows of :meth:`traffic` in which a stop line is visible.
+
+    There are none where the map has no stop lines.
 
     Returns
     -------

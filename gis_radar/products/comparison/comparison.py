@@ -38,8 +38,8 @@ def compare(
     dataset: Dataset | str | Path,
     other: Dataset | str | Path | None = None,
     *,
-    before: Period | str,
-    after: Period | str,
+    before: Period | str = (None, None),
+    after: Period | str = (None, None),
     days: str | None = None,
     language: str | None = None,
 ) -> Comparison:
@@ -55,8 +55,8 @@ def compare(
         Datasets with vehicles, or their folders. The second period is of `other`, where that is
         given.
     before, after : (begin, end) or str
-        The periods, as for :meth:`gis_radar.Dataset.traffic`, or as `2026-09-07/2026-09-21`;
-        `(None, None)` for a whole dataset.
+        The periods, as for :meth:`gis_radar.Dataset.traffic`, or as `2026-09-07/2026-09-21`; by
+        default all of the dataset.
     days : str, optional
         Days of the week to compare, such as `Mo-Fr` or `Sa,Su`; by default all.
     language : str, optional

@@ -22,6 +22,7 @@ from gis_radar.base import (
     Reporter,
     Text,
     add_layer,
+    card,
     current_language,
     figure_text,
     iso_from_time,
@@ -99,6 +100,17 @@ class Comparison:
             "lanes_with_a_change": {f"{name}, {way}": int(n) for (name, way), n in changed.items()},
             "all_stop_lines": dict(zip(of_all["measure"], of_all["verdict"], strict=True)),
         }
+
+    def __repr__(self) -> str:
+        known = self.figures()
+        changes = sum(known["lanes_with_a_change"].values())
+        return (
+            f"Comparison({known['before']} with {known['after']}: {known['lanes_compared']} lanes, "
+            f"{changes} changes told)"
+        )
+
+    def _repr_html_(self) -> str:
+        return card("Before and after", self.figures())
 
     def write(
         self, folder: str | Path, *, language: str | None = None, reporter: Reporter = QUIET

@@ -30,9 +30,14 @@ from gis_radar.products import report_files as names
 from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.quality.quality import GOOD, Quality
 from gis_radar.products.report.content import Column, Fact, Table, text_columns, text_rows
-from gis_radar.products.report.lanes import part_and_base
+from gis_radar.products.report.lanes import LEAST_SEEN, MOST_ERROR, part_and_base
 from gis_radar.products.report.results import NOT_KNOWN, Results
-from gis_radar.products.report.traffic import ReportedTraffic, lanes_counted, volume_text
+from gis_radar.products.report.traffic import (
+    TOO_LITTLE,
+    ReportedTraffic,
+    lanes_counted,
+    volume_text,
+)
 from gis_radar.scans import VIEW_ONLY
 
 SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
@@ -126,15 +131,26 @@ def facts_of(data: ReportData) -> list[Fact]:
     if "mean_occupancy" not in total:
         return facts
     if data.traffic and len(counted := lanes_counted(data.traffic)):
-        top = counted.iloc[int(counted["volume"].argmax())]
-        volume = tr("{n} veh/h", n=volume_text(top))
-        facts.append(Fact(tr("Busiest lane"), volume, _lane_name(data, int(top["lane"]))))
+        facts.append(_busiest(data, counted))
     elif "vehicles" in total:
         heavy = tr("{n} of them heavy; no count of vehicles", n=figure_text(total["heavy"]))
         facts.append(Fact(tr("Tracks of vehicles"), figure_text(total["vehicles"]), heavy))
     mean = percent(total["mean_occupancy"], error=total["mean_occupancy_se"])
     facts.append(Fact(tr("Mean occupancy"), mean, tr("of all road that was visible")))
     return [*facts, _highest(data)]
+
+
+def _busiest(data: ReportData, counted: pd.DataFrame) -> Fact:
+    """Return the lane of the highest volume, of those whose volume is known well enough."""
+    sure = counted[
+        (counted["visible_share"] >= LEAST_SEEN)
+        & (counted["volume_se"] <= MOST_ERROR * counted["volume"])
+    ]
+    if sure.empty:
+        return Fact(tr("Busiest lane"), tr("none to be named"), tr(TOO_LITTLE))
+    top = sure.iloc[int(sure["volume"].argmax())]
+    volume = tr("{n} veh/h", n=volume_text(top))
+    return Fact(tr("Busiest lane"), volume, _lane_name(data, int(top["lane"])))
 
 
 def _highest(data: ReportData) -> Fact:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 
 from gis_radar.base import NO_FIGURE, Clock, Floats, Integers, wind_of, write_csv
 from gis_radar.dataset import Dataset
 from gis_radar.hdmap import LANE_COLUMN, LANE_EXIT_M, Lane, lanes_of, quads
+from gis_radar.measures import LaneNetwork
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.intervals import When
 from gis_radar.products.heatmap.occupancy import surest
@@ -21,6 +23,7 @@ BUSY = 0.2  # least share of a busy tile; a class break of all heat maps
 LEAST_TRACKS = 10  # of vehicles that followed it: of ten, chance alone moves a share by a third
 LEAST_SEEN = 0.5  # share of its length: less may be its queue alone, or all but its queue
 MOST_ERROR = 0.5  # standard error, as a share of the occupancy: beyond, 0 is within two of them
+FAR_M = 100.0  # distance from every sensor, beyond which accuracy is not measured
 
 
 def part_and_base(heat: HeatMap, interval: When = None) -> tuple[Floats, Floats]:
@@ -200,6 +203,25 @@ def _busiest(heat: HeatMap, rows: pd.DataFrame) -> dict[str, object]:
     }
 
 
+def far_lanes(rows: gpd.GeoDataFrame, network: LaneNetwork, poses: gpd.GeoDataFrame) -> list[int]:
+    """Return the counted lanes whose line lies over `FAR_M` from every sensor.
+
+    Parameters
+    ----------
+    rows : GeoDataFrame
+        Rows of :meth:`gis_radar.Dataset.traffic`.
+    network : LaneNetwork
+        The lanes.
+    poses : GeoDataFrame
+        The sensors.
+    """
+    counted = rows[rows["counted"].notna()]
+    at = np.searchsorted(network.lane, counted["lane"].to_numpy(np.int64))
+    line = counted.geometry.interpolate(network.line_m[at] / network.length_m[at], normalized=True)
+    far = [poses.distance(place).min() > FAR_M for place in line]
+    return [int(lane) for lane in counted.loc[far, "lane"]]
+
+
 # The tables: of occupancy, with hits as the last columns; of hits where no vehicles are known.
 # Each column of a file by its name, and its digits.
 
@@ -208,7 +230,7 @@ _OCCUPIED = {
     "part_s": ("occupied_tile_s", 2), "base_s": ("visible_tile_s", 2),
     "share": ("occupancy", 6), "share_se": ("occupancy_se", 6),
 }  # fmt: skip
-_LANE = {"lane": ("", 0), "rank": ("", 0), "tracks": ("", 0), "lanelets": ("", 0),
+_LANE = {"lane": ("", 0), "name": ("", 0), "rank": ("", 0), "tracks": ("", 0), "lanelets": ("", 0),
          "subtype": ("", 0), "street": ("", 0), "street_part": ("", 0), "leads_to": ("", 0),
          "length_m": ("", 2)}  # fmt: skip
 _BUSIEST = {
@@ -235,7 +257,7 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
         tracks=table["tracks"].astype(object).where(table["tracks"] >= 0),
         lanelets=[each[0] if len(each) == 1 else " ".join(map(str, each))
                   for each in table["lanelets"]],
-        street=table.get("street", ""), street_part=table.get("street_part", ""),
+        **{name: table.get(name, "") for name in ("name", "street", "street_part")},
         leads_to=[wind_of(*each) or NO_FIGURE for each in towards],
         busiest_begin_utc=["" if pd.isna(each) else utc(each) for each in begins],
         busiest_begin_local=["" if pd.isna(each) else clock.iso(each) for each in begins],

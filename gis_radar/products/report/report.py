@@ -188,6 +188,9 @@ def _gather(results: Results, title: str, timezone: str | None, reporter: Report
     table = lane_table(heat, sums, tracks_of(results.dataset, lanes_of(heat.tiles)))
     streets = [results.streets.get(int(lane), ("", "")) for lane in table["lane"]]
     table["street"], table["street_part"] = zip(*streets, strict=True) if streets else ((), ())
+    traffic = traffic_of(results.dataset, heat)
+    if traffic is not None:
+        table["name"] = table["lane"].map(traffic.by_lane.set_index("lane")["name"]).fillna("")
     return ReportData(
         results=results,
         title=title,
@@ -195,7 +198,7 @@ def _gather(results: Results, title: str, timezone: str | None, reporter: Report
         quality=_quality(results, zone, reporter),
         lanes=sums,
         table=table,
-        traffic=traffic_of(results.dataset, heat),
+        traffic=traffic,
     )
 
 

@@ -24,6 +24,7 @@ from gis_radar.base import (
     by_number,
     figure_text,
     interval_steps,
+    listed,
     percent,
     plural,
     seconds_text,
@@ -47,6 +48,7 @@ from gis_radar.products.report.content import (
     text_rows,
 )
 from gis_radar.products.report.courses import MOST_COURSES, WINDOW_S, LongQueue, draw_courses
+from gis_radar.products.report.lanes import FAR_M, far_lanes
 from gis_radar.products.traffic import service_levels
 from gis_radar.products.traffic_picture import draw_turning_diagram
 
@@ -266,6 +268,13 @@ def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> l
             tr("Not seen: the place of counting was not visible, which is not 0; too little seen: "
                "under {share} of the time.", share=share)
         )  # fmt: skip
+    if not _lanes_with_stop_lines(traffic):
+        notes.append(tr("The map has no stop lines, so queues are not known."))
+    if far := far_lanes(rows, traffic.network, traffic.dataset.poses()):
+        notes.append(
+            tr("Over {far} m from every sensor, where more vehicles may be missed than ± states: "
+               "{lanes}.", far=int(FAR_M), lanes=listed([*map(str, far)]))
+        )  # fmt: skip
     if missing := len(traffic.network.lane) - len(traffic.by_lane):
         notes.append(plural(missing, WORDS["occupancy"].unseen_one, WORDS["occupancy"].unseen_many))
     if len(rows) > shown:
@@ -375,6 +384,16 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
     ways = [way for way in TURN_WORDS if way in set(table["turn"])]
     numbers = table.groupby("from_lane")["from_name"].first()
     numbers = numbers.sort_values(key=lambda each: each.map(by_number))
+    known = set(table.loc[table["volume"].notna(), "from_lane"])
+    note = tr(
+        "Turns of a lane sum to its volume where all of its exits were seen. No routes: where "
+        "vehicles come from or go to beyond the junction is not known."
+    )
+    if unseen := len(numbers) - len(known):
+        note += " " + plural(
+            unseen, "{n} other lane has no turn that was seen.",
+            "{n} other lanes have no turn that was seen.",
+        )  # fmt: skip
 
     def volume(lane: int, way: str) -> str:
         mine = table[(table["from_lane"] == lane) & (table["turn"] == way)]
@@ -393,10 +412,9 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
         name="turns", caption=tr("Turns over the whole time"), columns=titles,
         rows=[
             [str(name), str(lane), *(volume(int(str(lane)), way) for way in ways)]
-            for lane, name in numbers.items()
+            for lane, name in numbers.items() if lane in known
         ],
-        note=tr("Turns of a lane sum to its volume where all of its exits were seen. No routes: "
-                "where vehicles come from or go to beyond the junction is not known."),
+        note=note,
         files=[(names.TURNS, tr("each turn in each interval"))],
     )  # fmt: skip
 
