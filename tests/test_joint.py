@@ -253,9 +253,10 @@ def late_and_loose(street, folder, true, ahead_s, **traffic):
     return solved, mine["R2"]
 
 
-@pytest.mark.parametrize(("ahead_s", "seed"), [(-1.5, 1), (0.6, 2), (1.0, 3)])
-def test_a_clock_that_is_off_is_no_other_place(true, tmp_path, ahead_s, seed):
+@pytest.mark.parametrize("ahead_s", [-1.5, 0.6, 1.0])
+def test_a_clock_that_is_off_is_no_other_place(true, tmp_path, ahead_s):
     """Vehicles of one direction alone fit another place: seen late, or from elsewhere."""
+    seed = 2  # of several draws the one that fails where the clock is not estimated
     solved, _ = late_and_loose(LONG, tmp_path, true, ahead_s, vehicles=40, seed=seed)
     pose = solved.poses["R2"]
     along_m = errors(pose, true["R2"])[:2] @ ALONG
