@@ -11,6 +11,7 @@ import signal
 import socket
 import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import hypothesis
@@ -22,6 +23,7 @@ import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.cli.console import run_group
 from gis_radar.hdmap import fingerprint
+from gis_radar.live.hours.jobs import HourJobs
 from gis_radar.scans import find_pdal
 from gis_radar.scans.pdal import VARIABLE
 
@@ -241,6 +243,25 @@ def ready_workers(monkeypatch):
     chosen = lambda method=None: forking if method == "spawn" else get_context(method)  # noqa: E731
     monkeypatch.setattr(multiprocessing, "get_context", chosen)
     monkeypatch.setattr("gis_radar.live.hours.jobs.NICE", 0)  # beside other tests it would starve
+
+
+class _WorkerThread(ThreadPoolExecutor):
+    """Stands for the process in which fusion measures; it ends once its work is done."""
+
+    _processes = None
+
+    def shutdown(self, **_):
+        super().shutdown(cancel_futures=True)
+
+
+@pytest.fixture
+def measured_in_a_thread(monkeypatch):
+    """Let fusion measure in a thread where a test looks at other things than its process.
+
+    It has two in its life; each loads for more than a second of the processor.
+    """
+    process = lambda: _WorkerThread(1)  # noqa: E731
+    monkeypatch.setitem(HourJobs.__init__.__kwdefaults__, "process", process)
 
 
 @pytest.fixture

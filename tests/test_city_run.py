@@ -511,29 +511,26 @@ class SmallCluster:
             each.wait()
 
 
-@contextmanager
-def started():
+@pytest.fixture(scope="module")
+def cluster():
     cluster = SmallCluster()
     cluster.begin()
-    try:
-        yield cluster
-    finally:
-        cluster.end()
+    yield cluster
+    cluster.end()
 
 
-def test_a_cluster_makes_the_same_bytes(site, whole, tmp_path):
+def test_a_cluster_makes_the_same_bytes(site, whole, tmp_path, cluster):
     city = city_file(tmp_path, one=copied(site, tmp_path / "one"))
-    with started() as cluster:
-        run = gr.run_city(city, tmp_path / "root", executor=cluster.address)
+    run = gr.run_city(city, tmp_path / "root", executor=cluster.address)
     assert run.sites["one"].hours == HOURS
     made, wanted = (bytes_of(each / "root" / "site=one") for each in (tmp_path, whole))
     assert made == wanted
 
 
-def test_a_run_goes_on_where_a_worker_is_killed_and_the_scheduler_restarted(tmp_path):
+def test_a_run_goes_on_where_a_worker_is_killed_and_the_scheduler_restarted(cluster):
     said, done = Said(), []
     calls = dict.fromkeys(range(24), (time.sleep, 0.3))
-    with started() as cluster, workers_of(cluster.address, None, said) as workers:
+    with workers_of(cluster.address, None, said) as workers:
         assert workers.share(1) == 1  # Dask's workers may have no children
         for number, _ in workers.results(calls):
             done.append(number)
@@ -592,7 +589,7 @@ def files_of(root):
 
 
 @pytest.mark.skipif(os.environ.get("GIS_RADAR_LIVE") != "all", reason="takes long: make live-test")
-def test_days_in_any_order_without_a_sensor_as_if_it_had_never_been(site, tmp_path):
+def test_days_in_any_order_without_a_sensor_as_if_it_had_never_been(site, tmp_path, cluster):
     names = ("one", "two")
     places = {name: day_site(site, tmp_path / name) for name in names}
     city = city_file(tmp_path, **places)
@@ -608,9 +605,8 @@ def test_days_in_any_order_without_a_sensor_as_if_it_had_never_been(site, tmp_pa
     assert run("days", [1, 2], ["R1", "R2"], jobs=2) == 2
     for name in names:
         gr.open_dataset(tmp_path / "days" / f"site={name}").withdraw(sensor="R2")
-    with started() as cluster:
-        assert run("whole", [2], ["R1"], executor=cluster.address) == 2
-        assert run("whole", [2, 1], ["R1"], executor=cluster.address) == 2
+    assert run("whole", [2], ["R1"], executor=cluster.address) == 2
+    assert run("whole", [2, 1], ["R1"], executor=cluster.address) == 2
     made, wanted = (files_of(tmp_path / root) for root in ("days", "whole"))
     assert made.keys() == wanted.keys()
     assert [name for name in made if made[name] != wanted[name]] == []

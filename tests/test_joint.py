@@ -253,10 +253,10 @@ def late_and_loose(street, folder, true, ahead_s, **traffic):
     return solved, mine["R2"]
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("ahead_s", [-1.5, 0.6, 1.0])
-def test_a_clock_that_is_off_is_no_other_place(true, tmp_path, ahead_s, seed):
+def test_a_clock_that_is_off_is_no_other_place(true, tmp_path, ahead_s):
     """Vehicles of one direction alone fit another place: seen late, or from elsewhere."""
+    seed = 2  # of several draws the one that fails where the clock is not estimated
     solved, _ = late_and_loose(LONG, tmp_path, true, ahead_s, vehicles=40, seed=seed)
     pose = solved.poses["R2"]
     along_m = errors(pose, true["R2"])[:2] @ ALONG
@@ -388,8 +388,7 @@ def test_of_several_poses_the_neighbour_tells_the_right_one(recordings, true, ri
     assert abs(errors(solved.poses["R2"], true["R2"])[:2] @ ALONG) < 0.6
 
 
-@pytest.mark.parametrize("spread_m", [0.0, 6.0])
-@pytest.mark.parametrize("seed", [77, 81])
+@pytest.mark.parametrize(("seed", "spread_m"), [(77, 6.0), (81, 0.0)])
 def test_a_sensor_that_sees_other_traffic_keeps_its_answer(
     recordings, true, tmp_path, seed, spread_m
 ):
@@ -666,7 +665,6 @@ def test_the_command_fails_after_the_poses_where_a_sensor_has_none(
     [
         (("--figure", "f.png"), "for one sensor"),
         (("--method", "icp"), "for one sensor"),
-        (("--heading", "3"), "2 recordings, but 1 headings"),
         (("--guess", "690000,5336000"), "2 recordings, but 3 guesses"),
         (("--heading", "3", "--compass", "north"), "both --heading and --compass"),
     ],

@@ -46,6 +46,7 @@ class KilledError(Exception):
     """Ends fusion in the midst of its work."""
 
 
+@pytest.mark.usefixtures("measured_in_a_thread")
 def test_a_broker_that_is_killed_and_a_fusion_that_begins_anew_lose_nothing(site):
     """Everything breaks in the midst of a replay; fusion is left without a word, as if killed."""
     middle = Fusion(read_live_site(site.file))

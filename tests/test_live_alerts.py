@@ -233,7 +233,7 @@ def test_addresses(url):
 
 
 @needs_mosquitto
-@pytest.mark.usefixtures("ready_workers")
+@pytest.mark.usefixtures("measured_in_a_thread")
 def test_a_live_site_tells_an_operator_and_its_webhook(tmp_path, once, receiver, monkeypatch):
     monkeypatch.setattr(alerts, "HOLD_S", 0.5)
     site = LiveSite(tmp_path, once)

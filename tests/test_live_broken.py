@@ -48,7 +48,7 @@ from gis_radar.live import (
 )
 from gis_radar.live.wire.payload import MOST_BYTES
 
-pytestmark = [needs_mosquitto, pytest.mark.usefixtures("ready_workers")]
+pytestmark = [needs_mosquitto, pytest.mark.usefixtures("measured_in_a_thread")]
 
 
 @pytest.fixture

@@ -54,7 +54,7 @@ from gis_radar.live.served.snapshot import NOT_OBSERVED
 from gis_radar.products.heatmap import style
 from gis_radar.site import PageTable
 
-pytestmark = pytest.mark.usefixtures("ready_workers")
+pytestmark = pytest.mark.usefixtures("measured_in_a_thread")
 VENDOR = Path(__file__).parents[1] / "gis_radar" / "live" / "web" / "vendor" / "maplibre-gl.mjs"
 
 

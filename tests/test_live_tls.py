@@ -12,7 +12,7 @@ from gis_radar.live import BrokerAddress, Edge, Fusion, Link, read_edge_file, re
 
 pytestmark = [
     needs_mosquitto,
-    pytest.mark.usefixtures("ready_workers"),
+    pytest.mark.usefixtures("measured_in_a_thread"),
     # paho leaves the socket of a handshake that failed to the garbage collector
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
     pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed"),

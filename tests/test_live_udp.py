@@ -13,7 +13,7 @@ import gis_radar as gr
 from gis_radar.live import Edge, Fusion, Radar, frames_of_recording, read_edge_file, read_live_site
 from gis_radar.recordings import Frame
 
-pytestmark = pytest.mark.usefixtures("ready_workers")
+pytestmark = pytest.mark.usefixtures("measured_in_a_thread")
 FRAMES = 60
 GROUP = "224.0.2.2"
 

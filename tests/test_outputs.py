@@ -179,15 +179,6 @@ def test_two_runs_do_not_write_one_folder(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["o", "p"]
 
 
-def test_a_lock_that_a_killed_run_left_does_not_count(tmp_path):
-    (tmp_path / ".o.lock").write_text("")
-    with atomic_folder(tmp_path / "o", owned=("a",)):
-        pass
-    with pytest.raises(RuntimeError), atomic_folder(tmp_path / "o", owned=("a",)):
-        raise RuntimeError
-    assert [path.name for path in tmp_path.iterdir()] == ["o"]
-
-
 def test_another_process_holds_the_lock(tmp_path):
     code = (
         "import sys; from pathlib import Path; from gis_radar.base.files import atomic_folder\n"

@@ -1,13 +1,12 @@
 """What is wrong in silence is worst: inputs that cannot be are refused or named."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from datasets import measured
-from maps import EAST, NORTH, Listener, one, write_osm, write_road
+from maps import EAST, NORTH, Listener, write_osm, write_road
 from pyproj import CRS
 
 import gis_radar as gr
@@ -209,8 +208,3 @@ def test_a_map_outside_its_zone_names_its_file_and_no_option(tmp_path, monkeypat
         gr.read_map(path, crs=CRS.from_epsg(32755))  # as of tiles or of a road, not of the user
     with pytest.raises(CrsError, match="--crs: the site lies far outside"):
         gr.read_map(path, crs=32755)
-
-
-def test_what_is_sound_stays(tmp_path):
-    assert one(write_road(tmp_path / "map.osm")).geometry.is_valid
-    assert json.loads((gr.sample_folder() / "R1.json").read_text())["sensor"] == "R1"

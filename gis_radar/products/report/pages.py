@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from jinja2 import Environment, FunctionLoader, StrictUndefined
+from jinja2 import Environment, FunctionLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from gis_radar.base import (
@@ -71,16 +71,12 @@ def render_page(template: str, *, css: str, script: str = "", **values: Any) -> 
         Further values of the template; their texts are escaped.
     """
     style = _part("page.css") + css
-    page: str = (
-        _environment()
-        .from_string(template)
-        .render(
-            css=Markup(style),  # noqa: S704 - our own file
-            script=Markup(script),  # noqa: S704 - our own file
-            policy=_policy(style, script),
-            language=current_language(),
-            **values,
-        )
+    page: str = _compiled(template).render(
+        css=Markup(style),  # noqa: S704 - our own file
+        script=Markup(script),  # noqa: S704 - our own file
+        policy=_policy(style, script),
+        language=current_language(),
+        **values,
     )
     return page
 
@@ -112,6 +108,12 @@ def _size_and_page_css(part: MapSeries) -> str:
 
 def _data_uri(picture: bytes) -> str:
     return "data:image/png;base64," + base64.b64encode(picture).decode()
+
+
+@cache
+def _compiled(template: str) -> Template:
+    """Return a template that is compiled once: that takes longer than to fill it in."""
+    return _environment().from_string(template)
 
 
 @cache
