@@ -17,7 +17,7 @@ import gis_radar as gr
 from gis_radar.base import Clock, OutputError, in_language
 from gis_radar.products import Fact, Table
 from gis_radar.products.report.content import Chapter, Content, Figure, MapSeries
-from gis_radar.products.report.pages import bound_percents, write_pdf
+from gis_radar.products.report.pages import bound_percents, page_of, write_pdf
 from gis_radar.products.report.report import lane_columns
 
 MOMENT = datetime(2025, 6, 12, tzinfo=UTC)
@@ -105,6 +105,19 @@ def test_heads_and_numbers_of_lanes_are_not_broken(tmp_path):
             assert set(bound_percents(f"{column.title} {column.unit}").split()) <= set(found)
         assert lane in found
     assert {"einsehbar", "Bahnhofsvorplatz"} <= set(full)
+
+
+def test_lanes_without_a_rank_are_on_the_screen_only(tmp_path):
+    with in_language("en"):
+        columns = lane_columns(None, "occupancy")[:2]
+    rows = [[f"lane{k}", "1"] for k in range(5)]
+    table = Table(name="lanes", caption="Lanes", columns=columns, rows=rows, printed=2)
+    page = content_of(parts=[table])
+    letters = letters_of(pages_of(tmp_path, page))
+    assert "lane1" in letters
+    assert "lane2" not in letters
+    assert "Printedarethefirst2of5rows." in letters
+    assert "lane4" in page_of(page)
 
 
 def test_what_a_figure_rests_on_stands_in_its_field(tmp_path):

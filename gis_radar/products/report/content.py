@@ -122,6 +122,8 @@ class Table:
         Remarks below the table.
     files : sequence of (name, text)
         Files beside the report with all rows, and what each holds.
+    printed : int, optional
+        Number of rows on paper and in the PDF; all by default.
     """
 
     name: str
@@ -130,6 +132,7 @@ class Table:
     rows: Sequence[Sequence[str]]
     note: str = ""
     files: Sequence[tuple[str, str]] = ()
+    printed: int | None = None
 
 
 def text_columns(*titles: str) -> list[Column]:

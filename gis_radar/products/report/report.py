@@ -83,6 +83,7 @@ from gis_radar.products.report.traffic import traffic_chapters, traffic_of
 from gis_radar.products.traffic import write_table
 
 MOST_LANES = 150  # rows of the table as read; the CSV file holds all
+LEAST_PRINTED = 10  # lanes on paper; more where more are ranked
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -351,16 +352,16 @@ def _lanes(data: ReportData, *, intervals: bool) -> Table:
     """Return the table of the lanes with a share, from the rows of `lane_table`."""
     table, measure = data.table, data.results.heat.measure
     known, words = table[table["share"].notna()], WORDS[measure]
-    shown = known.head(MOST_LANES)
+    shown, ranks = known.head(MOST_LANES), measure == "occupancy"
     columns = lane_columns(data.clock, measure)
     columns = columns if intervals else columns[:-1]
-    notes = [] if measure == "hit_share" else [_ranking(table)]
+    notes = [_ranking(table)] if ranks else []
     if unseen := len(table) - len(known):
         notes.append(plural(unseen, words.unseen_one, words.unseen_many))
     if len(known) > len(shown):
         text = tr("Here are {part} of {all} lanes.", part=len(shown), all=figure_text(len(known)))
         notes.append(text)
-    if measure == "occupancy":
+    if ranks:
         notes.append(tr("± is the standard error."))
         if intervals:
             text = "A highest interval is named where it lies over the mean by more than its error."
@@ -371,13 +372,12 @@ def _lanes(data: ReportData, *, intervals: bool) -> Table:
         csv_files.append((names.LANES_BY_INTERVAL, tr("each lane in each interval")))
     return Table(
         name="lanes",
-        caption=tr("Lanes by occupancy")
-        if measure == "occupancy"
-        else tr("Lanes in the order of numbers"),
+        caption=tr("Lanes by occupancy") if ranks else tr("Lanes in the order of numbers"),
         columns=columns,
         rows=text_rows((row for _, row in shown.iterrows()), columns),
         note=" ".join(notes),
         files=csv_files,
+        printed=max(int((shown["rank"] > 0).sum()), LEAST_PRINTED) if ranks else None,
     )
 
 
