@@ -57,7 +57,7 @@ docs: set-up-dev ## Build the documentation in out/docs/html, with the notebooks
 
 # Tests are collected once before, which compiles them: else each worker of pytest would do so.
 # The tests in QGIS are one process of four, at nearly normal priority: else they would end last.
-# mypy takes what tests that wait leave of the cores.
+# mypy runs beside them, as neither uses the cores all the time.
 test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 	@rm -rf $(DEMO) $(BUILT_DOCS) && mkdir -p $(dir $(DEMO))
 	$(ONE_THREAD) $(BIN)/python tools/side_by_side.py \
@@ -66,7 +66,7 @@ test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 		'$(BESIDE) sh -c "$(BIN)/pytest --collect-only >$(DEMO).tests || { tail -n 50 $(DEMO).tests; exit 1; }"' \
 		'$(BESIDE) sh tools/get_browser_and_qgis.sh'
 	GIS_RADAR_DEMO=$(DEMO) GIS_RADAR_DOCS=$(BUILT_DOCS) $(ONE_THREAD) $(BIN)/python tools/side_by_side.py \
-		'$(BIN)/pytest -n 3 --dist worksteal' 'nice -n 3 sh tools/test_qgis.sh' '$(BESIDE) $(BIN)/mypy'
+		'$(BIN)/pytest -n 3 --dist worksteal' 'nice -n 3 sh tools/test_qgis.sh' 'nice -n 3 $(BIN)/mypy'
 
 faults: set-up-dev ## Run every input kind with every fault; `make test` runs a sample
 	GIS_RADAR_FAULTS=all $(ONE_THREAD) $(BIN)/pytest -n 3 --dist worksteal tests/faults tests/fuzz
