@@ -283,6 +283,19 @@ def test_while_vehicles_hide_the_line_as_many_come_as_before_or_as_are_followed(
     assert row["volume_se"] == pytest.approx(math.sqrt(variance))
 
 
+def test_of_a_volume_of_hidden_vehicles_alone_no_turn_is_known():
+    """A car crosses while the line is hidden; half of it came, and nobody knows where it went."""
+    cars = [(STRAIGHT, BEGIN + QUARTER // 2 + 200, np.arange(50.0, 90.0, 2.0))]
+    _, counts = seen_all(GRID, share=0.5)
+    counts = TileSteps(**{**vars(counts), "hidden": counts.visible})
+    lanes, turns = measured(cars, GRID, 0.5, counts, seen_all(GRID)[0])
+    assert lanes.loc[(APPROACH, 0), "volume"] == 0.5
+    assert lanes.loc[(APPROACH, 1), "volume"] == 0.0
+    volumes = turns["volume"].xs(APPROACH, level="from_lane").unstack("interval")
+    assert volumes[0].isna().all()
+    assert (volumes[1] == 0.0).all()
+
+
 def test_who_is_followed_while_no_sensor_observes_the_line_comes_at_the_rate_seen():
     """Cars come evenly; the line is visible, then hidden for a tenth, then its sensor is out."""
     way = np.arange(50.0, 90.0, 2.0)

@@ -284,7 +284,7 @@ def _turns(
     counted = np.ma.filled(by_lane["counted"].astype(np.float64), 0.0)
     divisor = np.where(has_hidden_exit, np.maximum(counted, total), total)
     ways_on = np.repeat(np.bincount(ways[:, 0], minlength=1)[ways[:, 0]], grid.count)
-    split = np.where(counted + total > 0.0, quotient(followed, divisor), 0.0)
+    split = np.where(by_lane["volume"] > 0.0, quotient(followed, divisor), 0.0)
     split = np.where(ways_on == 1, 1.0, split)  # also where nobody was followed
     split = np.where(seen, split, np.nan)
     # as that of a volume: the half vehicle that may have come unseen takes each way alike
