@@ -291,9 +291,9 @@ def test_of_a_volume_of_hidden_vehicles_alone_no_turn_is_known():
     lanes, turns = measured(cars, GRID, 0.5, counts, seen_all(GRID)[0])
     assert lanes.loc[(APPROACH, 0), "volume"] == 0.5
     assert lanes.loc[(APPROACH, 1), "volume"] == 0.0
-    volumes = turns["volume"].xs(APPROACH, level="from_lane").unstack("interval")
-    assert volumes[0].isna().all()
-    assert (volumes[1] == 0.0).all()
+    volume = turns["volume"].loc[APPROACH]
+    assert volume.xs(0, level="interval").isna().all()
+    assert (volume.xs(1, level="interval") == 0.0).all()
 
 
 def test_who_is_followed_while_no_sensor_observes_the_line_comes_at_the_rate_seen():
