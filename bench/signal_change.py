@@ -103,7 +103,7 @@ class SignalHour:
         """Return what :func:`gis_radar.measures.measure_lanes` takes, for some intervals."""
         return TrackedLanes(
             network=self.network, grid=grid, states=self.states, vehicles=self.vehicles,
-            visible=self.visible,
+            visible=self.visible, observed=self.visible,
         )  # fmt: skip
 
     def traffic(self, grid: StepGrid = MINUTES) -> gpd.GeoDataFrame:

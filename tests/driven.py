@@ -58,13 +58,14 @@ def drive(vehicle, first_step, fronts, *, speed=10.0, lanelet_id=7, length=4.5, 
 
 def driven(
     folder, tiles, tracks, *, length=4.5, width=1.8, p_heavy=0.0, continued=None, seen_from=None,
-    unseen=(), until=None, **options,
+    unseen=(), until=None, hidden=None, **options,
 ):  # fmt: skip
     """Write a dataset of tracks, states of which are every step; give it.
 
     It is seen from a pose, the usual one where none is given; what else `write_dataset` takes it
     may be given, too.
-    Tiles that are `unseen` are in nobody's sight; those of `until` are observed before a step only.
+    Tiles that are `unseen` are in nobody's sight; those of `until` are observed before a step only,
+    those `hidden` visible before one.
     Vehicles that drive on in another hour have another number in it, as `continued` says.
     """
     tracks = tracks.sort_values(["vehicle", "step"], ignore_index=True)
@@ -78,6 +79,8 @@ def driven(
     first, end = int(steps[0]), int(steps[-1]) + 1
     last = until or {}
     whole = {(n, True): range(first, max(first, min(last.get(n, end), end))) for n in ids}
+    shown = {k: range(of.start, min((hidden or {}).get(k[0], end), of.stop))
+             for k, of in whole.items()}  # fmt: skip
     frames = {"sensor": np.full(len(steps), "R1"), "time_us": steps * 50_000, "first_step": steps,
               "last_step": steps, "pose": np.full(len(steps), "R1")}  # fmt: skip
     zeros = [name for name in FRAMES.names if name not in frames]
@@ -86,7 +89,7 @@ def driven(
         {
             "frames": frames | dict.fromkeys(zeros, np.zeros(len(steps), np.int64)),
             "observed": run_rows({(tile,): of for (tile, _), of in whole.items()}, ["tile_id"]),
-            "visible": run_rows(whole, ["tile_id", "seen"]),
+            "visible": run_rows(shown, ["tile_id", "seen"]),
             "tracks": _rows(kept),
             "vehicles": _vehicles(tracks, ends, length, width, p_heavy),
         },

@@ -102,7 +102,7 @@ def told(fronts, *hidden, what=cycles):
 def tracked(fronts, runs):
     return TrackedLanes(
         network=NETWORK, grid=GRID, states=states_of(fronts), vehicles=vehicles_of(len(fronts)),
-        visible=runs,
+        visible=runs, observed=runs,
     )  # fmt: skip
 
 

@@ -60,10 +60,11 @@ def vehicles_of(cars, length=4.5, heavy=0.25):
     )  # fmt: skip
 
 
-def tracked(network, grid, states, vehicles, visible):
+def tracked(network, grid, states, vehicles, visible, observed=None):
     return TrackedLanes(
-        network=network, grid=grid, states=states, vehicles=vehicles, visible=visible
-    )
+        network=network, grid=grid, states=states, vehicles=vehicles, visible=visible,
+        observed=observed or visible,
+    )  # fmt: skip
 
 
 def seen_all(grid, tiles=TILES, share=1.0):
@@ -82,11 +83,11 @@ def seen_all(grid, tiles=TILES, share=1.0):
     return runs, counts
 
 
-def measured(cars, grid, share=1.0, counts=None):
+def measured(cars, grid, share=1.0, counts=None, observed=None):
     """Measure cars; give lanes and turns as tables."""
     runs, steps = seen_all(grid, share=share)
     found = measure_lanes(
-        tracked(NETWORK, grid, states_of(cars), vehicles_of(cars), runs), counts or steps
+        tracked(NETWORK, grid, states_of(cars), vehicles_of(cars), runs, observed), counts or steps
     )
     lanes = {k: np.ma.filled(v.astype(float), np.nan) if np.ma.isMA(v) else v
              for k, v in found.lanes.items()}  # fmt: skip
@@ -273,12 +274,38 @@ def test_while_vehicles_hide_the_line_as_many_come_as_before_or_as_are_followed(
     begins = [BEGIN, BEGIN + 200, *(BEGIN + QUARTER // 2 + 200 * n for n in range(1, followed + 1))]
     _, counts = seen_all(GRID, share=0.5)
     counts = TileSteps(**{**vars(counts), "hidden": counts.visible})
-    lanes, _ = measured([(STRAIGHT, begin, way) for begin in begins], GRID, 0.5, counts)
+    cars = [(STRAIGHT, begin, way) for begin in begins]
+    lanes, _ = measured(cars, GRID, 0.5, counts, seen_all(GRID)[0])
     row = lanes.loc[(APPROACH, 0)]
     assert row["counted"] == 2.0
     assert row["volume"] == volume
     variance = 2 * 0.3**2 + 2.5 * 0.5 / 0.5**2 + ((2.0 - followed) / 2.0) ** 2
     assert row["volume_se"] == pytest.approx(math.sqrt(variance))
+
+
+def test_of_a_volume_of_hidden_vehicles_alone_no_turn_is_known():
+    """A car crosses while the line is hidden; half of it came, and nobody knows where it went."""
+    cars = [(STRAIGHT, BEGIN + QUARTER // 2 + 200, np.arange(50.0, 90.0, 2.0))]
+    _, counts = seen_all(GRID, share=0.5)
+    counts = TileSteps(**{**vars(counts), "hidden": counts.visible})
+    lanes, turns = measured(cars, GRID, 0.5, counts, seen_all(GRID)[0])
+    assert lanes.loc[(APPROACH, 0), "volume"] == 0.5
+    assert lanes.loc[(APPROACH, 1), "volume"] == 0.0
+    volume = turns["volume"].loc[APPROACH]
+    assert volume.xs(0, level="interval").isna().all()
+    assert (volume.xs(1, level="interval") == 0.0).all()
+
+
+def test_who_is_followed_while_no_sensor_observes_the_line_comes_at_the_rate_seen():
+    """Cars come evenly; the line is visible, then hidden for a tenth, then its sensor is out."""
+    way = np.arange(50.0, 90.0, 2.0)
+    cars = [(STRAIGHT, BEGIN + QUARTER // 10 * n, way) for n in range(10)]
+    _, counts = seen_all(GRID, share=0.4)
+    counts = TileSteps(**{**vars(counts), "hidden": counts.visible / 4.0})
+    lanes, _ = measured(cars, GRID, 0.4, counts, seen_all(GRID, share=0.5)[0])
+    row = lanes.loc[(APPROACH, 0)]
+    assert row["counted"] == 4.0
+    assert row["volume"] == 10.0
 
 
 def test_doubt_of_existence_adds_to_the_error():

@@ -260,8 +260,9 @@ class TrackedLanes:
         States of all vehicles in the intervals; earlier states of the same vehicles may precede.
     vehicles : VehicleTable
         The vehicles.
-    visible : VisibleRuns
-        Runs of all tiles in the grid.
+    visible, observed : VisibleRuns
+        Runs in the grid in which tiles are visible, of all tiles, and in which sensors observe
+        them, of those at the lines at least.
     """
 
     network: LaneNetwork
@@ -269,6 +270,7 @@ class TrackedLanes:
     states: FrontStates
     vehicles: VehicleTable
     visible: VisibleRuns
+    observed: VisibleRuns
 
     @property
     def cells(self) -> int:
@@ -309,17 +311,16 @@ class TrackedLanes:
     @property
     def visible_crossings(self) -> Crossings:
         """Those of them at which the line is visible."""
-        return self.crossings.take(self._at_visible_line)
+        return self.crossings.take(self._while(self.visible))
 
     @property
     def hidden_crossings(self) -> Crossings:
-        """Those of them at which it is not."""
-        return self.crossings.take(~self._at_visible_line)
+        """Those of them at which the line is observed, but not visible."""
+        return self.crossings.take(self._while(self.observed) & ~self._while(self.visible))
 
-    @cached_property
-    def _at_visible_line(self) -> Booleans:
-        crossed = self.crossings
-        return self.visible.at(self.line_tile_id[crossed.lane], crossed.step)
+    def _while(self, runs: VisibleRuns) -> Booleans:
+        """Return the crossings during runs of the tiles at their lines."""
+        return runs.at(self.line_tile_id[self.crossings.lane], self.crossings.step)
 
     def cell_of(self, lane: Integers, step: Integers) -> Integers:
         """Return the cell of each pair of a lane and a step in the grid."""

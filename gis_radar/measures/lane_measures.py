@@ -9,8 +9,10 @@ The variance of a volume has three independent sources:
   each of the two;
 - *existence*: where the probability p that a vehicle exists is known, p (1 - p) replaces the first
   half;
-- *visibility*: if n vehicles are counted in a visible share p of the interval and arrivals are a
-  Poisson process, the whole interval has n / p with variance (n + 1/2) (1 - p) / p^2.
+- *visibility*: if n vehicles are counted in a visible share v of the interval and arrivals are a
+  Poisson process, n w / v with variance (n + 1/2) w (v + w) / v^2 come in another share w of it.
+  While vehicles hide the line, fewer may come, as many as are followed beyond it: the estimate is
+  the mean of both, and half of their difference is an error.
 """
 
 from __future__ import annotations
@@ -198,9 +200,8 @@ def _volumes(counts: _Counts, share: Floats, hidden: _Hidden) -> dict[str, Any]:
     out_of_sight = np.where(estimated, hidden.share, 0.0)
     observed = visible + out_of_sight
     by_rate = counts.counted * out_of_sight / visible
-    followed = np.where(out_of_sight > 0.0, hidden.followed, 0.0)
-    while_observed = counts.counted + (by_rate + followed) / 2.0
-    variance = counts.variance + ((by_rate - followed) / 2.0) ** 2
+    while_observed = counts.counted + (by_rate + hidden.followed) / 2.0
+    variance = counts.variance + ((by_rate - hidden.followed) / 2.0) ** 2
     variance += (counts.counted + 0.5) * out_of_sight * observed / visible**2
     variance += (while_observed + 0.5) * (1.0 - observed)
     return {
@@ -283,7 +284,7 @@ def _turns(
     counted = np.ma.filled(by_lane["counted"].astype(np.float64), 0.0)
     divisor = np.where(has_hidden_exit, np.maximum(counted, total), total)
     ways_on = np.repeat(np.bincount(ways[:, 0], minlength=1)[ways[:, 0]], grid.count)
-    split = np.where(counted + total > 0.0, quotient(followed, divisor), 0.0)
+    split = np.where(by_lane["volume"] > 0.0, quotient(followed, divisor), 0.0)
     split = np.where(ways_on == 1, 1.0, split)  # also where nobody was followed
     split = np.where(seen, split, np.nan)
     # as that of a volume: the half vehicle that may have come unseen takes each way alike

@@ -275,6 +275,23 @@ def test_names_and_free_speeds_that_a_site_states_are_those_of_earlier_measures(
         dataset.with_lanes([{"id": 8}])
 
 
+@pytest.mark.parametrize(("until", "volume"), [(1800, 3.5), (720, (2 + 0.2) / 0.6)])
+def test_vehicles_behind_a_queue_count_by_half_while_a_sensor_observes_the_line(
+    tmp_path, until, volume
+):
+    """Two cars cross it, then it is hidden, and one crosses after 800 steps of a minute's 1200."""
+    first, tiles = EDGE - STEPS_PER_HOUR, fork()
+    tracks = [through(n, first + step, STRAIGHT) for n, step in enumerate((0, 200, 700, 1300))]
+    line = int(tiles.loc[tiles["lane"] == APPROACH, "tile_id"].max())
+    found = fork_dataset(
+        tmp_path / "data", tracks, until={line: first + until}, hidden={line: first + 600}
+    )
+    table = found.traffic("1min").set_index(["lane", "begin"]).loc[APPROACH]
+    assert table["visible_share"].iloc[0] == 0.5
+    assert table["counted"].iloc[0] == 2
+    assert table["volume"].iloc[0] == pytest.approx(volume)
+
+
 def test_turns_of_the_whole_time_sum_to_their_approach(tmp_path):
     """In a minute of the two nobody came to an exit, whose cars are shared like the others."""
     first = EDGE - STEPS_PER_HOUR

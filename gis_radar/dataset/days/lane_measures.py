@@ -27,6 +27,7 @@ from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import (
     CONTINUED,
     LANE_MEASURES,
+    OBSERVED,
     TILE_COUNTS,
     TRACKS,
     TURNS,
@@ -222,15 +223,16 @@ class LaneTraffic(DayTables):
     def _lanes(self, record: HourRecord, grid: StepGrid) -> TrackedLanes:
         """Return the lanes over intervals of an hour, with all vehicles on them."""
         rows = record.read(self.folder, VEHICLES, ["vehicle", "length_m", "p_heavy", "p_exists"])
-        runs = record.read(self.folder, VISIBLE, ["tile_id", "first_step", "last_step"])
         return TrackedLanes(
             network=self.network, grid=grid, states=self._states(record),
             vehicles=VehicleTable(**{name: rows[name].to_numpy() for name in rows.column_names}),
-            visible=VisibleRuns(
-                tile_id=runs["tile_id"].to_numpy(), first=runs["first_step"].to_numpy(),
-                last=runs["last_step"].to_numpy(),
-            ),
+            visible=self._runs(record, VISIBLE), observed=self._runs(record, OBSERVED),
         )  # fmt: skip
+
+    def _runs(self, record: HourRecord, table: TableSchema) -> VisibleRuns:
+        rows = record.read(self.folder, table, ["tile_id", "first_step", "last_step"])
+        tile_id, first, last = (each.to_numpy() for each in rows.columns)
+        return VisibleRuns(tile_id=tile_id, first=first, last=last)
 
     def _states(self, record: HourRecord) -> FrontStates:
         """Return the states of an hour, and those of the same vehicles in the hour before."""

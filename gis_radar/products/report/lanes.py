@@ -23,7 +23,7 @@ BUSY = 0.2  # least share of a busy tile; a class break of all heat maps
 LEAST_TRACKS = 10  # of vehicles that followed it: of ten, chance alone moves a share by a third
 LEAST_SEEN = 0.5  # share of its length: less may be its queue alone, or all but its queue
 MOST_ERROR = 0.5  # standard error, as a share of the occupancy: beyond, 0 is within two of them
-FAR_M = 100.0  # distance from every sensor, beyond which accuracy is not measured
+FAR_M = 100.0  # distance from every sensor, beyond which the accuracy of volumes is not measured
 
 
 def part_and_base(heat: HeatMap, interval: When = None) -> tuple[Floats, Floats]:
