@@ -146,12 +146,14 @@ def test_the_busiest_lane_stands_first_by_name(page):
     assert " ".join(fact.split()) in words
 
 
-def test_no_lane_is_named_the_busiest_of_which_half_the_time_was_hidden(tmp_path, monkeypatch):
+@pytest.mark.parametrize(("every", "until"), [(60, 2200), (4800, 3300)])
+def test_no_lane_is_named_the_busiest_that_was_seen_too_little(tmp_path, monkeypatch, every, until):
+    """Of many cars, for under half of the time; of two cars, for more, but one of them."""
     monkeypatch.setattr("gis_radar.products.report.report.write_pdf", lambda *_: None)
     tiles = fork()
     line = tiles[(tiles["lane"] == APPROACH) & (tiles["s_m"] > LINE_M - 2.0)]["tile_id"]
-    half = dict.fromkeys(line, BEGIN + 2200)
-    folder = reported(tmp_path, cars(), until=half)
+    tracks = [through(n, BEGIN + step, STRAIGHT) for n, step in enumerate(range(0, 4801, every))]
+    folder = reported(tmp_path, tracks, ["en"], until=dict.fromkeys(line, BEGIN + until))
     words = " ".join(Page((folder / "en" / "report.html").read_text(encoding="utf-8")).words)
     assert "Busiest lane none to be named too little seen" in " ".join(words.split())
 
