@@ -388,7 +388,8 @@ def test_of_several_poses_the_neighbour_tells_the_right_one(recordings, true, ri
     assert abs(errors(solved.poses["R2"], true["R2"])[:2] @ ALONG) < 0.6
 
 
-@pytest.mark.parametrize(("seed", "spread_m"), [(77, 6.0), (81, 0.0)])
+@pytest.mark.parametrize("spread_m", [0.0, 6.0])
+@pytest.mark.parametrize("seed", [77, 81])
 def test_a_sensor_that_sees_other_traffic_keeps_its_answer(
     recordings, true, tmp_path, seed, spread_m
 ):

@@ -1,5 +1,8 @@
 """The stages of the search for vehicles, each on a road made for it."""
 
+from itertools import pairwise
+from types import SimpleNamespace
+
 import geopandas as gpd
 import numpy as np
 import pytest
@@ -14,6 +17,7 @@ from gis_radar.tracking import ForwardFilter, MapDetections
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.motion import fit_motion, non_decreasing
 from gis_radar.tracking.paths import Path, path_through
+from gis_radar.tracking.start import bodies
 from gis_radar.tracking.start.bodies import join_directions
 from gis_radar.tracking.start.stationary import CELL_M, pack
 from gis_radar.tracking.tracker import vehicles_in
@@ -418,3 +422,41 @@ def test_a_map_without_lanes_for_vehicles_is_refused():
     table["participants"] = [["pedestrian"]]
     with pytest.raises(gr.NoAnswerError, match="no lanelet for vehicles"):
         lane_graph(table)
+
+
+def joined_one_by_one(parts, is_one):
+    """Return the parts of each body: the largest first, anew with all others once it grew."""
+    sets, gone = [{k} for k in range(len(parts))], set()
+    rows = [len(each) for each in parts]
+    for base in sorted(range(len(parts)), key=lambda k: -len(parts[k])):
+        grew = base not in gone
+        while grew:
+            grew = False
+            for other in range(len(parts)):
+                fits = other != base and other not in gone and rows[other] <= rows[base]
+                if fits and is_one(sets[base], sets[other]):
+                    sets[base] |= sets[other]
+                    rows[base] += rows[other]
+                    gone.add(other)
+                    grew = True
+    return [each for k, each in enumerate(sets) if k not in gone]
+
+
+@given(st.lists(st.integers(1, 4), min_size=1, max_size=7), st.data())
+@settings(max_examples=60)
+def test_parts_of_a_body_are_joined_as_one_by_one(sizes, data):
+    """A body that has grown may be one with parts that it was not one with before."""
+    ends = np.cumsum([0, *sizes])
+    parts = [np.arange(*span) for span in pairwise(ends)]
+    pairs = [(a, b) for a in range(len(parts)) for b in range(len(parts)) if a != b]
+    one = data.draw(st.sets(st.sampled_from(pairs))) if pairs else set()
+    is_one = lambda body, other: any((a, b) in one for a in body for b in other)  # noqa: E731
+    number = np.repeat(np.arange(len(parts)), sizes)
+    of = lambda motion: set(number[motion.rows].tolist())  # noqa: E731
+    place = detections_at(np.full(ends[-1], 1e9), np.zeros((ends[-1], 2)), np.zeros(ends[-1]))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bodies, "purified", lambda _, rows, __: [SimpleNamespace(rows=rows)])
+        patch.setattr(bodies, "fit_motion", lambda _, rows, __: SimpleNamespace(rows=rows))
+        patch.setattr(bodies, "log_odds", lambda _, *two: float(is_one(*map(of, two))))
+        found = bodies.absorb(place, parts, np.zeros((ends[-1], 6)))
+    assert [of(each) for each in found] == joined_one_by_one(parts, is_one)
