@@ -384,6 +384,15 @@ def test_a_file_of_any_length_is_looked_into_for_sites(tmp_path):
     assert not is_city_file(path)
 
 
+def test_check_of_a_city_asks_for_the_file_of_a_site(run, tmp_path):
+    city = city_file(tmp_path, one=tmp_path / "none.toml")
+    code, out, _ = run("check", city, "--json")
+    error = json.loads(out.splitlines()[-1])
+    assert code == 2
+    assert error["message"] == "gis-radar check is for one site"
+    assert error["hint"] == "name the file of a site of the city"
+
+
 def test_two_runs_do_not_work_in_one_folder(site, tmp_path):
     city = city_file(tmp_path, one=tmp_path / "none.toml")
     root = tmp_path / "root"

@@ -83,6 +83,10 @@ def check(*, site: Path, reporter: Reporter) -> Result:
     Shows from when to when each sensor recorded, the view that its detections show, and whether its
     pose fits what it recorded. Exit code 4: the pose of a sensor does not fit.
     """
+    if city.is_city_file(site):
+        raise UsageError(
+            "{} is for one site", "gis-radar check", hint="name the file of a site of the city"
+        )
     found = gr.check_site(site, reporter=reporter)
     failure = found.failure
     advice = "" if failure else Text("the site can be run: gis-radar run {} -o results", site)
