@@ -32,7 +32,8 @@ GAP_S, GAP_SPREAD, DRIVES_MPS = 1.8, 0.6, 2.0
 GAP_LASTS_S = 5.0  # time after which a gap counts as chosen anew
 LEAST_GAP_M = 0.5  # a shorter gap, or an overlap, is within the error of two lengths
 LENGTH_CHANGES_M = (2.0, 1.0, 0.5)  # steps of the search for a merged length, coarse to fine
-HOPELESS = -300.0  # log odds by coarse lengths; finer ones made up at most half of that; nats
+# Log odds by coarse lengths, nats, below which no pair was merged by finer ones (of 1,326 pairs).
+HOPELESS = -300.0
 # Sigma of the distance of parts of one body. Above FLOWING_MPS two drivers' speeds differ by
 # DRIFT_MPS, but a follower lets the gap vary by this share of it at most. Least time of both so.
 RIGID_M, FLOWING_MPS, DRIFT_MPS, GAP_VARIES, LEAST_S = 0.4, 5.0, 1.0, 0.25, 1.0
