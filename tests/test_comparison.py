@@ -18,8 +18,8 @@ from sites import pose
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR, InputError, NoAnswerError, UsageError
-from gis_radar.dataset import POSES, RECORDINGS, write_single_file
-from gis_radar.dataset.files.tables import SIGHTS
+from gis_radar.dataset import POSES, RECORDINGS, LaneTraffic, write_record, write_single_file
+from gis_radar.dataset.files.tables import SIGHTS, TRACKS
 from gis_radar.measures import compare_values, holm_corrected
 from gis_radar.products.comparison.rows import AlikeRows, compared_rows
 
@@ -408,6 +408,22 @@ def test_what_cannot_be_compared_is_refused(dataset, tmp_path):
         )
         with pytest.raises(InputError, match=f"different {what}"):
             gr.compare(dataset, there, before=BEFORE, after=AFTER)
+
+
+def test_lanes_measured_by_an_earlier_method_do_not_compare(dataset, tmp_path, monkeypatch):
+    """Their exact tables are gone, so that they cannot be measured again."""
+    shutil.copytree(dataset.folder, tmp_path / "old")
+    old = gr.open_dataset(tmp_path / "old")
+    for hour, record in old.records().items():
+        LaneTraffic.of(old).update(hour)
+        write_record(old.folder, replace(record, dropped=(TRACKS.name,)))
+    periods = {"before": BEFORE, "after": AFTER}
+    assert len(gr.compare(old, dataset, **periods).table)
+    monkeypatch.setattr("gis_radar.dataset.days.lane_measures.METHOD", 99)
+    assert len(gr.compare(dataset, **periods).table)
+    for pair in ((old, dataset), (dataset, old)):
+        with pytest.raises(InputError, match="old: lanes were measured by another"):
+            gr.compare(*pair, **periods)
 
 
 def test_the_command_writes_page_table_layer_and_maps(run, dataset, tmp_path):

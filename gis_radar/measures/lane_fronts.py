@@ -314,9 +314,9 @@ class TrackedLanes:
         return self.crossings.take(self._while(self.visible))
 
     @property
-    def hidden_crossings(self) -> Crossings:
-        """Those of them at which the line is observed, but not visible."""
-        return self.crossings.take(self._while(self.observed) & ~self._while(self.visible))
+    def observed_crossings(self) -> Crossings:
+        """Those of them at which the line is observed, although it may be hidden by vehicles."""
+        return self.crossings.take(self._while(self.observed) | self._while(self.visible))
 
     def _while(self, runs: VisibleRuns) -> Booleans:
         """Return the crossings during runs of the tiles at their lines."""

@@ -11,8 +11,9 @@ The variance of a volume has three independent sources:
   half;
 - *visibility*: if n vehicles are counted in a visible share v of the interval and arrivals are a
   Poisson process, n w / v with variance (n + 1/2) w (v + w) / v^2 come in another share w of it.
-  While vehicles hide the line, fewer may come, as many as are followed beyond it: the estimate is
-  the mean of both, and half of their difference is an error.
+  While vehicles hide the line, those come that are followed beyond it. Others may have been missed,
+  evenly likely any number up to n w / v, where w is the time in which no vehicle stands at the
+  line: the difference is an error, with the variance of a uniform distribution about its end.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import pyarrow as pa
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, quotient
 from gis_radar.measures.lane_fronts import Crossings, StepGrid, TrackedLanes, driven
 from gis_radar.measures.lane_network import LaneNetwork
-from gis_radar.measures.queues import QUEUE_EVERY_STEPS, queue_backs
+from gis_radar.measures.queues import QUEUE_EVERY_STEPS, blocked_shares, queue_backs
 
 SPEED_CLASS_KMH = 5.0  # width of a class of speeds
 SPEED_CLASSES = 40  # up to 200 km/h; the last one is open
@@ -81,15 +82,16 @@ def measure_lanes(lanes: TrackedLanes, tiles: TileSteps) -> Measured:
     tiles : TileSteps
         Steps of tiles; a lane gets a row for each interval in which one of its tiles has one.
     """
-    network, grid, crossed = lanes.network, lanes.grid, lanes.visible_crossings
+    network, grid, crossed = lanes.network, lanes.grid, lanes.observed_crossings
     areas = _areas(lanes, tiles)
     share = _share_at(lanes.line_tile_id, grid, tiles)
-    unseen = lanes.hidden_crossings
+    counts = _Counts.of(lanes.visible_crossings, lanes)
+    followed = np.bincount(lanes.cell_of(crossed.lane, crossed.step), minlength=lanes.cells)
     hidden = _Hidden(
         _share_at(lanes.line_tile_id, grid, tiles, "hidden"),
-        np.bincount(lanes.cell_of(unseen.lane, unseen.step), minlength=lanes.cells),
+        blocked_shares(lanes),
+        followed - counts.counted,
     )
-    counts = _Counts.of(crossed, lanes)
     seconds, metres = driven(lanes)
     most_m, sum_m = queue_backs(lanes)
     columns: dict[str, Any] = _volumes(counts, share, hidden)
@@ -109,6 +111,7 @@ def measure_lanes(lanes: TrackedLanes, tiles: TileSteps) -> Measured:
     table |= {name: values[rows] for name, values in columns.items()}
     table["speed_counts"] = _lists(counts.speeds[rows], columns["counted"].mask[rows])
     table["visible_km_h"] = areas.visible_km_h[rows]
+    columns["followed"] = followed
     return Measured(table, _turns(lanes, crossed, columns, areas, tiles))
 
 
@@ -183,31 +186,29 @@ class _Counts:
 
 
 class _Hidden(NamedTuple):
-    """When lines were observed but hidden, by cells: share of the interval, vehicles followed."""
+    """Hidden lines, by cells: share of the interval, that in which none crosses, crossings."""
 
     share: Floats
-    followed: Integers
+    blocked: Floats
+    crossings: Integers
 
 
 def _volumes(counts: _Counts, share: Floats, hidden: _Hidden) -> dict[str, Any]:
-    """Return the counts, and the estimates for whole intervals.
-
-    While vehicles hide a line, as many come as while it is visible, or, as in a queue, only those
-    that are followed beyond it: the estimate is the mean of both.
-    """
+    """Return the counts, and the estimates for whole intervals."""
     estimated = share >= LEAST_SHARE
     visible = np.where(estimated, share, 1.0)
-    out_of_sight = np.where(estimated, hidden.share, 0.0)
-    observed = visible + out_of_sight
-    by_rate = counts.counted * out_of_sight / visible
-    while_observed = counts.counted + (by_rate + hidden.followed) / 2.0
-    variance = counts.variance + ((by_rate - hidden.followed) / 2.0) ** 2
-    variance += (counts.counted + 0.5) * out_of_sight * observed / visible**2
-    variance += (while_observed + 0.5) * (1.0 - observed)
+    observed = np.where(estimated, share + hidden.share, 1.0)
+    passable = np.maximum(observed - visible - hidden.blocked, 0.0)
+    unseen = np.where(estimated, hidden.crossings, 0.0)
+    missed = counts.counted * passable / visible - unseen
+    chance = (counts.counted + 0.5) * passable * (visible + passable) / visible**2
+    variance = counts.variance + COUNTING_INFERRED**2 * unseen + (missed**2 + chance) / 3.0
+    followed = counts.counted + unseen
+    variance += (followed + 0.5) * (1.0 - observed)
     return {
         "visible_share": share,
         "counted": _masked(counts.counted, share == 0.0),
-        "volume": np.where(estimated, while_observed / observed, np.nan),
+        "volume": np.where(estimated, followed / observed, np.nan),
         "volume_se": np.where(estimated, np.sqrt(variance) / observed, np.nan),
         "heavy": np.where(share > 0.0, counts.heavy, np.nan),
     }
@@ -281,8 +282,7 @@ def _turns(
     size, seen = lanes.cells, share >= LEAST_SHARE
     total = np.bincount(start, followed * seen, size)[start]
     has_hidden_exit = np.bincount(start, ~seen, size)[start] > 0
-    counted = np.ma.filled(by_lane["counted"].astype(np.float64), 0.0)
-    divisor = np.where(has_hidden_exit, np.maximum(counted, total), total)
+    divisor = np.where(has_hidden_exit, np.maximum(by_lane["followed"], total), total)
     ways_on = np.repeat(np.bincount(ways[:, 0], minlength=1)[ways[:, 0]], grid.count)
     split = np.where(by_lane["volume"] > 0.0, quotient(followed, divisor), 0.0)
     split = np.where(ways_on == 1, 1.0, split)  # also where nobody was followed
@@ -304,7 +304,7 @@ def _turns(
     } | {name: values[rows] for name, values in columns.items()}
 
 
-_OF_APPROACH = ("visible_share", "counted", "volume", "volume_se")
+_OF_APPROACH = ("visible_share", "followed", "volume", "volume_se")
 
 
 def _turn_rows(network: LaneNetwork) -> Integers:

@@ -12,6 +12,7 @@ from gis_radar.measures.lane_fronts import StepGrid, TrackedLanes
 from gis_radar.measures.lane_network import LaneNetwork
 
 JOINED_M = 10.0  # most visible road to the vehicle ahead, or to the line: two cars
+SHORTEST_CAR_M = 3.5
 OVER_LINE_M = 2.0  # how far the front of a waiting vehicle may be over the line
 # Queues are measured at steps divisible by this: all tracks have a state there.
 QUEUE_EVERY_STEPS = 4
@@ -35,6 +36,22 @@ def queue_backs(lanes: TrackedLanes) -> tuple[Floats, Floats]:
         np.maximum.at(most[stop], interval, back_m)
         total[stop] = np.bincount(interval, back_m, grid.count)
     return most.ravel(), total.ravel()
+
+
+def blocked_shares(lanes: TrackedLanes) -> Floats:
+    """Return the shares of intervals in which a vehicle stands at a hidden line, by cells.
+
+    While it stands over the line, or so close before it that no car fits between, none crosses.
+    """
+    standing, network, grid = StandingFronts.of(lanes), lanes.network, lanes.grid
+    beyond_m = standing.along_m - network.line_m[standing.lane]
+    at_line = (beyond_m > -SHORTEST_CAR_M) & (beyond_m < standing.length_m)
+    pairs = np.stack([standing.lane, standing.step])[:, at_line]
+    lane, step = np.unique(pairs, axis=1)
+    tile = lanes.line_tile_id[lane]
+    is_hidden = lanes.observed.at(tile, step) & ~lanes.visible.at(tile, step)
+    count = np.bincount(lanes.cell_of(lane[is_hidden], step[is_hidden]), minlength=lanes.cells)
+    return np.asarray(count * QUEUE_EVERY_STEPS / grid.steps, np.float64)
 
 
 def queue_steps(grid: StepGrid) -> Integers:

@@ -275,8 +275,8 @@ def test_names_and_free_speeds_that_a_site_states_are_those_of_earlier_measures(
         dataset.with_lanes([{"id": 8}])
 
 
-@pytest.mark.parametrize(("until", "volume"), [(1800, 3.5), (720, (2 + 0.2) / 0.6)])
-def test_vehicles_behind_a_queue_count_by_half_while_a_sensor_observes_the_line(
+@pytest.mark.parametrize(("until", "volume"), [(1800, 3.0), (720, 2 / 0.6)])
+def test_vehicles_followed_over_a_hidden_line_count_while_a_sensor_observes_it(
     tmp_path, until, volume
 ):
     """Two cars cross it, then it is hidden, and one crosses after 800 steps of a minute's 1200."""
@@ -290,6 +290,22 @@ def test_vehicles_behind_a_queue_count_by_half_while_a_sensor_observes_the_line(
     assert table["visible_share"].iloc[0] == 0.5
     assert table["counted"].iloc[0] == 2
     assert table["volume"].iloc[0] == pytest.approx(volume)
+
+
+def test_a_vehicle_that_stands_at_a_hidden_line_makes_its_volume_surer(tmp_path):
+    """While it waits nobody else crosses; else up to as many may have come as while it is seen."""
+    first, tiles = EDGE - STEPS_PER_HOUR, fork()
+    tracks = [through(n, first + step, STRAIGHT) for n, step in enumerate((0, 200, 1300))]
+    line = int(tiles.loc[tiles["lane"] == APPROACH, "tile_id"].max())
+    errors = []
+    for name, front in (("at the line", LINE_M - 3.0), ("two cars before it", LINE_M - 15.0)):
+        waits = drive(9, first + 560, np.full(680, front), speed=0.0, lanelet_id=APPROACH)
+        found = fork_dataset(tmp_path / name, [*tracks, waits], hidden={line: first + 600})
+        row = found.traffic("1min").set_index(["lane", "begin"]).loc[APPROACH].iloc[0]
+        assert row["volume"] == pytest.approx(2.0)
+        errors.append(row["volume_se"])
+    assert errors[0] == pytest.approx(0.3, abs=0.02)  # of two counted ones, 0.3**2 / 2 each
+    assert errors[1] > 1.0
 
 
 def test_turns_of_the_whole_time_sum_to_their_approach(tmp_path):

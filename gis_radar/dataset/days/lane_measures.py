@@ -18,10 +18,10 @@ import pyarrow.compute as pc
 import pyogrio
 
 from gis_radar.base import STEPS_PER_HOUR, STEPS_PER_SECOND, InputError, Integers, opened_package
-from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, DayTables
+from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, DayTables, records_of
 from gis_radar.dataset.days.tile_counts import TileCounts, count_spans
 from gis_radar.dataset.files.manifest import TILES
-from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys, hour_text
+from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys, days_of, hour_text
 from gis_radar.dataset.files.records import HourRecord, Span, read_hour
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import (
@@ -49,7 +49,7 @@ from gis_radar.measures import (
     queue_course,
 )
 
-METHOD = 6
+METHOD = 7
 """Raised whenever the same parts would give other lane measures or turns."""
 
 _TILE_COLUMNS = (
@@ -120,6 +120,12 @@ class LaneTraffic(DayTables):
         before = self._hour_before(record.hour)
         inputs, method = ("", 0) if before is None else (before.origin.inputs, before.origin.method)
         return [METHOD, record.origin.method, record.origin.inputs, method, inputs]
+
+    def methods(self, records: Mapping[int, HourRecord]) -> set[int]:
+        """Return the methods of lane measures of hours: an earlier one where they stay as made."""
+        self.remember(records)
+        days = {day: self.keys(day, records_of(day, records)) for day in days_of(records)}
+        return {int(key[0]) for keys in days.values() for key in keys.values()}
 
     def _hour_before(self, hour: int) -> HourRecord | None:
         """Return the record of the hour before, if it has tracks."""

@@ -133,6 +133,17 @@ def _rows(
 ) -> list[gpd.GeoDataFrame]:
     """Read the traffic of both periods, by `FINER` intervals where the periods are short."""
     records = [dataset.records(dataset.span(*period)) for dataset, period in sources]
+    methods = [
+        (number, dataset.folder)
+        for (dataset, _), of_period in zip(sources, records, strict=True)
+        for number in LaneTraffic.of(dataset).methods(of_period)
+    ]
+    if len({number for number, _ in methods}) > 1:
+        raise InputError(
+            "{}: lanes were measured by another method, and their exact tables are gone",
+            min(methods)[1],
+            hint="compare periods that were measured alike",
+        )
     few = max(map(len, records)) <= FEW_HOURS
     exact = not any(hour.dropped for each in records for hour in each.values())
     interval = FINER if few and exact else INTERVAL
