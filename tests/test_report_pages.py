@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from io import BytesIO
 from itertools import product
@@ -15,8 +16,8 @@ from report_site import write_results
 
 import gis_radar as gr
 from gis_radar.base import Clock, OutputError, in_language
-from gis_radar.products import Fact, Table
-from gis_radar.products.report.content import Chapter, Content, Figure, MapSeries
+from gis_radar.products import Fact, Strip, Table
+from gis_radar.products.report.content import Chapter, Chart, Content, Figure, MapSeries
 from gis_radar.products.report.pages import bound_percents, page_of, write_pdf
 from gis_radar.products.report.report import lane_columns
 
@@ -118,6 +119,23 @@ def test_lanes_without_a_rank_are_on_the_screen_only(tmp_path):
     assert "lane2" not in letters
     assert "Printedarethefirst2of5rows." in letters
     assert "lane4" in page_of(page)
+
+
+def test_lanes_over_time_but_the_first_are_on_the_screen_only(tmp_path):
+    charts = [
+        Chart(
+            caption="c", alt="a", heading="h", below="b", top="10", times=[(0.0, "09:00")],
+            strips=[Strip(f"lane{k}", "M0 0H1000", "M0 0H1000", ()) for k in (first, first + 1)],
+        )
+        for first in (1, 3)
+    ]  # fmt: skip
+    for name, is_printed in (("time", False), ("queues", True)):
+        page = replace(content_of(), chapters=[Chapter(name, "Lanes over time", charts)])
+        letters = letters_of(pages_of(tmp_path, page))
+        assert "lane2" in letters
+        assert ("lane3" in letters) == is_printed
+        assert ("Printedarethefirst2lanes." in letters) != is_printed
+        assert "lane4" in page_of(page)
 
 
 def test_what_a_figure_rests_on_stands_in_its_field(tmp_path):

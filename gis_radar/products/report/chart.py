@@ -22,7 +22,7 @@ from gis_radar.base import (
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.report.content import Chart, Strip
 
-STRIPS, MOST_CHARTS = 14, 4  # lanes of a chart, which fills a page; most charts
+STRIPS, MOST_CHARTS = 10, 6  # lanes of a chart; most charts, of which the first is printed
 TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # highest values that the scale may have
 MOST_TICKS = 7  # times below a chart
 ROUND_S = (

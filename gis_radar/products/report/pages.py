@@ -101,7 +101,7 @@ def _size_and_page_css(part: MapSeries) -> str:
     return (
         "@media screen and (min-width: 52rem) { .plate { grid-template-columns: "
         f"minmax(0, calc(max(22rem, min(58rem, 88vh)) * {shape})) 18rem; }} }}\n"
-        f"@media print {{ .large {{ flex: none; width: min(128mm, calc(165mm * {shape})); }} "
+        f"@media print {{ .large {{ flex: none; width: min(128mm, calc(95mm * {shape})); }} "
         f'@page {{ @bottom-right {{ content: "{page}"; }} }} }}\n'
     )
 
