@@ -190,7 +190,7 @@ class _Hidden(NamedTuple):
 
     share: Floats
     blocked: Floats
-    crossings: Integers
+    crossings: Floats
 
 
 def _volumes(counts: _Counts, share: Floats, hidden: _Hidden) -> dict[str, Any]:
