@@ -21,12 +21,12 @@ import geopandas as gpd
 import numpy as np
 import shapely
 from figures import TIME_CHANCE, Figure, report
-from plain_grid import TileGridNumpy
 from simulated import DATA, true_pose
+from tile_oracles import TileEngine, TileGridNumpy, TileTree
 
 import gis_radar as gr
 from gis_radar.base import Floats
-from gis_radar.hdmap import TileEngine, TileGrid, TileTree, polygons, quads
+from gis_radar.hdmap import TileGrid, polygons, quads
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
 
 TARGETS = {"sjoin from coordinates": 25.0, "sjoin with points built": 5.0}  # times as fast

@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sites import EAST, NORTH, lane_quads
 
-from bench.plain_grid import TileGridNumpy
-from gis_radar.hdmap import TileGrid, TileTree, polygons
+from bench.tile_oracles import TileGridNumpy, TileTree
+from gis_radar.hdmap import TileGrid, polygons
 
 ENGINES = [TileGrid, TileGridNumpy, TileTree]
 

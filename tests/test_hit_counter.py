@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gis_radar as gr
+from bench.tile_oracles import TileTree
 from gis_radar.base import InputError
-from gis_radar.hdmap import TileGrid, TileTree, quads
+from gis_radar.hdmap import TileGrid, quads
 from gis_radar.measures import FrameCounter, PoseNumbers
 from gis_radar.measures.counting_loop import DETECTIONS, TILES_HIT
 from gis_radar.measures.hit_counter import HitCounter, rows_of_columns

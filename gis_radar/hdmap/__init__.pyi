@@ -15,7 +15,7 @@ from .osm import read_osm
 from .reader import read_map
 from .tagging import ON_FOOT_OR_BICYCLE, is_driven
 from .tile_lanes import Lane, lanes_of
-from .tile_lookup import Numbers, TileCells, TileEngine, TileGrid, TileTree, cell_at, is_inside
+from .tile_lookup import Numbers, TileCells, TileGrid, cell_at, is_inside
 from .tiles import (
     LANE_COLUMN,
     TILE_COLUMNS,
@@ -48,9 +48,7 @@ __all__ = [
     "LaneletMap",
     "Numbers",
     "TileCells",
-    "TileEngine",
     "TileGrid",
-    "TileTree",
     "at_fractions",
     "bound_length",
     "cell_at",

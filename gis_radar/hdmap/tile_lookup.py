@@ -1,14 +1,13 @@
-"""Find the tiles that points fall in: two exact engines that give the same pairs.
+"""Find the tiles that points fall in.
 
 A point is in a tile by the number of edges that a ray to the west crosses. Each edge is stored in
 one direction, the same for both tiles that it bounds: the arithmetic is the same, so a point on it
 is in exactly one of them.
 
-:class:`TileGrid` is the default. Its inner loop is compiled by numba, which is worth its 190 MB:
-the same look-up in NumPy alone (`bench/plain_grid.py`, also an oracle of the tests) is ten times
-slower (`make bench-assignment`) and barely three times faster than a spatial join. A compiled
-extension of our own would need a compiler on each user's machine. :class:`TileTree` is the paper's
-R-tree ("Local Sensor Data Processing").
+The inner loop is compiled by numba, which is worth its 190 MB: the same look-up in NumPy alone is
+ten times slower (`make bench-assignment`) and barely three times faster than a spatial join. A
+compiled extension of our own would need a compiler on each user's machine. The look-up in NumPy and
+the paper's R-tree are oracles of the tests (`bench/tile_oracles.py`).
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from rtree import index as rtree_index
 
 from gis_radar.base import Floats, Integers, compiled
 
@@ -176,41 +174,6 @@ class TileGrid:
             point, tile = (np.concatenate([kept, np.empty_like(kept)]) for kept in (point, tile))
 
 
-class TileTree:
-    """The paper's R-tree over the tiles' bounding boxes, then the exact test.
-
-    Parameters
-    ----------
-    quads : (n, 4, 2) array
-        Vertices of the tiles in order around them; map frame, metres.
-    """
-
-    def __init__(self, quads: Floats) -> None:
-        self._origin = _origin(quads)
-        local = quads - self._origin
-        self._edges = _edges(local)
-        boxes = np.hstack([local.min(axis=1), local.max(axis=1)])
-        entries = ((i, tuple(box), None) for i, box in enumerate(boxes.tolist()))
-        self._tree = rtree_index.Index(entries) if len(boxes) else rtree_index.Index()
-
-    def assign(self, easting: Floats, northing: Floats) -> Pairs:
-        """Return the pairs (point, tile); see :meth:`TileGrid.assign`."""
-        points = np.column_stack([easting, northing]) - self._origin
-        finite = np.flatnonzero(np.isfinite(points).all(axis=1))
-        tiles, counts = self._tree.intersection_v(  # type: ignore[no-untyped-call]
-            points[finite], points[finite]
-        )
-        point = np.repeat(finite, counts.astype(np.int64))
-        tile = np.asarray(tiles, dtype=np.int64)
-        inside = inside_quads(self._edges[tile], points[point])
-        order = np.lexsort((tile[inside], point[inside]))
-        return point[inside][order], tile[inside][order]
-
-
-TileEngine: TypeAlias = TileGrid | TileTree
-"""A class that finds the tiles of points."""
-
-
 def _origin(quads: Floats) -> Floats:
     """Return the south-west corner of all tiles, metres: coordinates from it lose no digits."""
     return np.floor(quads.reshape(-1, 2).min(axis=0)) if len(quads) else np.zeros(2)
@@ -227,14 +190,6 @@ def _edges(quads: Floats) -> Floats:
     rise = high[..., 1] - low[..., 1]
     slope = np.divide(high[..., 0] - low[..., 0], rise, out=np.zeros_like(rise), where=rise > 0.0)
     return np.stack([low[..., 1], high[..., 1], low[..., 0], slope], axis=1)
-
-
-def inside_quads(edges: Floats, points: Floats) -> NDArray[np.bool_]:
-    """Return for each row whether the point is in the tile with these (n, 4, 4) edges."""
-    x, y = points[:, None, 0], points[:, None, 1]
-    low, high, x_low, slope = np.moveaxis(edges, 1, 0)
-    crossed = (low <= y) & (y < high) & (x >= x_low + (y - low) * slope)
-    return np.asarray(np.bitwise_xor.reduce(crossed, axis=1))
 
 
 @compiled

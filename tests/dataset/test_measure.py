@@ -10,8 +10,9 @@ from maps import Listener
 from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
 
 import gis_radar as gr
+from bench.tile_oracles import TileTree
 from gis_radar.base import step_of
-from gis_radar.hdmap import TileTree, quads
+from gis_radar.hdmap import quads
 from gis_radar.scans import SightTiles
 
 
