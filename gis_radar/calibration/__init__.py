@@ -14,7 +14,7 @@ From the data to the answers (*in* names the module that calls the others):
   chooses among poses, `adjustment` adjusts them, `network` decides, in `joint`;
 - `monitoring` follows a pose: `windows` registers a window, `kalman_filter` takes it in, `moves`
   notices large and `stationary_targets` small moves, in `monitor`;
-- `check` tells whether recordings, poses and map fit together: `excerpt` reads traffic and finds
+- `check` finds whether recordings, poses and map fit together: `excerpt` reads traffic and finds
   `faults`, `evidence` scores it on the lanes, `mistakes` lists what may be wrong, `explanations`
   chooses among them, `nearly_right` (by `fitted_pose`) measures what is left, `scene_change` and
   `odd_clocks` compare times and sensors, in `plausibility`.

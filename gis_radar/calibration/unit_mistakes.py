@@ -1,4 +1,4 @@
-"""Mistakes of units or signs of a recording, told by its scale of range, and their correction."""
+"""Mistakes of units or signs of a recording, found by its scale of range, and their correction."""
 
 from __future__ import annotations
 

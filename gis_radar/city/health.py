@@ -194,13 +194,13 @@ def _silence(
 
 
 def _poses(dataset: Dataset, recordings: pd.DataFrame) -> pd.DataFrame:
-    """Return the poses with `begin_s`, from when each holds: single ones from their first frame."""
+    """Return the poses with `begin_s`, from when each counts; of single ones, their first frame."""
     poses = dataset.single_table(POSES).to_pandas()
     first = recordings.groupby("pose")["first_time"].min()
     begin = poses["since"].astype(float).fillna(poses["track"].map(first))
     event = [json.loads(each).get("event", "") for each in poses["document"]]
-    held: pd.DataFrame = poses.assign(begin_s=begin, event=event).sort_values("begin_s")
-    return held
+    by_time: pd.DataFrame = poses.assign(begin_s=begin, event=event).sort_values("begin_s")
+    return by_time
 
 
 def _moves(poses: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:

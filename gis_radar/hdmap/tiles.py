@@ -52,7 +52,7 @@ TILE_COLUMNS = (
     "tile_id", "lanelet_id", "index", "s_m", "length_m", "width_m", "height_m", "subtype",
 )  # fmt: skip
 IDS = ("tile_id", "lanelet_id", "index")
-LANE_COLUMN = "lane"  # number of the lane; tiles of older versions have none
+LANE_COLUMN = "lane"  # number of the lane; tiles without it are read, too
 
 
 def make_tiles(

@@ -39,8 +39,8 @@ from gis_radar.live.wire.payload import VERSION
 from gis_radar.live.wire.settings import webhook_address
 
 _, SILENT, MOVED, DOUBTFUL, CLOCK_OFF, _, _, WORKS = SENSOR_STATES
-# Time for which a state holds before it is told: twice the longest wait for a lost link, so that
-# a broker or a sensor's program that is started again is no alert.
+# Time for which a state lasts before an alert is sent: twice the longest wait for a lost link, so
+# that a broker or a sensor's program that is started again is no alert.
 HOLD_S = 60.0
 TIMEOUT_S = 5.0  # longest wait for a webhook
 RETRIES_S = (5.0, 30.0, 180.0)  # waits before further tries: a receiver that is restarted is back
@@ -68,7 +68,7 @@ CAUSES = (
     _Cause(("pose",), DOUBTFUL, "its counts are not to be trusted until that is put right"),
     _Cause(("clock",), CLOCK_OFF, _SET_CLOCK),
 )  # fmt: skip
-"""The first whose alarms are all raised counts: a sensor that was moved sends nothing, too."""
+"""Causes in the order of precedence: a sensor that was moved is silent as well."""
 WELL = "it works; there is nothing to do"
 
 
@@ -81,11 +81,12 @@ class _Watched:
     since_s: float = math.inf
     ill_since_s: float = math.inf
 
-    def due(self, told: str, now_s: float) -> float | None:
-        """Return for how long the state has lasted if it is to be told, seconds; else None.
+    def due(self, sent: str, now_s: float) -> float | None:
+        """Return for how long the state has lasted if an alert of it is due, seconds; else None.
 
-        A sensor that begins to work and fails again within `HOLD_S` counts as out of order all
-        the time, so that one that flaps is told once.
+        `sent` is the state of the last alert, empty before the first. A sensor that works for less
+        than `HOLD_S` counts as out of order all the time: one that fails again and again has one
+        alert.
         """
         state, _ = condition(self.health)
         if state != self.state:
@@ -94,24 +95,24 @@ class _Watched:
             self.ill_since_s = min(self.ill_since_s, now_s)
         elif now_s - self.since_s >= HOLD_S:
             self.ill_since_s = math.inf
-        begins = state != WORKS and told in {"", WORKS}
+        begins = state != WORKS and sent in {"", WORKS}
         lasts_s = now_s - (self.ill_since_s if begins else self.since_s)
-        return lasts_s if state != told and lasts_s >= HOLD_S else None
+        return lasts_s if state != sent and lasts_s >= HOLD_S else None
 
 
 def condition(health: SensorHealth) -> tuple[Text, Text]:
     """Return the state of a sensor, and what is known of it with what to do."""
     for alarms, state, advice in CAUSES:
         if health.alarms.keys() >= {*alarms}:
-            told = health.alarms[alarms[-1]]
-            is_clock = state == DOUBTFUL and concerns_clocks(told)
-            text = Text("{}: {}; {}", Text(ALARMS[alarms[-1]]), told, Text(advice))
+            reason = health.alarms[alarms[-1]]
+            is_clock = state == DOUBTFUL and concerns_clocks(reason)
+            text = Text("{}: {}; {}", Text(ALARMS[alarms[-1]]), reason, Text(advice))
             return CLOCK_OFF if is_clock else state, text
     return WORKS, Text(WELL)
 
 
 class Alerts:
-    """Alerts of a site: each sensor's state that was told last, and messages where it changes.
+    """Alerts of a site: the last state sent for each sensor, and a message where it changes.
 
     Parameters
     ----------
@@ -120,7 +121,7 @@ class Alerts:
     sensors : iterable of SensorHealth
         Health of the sensors.
     path : Path
-        File of what was told, so that a new start tells nothing again.
+        File of the alerts that were sent, so that a new start sends none again.
     publish : callable
         Publishes the message of a sensor, by name and content.
     webhook : Webhook, optional
@@ -139,11 +140,11 @@ class Alerts:
         self._site, self._path, self._language = site, path, language
         self._publish, self._webhook, self._reporter = publish, webhook, reporter
         self._watched = {each.name: _Watched(health=each) for each in sensors}
-        told = _read(path, reporter)
-        self._told = {name: told[name] for name in self._watched if name in told}
+        sent = _read(path, reporter)
+        self._sent = {name: sent[name] for name in self._watched if name in sent}
 
     def check(self, time_s: float, now_s: float) -> None:
-        """Tell the states that have changed and held.
+        """Send alerts of the states that changed `HOLD_S` ago or earlier.
 
         Parameters
         ----------
@@ -152,23 +153,23 @@ class Alerts:
         """
         changed = False
         for name, each in self._watched.items():
-            before = str(self._told.get(name, {}).get("state", ""))
+            before = str(self._sent.get(name, {}).get("state", ""))
             lasts_s = each.due(before, now_s)
             if lasts_s is None:
                 continue
             changed, since_s = True, time_s - lasts_s
             if each.state == SILENT:
                 since_s = min(since_s, each.health.heard_s)
-            self._told[name] = self._record(each, since_s)
-            self._publish(name, _packed(self._told[name]))
+            self._sent[name] = self._record(each, since_s)
+            self._publish(name, _packed(self._sent[name]))
             if self._webhook is not None and (before or each.state != WORKS):
-                self._webhook.put(_packed(self._told[name]))
+                self._webhook.put(_packed(self._sent[name]))
         if changed:
             self._store()
 
     def repeat(self) -> None:
         """Publish the states again, as a broker that was started anew has none."""
-        for name, record in self._told.items():
+        for name, record in self._sent.items():
             self._publish(name, _packed(record))
 
     def _record(self, watched: _Watched, since_s: float) -> dict[str, object]:
@@ -185,7 +186,7 @@ class Alerts:
     def _store(self) -> None:
         try:
             with atomic_write(self._path) as part:
-                part.write_text(json_text(self._told, indent=1) + "\n", encoding="utf-8")
+                part.write_text(json_text(self._sent, indent=1) + "\n", encoding="utf-8")
         except GisRadarError as error:
             self._reporter.warn(error.message)
 
@@ -195,7 +196,7 @@ def _packed(record: dict[str, object]) -> bytes:
 
 
 def _read(path: Path, reporter: Reporter) -> dict[str, dict[str, object]]:
-    """Return what was told by sensor; a file that cannot be read is logged."""
+    """Return the last alert of each sensor; a file that cannot be read is logged."""
     if not path.exists():
         return {}
     try:

@@ -42,7 +42,7 @@ UNSTATED = Text("no two begins of green stated")
 HIDDEN = Text("stop line not visible throughout")
 CHANCE = Text("vehicles leave in the stated greens hardly more than by chance")
 AMBER_S = 3.0  # after green, in which vehicles still cross
-LEAST_LEAVING = 10  # vehicles that tell greens of another signal or clock
+LEAST_LEAVING = 10  # fewest vehicles from which greens of another signal or clock are found
 MOST_AT_RED = 0.2  # share of them up to which greens are taken, whatever chance explains
 LEAST_WAITING = 0.3  # least share of them that waits for green where others turn at red
 
@@ -218,8 +218,8 @@ def _stated_cycles(lane: int, greens: Greens, crossed: Integers, grid: StepGrid)
 def are_of_another(greens: Greens, crossed: Integers) -> bool:
     """Return whether greens are of another signal, or by another clock: few vehicles leave in them.
 
-    Where turning at red is allowed, many leave at red, but some wait for green. Few vehicles do
-    not tell: then the greens are taken.
+    Where turning at red is allowed, many leave at red, but some wait for green. From few vehicles
+    nothing follows: then the greens are taken.
 
     Parameters
     ----------

@@ -165,7 +165,7 @@ def _make_views(session: Session, schemas: Mapping[str, str]) -> None:
         try:
             with session.cursor.connection.transaction():
                 session.run(statement, view=view)
-        except errors.InvalidTableDefinition:  # an earlier version had other columns
+        except errors.InvalidTableDefinition:  # a column is gone, or has another type
             session.run("DROP VIEW {schema}.{view}", view=view)
             session.run(statement, view=view)
         session.run("COMMENT ON VIEW {schema}.{view} IS {text}", text=comment, view=view)

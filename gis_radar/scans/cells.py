@@ -464,5 +464,5 @@ def _occupied_squares(xyz: Floats, side_m: float) -> Floats:
     side = int(BLOCK_M / side_m)
     grid = Grid(cell_m=side_m, west=0, south=0, columns=side, rows=side)
     column, row = grid.cells(xyz[:, 0], xyz[:, 1])
-    held = grid.holds(column, row)
-    return grid.corners(np.unique(row[held] * side + column[held]))
+    inside = grid.holds(column, row)
+    return grid.corners(np.unique(row[inside] * side + column[inside]))

@@ -21,7 +21,7 @@ HIGH_M, AROUND_M = 2.5, 2.5  # over the lowest point around: higher than most ca
 STEP_M, REACH_M = 1.0, 16.0  # of the places that are tried
 # Places within `SAME_M` are one. Where the roads are, this share of what stands over them at any
 # other place stands over them at most: 0.07 to 0.36 on four simulated sites. Where there are two
-# with less than `LEAST_ELSEWHERE`, as beside an avenue in fields, the scan does not tell the place.
+# with less than `LEAST_ELSEWHERE`, as beside an avenue in fields, the place is not known.
 SAME_M, OPEN_SHARE, LEAST_HIGH, LEAST_ELSEWHERE = 4.0, 0.5, 0.05, 0.01
 LEAST_POINTS, MOST_POINTS = 400, 5000  # of the roads that are compared
 EDGE_M = 1.25  # of roads, over which crowns and roofs reach

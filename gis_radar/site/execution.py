@@ -369,9 +369,9 @@ class RunState:
                 "options": dict(stage.options),
                 "software": software(),
                 "inputs": [
-                    (self._relative_name(p), held)
+                    (self._relative_name(p), digest)
                     for p in stage.reads
-                    if (held := self._hash_for(stage, p))
+                    if (digest := self._hash_for(stage, p))
                 ],
                 "outputs": [self._relative_name(path) for path in stage.outputs],
             }

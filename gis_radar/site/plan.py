@@ -10,8 +10,8 @@ from typing import Any, Literal
 from gis_radar.base import GisRadarError, Text
 from gis_radar.products import REPORT_FILES
 from gis_radar.site import stages
+from gis_radar.site.joint_poses import CANDIDATES_FILE, POSE_FILE, RECORDING_FILE
 from gis_radar.site.settings import ConvertTable, Sensor, Site
-from gis_radar.site.together import CANDIDATES_FILE, POSE_FILE, RECORDING_FILE
 
 OWNED = (
     "road.", "tiles.gpkg", "sensors", "dataset", "heatmap", "sight.gpkg",
@@ -152,7 +152,7 @@ def stages_of(site: Site, folder: Path) -> list[Stage]:
         *(_conversion(each, folder) for each in sensors if each.foreign),
         # Poses take longest, so they come as early as possible.
         *(_localization(site, each, folder) for each in sensors if each.pose is None),
-        *_together(site, folder),
+        *_joint_poses(site, folder),
         *(_pose(site, each, folder) for each in sensors),
         _tiles(site, folder),
         _measure(site, folder),
@@ -237,21 +237,21 @@ def _view(sensor: Sensor) -> dict[str, float] | None:
     return None if sensor.view is None else sensor.view.model_dump()
 
 
-def _tied(site: Site) -> list[Sensor]:
-    """Return the sensors whose poses are found together: two at least, or none."""
+def _joint_sensors(site: Site) -> list[Sensor]:
+    """Return the sensors that are calibrated jointly: two at least, or none."""
     unplaced = [each for each in site.sensor if each.pose is None]
-    tied = [each for each in unplaced if each.tied and each.method == "lane"]
-    return tied if len(tied) > 1 else []
+    joint = [each for each in unplaced if each.tied and each.method == "lane"]
+    return joint if len(joint) > 1 else []
 
 
-def _together(site: Site, folder: Path) -> Iterator[Stage]:
-    """Yield the stage that adjusts the poses of sensors together, where there are several."""
-    tied = _tied(site)
-    if not tied:
+def _joint_poses(site: Site, folder: Path) -> Iterator[Stage]:
+    """Yield the stage of joint calibration, where there are several sensors for it."""
+    sensors = _joint_sensors(site)
+    if not sensors:
         return
-    places = [folder / "sensors" / each.name for each in tied]
+    places = [folder / "sensors" / each.name for each in sensors]
     found = (place / name for place in places for name in (POSE_FILE, CANDIDATES_FILE))
-    readable, converted = _all_recordings(tied, folder)
+    readable, converted = _all_recordings(sensors, folder)
     yield Stage(
         name=Text("poses together"),
         work=stages.together_stage,
@@ -286,7 +286,7 @@ def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
     """Return the stage that writes the pose of a sensor that all later stages use."""
     place = folder / "sensors" / sensor.name
     options: dict[str, Any] = {"sensor": sensor.name, "view": _view(sensor)}
-    if sensor in _tied(site):
+    if sensor in _joint_sensors(site):
         return Stage(
             name=Text("pose {}", sensor.name),
             work=stages.tied_pose_stage,

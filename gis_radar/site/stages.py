@@ -27,16 +27,16 @@ from gis_radar.base import (
     scratch_folder,
 )
 from gis_radar.poses import COMPONENTS, Pose, PoseTrack, View, read_track
+from gis_radar.site.joint_poses import (
+    RECORDING_FILE,
+    calibrate_jointly,
+    read_joint_pose,
+    refuse_candidates,
+    write_candidates,
+    write_joint_poses,
+)
 from gis_radar.site.messages import error_in_site_words
 from gis_radar.site.recipes import mask_scans, measure_site, split_map
-from gis_radar.site.together import (
-    RECORDING_FILE,
-    read_together,
-    refuse_candidates,
-    solve_together,
-    write_candidates,
-    write_together,
-)
 
 STATE = ".gis-radar"
 SIGHTS = "sights"  # folder in STATE: a cache of the sights of poses
@@ -105,17 +105,17 @@ def together_stage(
     *, recordings: Paths, sensors: dict[str, int], map_file: Path, road: Path, outputs: Paths,
     reporter: Reporter, clocks: Path | None = None, **options: Any,
 ) -> Figures:  # fmt: skip
-    """Adjust the poses of sensors together, by the vehicles that they share.
+    """Calibrate sensors jointly, by the vehicles that they share.
 
     `recordings` lists those of all sensors, as many for each as `sensors` states; converted ones
     lie in the sensors' folders.
     """
     folder = outputs[0].parent / "sensors"
     paths = _by_sensor(recordings, sensors, folder)
-    found = solve_together(
+    found = calibrate_jointly(
         paths, folder, map_file, road, clocks=clocks, reporter=reporter, **options
     )
-    write_together(found, outputs[0])
+    write_joint_poses(found, outputs[0])
     for name, entry in found.items():
         reporter.log(Text("{}: {}", name, entry["line"]))
     return {name: entry["line"] for name, entry in found.items()}
@@ -135,8 +135,8 @@ def tied_pose_stage(
     *, together: Path, outputs: Paths, reporter: Reporter, sensor: str,
     view: dict[str, float] | None,
 ) -> Figures:  # fmt: skip
-    """Write the pose that was found together with others, with the view of the site file."""
-    pose, line = read_together(together, sensor)
+    """Write the pose of a joint calibration, with the view of the site file."""
+    pose, line = read_joint_pose(together, sensor)
     if view is not None:
         pose = replace(pose, view=View(**view))
     pose.write(outputs[0])

@@ -97,9 +97,9 @@ def blocks_of(
                 continue
             for each in streams:
                 each.read_to(after + margin)
-            held = [batch for each in streams for batch in each.held]
-            detections = _joined(held, begin - margin, after + margin)
-            del held
+            batches = [batch for each in streams for batch in each.buffered]
+            detections = _joined(batches, begin - margin, after + margin)
+            del batches
             for each in streams:
                 each.drop_before(after - margin)  # the next block's margin begins there
             give_back_memory()
@@ -121,10 +121,10 @@ def _steps_between(steps: Integers, first: int, after: int) -> Integers:
     return steps[low:high]
 
 
-def _joined(held: Sequence[tuple[MapDetections, int]], first: int, after: int) -> MapDetections:
+def _joined(batches: Sequence[tuple[MapDetections, int]], first: int, after: int) -> MapDetections:
     """Return the detections from step `first` to before step `after`."""
     parts = []
-    for detections, _ in held:
+    for detections, _ in batches:
         inside = (detections.time >= first / STEPS_PER_SECOND) & (
             detections.time < after / STEPS_PER_SECOND
         )
@@ -141,18 +141,18 @@ class _Stream:
     def __init__(self, batches: Iterator[tuple[MapDetections, int]]) -> None:
         self._batches = batches
         self._reached = -np.inf
-        self.held: list[tuple[MapDetections, int]] = []
+        self.buffered: list[tuple[MapDetections, int]] = []
 
     def read_to(self, step: float) -> None:
         """Read until everything before a step is in memory."""
         while self._reached < step:
             batch = next(self._batches, None)
             self._reached = np.inf if batch is None else batch[1]
-            self.held += [] if batch is None else [batch]
+            self.buffered += [] if batch is None else [batch]
 
     def drop_before(self, step: int) -> None:
         """Drop everything before a step."""
-        self.held = [each for each in self.held if each[1] >= step]
+        self.buffered = [each for each in self.buffered if each[1] >= step]
 
 
 def _batches(
@@ -211,9 +211,9 @@ def _on_lanes(
     still_mps: float,
 ) -> Iterator[tuple[MapDetections, int]]:  # fmt: skip
     """Yield the detections of a batch that lie on lanes, pose by pose."""
-    held = source.track.at(rows.time)
-    for index in np.unique(held).tolist():
-        now = held == index
+    pose = source.track.at(rows.time)
+    for index in np.unique(pose).tolist():
+        now = pose == index
         here = now & rows.present
         detections = map_detections(
             rows_of(rows, here), source.track.poses[index], number, graph,

@@ -68,7 +68,7 @@ def vehicles_of_hour(
     sensors: Sequence[SensorHour],
     window: HourWindow,
     *,
-    held: pd.DataFrame,
+    valid_runs: pd.DataFrame,
     tiles: gpd.GeoDataFrame,
     sights: Mapping[str, PoseSight],
     graph: LaneGraph,
@@ -82,7 +82,7 @@ def vehicles_of_hour(
         What each sensor delivered in the window.
     window : HourWindow
         The hour.
-    held : DataFrame
+    valid_runs : DataFrame
         `sight, first_step, last_step`: runs of the window in which frames are valid.
     tiles : GeoDataFrame
         All tiles.
@@ -94,7 +94,7 @@ def vehicles_of_hour(
         Number of blocks in which vehicles are looked for in parallel.
     """
     engine = OccupancyEngine(tiles, sights)
-    results = _HourResults(window=window, engine=engine, held=held)
+    results = _HourResults(window=window, engine=engine, valid_runs=valid_runs)
     maker = BatchMaker(graph)
     blocks = blocks_of(sensors, window, graph)
     for begin, block, motions in _with_motions(blocks, graph, processes):
@@ -155,7 +155,7 @@ class _HourResults:
 
     window: HourWindow
     engine: OccupancyEngine
-    held: pd.DataFrame
+    valid_runs: pd.DataFrame
     waiting: tuple[pd.DataFrame, pd.DataFrame] | None = None  # states and vehicles of a block
     reached: int = 0
     tracks: list[pd.DataFrame] = field(default_factory=list)
@@ -190,7 +190,9 @@ class _HourResults:
             self.reached = to
             return
         states, vehicles = self.waiting
-        self.passages.append(self.engine.advance(states, vehicles, self.held, (self.reached, to)))
+        self.passages.append(
+            self.engine.advance(states, vehicles, self.valid_runs, (self.reached, to))
+        )
         self.reached, self.waiting = to, None
 
     def finish(self, on_lanes: list[pd.DataFrame]) -> HourVehicles:

@@ -56,7 +56,7 @@ class OccupancyEngine:
         self,
         states: pd.DataFrame,
         vehicles: pd.DataFrame,
-        held: pd.DataFrame,
+        valid_runs: pd.DataFrame,
         span: tuple[int, int],
     ) -> pd.DataFrame:
         """Advance over a span, whose end is exclusive; return the passages.
@@ -67,7 +67,7 @@ class OccupancyEngine:
             Rows of `tracks` in the span.
         vehicles : DataFrame
             The vehicles of these states.
-        held : DataFrame
+        valid_runs : DataFrame
             `sight, first_step, last_step`: runs of steps in which frames are valid.
         span : (int, int)
             First step, and the step after the last; of one block of runs.
@@ -79,7 +79,7 @@ class OccupancyEngine:
         tall = self._heights(vehicles)[row]
         passages = self._passages.find(states, vehicles)
         asked = (passages["step"].to_numpy(np.int64), passages["tile"].to_numpy(np.int64))
-        visible = self._visibility.advance(prints, tall, held, span, asked)
+        visible = self._visibility.advance(prints, tall, valid_runs, span, asked)
         return passages[visible].drop(columns="tile")
 
     def _heights(self, vehicles: pd.DataFrame) -> Floats:

@@ -56,7 +56,7 @@ def _started(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
     driven = [each for each, person in zip(motions, persons, strict=True) if not person]
     driven = without_faint_ends(detections, driven, states)
     if not driven:
-        return []  # without driving vehicles, stationary ones cannot be told from fixed objects
+        return []  # without driving vehicles, stationary ones look like fixed objects
     for each in motions:
         unassigned[each.rows] = False
     return complete_tracks(detections, graph, driven, states, unassigned)

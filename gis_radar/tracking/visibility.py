@@ -114,7 +114,7 @@ class Visibility:
         self._ended: list[Integers] = []
 
     def advance(
-        self, footprints: Footprints, height_m: Floats, held: pd.DataFrame,
+        self, footprints: Footprints, height_m: Floats, valid_runs: pd.DataFrame,
         span: tuple[int, int], queries: tuple[Integers, Integers],
     ) -> Booleans:  # fmt: skip
         """Advance over a span, whose end is exclusive.
@@ -125,7 +125,7 @@ class Visibility:
             Footprints of the span.
         height_m : (n,) array
             Height of the vehicle of each, metres.
-        held : DataFrame
+        valid_runs : DataFrame
             `sight, first_step, last_step`: runs of steps in which frames are valid.
         span : (int, int)
             First step, and the step after the last.
@@ -146,7 +146,7 @@ class Visibility:
             self._end_runs(np.flatnonzero(self._begun >= 0))
             self._active = []
             self._hidden[:] = 0
-        for begin, after, active in _segments(held, span):
+        for begin, after, active in _segments(valid_runs, span):
             rays = [self._rays_of(name) for name in active]
             observed = np.zeros(len(self._hidden), np.int64)
             for each in rays:
@@ -219,13 +219,13 @@ class Visibility:
         return self._rays[name]
 
 
-def _segments(held: pd.DataFrame, span: tuple[int, int]) -> list[tuple[int, int, list[str]]]:
+def _segments(valid_runs: pd.DataFrame, span: tuple[int, int]) -> list[tuple[int, int, list[str]]]:
     """Return the parts of a span in which the same sights are observed, with their names."""
-    begin = held["first_step"].to_numpy(np.int64)
-    after = held["last_step"].to_numpy(np.int64) + 1
+    begin = valid_runs["first_step"].to_numpy(np.int64)
+    after = valid_runs["last_step"].to_numpy(np.int64) + 1
     kept = (after > span[0]) & (begin < span[1])
     begin, after = np.maximum(begin[kept], span[0]), np.minimum(after[kept], span[1])
-    names = held["sight"][kept].tolist()
+    names = valid_runs["sight"][kept].tolist()
     edges = np.unique([*begin, *after, *span])
     active: dict[int, set[str]] = {edge: set() for edge in edges.tolist()}
     starts, ends = np.searchsorted(edges, begin), np.searchsorted(edges, after)

@@ -140,7 +140,7 @@ MIRRORED = _of_axes(
     Text("left and right are swapped, in the recording or in the map"),
     Text("change the sign of y of all detections, or mirror the map"), 1, -2, 3,
 )  # fmt: skip
-FLAT = (  # mistakes of axes that show without elevation
+AXES_IN_PLANE = (  # mistakes of axes that are found from x and y alone
     _of_axes(Text("x and y are swapped"), Text("swap x and y"), 2, 1, 3),
     _of_axes(
         Text("x points to the right and y forward"),
@@ -149,7 +149,7 @@ FLAT = (  # mistakes of axes that show without elevation
     _of_axes(Text("x points backward"), Text(CHANGE_SIGN, "x"), -1, 2, 3),
     MIRRORED,
 )  # fmt: skip
-DEEP = (  # and those that show with it
+AXES_WITH_Z = (  # mistakes of axes that need elevations
     _of_axes(Text("z points down"), Text(CHANGE_SIGN, "z"), 1, 2, -3),
     _of_axes(Text("y and z are swapped"), Text("swap y and z"), 1, 3, 2),
 )
@@ -213,14 +213,14 @@ def usual_mistakes(
                  lambda yaw: yaw + compass - pose.yaw),
         of_angle("yaw", Text("its yaw is a bearing from grid north"), pose, lambda yaw: 90.0 - yaw),
         of_angle("yaw", Text("its yaw counts clockwise"), pose, lambda yaw: -yaw),
-        *FLAT,
+        *AXES_IN_PLANE,
         Mistake(causes=against, backwards=True),
     ]  # fmt: skip
     if np.isfinite(excerpt.points[:, 2]).any():
         mistakes += [
             of_angle("pitch", Text("pitch has the wrong sign"), pose, lambda pitch: -pitch),
             of_angle("roll", Text("roll has the wrong sign"), pose, lambda roll: -roll),
-            *DEEP,
+            *AXES_WITH_Z,
             Mistake(causes=(rolled,), pose=lambda p: replace(p, roll=p.roll + 180.0)),
         ]
     mistakes += [SIGNLESS] if excerpt.one_sign else []

@@ -232,8 +232,8 @@ def _few_vehicles(
 ) -> Finding | None:
     """Return the finding on a sensor with too little traffic for a verdict, if so.
 
-    A few vehicles do not tell that a pose fits, but may tell a mistake that explains them: with a
-    cause not known they may be walkers beside the road.
+    A few vehicles do not confirm a pose, but may show a mistake that explains them; where no
+    mistake does, they may be walkers beside the road.
     """
     little, few = _too_little_traffic(excerpt), excerpt.vehicles
     if little is None or few == 0 or score(excerpt, lanes).share >= least_share(few):

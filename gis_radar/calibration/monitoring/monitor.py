@@ -291,7 +291,7 @@ class Follower:
             )
             self._append(row if suspected is None else _widened_row(row, suspected.move))
         self._give_up_if_lost(time)
-        move = self.watch.look(self.now.state(self._reflection_m).R_map_sensor, time)
+        move = self.watch.find_move(self.now.state(self._reflection_m).R_map_sensor, time)
         if move is not None and self.confirmed:
             self._apply_move(move, time)
         self._vehicles = max(self._vehicles, traffic.vehicles)

@@ -143,7 +143,7 @@ class Watch:
         """Whether stationary targets show that the sensor was not moved, up to the last block."""
         return self._newest is not None and self._newest.at_rest
 
-    def look(self, turn: Floats, time: float) -> Displacement | None:
+    def find_move(self, turn: Floats, time: float) -> Displacement | None:
         """Return the significant move up to a time, if any, in the map's axes.
 
         Parameters

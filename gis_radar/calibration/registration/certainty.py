@@ -219,7 +219,7 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
     prior, model : Prior, Model
         Those with which the fit was found.
     """
-    for look in range(LOOKS + 1):  # the last turn only measures sigma
+    for turn in range(LOOKS + 1):  # the last turn only measures sigma
         hold, way = _weakest(fit)
         curved_m = float(np.sqrt(hold @ way))
         sides = [
@@ -228,7 +228,7 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
         ]
         places = (other for side in sides for _, other in side)
         lowest = min(places, key=partial(agreed_rise, fit, groups=fit.groups))
-        if look == LOOKS or agreed_rise(fit, lowest, fit.groups) > -LOOK_GAIN:
+        if turn == LOOKS or agreed_rise(fit, lowest, fit.groups) > -LOOK_GAIN:
             break
         again = _fitted_there(scene, lowest, hold, prior, model)
         if not again.converged:
@@ -253,7 +253,7 @@ def agreed_rise(fit: Fit | Rest, other: Rest, groups: Groups) -> float:
 
 
 def _fitted_there(scene: Scene, there: Rest, hold: Floats, prior: Prior, model: Model) -> Fit:
-    """Return the fit at a place along a valley, held there where it would leave it again."""
+    """Return the fit at a place along a valley, fixed along it where it would leave the place."""
     free = solve(scene, there, prior, schedule=THERE, model=model)
     if abs(hold @ free.state.difference(there.state)) < VALLEY_STEPS_M[0] and free.converged:
         return free

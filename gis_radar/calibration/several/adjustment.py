@@ -160,7 +160,7 @@ def adjust(
     covariances: Sequence[Floats],
     *,
     clocks_s: Sequence[float] | None = None,
-    held: Collection[Edge] = (),
+    comparison_only: Collection[Edge] = (),
 ) -> Adjusted:
     """Adjust the poses of sensors, and their clocks, by correspondences and single localizations.
 
@@ -179,7 +179,7 @@ def adjust(
         Covariance of each pose by single localization.
     clocks_s : sequence of float, optional
         Standard deviations of the clocks; by default `CLOCK_S` each.
-    held : collection of (int, int)
+    comparison_only : collection of (int, int)
         Pairs of sensors whose `misfit` is computed, but whose correspondences are not used.
     """
     n = len(covariances)
@@ -196,7 +196,7 @@ def adjust(
                    for edge, matched in correspondences.items()}  # fmt: skip
         information, scores = prior.copy(), []
         for edge, matched in correspondences.items():
-            if edge in held:
+            if edge in comparison_only:
                 continue
             index, weight = _unknowns_of(edge, n), weights[edge]
             edge_information, gradients = matched.normal_equations(weight, step[index])

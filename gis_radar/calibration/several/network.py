@@ -337,10 +337,10 @@ class _Network:
                 for (a, b), matched in correspondences.items()
             }
             compared = self._comparison_only(correspondences)
-            held = {(names.index(a), names.index(b)) for a, b in compared}
+            unused = {(names.index(a), names.index(b)) for a, b in compared}
             away = np.array([self.all[name].away for name in names])
             clocks = [self._clock_sigma_s(self.all[name]) for name in names]
-            result = adjust(index, away, covariances, clocks_s=clocks, held=held)
+            result = adjust(index, away, covariances, clocks_s=clocks, comparison_only=unused)
             for name, step in zip(names, result.step, strict=True):
                 self.all[name].away = self.all[name].away + step
             gate = result.covariance
@@ -457,16 +457,16 @@ class _Network:
             )
         return remarks
 
-    def unmatched(self, pairs: Mapping[Names, int], held: Mapping[Names, int]) -> dict[str, str]:
-        """Return the sensors without correspondences, each with the reason."""
+    def unmatched(self, pairs: Mapping[Names, int], others: Mapping[Names, int]) -> dict[str, str]:
+        """Return the sensors not in `pairs`, each with the reason; `others` only compare."""
         known = {name for pair in pairs for name in pair} | self.refused.keys()
-        return {name: self._why_unmatched(name, held) for name in self.all if name not in known}
+        return {name: self._why_unmatched(name, others) for name in self.all if name not in known}
 
-    def _why_unmatched(self, name: str, held: Mapping[Names, int]) -> str:
-        compared = {pair: number for pair, number in held.items() if name in pair}
-        if compared:
-            pair = max(compared, key=lambda each: compared[each])
-            other, shared = pair[1] if name == pair[0] else pair[0], compared[pair]
+    def _why_unmatched(self, name: str, compared: Mapping[Names, int]) -> str:
+        own = {pair: number for pair, number in compared.items() if name in pair}
+        if own:
+            pair = max(own, key=lambda each: own[each])
+            other, shared = pair[1] if name == pair[0] else pair[0], own[pair]
             text = "{} vehicles shared with {} confirm its pose, too few to move it"
             return Text(text, shared, other)
         if name in self.unclear and name not in self.placed:
@@ -479,8 +479,8 @@ class _Network:
         """Return poses with their new covariance, pairs, refusals and remarks."""
         poses = {n: m.pose for n, m in self.all.items() if len(m.station.poses) == 1}
         shared = {pair: len(matched.gap) for pair, matched in correspondences.items()}
-        held = {pair: shared[pair] for pair in self._comparison_only(correspondences)}
-        pairs = {pair: number for pair, number in shared.items() if pair not in held}
+        compared = {pair: shared[pair] for pair in self._comparison_only(correspondences)}
+        pairs = {pair: number for pair, number in shared.items() if pair not in compared}
         for number, name in enumerate(self.placed):
             own = slice(PLANAR * number, PLANAR * number + PLANAR)
             of_sensor = {pair: n for pair, n in pairs.items() if name in pair}
@@ -495,6 +495,6 @@ class _Network:
             chosen={name: self.all[name].choice for name in poses},
             refused=self.refused,
             pairs=pairs,
-            unmatched=self.unmatched(pairs, held),
+            unmatched=self.unmatched(pairs, compared),
             remarks=tuple(self.clock_remarks(correspondences)),
         )

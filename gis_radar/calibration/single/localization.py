@@ -227,7 +227,7 @@ def localize(
         read_shifted(opened, roads, reporter, near=pose.position[:2])
     if figure is not None:
         seen = _sight(answer.pose, roads, points, scans, scan_crs, reporter) if scans else None
-        answer.draw(figure, roads, points, look=check, seen=seen)
+        answer.draw(figure, roads, points, scan_check=check, sight=seen)
     return answer
 
 

@@ -96,7 +96,7 @@ class Localization:
     def figures(self) -> Mapping[str, Any]:
         """Return the main figures of the localization, by name."""
         sigma = self.pose.evidence.get("sigma", {})
-        look = self.pose.evidence.get("scan_check")
+        check = self.pose.evidence.get("scan_check")
         return {
             **{name: round(getattr(self.pose, name), 3) for name in COMPONENTS},
             **{f"sigma_{name}": float(f"{value:.2g}") for name, value in sigma.items()},
@@ -105,18 +105,18 @@ class Localization:
             "vehicles": self.vehicles,
             "hypotheses": len(self.hypotheses),
             **range_scale_figures(self.pose),
-            **({"scan_check": Text(look["verdict"])} if look else {}),
+            **({"scan_check": Text(check["verdict"])} if check else {}),
         }
 
-    def with_scan_check(self, look: ScanCheck) -> Localization:
+    def with_scan_check(self, check: ScanCheck) -> Localization:
         """Return the localization with a scan check's figures in the evidence of its pose.
 
         A pose without a view gets one with the range of the check (99.9th percentile).
         """
-        evidence = {**self.pose.evidence, "scan_check": dict(look.figures())}
+        evidence = {**self.pose.evidence, "scan_check": dict(check.figures())}
         pose = replace(self.pose, evidence=evidence)
-        if look.range_m > View.min_range_m:
-            pose = pose.with_view(View(max_range_m=look.range_m))
+        if check.range_m > View.min_range_m:
+            pose = pose.with_view(View(max_range_m=check.range_m))
         return replace(self, pose=pose)
 
     def left_open(self, *, scanned: bool) -> Text | None:
@@ -211,8 +211,8 @@ class Localization:
         roads: LaneletMap,
         road_points: Floats,
         *,
-        look: ScanCheck | None = None,
-        seen: tuple[Sight, SightTiles] | None = None,
+        scan_check: ScanCheck | None = None,
+        sight: tuple[Sight, SightTiles] | None = None,
     ) -> None:
         """Draw the traces with the pose over lanes and scanned road, as a PNG.
 
@@ -224,9 +224,9 @@ class Localization:
             The lanes, in the pose's CRS.
         road_points : (n, 3) array
             The scanned road.
-        look : ScanCheck, optional
-            A scan check, drawn in a panel of its own.
-        seen : (Sight, SightTiles), optional
+        scan_check : ScanCheck, optional
+            Comparison of the pose with a scan, drawn in a panel of its own.
+        sight : (Sight, SightTiles), optional
             The sensor's sight, drawn in a panel of its own: visible and hidden tiles.
         """
         # not at the top: matplotlib is slow to load, and only pictures need it
@@ -234,7 +234,8 @@ class Localization:
 
         from gis_radar.scans import draw_sight  # noqa: PLC0415
 
-        beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]
+        drawn = {"scan_check": scan_check, "sight": sight}
+        beside = [name for name, each in drawn.items() if each is not None]
         size_in = (SIZE_IN, WITH_ONE_IN, WITH_TWO_IN)[len(beside)]
         rows = [["traces", *beside]] if len(beside) < 2 else [["traces", "traces"], beside]
         with picture_file(path, size_in, DPI, tight=True, font_pt=LETTERS_PT) as figure:
@@ -243,13 +244,13 @@ class Localization:
             if len(beside) == 2:  # shown as wide as the others on a phone, it needs larger letters
                 for text in panels["traces"].findobj(match=Text):
                     text.set_fontsize(LARGER * text.get_fontsize())
-            if look is not None:
-                look.plot(panels["look"])
-            if seen is not None:
+            if scan_check is not None:
+                scan_check.plot(panels["scan_check"])
+            if sight is not None:
                 ax = panels["sight"]
-                draw_sight(ax, *seen)
+                draw_sight(ax, *sight)
                 label_map(ax)
-                counts = seen[0].figures()
+                counts = sight[0].figures()
                 share = counts["hidden"] / max(counts["in_sight"] + counts["hidden"], 1)
                 text = "Lanes in its view:\n{seen} in sight, {hidden} hidden"
                 ax.set_title(tr(text, seen=percent(1 - share, 0), hidden=percent(share, 0)))

@@ -1,7 +1,7 @@
 """Lane measures and turns: traffic by lane and quarter of an hour, from the tracks of each hour.
 
 The rows of an hour follow from its own parts and from the tracks that it continues from the hour
-before: these tell which vehicles have crossed a line already, and which have been standing.
+before: from these it is known which vehicles have crossed a line, and which were standing.
 """
 
 from __future__ import annotations

@@ -141,7 +141,7 @@ class Manifest:
                     hint="update gis_radar",
                 )
             easting, northing = map(int, document["origin"])
-            stated = document.pop("digest", None)  # earlier versions have none
+            stated = document.pop("digest", None)  # without it, edits are not found
             manifest = cls(**{**restored(document), "origin": (easting, northing)})
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=MAKE_ONE) from error

@@ -182,7 +182,7 @@ class Registry:
                 entries = [each for each in entries if hour in each.reached_hours(margin)]
             used = book.of(each.pose for each in entries)  # raises KeyError if one is missing
             digests = {name: digest_of_sights(each) for name, each in used.sights.items()}
-            entries = [  # an earlier version has stated none
+            entries = [  # None where `measure` was killed before it wrote them
                 replace(each, sights=digests[each.pose]) if each.sights is None else each
                 for each in entries
             ]

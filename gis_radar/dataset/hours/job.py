@@ -78,7 +78,7 @@ class MeasureSettings:
 
     @classmethod
     def from_dict(cls, known: Mapping[str, Any]) -> Self:
-        """Return the settings of a manifest, also of a version that listed constants in it."""
+        """Return the settings of a manifest; its other entries are ignored."""
         filters = dict(known["filters"])
         if filters["clearance"] is not None:
             filters["clearance"] = tuple(filters["clearance"])
@@ -192,8 +192,8 @@ def make_hour(
         sensors = [replace(each, counted=each.counted[:0].copy(), tile=[]) for each in sensors]
         if site.settings.vehicles and site.graph is not None:
             tracked = vehicles_of_hour(
-                sensors, window, held=sight_runs, tiles=site.tiles, sights=sights, graph=site.graph,
-                processes=processes,
+                sensors, window, valid_runs=sight_runs, tiles=site.tiles, sights=sights,
+                graph=site.graph, processes=processes,
             )  # fmt: skip
             _write_vehicles(writer, tracked, site.origin)
             vehicles, on_lanes = len(tracked.vehicles), tracked.on_lanes

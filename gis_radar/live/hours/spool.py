@@ -1,7 +1,7 @@
 """Spool of fusion: files in which messages wait, as they came, until they are in recordings.
 
 Records are appended and synced. Each file begins with the marks of all streams, so that the newest
-one tells where each stream continues, and holds the poses that its frames refer to.
+one says where each stream continues, and contains the poses that its frames refer to.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gis_radar.base import output_errors
 from gis_radar.dataset import sync_folder
 from gis_radar.live.wire.payload import check_of, stream_of, unpack_message
 
-HEAD, POSE, FRAMES, SKIPPED = range(4)  # kinds of records; PASSED: a message that was skipped
+HEAD, POSE, FRAMES, SKIPPED = range(4)  # kinds of records; SKIPPED: a message that is not counted
 ENDING = ".spool"
 _BEGIN = struct.Struct(">II")  # begin of a record: its length, and the CRC-32 of its content
 _MOST_RECORD = 1 << 24  # most bytes of a record: the marks of thousands of sensors

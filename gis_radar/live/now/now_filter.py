@@ -30,10 +30,8 @@ FOLLOWED_S = 60.0  # longest time after its last detection that a vehicle is sho
 STANDING_S = 180.0  # time that a vehicle which stood when the filter lost it is still shown
 LEAVING_MPS = 0.7  # a vehicle that was faster when it was lost has left
 SAME_M = 2.5  # a vehicle found nearer than this to the place of a standing one is the same
-RCS_KEPT, VEHICLES_KEPT = (
-    40,
-    400,
-)  # cross sections kept of a vehicle; vehicles that tell walkers apart
+# Cross sections kept of a vehicle, and vehicles kept to distinguish walkers from.
+RCS_KEPT, VEHICLES_KEPT = 40, 400
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -192,7 +192,7 @@ def webhook_address(url: str) -> str:
     Raises
     ------
     UsageError
-        If it is neither https nor http on this machine; its text may be a secret, and is not told.
+        If it is neither https nor http on this machine; its text may be a secret, and is not shown.
     """
     try:
         parts = urlsplit(url)

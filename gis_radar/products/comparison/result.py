@@ -41,7 +41,7 @@ from gis_radar.products.traffic_style import LineClass, class_style
 
 Period = tuple[Any, Any]
 LAYER = "comparison"
-# Classes of the difference in percent: colours without red and green, grey where none is told.
+# Classes of the difference in percent: colours without red and green, grey where none is reported.
 MOST = 999.0  # largest percentage shown, also for what was 0 before
 BREAKS = (-1000.0, -25.0, -10.0, -1e-9, 1e-9, 10.0, 25.0, 1000.0)
 COLOURS = ("#7f3b08", "#d08020", "#f0c080", "#9a9a9a", "#b2abd2", "#8073ac", "#2d004b")
@@ -155,7 +155,7 @@ class Comparison:
 def wide_table(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     """Return a row for each lane, with `..._before`, `_after`, `_se`, `_verdict`, `_change`.
 
-    These are columns of each measure. `..._change` is the difference in percent where one is told,
+    These are columns of each measure. `..._change` is the difference in percent where one is found,
     else 0; null where the lane has no such measure.
     """
     table = table[table["lane"].notna()].astype({"lane": np.int64})

@@ -27,7 +27,7 @@ class Compared(NamedTuple):
     better : int
         1 where more is better, -1 where less is, 0 where neither.
     resolution : float
-        Resolution of the measurement: smaller differences are not told, however significant.
+        Resolution of the measurement: smaller differences are not reported, however significant.
     digits : int
         Digits after the point that are shown.
     """

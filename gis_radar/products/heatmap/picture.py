@@ -350,10 +350,10 @@ def add_sensor(ax: Axes, pose: Pose, taken: BboxBase) -> None:
 
 def _keep_inside(ax: Axes, name: Annotation, taken: BboxBase) -> None:
     """Move a name that the map's edge would cut; if there is no room, above its sensor."""
-    box, held, dot = name.get_window_extent(), ax.get_window_extent(), ax.figure.dpi / 72.0
+    box, frame, dot = name.get_window_extent(), ax.get_window_extent(), ax.figure.dpi / 72.0
     x, y = name.xyann
-    x += max(held.x0 - box.x0, 0.0) / dot - max(box.x1 - held.x1, 0.0) / dot
-    if box.y0 < held.y0 or box.overlaps(taken):
+    x += max(frame.x0 - box.x0, 0.0) / dot - max(box.x1 - frame.x1, 0.0) / dot
+    if box.y0 < frame.y0 or box.overlaps(taken):
         y = 11.0
         name.set_verticalalignment("bottom")
     name.xyann = (x, y)

@@ -159,8 +159,9 @@ def sidecar_qml(measure: str = "hit_share", least_s: float = 0.0) -> str:
 def ground_qml(map_qml: str) -> str:
     """Return the QGIS style of all tiles as the ground below a heat map, in one colour and hatched.
 
-    Where nothing is drawn above it, nothing was observed; on grey paper the hatch tells it from
-    classes as light as it is. Titles of columns are those of `map_qml`, the map's own style.
+    Where nothing is drawn above it, nothing was observed; on grey paper the hatch distinguishes
+    it from classes as light as it is. Titles of columns are those of `map_qml`, the style of the
+    map.
     """
     titles = map_qml[map_qml.index("  <aliases") : map_qml.index("  <mapTip")]
     qml = (_HERE / "ground.qml").read_text(encoding="utf-8")

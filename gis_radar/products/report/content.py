@@ -316,7 +316,7 @@ class Content:
         The software.
     measure : str
         Measure of the map: `occupancy` or `hit_share`.
-    shows_ways : bool
+    shows_paths : bool
         Whether a picture shows the trajectories of single vehicles.
     """
 
@@ -332,7 +332,7 @@ class Content:
     chapters: Sequence[Chapter]
     made_by: str
     questions: Sequence[Chapter] = ()
-    shows_ways: bool = False
+    shows_paths: bool = False
 
     measure: str = "hit_share"
 

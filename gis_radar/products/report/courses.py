@@ -62,9 +62,9 @@ class LongQueue(NamedTuple):
 
 def draw_courses(
     dataset: Dataset, queues: Sequence[LongQueue], span: tuple[datetime, datetime], clock: Clock,
-    *, ways: bool,
+    *, paths: bool,
 ) -> list[Figure]:  # fmt: skip
-    """Draw the ways of vehicles to the stop lines of lanes, and the backs of their queues.
+    """Draw the trajectories of vehicles to the stop lines of lanes, and the backs of their queues.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ def draw_courses(
         Time of the report; of more than 15 minutes, 15 minutes around each queue are drawn.
     clock : Clock
         Clock for the times below.
-    ways : bool
-        Whether the trajectories of vehicles are drawn, or the queues alone.
+    paths : bool
+        Whether the trajectories are drawn, or the queues alone.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def draw_courses(
     if not all(each for *_, each in courses):
         return []
     wide, narrow = (
-        _diagrams(courses, (width_in, height_in), letters_pt, clock, ways=ways)
+        _diagrams(courses, (width_in, height_in), letters_pt, clock, paths=paths)
         for width_in, height_in, letters_pt in (
             (*COURSE_IN, LETTERS_PT), (NARROW_IN, NARROW_COURSE_IN, NARROW_PT),
         )
@@ -100,7 +100,7 @@ def draw_courses(
     return [
         Figure(
             png=png(wide), narrow=png(for_a_phone(narrow)), width=wide.width, height=wide.height,
-            caption=" ".join(map(tr, (_QUEUES, *([_WAYS] if ways else [])))),
+            caption=" ".join(map(tr, (_QUEUES, *([_WAYS] if paths else [])))),
             alt=tr("Time-space diagrams of the longest queues. {lanes}.", lanes=named),
         )
     ]  # fmt: skip
@@ -132,7 +132,7 @@ def _course(dataset: Dataset, lane: int, begin: datetime, end: datetime) -> list
 
 def _diagrams(
     courses: Sequence[tuple[LongQueue, datetime, datetime, list[QueueCourse]]],
-    size_in: tuple[float, float], letters_pt: float, clock: Clock, *, ways: bool,
+    size_in: tuple[float, float], letters_pt: float, clock: Clock, *, paths: bool,
 ) -> Image.Image:  # fmt: skip
     """Return the diagrams of lanes below each other."""
     width_in, height_in = size_in
@@ -144,7 +144,7 @@ def _diagrams(
         axes = figure.subplots(len(courses), 1, squeeze=False)[:, 0]
         for ax, (queue, begin, end, parts) in zip(axes, courses, strict=True):
             for part in parts:
-                _draw(ax, part, begin, ways=ways)
+                _draw(ax, part, begin, paths=paths)
             near, far = np.concatenate([each.seen[:, 2:] for each in parts]).T
             shown_m = (min(far.max(initial=0.0), MOST_M), max(near.min(initial=0.0), -BEYOND_M))
             letters = round(TITLE_LETTERS * width_in / letters_pt)
@@ -154,7 +154,7 @@ def _diagrams(
         return image_of_figure(figure).convert("RGB").quantize(128, dither=Image.Dither.NONE)
 
 
-def _draw(ax: Axes, course: QueueCourse, begin: datetime, *, ways: bool) -> None:
+def _draw(ax: Axes, course: QueueCourse, begin: datetime, *, paths: bool) -> None:
     """Draw visible road, queue and trajectories of one hour; x is seconds from `begin`."""
 
     def to_s(steps: Floats | Integers) -> Floats:
@@ -175,7 +175,7 @@ def _draw(ax: Axes, course: QueueCourse, begin: datetime, *, ways: bool) -> None
     )
     shown = np.where(course.back_m > 0.0, course.back_m, np.nan)
     ax.step(to_s(course.back_step), shown, where="post", color=QUEUE, lw=1.1, zorder=4)
-    if not ways:
+    if not paths:
         return
     new = np.diff(course.vehicle, prepend=-1) != 0
     new |= np.diff(course.step, prepend=0) > BROKEN_STEPS

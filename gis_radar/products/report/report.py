@@ -176,7 +176,7 @@ def write_report(
             results.site.get("title") or heat.labels.title or folder.resolve().name
         )
         data = _gather(results, title, timezone, reporter)
-        content = _content(data, reporter, ways=ways)
+        content = _content(data, reporter, paths=ways)
         outputs = _write(folder if output is None else Path(output), data, content, reporter)
         return Report(outputs=outputs, summary=_summary(data, content))
 
@@ -290,13 +290,13 @@ def _english_remarks(data: ReportData) -> list[Text]:
         return own_remarks(data)
 
 
-def _content(data: ReportData, reporter: Reporter, *, ways: bool) -> Content:
+def _content(data: ReportData, reporter: Reporter, *, paths: bool) -> Content:
     """Return the content of the report: texts, tables and pictures."""
     results, clock = data.results, data.clock
     picture = lay_out(results.heat)
-    questions = traffic_chapters(data.traffic, clock, ways=ways) if data.traffic else []
+    questions = traffic_chapters(data.traffic, clock, paths=paths) if data.traffic else []
     queues = (part for each in questions if each.name == QUEUES for part in each.parts)
-    ways &= any(isinstance(part, Figure) for part in queues)
+    paths &= any(isinstance(part, Figure) for part in queues)
     begin, end = results.heat.whole.span()
     return Content(
         title=data.title,
@@ -308,7 +308,7 @@ def _content(data: ReportData, reporter: Reporter, *, ways: bool) -> Content:
         remarks=remarks_of(data),
         basis=basis_of(data),
         questions=questions,
-        shows_ways=ways,
+        shows_paths=paths,
         map=draw_maps(results, picture, clock, reporter),
         chapters=_chapters(data, picture),
         made_by=made_by(),

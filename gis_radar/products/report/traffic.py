@@ -146,7 +146,7 @@ def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None
     )  # fmt: skip
 
 
-def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Chapter]:
+def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, paths: bool) -> list[Chapter]:
     """Return the chapters on traffic, each with the question that it answers.
 
     Parameters
@@ -155,7 +155,7 @@ def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> l
         The traffic.
     clock : Clock
         Clock of the site.
-    ways : bool
+    paths : bool
         Whether diagrams of queues show the trajectories of vehicles.
     """
     clock = traffic.clock(clock)
@@ -166,7 +166,7 @@ def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> l
     if traffic.by_turn["volume"].notna().any():
         turns = (_turning_diagram(traffic), _turn_table(traffic))
         chapters.append(Chapter("turns", tr("Where do they turn?"), turns))
-    if queues := _queues(traffic, clock, ways=ways):
+    if queues := _queues(traffic, clock, paths=paths):
         chapters.append(Chapter(QUEUES, tr("Where is it slow or full, and when?"), queues))
     return chapters
 
@@ -381,7 +381,7 @@ def _turning_image(traffic: ReportedTraffic, width_in: float) -> Image.Image:
 def _turn_table(traffic: ReportedTraffic) -> Table:
     """Return the volumes of turns, a row a lane, a column a way."""
     table, hours = traffic.by_turn, traffic.hours
-    ways = [way for way in TURN_WORDS if way in set(table["turn"])]
+    directions = [way for way in TURN_WORDS if way in set(table["turn"])]
     numbers = table.groupby("from_lane")["from_name"].first()
     numbers = numbers.sort_values(key=lambda each: each.map(by_number))
     known = set(table.loc[table["volume"].notna(), "from_lane"])
@@ -406,12 +406,12 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
         return with_error(mine["volume"].sum() / hours, error / hours)
 
     titles = [Column(tr("From lane"), "", str, False), Column(tr("No."), tr("on the plan"), str)]
-    words = [tr(TURN_WORDS[way]) for way in ways]
+    words = [tr(TURN_WORDS[way]) for way in directions]
     titles += [Column(word[:1].upper() + word[1:], tr("veh/h"), str) for word in words]
     return Table(
         name="turns", caption=tr("Turns over the whole time"), columns=titles,
         rows=[
-            [str(name), str(lane), *(volume(int(str(lane)), way) for way in ways)]
+            [str(name), str(lane), *(volume(int(str(lane)), way) for way in directions)]
             for lane, name in numbers.items() if lane in known
         ],
         note=note,
@@ -419,7 +419,7 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
     )  # fmt: skip
 
 
-def _queues(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Table | Figure | Chart]:
+def _queues(traffic: ReportedTraffic, clock: Clock, *, paths: bool) -> list[Table | Figure | Chart]:
     """Return where vehicles queue: a table, and the course of the longest queues."""
     queues = traffic.by_lane[traffic.by_lane["queue_max_m"] >= LEAST_QUEUE_M]
     queues = queues.sort_values(["queue_max_m", "lane"], ascending=[False, True])
@@ -437,7 +437,7 @@ def _queues(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Table
     span = (traffic.begin, traffic.end)
     long = int((traffic.end - traffic.begin).total_seconds() > WINDOW_S)  # diagrams show a part
     return [
-        *draw_courses(traffic.dataset, longest, span, replace(clock, to_seconds=True), ways=ways),
+        *draw_courses(traffic.dataset, longest, span, replace(clock, to_seconds=True), paths=paths),
         _queue_table(traffic, queues, longest_by_lane, clock),
         *_charts(traffic, queues.head(MOST_QUEUES), _LONGEST_QUEUES, clock)[:long],
     ]

@@ -172,7 +172,7 @@ class SightScan:
         self.tiles, self.cache = tiles, cache
         self.scans: list[Scan] = [open_scan(scan, crs=scan_crs) for scan in scans]
         self._reporter = reporter
-        self._is_shifted = False  # whether that was told
+        self._is_shifted = False  # whether a warning of it was given
         self._windows: dict[Box, Obstacles] = {}
 
     @cached_property

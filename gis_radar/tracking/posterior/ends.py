@@ -272,11 +272,11 @@ def _search(  # noqa: PLR0917 - numba takes plain arrays
     trial = np.empty((BEAM * len(accelerations), 4))
     work, row = np.empty((2048, 2)), np.empty(2048, np.int64)
     beam[0, 0, 1] = speed
-    held, best, best_k = 1, 0.0, 0
+    count, best, best_k = 1, 0.0, 0
     for k in range(MOST_WINDOWS):
         tried, start = 0, time + direction * k * WINDOW_S
         spans = _spans(begin, frame_time, min(start, start + direction * WINDOW_S))
-        for b in range(held):
+        for b in range(count):
             if beam[k, b, 2] < best - PRUNED:
                 continue
             for accel in accelerations:
@@ -291,8 +291,8 @@ def _search(  # noqa: PLR0917 - numba takes plain arrays
                 trial[tried, 0], trial[tried, 1] = reached, after
                 trial[tried, 2], trial[tried, 3] = beam[k, b, 2] + gain, b
                 tried += 1
-        held = _best_distinct(trial[:tried], beam[k + 1])
-        if held == 0 or beam[k + 1, 0, 2] < best - PRUNED or k - best_k >= MOST_GAINLESS:
+        count = _best_distinct(trial[:tried], beam[k + 1])
+        if count == 0 or beam[k + 1, 0, 2] < best - PRUNED or k - best_k >= MOST_GAINLESS:
             break
         if beam[k + 1, 0, 2] > best:
             best, best_k = beam[k + 1, 0, 2], k + 1
@@ -362,17 +362,17 @@ def _bends(s_line: Floats, turn: Floats, i: int, direction: int) -> tuple[float,
 @compiled
 def _best_distinct(trial: Floats, kept: Floats) -> int:
     """Write the best hypotheses that differ from each other to `kept`; return their number."""
-    held = 0
+    count = 0
     for q in np.argsort(-trial[:, 2], kind="mergesort"):
         same = False
-        for b in range(held):
+        for b in range(count):
             place, speed = abs(kept[b, 0] - trial[q, 0]), abs(kept[b, 1] - trial[q, 1])
             same = same or (place < SAME_M and speed < SAME_MPS)
-        if same or held == len(kept):
+        if same or count == len(kept):
             continue
-        kept[held] = trial[q]
-        held += 1
-    return held
+        kept[count] = trial[q]
+        count += 1
+    return count
 
 
 def _with_states(motion: Motion, line: Floats, states: Floats, direction: int) -> Motion:

@@ -1,4 +1,4 @@
-"""Bodies: associate the detections of moving vehicles, and tell persons from vehicles.
+"""Bodies: associate the detections of moving vehicles, and distinguish persons from vehicles.
 
 The filter follows vehicles forward and backward in time; tracks of both directions that share
 detections are joined. Several tracks are often the ends of one long vehicle, or one vehicle as two
@@ -44,7 +44,7 @@ CYCLIST_MPS = 7.5  # largest speed of cyclists
 # 0.55 m, a car by 1.4 m, bearing and smoothing add 0.5 m. The sigma of vehicles' cross sections is
 # that of the recordings where enough of them drive fast.
 PERSON, VEHICLE = (-7.0, 3.0, -0.3, 0.45), (0.0, 4.0, 0.4, 0.5)
-LEAST_DRIVEN, LEAST_DB = 5, 3.0  # fast vehicles that tell the sigma, which is this at least, dB
+LEAST_DRIVEN, LEAST_DB = 5, 3.0  # fast vehicles to estimate the sigma, and its least value, dB
 FAINT_DB = 9.0  # detections weaker by this are faint: persons, also next to a passing vehicle
 FAINT_SIGMAS = 3.0  # a track weaker by so many may be a person at any speed
 # Share of faint detections of a vehicle, and one less that of a person: a tenth of a car's, a fifth
@@ -278,14 +278,14 @@ def is_person(detections: MapDetections, motions: Sequence[Motion]) -> list[bool
     Cross sections are compared with those of fast vehicles in the same recordings, since each radar
     has its own scale. Where no vehicle drives fast they are compared with still detections, which
     are about as strong. Persons keep their pace; a track that mostly stands is not judged, as it
-    cannot be told from its surroundings by its cross section.
+    cannot be distinguished from its surroundings by its cross section.
     """
     rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
     fast = np.array([_fast(each) for each in motions])
     spread = np.array([np.hypot(np.std(each.along_m), np.std(each.left_m)) for each in motions])
     steady = [np.median(each.speed) > STEADY * v for each, v in zip(motions, fast, strict=True)]
-    still, told = still_rcs(detections), np.array(steady, np.bool_)
-    return list(are_persons(rcs, fast, spread, told, still).tolist())
+    still = still_rcs(detections)
+    return list(are_persons(rcs, fast, spread, np.array(steady, np.bool_), still).tolist())
 
 
 def are_persons(
@@ -308,7 +308,7 @@ def are_persons(
     if np.isnan(usual):
         return np.asarray(faint)
     size = np.log(np.maximum(spread_m, LEAST_SPREAD_M))
-    weak = np.maximum(rcs - usual, _weakest_told(sigma))
+    weak = np.maximum(rcs - usual, _least_rcs(sigma))
     odds = _log_density(weak, PERSON[:2]) - _log_density(weak, (VEHICLE[0], sigma))
     by_size = _log_density(size, PERSON[2:]) - _log_density(size, VEHICLE[2:])
     odds += np.where(np.isnan(by_size), UNKNOWN_SIZE, by_size)
@@ -316,11 +316,11 @@ def are_persons(
     return np.asarray(may_be & (odds > 0.0))
 
 
-def _weakest_told(sigma: float) -> float:
-    """Return the cross section, dB over that of vehicles, with the highest odds of a person.
+def _least_rcs(sigma: float) -> float:
+    """Return the least cross section that counts, dB over the usual one of vehicles.
 
-    Weaker ones count as this one: the density of vehicles is wider than that of persons, so that
-    the odds would fall again.
+    Here the odds of a person are highest. The density of vehicles is the wider one: below this
+    value the odds would fall again.
     """
     wide, narrow = sigma**2, PERSON[1] ** 2
     return PERSON[0] * wide / (wide - narrow) if wide > narrow else -np.inf
@@ -371,10 +371,10 @@ def without_faint_ends(
     odds = np.log(FAINT_SHARE / (1.0 - FAINT_SHARE))
     for each in motions:
         faint = detections.rcs[each.rows] < usual - FAINT_DB
-        tells = np.where(faint, -odds, odds)
+        log_odds = np.where(faint, -odds, odds)  # of a person, by detection
         ends = []
-        for way in (tells, tells[::-1]):
-            summed = np.cumsum(way)
+        for from_one_end in (log_odds, log_odds[::-1]):
+            summed = np.cumsum(from_one_end)
             most = int(summed.argmax())
             ends.append(most + 1 if summed[most] > FAINT_ODDS else 0)
         rows = each.rows[ends[0] : len(faint) - ends[1]]

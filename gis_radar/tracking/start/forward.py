@@ -276,7 +276,7 @@ def _prune_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no cov
                 continue
             more = bodies[k, MISFIT] - bodies[other, MISFIT]
             same = bodies[k, FOLLOWED] >= 0.0 and bodies[k, FOLLOWED] == bodies[other, FOLLOWED]
-            same = same or _is_one_again(bodies[k], bodies[other])
+            same = same or _have_rejoined(bodies[k], bodies[other])
             worse = (
                 worse
                 or more > MOST_MISFIT
@@ -290,8 +290,8 @@ def _prune_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no cov
 
 
 @compiled
-def _is_one_again(one: Floats, other: Floats) -> bool:  # pragma: no cover - compiled
-    """Return whether two branches are at one place, far beyond their fork."""
+def _have_rejoined(one: Floats, other: Floats) -> bool:  # pragma: no cover - compiled
+    """Return whether two branches are at the same place again, far beyond their fork."""
     apart = np.hypot(one[X] - other[X], one[Y] - other[Y])
     return bool(min(one[SINCE_M], other[SINCE_M]) > SINCE_FORK_M and apart < NEAR_M)
 

@@ -98,10 +98,7 @@ class _StillDetections:
 
 
 def find_stationary(
-    detections: MapDetections,
-    free: Booleans,
-    motions: Sequence[Motion],
-    passes: Passes,
+    detections: MapDetections, free: Booleans, motions: Sequence[Motion], passes: Passes
 ) -> list[StationaryTarget]:
     """Find the stationary vehicles that explain the still detections on lanes.
 
@@ -383,7 +380,7 @@ def _gains(weights: Floats) -> Floats:  # pragma: no cover - compiled
 
 @compiled
 def _pack(
-    weights: Floats, gains: Floats, prior: Floats, held: Integers
+    weights: Floats, gains: Floats, prior: Floats, rear_before: Integers
 ) -> Integers:  # pragma: no cover - compiled
     """Return what `pack` does, with the gains of ends and the log priors of lengths in cells."""
     count = weights.shape[1]
@@ -404,7 +401,8 @@ def _pack(
             score += gains[0, f] + gains[1, r]
             if score <= 0.0:
                 continue
-            score += prior[f - r] - VEHICLE_COST + behind[r] + (STAY_GAIN if held[f] == r else 0.0)
+            stays = STAY_GAIN if rear_before[f] == r else 0.0
+            score += prior[f - r] - VEHICLE_COST + behind[r] + stays
             if score > best[f] + 1e-9:
                 best[f], rear_of[f] = score, r
         behind[f], front_behind[f] = _best_behind(best, f, least_gap, easy_gap)

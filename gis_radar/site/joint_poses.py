@@ -1,4 +1,4 @@
-"""Poses of a site's sensors found together: candidates of each sensor, and the common answer."""
+"""Joint calibration of a site's sensors: candidate poses of each, and the poses that fit all."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ def refuse_candidates(path: Path) -> None:
         raise NoAnswerError(record["message"], hint=record["hint"])
 
 
-def solve_together(
+def calibrate_jointly(
     sensors: Mapping[str, Sequence[Path]], folder: Path, map_file: Path, road: Path, *,
     clocks: Path | None, reporter: Reporter, **options: Any,
 ) -> Record:  # fmt: skip
-    """Adjust the poses of a site's sensors together, of those that have one or several.
+    """Calibrate jointly those sensors of a site that have one or several candidate poses.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def _own_candidates(place: Path) -> tuple[tuple[Pose, ...], Record]:
 def _sensor_record(
     name: str, poses: tuple[Pose, ...], solved: calibration.Solved, refusal: Record
 ) -> Record:
-    """Return the record of a sensor, as :func:`solve_together` returns it."""
+    """Return the record of a sensor, as :func:`calibrate_jointly` returns it."""
     if name in solved.refused:
         return {
             "message": solved.refused[name],
@@ -127,12 +127,12 @@ def _sensor_record(
     return {"pose": pose.as_dict(), "line": line}
 
 
-def write_together(record: Record, path: Path) -> None:
-    """Write the record of all sensors, from :func:`solve_together`."""
+def write_joint_poses(record: Record, path: Path) -> None:
+    """Write the record of all sensors, from :func:`calibrate_jointly`."""
     _write(path, {"sensors": record})
 
 
-def read_together(path: Path, sensor: str) -> tuple[Pose, str]:
+def read_joint_pose(path: Path, sensor: str) -> tuple[Pose, str]:
     """Return the pose of a sensor, and the line about its adjustment.
 
     Raises
