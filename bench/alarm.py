@@ -33,7 +33,7 @@ from scipy.spatial.transform import Rotation
 from gis_radar.base import Floats
 from gis_radar.calibration.monitoring.stationary_targets import (
     BLOCK_S,
-    GATE,
+    LEAST_MOVE_SCORE,
     SEARCH_BLOCKS,
     StationaryTargets,
 )
@@ -247,7 +247,9 @@ class Detector:
         for block in blocks:
             self.still.process(block)
             tested = self.still.tested
-            largest = max([largest, *(each.displacement.score / GATE for each in tested)])
+            largest = max(
+                [largest, *(each.displacement.score / LEAST_MOVE_SCORE for each in tested)]
+            )
         return largest
 
 

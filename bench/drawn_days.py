@@ -31,7 +31,7 @@ from gis_radar.dataset import (
     write_record,
     write_single_file,
 )
-from gis_radar.dataset.days.lane_measures import METHOD
+from gis_radar.dataset.days.lane_measures import LANES_METHOD
 from gis_radar.dataset.files.parts import PartDigest, common_metadata, move_to_place, write_part
 from gis_radar.dataset.files.tables import HOUR_TABLES, LANE_MEASURES, SIGHTS, TURNS
 from gis_radar.hdmap import fingerprint
@@ -124,7 +124,9 @@ def _write(
     own: list[str | int] = [DRAWN_METHOD, DRAWN]
     keys = dict.fromkeys(range(day, day + HOURS), own)
     if table is not TILE_COUNTS:  # lane measures depend on the hour before, too
-        keys = {hour: [METHOD, *own, *(own if hour > FIRST_HOUR else [0, ""])] for hour in keys}
+        keys = {
+            hour: [LANES_METHOD, *own, *(own if hour > FIRST_HOUR else [0, ""])] for hour in keys
+        }
     metadata = common_metadata(table, known) | {"hour": hour_text(day), "hours": json.dumps(keys)}
     path = part_path(folder, table, day)
     write_part(table, path, rows, metadata)

@@ -32,7 +32,7 @@ from gis_radar.dataset import (
     open_dataset,
     write_record,
 )
-from gis_radar.dataset.days.lane_measures import METHOD
+from gis_radar.dataset.days.lane_measures import LANES_METHOD
 from gis_radar.dataset.days.tables import QUARTERS, DayTables
 from gis_radar.dataset.days.tile_counts import count_keys
 from gis_radar.dataset.files.parts import HOURS_PER_DAY, PartDigest
@@ -179,7 +179,7 @@ class DayDrawer:
             ]
 
         keys = count_keys(records)
-        of_traffic = {hour: [METHOD, *key, *key] for hour, key in keys.items()}
+        of_traffic = {hour: [LANES_METHOD, *key, *key] for hour, key in keys.items()}
         parts = zip(*map(rows, records), strict=True)
         for table, each in zip((TILE_COUNTS, *LaneTraffic.tables), parts, strict=False):
             whole = pa.concat_tables(each, promote_options="default")

@@ -21,7 +21,7 @@ from gis_radar.dataset import (
     count_spans,
 )
 from gis_radar.dataset.files.tables import LANE_MEASURES, TURNS
-from gis_radar.measures import LEAST_SHARE
+from gis_radar.measures import LEAST_VISIBLE_SHARE
 
 PART_S = 30
 PART_STEPS = PART_S * STEPS_PER_SECOND
@@ -147,7 +147,7 @@ class MeasuredParts:
         found["queue_max_m"] = np.where(longest >= 0.0, longest, np.nan)
         speed = found["flow"] / np.where(found["density"] > 0.0, found["density"], np.nan) / 3.6
         travel_s = self.length_m / np.where(speed > 0.0, speed, np.nan)
-        enough = found[_KM_H] >= LEAST_SHARE * self.length_m / 4000.0
+        enough = found[_KM_H] >= LEAST_VISIBLE_SHARE * self.length_m / 4000.0
         found["speed_mean"] = speed
         found["travel_time_s"] = np.where(enough, travel_s, np.nan)
         found["delay_s"] = np.maximum(found["travel_time_s"] - self.free_s, 0.0)
@@ -231,7 +231,7 @@ def _volumes(times: Floats, of: Values) -> Values:
     share = times @ of["visible_share"] / PARTS
     variance = more**2 * _total(times, of["volume_se"] ** 2)
     error = np.sqrt(variance + (volume / more + 0.5) * (more**2 - more))
-    enough = (known > 0.0) & (share >= LEAST_SHARE)
+    enough = (known > 0.0) & (share >= LEAST_VISIBLE_SHARE)
     return {
         "visible_share": share,
         "volume": np.where(enough, volume, np.nan),

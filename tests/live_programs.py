@@ -23,7 +23,7 @@ from live_site import LONGEST_S, free_port
 import gis_radar as gr
 from gis_radar.base import Reporter
 from gis_radar.live import Edge, SpoolFile, spool_files, unpack_detections, unpack_message
-from gis_radar.live.hours.spool import FRAMES
+from gis_radar.live.hours.spool import FRAMES_RECORD
 
 LONG = os.environ.get("GIS_RADAR_LIVE") == "all"
 takes_long = pytest.mark.skipif(not LONG, reason="takes long: make live-test")
@@ -253,7 +253,7 @@ def frames_on_disk(folder, name):
         found = {round(1e6 * each) for each in recorded(folder, name)["time"]}
     for path in spool_files(live / "spool"):
         for _, record in SpoolFile(path).records():
-            if (record.kind, record.sensor) == (FRAMES, name):
+            if (record.kind, record.sensor) == (FRAMES_RECORD, name):
                 found |= frames_in(unpack_message(record.payload)[1])
     return found
 

@@ -22,7 +22,7 @@ from gis_radar.calibration.monitoring.kalman_filter import (
     predicted,
     widened,
 )
-from gis_radar.calibration.monitoring.moves import FALSE_ALARMS, GATE, LENGTHS_S, SUSPECT
+from gis_radar.calibration.monitoring.moves import FALSE_ALARMS, LENGTHS_S, MOVE_GATE, SUSPECT
 from gis_radar.poses import Pose
 
 HOUR_S = 3600.0
@@ -224,5 +224,5 @@ def test_the_likeliest_move_leaves_out_what_is_not_seen():
 
 def test_gates_are_quantiles_of_chi2():
     tests = 3600.0 / CYCLE_S * len(LENGTHS_S)
-    assert pytest.approx(chi2.ppf(1.0 - FALSE_ALARMS / tests, 6)) == GATE
+    assert pytest.approx(chi2.ppf(1.0 - FALSE_ALARMS / tests, 6)) == MOVE_GATE
     assert pytest.approx(12.59, abs=0.01) == SUSPECT  # of any table

@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from gis_radar.base import InputError, UsageError
 from gis_radar.recordings.columns import find_layout, message_rows, values_of
-from gis_radar.recordings.readers.bags import DEFINITIONS, typestore
+from gis_radar.recordings.readers.bags import MESSAGE_DEFINITIONS, typestore
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 KINDS = ("ros1", "sqlite3", "mcap")
@@ -31,7 +31,7 @@ ARS548_CLOUD = [
 @cache
 def store_of(kind):
     store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
-    for name, text in DEFINITIONS.items():
+    for name, text in MESSAGE_DEFINITIONS.items():
         store.register(get_types_from_msg(text, name))
     return store
 

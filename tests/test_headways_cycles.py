@@ -33,7 +33,7 @@ from gis_radar.measures import (
     cycles,
     headways,
 )
-from gis_radar.measures.cycles import CHANCE, FEW, HIDDEN, UNEVEN, are_of_another, period_of
+from gis_radar.measures.cycles import CHANCE, FEW, LINE_HIDDEN, UNEVEN, are_of_another, period_of
 from gis_radar.products import service_levels
 from gis_radar.products.traffic import HANDBOOKS
 
@@ -203,8 +203,8 @@ def test_the_queue_at_the_end_of_green_goes_on_over_road_that_is_not_visible():
 def test_a_cycle_in_which_the_line_was_hidden_says_so():
     fronts = at_signal(7, 3)
     reasons = [each.reason for each in told(fronts, (400, 403))]
-    assert reasons.count(HIDDEN) == 1
-    assert set(reasons) == {"", HIDDEN}
+    assert reasons.count(LINE_HIDDEN) == 1
+    assert set(reasons) == {"", LINE_HIDDEN}
 
 
 def test_what_is_not_periodic_is_not_told():

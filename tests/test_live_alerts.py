@@ -201,7 +201,7 @@ def test_a_receiver_that_fails_gets_the_alert_again_and_is_told_once(receiver, m
 
 
 def test_alerts_that_nobody_takes_are_counted_and_hold_nothing_up(monkeypatch):
-    monkeypatch.setattr(alerts, "MOST_WAITING", 2)
+    monkeypatch.setattr(alerts, "MOST_ALERTS_WAITING", 2)
     said, receiver = Lines(), Receiver()
     receiver.shutdown()  # takes connections, and answers nothing
     monkeypatch.setattr(alerts, "TIMEOUT_S", 0.5)

@@ -29,8 +29,8 @@ from gis_radar.live.hours.hour_work import (
     refuse_other_settings,
     resume_hours,
 )
-from gis_radar.live.hours.jobs import DOUBTS, HourJobs
-from gis_radar.live.hours.quarters import QUARTERS_KEPT, TRAFFIC, Quarters, read_quarters
+from gis_radar.live.hours.jobs import DOUBTS_FILE, HourJobs
+from gis_radar.live.hours.quarters import QUARTERS_KEPT, TRAFFIC_FIELDS, Quarters, read_quarters
 from gis_radar.live.hours.recordings import end_of_hour_s
 
 pytestmark = pytest.mark.usefixtures("ready_workers")
@@ -172,9 +172,11 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     tiles = gr.read_tiles(made.site.tiles)
     (by_hour,) = read_quarters(gr.open_dataset(made.site.dataset), tiles, [quarter])
     assert by_hour.lanes["hit_s"].equals(found.lanes["hit_s"])
-    shown = by_hour.lanes.set_index("lane").dropna(subset="counted")[list(TRAFFIC)]
+    shown = by_hour.lanes.set_index("lane").dropna(subset="counted")[list(TRAFFIC_FIELDS)]
     table = gr.open_dataset(made.site.dataset).traffic("15min").set_index("lane")
-    expected = table[table["begin"] == step_begin(quarter * 18_000)].loc[shown.index, list(TRAFFIC)]
+    expected = table[table["begin"] == step_begin(quarter * 18_000)].loc[
+        shown.index, list(TRAFFIC_FIELDS)
+    ]
     pd.testing.assert_frame_equal(shown, expected.astype(float), rtol=1e-5)
     assert by_hour.lanes["counted"].sum() == found.lanes["counted"].sum()
     assert resume_hours(made.site, []).hours == []
@@ -413,7 +415,7 @@ DAMAGED = (
 @pytest.mark.parametrize("text", DAMAGED)
 def test_a_file_of_doubts_that_is_damaged_stops_nothing_and_is_told(tmp_path, pool, text):
     site, said = SpooledSite(tmp_path).site, Lines()
-    (site.folder / DOUBTS).write_text(text)
+    (site.folder / DOUBTS_FILE).write_text(text)
     assert JobsHere(site, Quarters(), reporter=said, pool=pool).doubts == {}
     assert said.told("doubts.json: cannot be read")
 

@@ -18,7 +18,7 @@ from gis_radar.live import (
     spool_files,
 )
 from gis_radar.live.hours.recordings import hour_of_time
-from gis_radar.live.hours.spool import FRAMES, POSE, SKIPPED
+from gis_radar.live.hours.spool import FRAMES_RECORD, POSE_RECORD, SKIPPED_RECORD
 from gis_radar.scans import find_sight
 
 DAY_US, HOUR_US = 86_400_000_000, 3_600_000_000
@@ -65,7 +65,12 @@ def test_odd_messages_are_counted_and_the_rest_goes_on(tmp_path):
     assert fed.counts["frames"] == 2
     fed.commit()
     assert fed.stored == 3
-    assert [each.kind for each in fed.spooled()] == [POSE, FRAMES, FRAMES, SKIPPED]
+    assert [each.kind for each in fed.spooled()] == [
+        POSE_RECORD,
+        FRAMES_RECORD,
+        FRAMES_RECORD,
+        SKIPPED_RECORD,
+    ]
 
 
 def test_what_a_sensor_leaves_out_is_told_by_its_status_and_shown(fed):
@@ -193,8 +198,8 @@ def test_a_new_start_goes_on_where_it_was(tmp_path):
     third.commit()
     third.spool.close()
     kinds = [each.kind for each in third.spooled()]
-    assert kinds.count(FRAMES) == 103
-    assert kinds.count(POSE) == 3  # each file holds those that its frames name
+    assert kinds.count(FRAMES_RECORD) == 103
+    assert kinds.count(POSE_RECORD) == 3  # each file holds those that its frames name
 
 
 def test_where_the_newest_file_of_the_spool_is_torn_the_one_before_it_tells_the_marks(tmp_path):

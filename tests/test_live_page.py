@@ -42,7 +42,7 @@ from gis_radar.live import (
     make_app,
     read_live_site,
 )
-from gis_radar.live.hours.quarters import TRAFFIC
+from gis_radar.live.hours.quarters import TRAFFIC_FIELDS
 from gis_radar.live.served.page import (
     HIT_COLOUR,
     VEHICLE_COLOUR,
@@ -50,7 +50,7 @@ from gis_radar.live.served.page import (
     page_server,
     whole_event,
 )
-from gis_radar.live.served.snapshot import NOT_OBSERVED
+from gis_radar.live.served.snapshot import NO_CLASS
 from gis_radar.products.heatmap import style
 from gis_radar.site import PageTable
 
@@ -158,7 +158,7 @@ def test_classes_are_those_of_the_legend(live):
     snapshot = Snapshot(step=0, now=np.empty(0, np.int64), observed_now=observed > 0,
                         hit=hit, observed=observed)  # fmt: skip
     share, found = hit[1:] / 1000, snapshot.classes()
-    assert found[0] == NOT_OBSERVED
+    assert found[0] == NO_CLASS
     for value, number in zip(share, found[1:], strict=True):
         each = style.colour_classes()[number]
         assert (each.lower < value <= each.upper) or (value == 0.0 == each.upper)
@@ -523,7 +523,7 @@ def test_vehicles_of_now_are_features(live, address):
     assert found["numberMatched"] == len(now) > 0
     assert {each["properties"]["heavy"] for each in found["features"]} == {False, True}
     lanes = get_json(f"{address}/ogc/collections/lanes/items")["features"]
-    traffic = {name: lanes[3]["properties"][f"{name}_15min"] for name in TRAFFIC}
+    traffic = {name: lanes[3]["properties"][f"{name}_15min"] for name in TRAFFIC_FIELDS}
     assert traffic == {
         "visible_share": 1.0, "counted": 3, "volume": 3.0, "volume_se": 0.5, "speed_kmh": 36.0,
         "occupancy": 0.1, "queue_max_m": 23.4,
@@ -560,7 +560,7 @@ def test_what_is_not_observed_has_no_share(live):
     event = whole_event(live.place, live.snapshot())
     unseen = np.flatnonzero(~live.seen).tolist()
     assert event["unobserved"] == unseen
-    assert {event["classes"][tile] for tile in unseen} == {NOT_OBSERVED}
+    assert {event["classes"][tile] for tile in unseen} == {NO_CLASS}
     share = live.snapshot().by_lane(live.place)
     assert [each is None for each in event["lanes"].values()] == [math.isnan(x) for x in share]
 

@@ -28,7 +28,7 @@ from gis_radar.live import (
     waiting_hours,
 )
 from gis_radar.live.hours.recordings import remove_old
-from gis_radar.live.hours.spool import FRAMES, POSE
+from gis_radar.live.hours.spool import FRAMES_RECORD, POSE_RECORD
 
 HOUR = 486_111  # since 1970: 2025-06
 BEGIN_US = HOUR * HOUR_US + HOUR_OFFSET_US
@@ -274,7 +274,7 @@ def test_a_damaged_record_of_the_spool_costs_itself_alone(tmp_path, share, whole
     made = SpooledSite(tmp_path)
     frames = frames_at("R1", BEGIN_US)
     (spooled,) = made.add("R1", frames)
-    begins = [at for at, record in SpoolFile(spooled).records() if record.kind == FRAMES]
+    begins = [at for at, record in SpoolFile(spooled).records() if record.kind == FRAMES_RECORD]
     begin = begins[int(share * len(begins))]
     damaged = bytearray(spooled.read_bytes())
     damaged[begin + (20 if whole_head else 3)] ^= 1
@@ -314,4 +314,4 @@ def test_frames_keep_their_pose_however_many_poses_come_before_the_disk(tmp_path
         fed.frames(k + 1, frame(NOW_US - HOUR_US + 50_000 * k), key=key, first=k == 0)
     fed.commit()
     kinds = [each.kind for each in fed.spooled()]
-    assert (kinds.count(FRAMES), kinds.count(POSE)) == (100, 100)
+    assert (kinds.count(FRAMES_RECORD), kinds.count(POSE_RECORD)) == (100, 100)

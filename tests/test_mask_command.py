@@ -81,4 +81,4 @@ def test_refusals(site, run, words, code, part):
 
 
 def test_the_command_offers_every_engine():
-    assert MASK_ENGINES == engines.NAMES
+    assert MASK_ENGINES == engines.ENGINE_NAMES

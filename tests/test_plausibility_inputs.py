@@ -272,7 +272,7 @@ def test_a_cause_is_named_only_if_all_fits_once_it_is_corrected(
     )
     monkeypatch.setattr(explanations, "usual_mistakes", lambda *_, **__: [mistake])
     excerpt = next(excerpts(rows["R1"], replace(POSES["R1"], yaw=POSES["R1"].yaw + 180.0)))
-    assert mistake.score(excerpt, lanes).share > explanations.LEAST_SHARE
+    assert mistake.score(excerpt, lanes).share > explanations.LEAST_ON_LANES
     found = compare_explanations(excerpt, lanes, {})
     assert found.verdict == WRONG
     assert ("of a test" in found.cause) is named

@@ -229,7 +229,7 @@ def test_free_speeds_and_a_new_method_of_lane_measures_are_sent(
     stored = asked("SELECT sum(delay_s) FROM gis_radar.lane_measures")
     assert stored[0][0] == pytest.approx(slow.traffic()["delay_s"].sum())
     assert stored[0][0] > two_days.traffic()["delay_s"].sum()
-    monkeypatch.setattr("gis_radar.dataset.days.lane_measures.METHOD", 99)
+    monkeypatch.setattr("gis_radar.dataset.days.lane_measures.LANES_METHOD", 99)
     assert gr.publish(slow, database).sent == 2
     assert gr.publish(slow, database).kept == 2
 

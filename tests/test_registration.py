@@ -40,7 +40,7 @@ from gis_radar.calibration.registration.residuals import (
 )
 from gis_radar.calibration.registration.solver import Rest, Schedule, at_least, settle, solve
 from gis_radar.calibration.registration.state import (
-    POSE,
+    POSE_PART,
     SIZE,
     TURN,
     State,
@@ -352,7 +352,7 @@ def test_turns_become_angles(yaw, pitch, roll, seed):
     state = State(position=np.zeros(3), R_map_sensor=pose.R_map_sensor, reflection=0.6)
     change = state.moved(step).yaw_pitch_roll - state.yaw_pitch_roll
     change = (change + np.pi) % (2 * np.pi) - np.pi
-    expected = (angles_from_turn(np.radians(yaw), np.radians(pitch)) @ step[POSE])[TURN]
+    expected = (angles_from_turn(np.radians(yaw), np.radians(pitch)) @ step[POSE_PART])[TURN]
     assert np.allclose(change[::-1], expected, atol=1e-9)
     assert np.allclose(state.moved(step).difference(state), step, atol=1e-9)
 

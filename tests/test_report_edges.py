@@ -29,7 +29,7 @@ import gis_radar as gr
 from gis_radar.base.spreadsheets import safe
 from gis_radar.cli import group
 from gis_radar.products import REPORT_FILES, make_heatmap
-from gis_radar.products.heatmap.heatmap import OWNED
+from gis_radar.products.heatmap.heatmap import OWNED_BY_HEATMAP
 from gis_radar.products.report import report
 
 
@@ -203,7 +203,7 @@ def test_a_folder_without_a_heat_map_is_bad_input(tmp_path):
 
 
 def test_a_heat_map_takes_the_place_of_a_report_in_its_folder():
-    assert all(name.startswith(OWNED) for name in REPORT_FILES)
+    assert all(name.startswith(OWNED_BY_HEATMAP) for name in REPORT_FILES)
 
 
 def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path, blank_paper):

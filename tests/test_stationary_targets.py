@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from gis_radar.calibration.monitoring.stationary_targets import (
     BLOCKS,
-    GATE,
     GONE_BLOCKS,
     LEAST_AGE,
+    LEAST_MOVE_SCORE,
     StationaryTargets,
     Watch,
     by_move,
@@ -115,7 +115,7 @@ def test_a_small_move_is_noticed_within_three_minutes_with_its_size(taught, name
     yard.feed(targets, 8, step)
     told = targets.verdict(6)
     assert is_sensitive(told)
-    assert told.displacement.score > GATE
+    assert told.displacement.score > LEAST_MOVE_SCORE
     assert told.displacement.seconds == 120.0
     error = told.displacement.move - step
     assert error @ np.linalg.solve(told.displacement.covariance, error) < 22.5  # 0.1 % of chi2, 6
@@ -133,7 +133,7 @@ def test_a_sensor_at_rest_is_not_moved_whatever_is_parked(taught):
         yard.feed(targets, points=points)
         told = targets.tested
         worst = max(worst, *(each.displacement.score for each in told))
-    assert worst < GATE
+    assert worst < LEAST_MOVE_SCORE
     assert is_sensitive(told[1])
 
 
@@ -147,7 +147,7 @@ def test_targets_are_learnt_again_after_others_have_left(taught):
     yard.feed(targets, GONE_BLOCKS + 40, points=points)
     told = targets.verdict(6)
     assert is_sensitive(told)
-    assert told.displacement.score < GATE
+    assert told.displacement.score < LEAST_MOVE_SCORE
     assert len(pickle.dumps(targets)) < held + 50_000  # bytes; of 22 million
     assert len(targets) < 60
 
@@ -166,14 +166,14 @@ def test_nothing_is_said_after_a_blow_in_snow_or_of_few_targets(taught, move, co
 def test_targets_that_are_told_later_begin_anew(taught):
     yard, targets = again(taught, 6)
     yard.feed(targets, 8, np.array(MOVES["ahead"]))
-    assert targets.tested[0].displacement.score > GATE
+    assert targets.tested[0].displacement.score > LEAST_MOVE_SCORE
     targets.set_targets(polar_of(yard.points[:30]), np.full(30, 0.9))
     assert targets.tested == []
     assert targets.verdict(1) is None
     yard.feed(targets, BLOCKS[-1] + LEAST_AGE)
     assert len(targets) >= 30
     told = targets.verdict(6)
-    assert told.displacement.score < GATE
+    assert told.displacement.score < LEAST_MOVE_SCORE
 
 
 def test_what_drives_or_stands_for_a_while_is_no_target():

@@ -60,7 +60,7 @@ def batch(time, rate):
 
 
 def test_a_window_keeps_the_last_frames_across_batches(monkeypatch):
-    monkeypatch.setattr(reading, "FRAMES", 3)
+    monkeypatch.setattr(reading, "WINDOW_FRAMES", 3)
     window = MovingWindow()
     window.push(batch([0, 0, 1, 1], [1, 0, 1, 1]))
     window.push(batch([1, 2, 3], [1, 0.1, -2]))
@@ -73,7 +73,7 @@ def test_a_window_keeps_the_last_frames_across_batches(monkeypatch):
 
 
 def test_moving_is_read_from_a_recording(tmp_path, monkeypatch):
-    monkeypatch.setattr(reading, "FRAMES", 20)
+    monkeypatch.setattr(reading, "WINDOW_FRAMES", 20)
     time = START + np.repeat(np.arange(30), 4) * 0.05
     rate = np.tile([0.0, 0.1, 0.2, -3.0], 30)
     path = recording(tmp_path / "R1.parquet", time, np.ones((120, 3)), range_rate=rate)

@@ -29,7 +29,7 @@ BEGIN = HOUR * STEPS_PER_HOUR
 def _short_blocks():
     with pytest.MonkeyPatch.context() as shorter:
         shorter.setattr(hour_blocks, "BLOCK_STEPS", 30)
-        shorter.setattr(hour_blocks, "MARGIN_STEPS", 10)
+        shorter.setattr(hour_blocks, "BLOCK_MARGIN_STEPS", 10)
         yield
 
 

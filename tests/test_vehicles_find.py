@@ -104,7 +104,7 @@ def test_most_moving_vehicles_near_the_sensors_are_followed(whole):
 
 def test_blocks_neither_lose_nor_double_occupancy(site, whole, monkeypatch):
     monkeypatch.setattr(hour_blocks, "BLOCK_STEPS", 300)
-    monkeypatch.setattr(hour_blocks, "MARGIN_STEPS", 100)
+    monkeypatch.setattr(hour_blocks, "BLOCK_MARGIN_STEPS", 100)
     cut = found(site, "cut")
     tiles, _ = site
     uncut, in_blocks = occupied_s(whole, tiles), occupied_s(cut, tiles)
@@ -121,7 +121,7 @@ def test_frames_missing_around_the_edge_of_a_block_part_no_vehicle(site, tmp_pat
     kept = table[(near < 100) & (near > gap)]
     kept.to_parquet(tmp_path / "R1.parquet", index=False)
     states = []
-    monkeypatch.setattr(hour_blocks, "MARGIN_STEPS", 240)
+    monkeypatch.setattr(hour_blocks, "BLOCK_MARGIN_STEPS", 240)
     for name, steps in (("gap-whole", 6000), ("gap-cut", 240)):
         monkeypatch.setattr(hour_blocks, "BLOCK_STEPS", steps)
         made = found(site, name, [tmp_path / "R1.parquet"])

@@ -19,7 +19,7 @@ from gis_radar.tracking.motion import fit_motion, non_decreasing
 from gis_radar.tracking.paths import Path, path_through
 from gis_radar.tracking.start import bodies
 from gis_radar.tracking.start.bodies import join_directions
-from gis_radar.tracking.start.stationary import CELL_M, pack
+from gis_radar.tracking.start.stationary import STRIP_CELL_M, pack
 from gis_radar.tracking.tracker import vehicles_in
 
 
@@ -374,8 +374,8 @@ def test_a_queue_is_packed_into_its_vehicles(gap_m, count):
     rears = [10.0 + k * (4.5 + gap_m) for k in range(count)]
     for rear in rears:
         for place, kind in ((rear + 0.1, 1), (rear + 4.4, 0)):
-            weights[kind, int(place / CELL_M)] = 8.0
-    found = pack(weights, np.full(401, NONE, np.int64)) * CELL_M
+            weights[kind, int(place / STRIP_CELL_M)] = 8.0
+    found = pack(weights, np.full(401, NONE, np.int64)) * STRIP_CELL_M
     assert len(found) == count
     assert np.sort(found[:, 0]) == pytest.approx(rears, abs=0.6)
     assert np.sort(found[:, 1]) == pytest.approx(np.add(rears, 4.5), abs=0.6)

@@ -82,7 +82,7 @@ from .notebooks import (
     small_picture,
     table_card,
 )
-from .parquet import column_statistics
+from .parquet import ROWS_IN_GROUP, column_statistics
 from .processes import (
     OFFLINE,
     free_address_space,
@@ -170,6 +170,7 @@ __all__ = [
     "NO_FIGURE",
     "OFFLINE",
     "QUIET",
+    "ROWS_IN_GROUP",
     "SHORTEST_CYCLE_S",
     "SILENT",
     "STEPS_PER_HOUR",

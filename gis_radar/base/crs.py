@@ -14,7 +14,7 @@ from gis_radar.base.errors import CrsError, UsageError
 from gis_radar.base.texts import Text
 from gis_radar.base.words import WINDS
 
-SCALE_TOLERANCE = 0.002  # UTM stays within 0.001 in its zone; web Mercator is off by 0.5 at 48 N
+_SCALE_TOLERANCE = 0.002  # UTM stays within 0.001 in its zone; web Mercator is off by 0.5 at 48 N
 _OUTSIDE_DEG = 10.0  # outside the area of use: sites at its edge pass, other continents do not
 _SHORT_M = 100.0  # a scale is measured along it: rounding is far smaller, the scale constant
 _FITTING_CRS_HINT = Text("use the UTM zone or the national grid of the site")
@@ -114,7 +114,7 @@ def require_true_scale(crs: CRS, easting: float, northing: float, *, what: str) 
         )
     scales = _scales(crs, longitude, latitude)
     worst = scales[np.argmax(np.abs(scales - 1.0))]
-    if abs(worst - 1.0) > SCALE_TOLERANCE:
+    if abs(worst - 1.0) > _SCALE_TOLERANCE:
         raise CrsError(
             "{}: {} is not true to scale at the site: {:.3f} m for each metre",
             what,

@@ -40,7 +40,7 @@ _FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", 
 LEAST_FREE = 1 << 16  # bytes: a disk with less is full, whatever a library's error states
 
 _unfinished: set[Path] = set()
-LONGEST_NAME = 200  # bytes: file systems take 255, and names get endings
+_LONGEST_NAME = 200  # bytes: file systems take 255, and names get endings
 _NOT_IN_NAMES = frozenset('/\\:*?"<>|+#')  # + and # are wildcards of MQTT
 _CLEARING_FILES = 4  # file descriptors that the removal of a nested folder needs
 
@@ -53,7 +53,7 @@ def is_folder_name(text: str) -> bool:
         and text[:1] not in {"", "."}
         and text[-1] != "."
         and not _NOT_IN_NAMES & {*text}
-        and len(text.encode()) <= LONGEST_NAME
+        and len(text.encode()) <= _LONGEST_NAME
     )
 
 

@@ -99,8 +99,8 @@ def _card_html(title: str, table: str, picture: bytes) -> str:
 
 
 SMALL_IN, SMALL_DPI = (4.6, 3.6), 80  # beside a card of figures
-MOST_TICKS = 5
-EDGE_IN = 0.1  # inches of margin around a picture
+_MOST_TICKS = 5
+_EDGE_IN = 0.1  # inches of margin around a picture
 LABELS_IN = 0.42  # inches that ticks and label of an axis take
 FONTS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 
@@ -124,7 +124,7 @@ def label_map(ax: Any) -> None:
 
 
 def _locator(share: float) -> Any:
-    """Return a locator of as many ticks as fit, at most `MOST_TICKS`.
+    """Return a locator of as many ticks as fit, at most `_MOST_TICKS`.
 
     `share` scales matplotlib's own count, which is for labels of four digits.
     """
@@ -133,7 +133,7 @@ def _locator(share: float) -> Any:
     class FewTicks(MaxNLocator):
         def __call__(self) -> Any:
             room = int(self.axis.get_tick_space() * share) if self.axis is not None else 1
-            self.set_params(nbins=min(max(room, 1), MOST_TICKS), min_n_ticks=1)
+            self.set_params(nbins=min(max(room, 1), _MOST_TICKS), min_n_ticks=1)
             return super().__call__()
 
     return FewTicks()
@@ -193,7 +193,7 @@ def picture_file(
         yield figure
         box = "tight" if tight else None
         with atomic_write(Path(path)) as part:
-            figure.savefig(part, format="png", bbox_inches=box, pad_inches=EDGE_IN)
+            figure.savefig(part, format="png", bbox_inches=box, pad_inches=_EDGE_IN)
 
 
 def small_picture(draw: Callable[[Any], Any]) -> bytes:

@@ -1,8 +1,10 @@
-"""What Parquet files state of their columns."""
+"""Parquet files: size of row groups, and what they state of their columns."""
 
 from __future__ import annotations
 
 import pyarrow.parquet as pq
+
+ROWS_IN_GROUP = 131_072  # most rows of a row group (the contract): 4 MB of a recording in memory
 
 
 def column_statistics(metadata: pq.FileMetaData, group: int, place: int) -> pq.Statistics | None:

@@ -21,11 +21,6 @@ FITS, FITS_BUT, WRONG = Text("fits"), Text("fits, but"), Text("does not fit")
 UNKNOWN = Text("too little traffic to tell")
 UNKNOWN_CAUSE = Text("cause unknown")
 RECORD_MORE = Text("record more traffic")
-SENSOR_STATES = (
-    Text("no data"), Text("silent"), Text("moved"), Text("pose doubtful"), Text("clock off"),
-    Text("gaps"), Text("pose not confirmed"), Text("works"),
-)  # fmt: skip
-"""States of a sensor, worst first: of a city's month, and of the live system's alerts."""
 NOT_ONE_PLACE = Cause(
     UNKNOWN_CAUSE,
     Text(
@@ -35,13 +30,29 @@ NOT_ONE_PLACE = Cause(
 )
 CLOCKS_APART = "its clock and that of {} are apart"
 HEADS = (Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do"))
-RECORD = ("verdict", "evidence", "cause", "advice")  # fields that every stored finding has
+_RECORD = ("verdict", "evidence", "cause", "advice")  # fields that every stored finding has
 SPAN = ("since", "until")  # fields that a stored finding may have
-SIDES = (  # counter-clockwise from east, each of 45 degrees
+_SIDES = (  # counter-clockwise from east, each of 45 degrees
     Text("east"), Text("north-east"), Text("north"), Text("north-west"), Text("west"),
     Text("south-west"), Text("south"), Text("south-east"),
 )  # fmt: skip
 CLOCKWISE, ANTICLOCKWISE = Text("clockwise"), Text("anticlockwise")
+
+
+class HealthState:
+    """States of a sensor in a city's month and in the live system's alerts, worst first."""
+
+    NO_DATA = Text("no data")
+    SILENT = Text("silent")
+    MOVED = Text("moved")
+    DOUBTFUL = Text("pose doubtful")
+    CLOCK_OFF = Text("clock off")
+    GAPS = Text("gaps")
+    NOT_CONFIRMED = Text("pose not confirmed")
+    WORKS = Text("works")
+
+
+SENSOR_STATES = tuple(each for each in vars(HealthState).values() if isinstance(each, Text))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +85,7 @@ class Finding:
     def record(self) -> dict[str, str]:
         """All fields but the sensor's name, as a dataset stores them."""
         span = {name: value for name in SPAN if (value := getattr(self, name))}
-        return {name: getattr(self, name) for name in RECORD} | span
+        return {name: getattr(self, name) for name in _RECORD} | span
 
     def joined(self, other: Finding) -> Finding:
         """Merge the findings on one sensor's recordings of two times, in either order.
@@ -160,7 +171,7 @@ def is_record(value: object) -> bool:
     """Return whether a value is a finding as a dataset stores it: a :attr:`Finding.record`."""
     return (
         isinstance(value, dict)
-        and {*RECORD} <= value.keys() <= {*RECORD, *SPAN}
+        and {*_RECORD} <= value.keys() <= {*_RECORD, *SPAN}
         and all(isinstance(each, str) for each in value.values())
     )
 
@@ -203,7 +214,7 @@ def side(east: float, north: float) -> Text:
     >>> side(-2.0, 1.9)
     'north-west'
     """
-    return SIDES[round(math.degrees(math.atan2(north, east)) / 45.0) % 8]
+    return _SIDES[round(math.degrees(math.atan2(north, east)) / 45.0) % 8]
 
 
 def sense(turn: float) -> Text:

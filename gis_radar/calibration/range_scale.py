@@ -18,32 +18,35 @@ from gis_radar.calibration.registration.traces import NONE, Moving, link_tracks,
 from gis_radar.calibration.unit_mistakes import SIGMAS, RangeScale
 
 # Time between the detections of a pair: a vehicle moves farther than its length.
-PAIR_S = 0.5
+_PAIR_S = 0.5
 LEAST_MOVE_M = 2.0  # least change of range of a pair: reflections wander by a metre on a vehicle
-LEAST_SHARE = 0.15  # least range rate of a pair, as a share of the fastest
+_LEAST_SHARE = 0.15  # least range rate of a pair, as a share of the fastest
 SIMILAR = 0.15  # largest relative difference of the range rates of a pair
 # Largest distance of a pair across the line of sight: vehicle size, and speed of crossing vehicles.
-ACROSS_M, ACROSS_MPS = 1.5, 6.0
+_ACROSS_M, _ACROSS_MPS = 1.5, 6.0
 MOST_PAIRED = 20_000  # detections that are paired; of more every n-th frame
 RATIOS = np.exp(np.arange(math.log(0.02), math.log(50.0), 0.02))  # tried scales, with both signs
 LOG_TOLERANCE = 0.1  # largest difference of logarithms at which a pair counts for a ratio
-LEAST_PAIRS = 30  # least number of pairs at the best ratio
+_LEAST_PAIRS = 30  # least number of pairs at the best ratio
 # Least ratio of the lower peak to the higher, of the two signs, where range rates have no sign.
 BOTH_SIGNS = 0.2
 
-STILL_MPS = 0.5  # slower detections are of leaves
+_LEAVES_MPS = 0.5  # slower detections are of leaves
 DRIVE_MPS = 4.0  # least mean range rate of a track: slower ones may be limbs of walkers
-LEAST_POINTS, LEAST_TRAVEL_M = 6, 5.0  # least detections of a track, and its least change of range
+_LEAST_POINTS, _LEAST_TRAVEL_M = (
+    6,
+    5.0,
+)  # least detections of a track, and its least change of range
 # Least cosine between path and line of sight: of vehicles seen from the side, the visible faces
 # change fast.
-LEAST_COSINE = 0.8
+_LEAST_PATH_COSINE = 0.8
 MIXED_M = 1.5  # a track half of whose residuals are larger mixes two vehicles
 # Scale of the Cauchy weights of residuals: least, and as a multiple of their median.
 LEAST_SCALE_M, SPREAD = 0.3, 1.5
 TRACK_COUNT = 4.0  # independent detections as which a track counts: its residuals are correlated
-ROUNDS, ITERATIONS = 2, 12  # rounds of linking and regression; iterations of the weights
-LEAST_VEHICLES = 5  # fewer clusters give no standard error
-HALF_LENGTH_M, HALF_WIDTH_M = 2.25, 0.9  # half length and half width of a car
+_ROUNDS, _ITERATIONS = 2, 12  # rounds of linking and regression; iterations of the weights
+_LEAST_VEHICLES = 5  # fewer clusters give no standard error
+_HALF_LENGTH_M, _HALF_WIDTH_M = 2.25, 0.9  # half length and half width of a car
 # Where a car reflects on average, as a share of the distance from its middle to its visible faces
 # (0.3 to 1.2 in three simulations by different authors); prior information of slope and share.
 FACE_SHARE, PRIOR = 0.7, np.diag([0.0, 0.4**-2])
@@ -95,7 +98,7 @@ def measure_range_scale(moving: Moving) -> RangeScale | None:
     if searched is None:
         return None
     factor, absolute, one_sign = searched
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         tracks = _link_scaled(moving, factor)
         if absolute:
             tracks = _concatenate(tracks, _link_scaled(moving, -factor))
@@ -118,7 +121,7 @@ def _search_factor(moving: Moving) -> tuple[float, bool, bool] | None:
     rate = moving.range_rate
     if len(rate) == 0:
         return None
-    fast = np.abs(rate) >= LEAST_SHARE * np.percentile(np.abs(rate), 99.0)
+    fast = np.abs(rate) >= _LEAST_SHARE * np.percentile(np.abs(rate), 99.0)
     ratios = _pair_ratios(moving.time[fast], np.nan_to_num(moving.points[fast]), rate[fast])
     peaks = []
     for sign in (1.0, -1.0):
@@ -130,7 +133,7 @@ def _search_factor(moving: Moving) -> tuple[float, bool, bool] | None:
         best = int(density.argmax())
         peaks.append((float(density[best]), sign * float(RATIOS[best])))
     (rarer, _), (peak, factor) = sorted(peaks)
-    if peak * abs(factor) < LEAST_PAIRS:
+    if peak * abs(factor) < _LEAST_PAIRS:
         return None
     one_sign = bool((rate > 0.0).all() or (rate < 0.0).all())
     return factor, one_sign and rarer > BOTH_SIGNS * peak, one_sign
@@ -140,10 +143,10 @@ def _pair_ratios(time: Floats, points: Floats, rate: Floats) -> Floats:
     """Return change of range over that by range rates, of pairs that may be of one vehicle."""
     frame_times, begins = np.unique(time, return_index=True)
     first = np.arange(0, len(frame_times), max(len(time) // MOST_PAIRED, 1))
-    second = np.searchsorted(frame_times, frame_times[first] + PAIR_S)
+    second = np.searchsorted(frame_times, frame_times[first] + _PAIR_S)
     range_m, azimuth = np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0])
     in_time = second < len(frame_times)
-    in_time[in_time] = frame_times[second[in_time]] - frame_times[first[in_time]] <= 1.5 * PAIR_S
+    in_time[in_time] = frame_times[second[in_time]] - frame_times[first[in_time]] <= 1.5 * _PAIR_S
     frames = np.column_stack([first, second])[in_time]
     return _ratios(frames, np.append(begins, len(time)), time, range_m, azimuth, rate)
 
@@ -161,7 +164,7 @@ def _ratios(  # pragma: no cover - compiled
                 stated, change_m = (rate[i] + rate[j]) / 2.0, range_m[j] - range_m[i]
                 across_m = abs(heading_difference(azimuth[j], azimuth[i])) * range_m[i]
                 similar = abs(rate[i] - rate[j]) <= SIMILAR * abs(stated)
-                near = across_m <= ACROSS_M + ACROSS_MPS * lapse_s
+                near = across_m <= _ACROSS_M + _ACROSS_MPS * lapse_s
                 if similar and near and abs(change_m) >= LEAST_MOVE_M:
                     ratios.append(change_m / (stated * lapse_s))
     return np.array(ratios)
@@ -169,7 +172,7 @@ def _ratios(  # pragma: no cover - compiled
 
 def _link_scaled(moving: Moving, factor: float) -> _Tracks:
     """Return the detections on tracks linked with range rates times `factor`."""
-    fast = np.abs(factor * moving.range_rate) >= STILL_MPS
+    fast = np.abs(factor * moving.range_rate) >= _LEAVES_MPS
     # of a radar without elevation x and y hold the slant range
     points, rate = np.nan_to_num(moving.points), factor * moving.range_rate
     moving = replace(moving, points=points, range_rate=rate).where(fast)
@@ -186,12 +189,12 @@ def _link_scaled(moving: Moving, factor: float) -> _Tracks:
         range_m=np.linalg.norm(points, axis=1),
         stated_m=_integrate(track, time, moving.range_rate[rows]),
         face_m=_face_offset(cosine),
-    ).where(cosine >= LEAST_COSINE)
+    ).where(cosine >= _LEAST_PATH_COSINE)
     if len(tracks.time) == 0:
         return tracks
     count = np.bincount(tracks.track)[tracks.track]
-    least_m = np.maximum(LEAST_TRAVEL_M, DRIVE_MPS * tracks.extent(tracks.time))
-    return tracks.where((count >= LEAST_POINTS) & (tracks.travel_m >= least_m))
+    least_m = np.maximum(_LEAST_TRAVEL_M, DRIVE_MPS * tracks.extent(tracks.time))
+    return tracks.where((count >= _LEAST_POINTS) & (tracks.travel_m >= least_m))
 
 
 def _integrate(track: Integers, time: Floats, rate: Floats) -> Floats:
@@ -220,7 +223,9 @@ def _face_offset(cosine: Floats) -> Floats:
     sine = np.sqrt(1.0 - cosine**2)
     # mean over end (half a length / cosine nearer) and side (half a width / sine), weighted by
     # their visible shares; cosine and sine drop out of the sum
-    return np.asarray(HALF_LENGTH_M * HALF_WIDTH_M / (HALF_WIDTH_M * cosine + HALF_LENGTH_M * sine))
+    return np.asarray(
+        _HALF_LENGTH_M * _HALF_WIDTH_M / (_HALF_WIDTH_M * cosine + _HALF_LENGTH_M * sine)
+    )
 
 
 def _concatenate(first: _Tracks, second: _Tracks) -> _Tracks:
@@ -234,12 +239,12 @@ def _concatenate(first: _Tracks, second: _Tracks) -> _Tracks:
 
 def _regress_range(tracks: _Tracks) -> tuple[float, float, int] | None:
     """Regress range on the integral of range rate: slope, standard error, number of vehicles."""
-    if len(np.unique(tracks.vehicle)) < LEAST_VEHICLES:
+    if len(np.unique(tracks.vehicle)) < _LEAST_VEHICLES:
         return None
     track = np.unique(tracks.track, return_inverse=True)[1]
     count = np.bincount(track)
     weight, scale_m = np.ones(len(track)), LEAST_SCALE_M
-    for _ in range(ITERATIONS):
+    for _ in range(_ITERATIONS):
         total = np.maximum(np.bincount(track, weight), 1e-9)
         x, face, y = (
             values - (np.bincount(track, weight * values) / total)[track]
@@ -259,7 +264,7 @@ def _regress_range(tracks: _Tracks) -> tuple[float, float, int] | None:
     precision = precision * weight
     vehicle = np.unique(tracks.vehicle, return_inverse=True)[1]
     used = int(np.count_nonzero(np.bincount(vehicle, precision)))
-    if used < LEAST_VEHICLES:
+    if used < _LEAST_VEHICLES:
         return None
     # second derivative of the cost, where it is positive
     curvature = columns * (precision * np.maximum(2.0 * weight - 1.0, 0.0))[:, None]
@@ -285,7 +290,7 @@ def _jackknife_error(
     gradient = np.column_stack([np.bincount(vehicle, gradients * each) for each in columns.T])
     informative = information[:, 0, 0] > 0.0
     without_one = information.sum(axis=0) + PRIOR - information[informative]
-    if informative.sum() < LEAST_VEHICLES or (np.linalg.det(without_one) <= 0.0).any():
+    if informative.sum() < _LEAST_VEHICLES or (np.linalg.det(without_one) <= 0.0).any():
         return np.inf, 0.0
     change = np.linalg.solve(without_one, gradient[informative][:, :, None])[:, 0, 0]
     number = len(change)

@@ -14,7 +14,7 @@ SIGMAS, LEAST_OFF = 3.0, 0.01
 # As LEAST_OFF where a pose is given, which lanes check as well: good radars are right to 2 %.
 LEAST_WRONG = 0.02
 LENGTH_OFF = 0.25  # scales closer to 1 are wrong lengths, others wrong units of range rates
-KNOWN_SHARE = 0.05  # largest standard error, as a share of the scale, to check range rates by it
+_KNOWN_SHARE = 0.05  # largest standard error, as a share of the scale, to check range rates by it
 LEAST_YARDS = 1.075  # least scale that is taken for yards, a factor of 1.094
 NOT_FITTED = Text("not fitted")  # entry of a pose's evidence for a scale with too little traffic
 FOOT_M, YARD_M, MILE_KM, NAUTICAL_MILE_KM, KMH = 0.3048, 0.9144, 1.609344, 1.852, 3.6
@@ -86,7 +86,7 @@ class RangeScale:
     @property
     def known(self) -> bool:
         """Whether the factor is known well enough to check range rates."""
-        return self.sigma <= KNOWN_SHARE * abs(self.factor)
+        return self.sigma <= _KNOWN_SHARE * abs(self.factor)
 
     @property
     def causes(self) -> tuple[Cause, ...]:

@@ -45,12 +45,12 @@ Key = TypeVar("Key", bound=Hashable)
 Call = Sequence[Any]
 """A function of a module, and its arguments."""
 
-MOST_LOST = 3  # times in a row that workers are lost before a task is left out
+_MOST_LOST = 3  # times in a row that workers are lost before a task is left out
 SCHEDULER_S = 600.0  # wait for a scheduler that is restarted, seconds
 TRY_S = 5.0  # time limit of one attempt to reach it, seconds
 SAME = Text("install the same packages for all workers: results depend on them")
 FEWER = Text("if memory ran out, use fewer at once: --jobs 1")
-MEMORY = Text("memory may have run out")
+_MEMORY = Text("memory may have run out")
 INSTALL = Text("install it: pip install gis-radar[city]")
 
 EQUAL = Text("install the same packages for scheduler and workers: results depend on them")
@@ -124,7 +124,7 @@ class Workers(ABC):
         while pending:
             if self._executor is None:
                 self._executor = self.begin()
-            before, alone = len(pending), lost >= MOST_LOST - 1
+            before, alone = len(pending), lost >= _MOST_LOST - 1
             attempted = list(pending)[: 1 if alone else None]
             try:
                 running = {
@@ -141,7 +141,7 @@ class Workers(ABC):
                 self._replace(lost, error)
                 if alone:  # it was the only task at work
                     del pending[attempted[0]]
-                    yield attempted[0], GisRadarError("its workers were lost", hint=MEMORY)
+                    yield attempted[0], GisRadarError("its workers were lost", hint=_MEMORY)
                 for key in list(pending)[: self.count]:  # those that may have ended workers go last
                     pending[key] = pending.pop(key)
 
@@ -150,7 +150,7 @@ class Workers(ABC):
         with suppress(Exception):
             self.close(at_once=True)
         self._executor = None
-        if times >= MOST_LOST + self.count:
+        if times >= _MOST_LOST + self.count:
             raise OutputError("workers were lost {} times in a row", times, hint=FEWER) from error
         self._reporter.warn("workers were lost: what they had not finished is done again")
 
@@ -169,7 +169,7 @@ def _result(future: Future[Any]) -> Any:
     except GisRadarError as error:
         return error
     except Exception as error:  # noqa: BLE001 - Dask's KilledWorker: several ended at this task
-        return GisRadarError("its workers were lost: {}", first_line(error), hint=MEMORY)
+        return GisRadarError("its workers were lost: {}", first_line(error), hint=_MEMORY)
 
 
 def run_task(expected: Mapping[str, str], work: Callable[..., Any], *arguments: Any) -> Any:

@@ -18,20 +18,19 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from gis_radar.base import STEP_S, Floats, Text, figure_text, seconds_text, tr
-from gis_radar.calibration import FITS, SENSOR_STATES, WRONG
+from gis_radar.calibration import FITS, SENSOR_STATES, WRONG, HealthState
 from gis_radar.city.city import RESULTS, City, open_city
 from gis_radar.city.month import CityMonth, month_of
 from gis_radar.dataset import POSES, RECORDINGS, TILE_COUNTS, Dataset
 from gis_radar.poses import ANGLES, POSITION
 from gis_radar.products import lost_sensors, read_run
 
-SILENT_S = 3600.0  # without data, after which a sensor counts as silent, or as one with gaps
+_SILENT_S = 3600.0  # without data, after which a sensor counts as silent, or as one with gaps
 LEAST_SHARE_SEEN = 0.95  # least share of the month with data of a sensor that works
-CLOCK_S = 0.025  # half of a step: a clock that is off by more is wrong
+_CLOCK_OFF_S = 0.025  # half of a step: a clock that is off by more is wrong
 MOVED_M, MOVED_DEG = 0.5, 1.0  # a pose that changes by more is that of a sensor that was moved
 LEAST_STATED_M = 0.05  # a smaller move is left out of the text, which then states the turn alone
-NO_DATA, SILENT, MOVED, DOUBTFUL, CLOCK_OFF, GAPS, NOT_CONFIRMED, WORKS = SENSOR_STATES
-COLUMNS = (
+_COLUMNS = (
     "site", "sensor", "state", "since", "share", "gap_s", "gap_begin", "clock_offset_s", "reasons",
 )  # fmt: skip
 
@@ -78,7 +77,7 @@ def fleet_health(root: str | Path | City, month: str) -> pd.DataFrame:
 def health_of(month: CityMonth, sites: Iterable[str]) -> pd.DataFrame:
     """Return the health of the sensors of some sites, as :func:`fleet_health` does."""
     rows = [row for name in sites for row in _site_rows(name, month)]
-    table = pd.DataFrame(rows, columns=list(COLUMNS))
+    table = pd.DataFrame(rows, columns=list(_COLUMNS))
     for name in ("since", "gap_begin"):
         table[name] = pd.to_datetime(table[name].astype(float).round(), unit="s", utc=True)
     return worst_first(table)
@@ -117,7 +116,7 @@ def _site_rows(site: str, month: CityMonth) -> Iterator[dict[str, Any]]:
         ]  # fmt: skip
         yield _row(site, name, reasons, share=share, gaps=gaps, recordings=of_sensor)
     for name in sorted(lost.keys() - set(recordings["sensor"])):
-        yield _row(site, name, [_Reason(NO_DATA, np.nan, tr(lost[name]))], share=0.0)
+        yield _row(site, name, [_Reason(HealthState.NO_DATA, np.nan, tr(lost[name]))], share=0.0)
 
 
 def _lost(root: Path, site: str) -> dict[str, str]:
@@ -138,7 +137,7 @@ def _row(
     longest = (np.nan, np.nan) if gaps is None or not len(gaps) else gaps[gaps[:, 1].argmax()]
     offset = np.nan if recordings is None else recordings["clock_offset"].iloc[-1]
     return {
-        "site": site, "sensor": sensor, "state": worst.state if worst else WORKS,
+        "site": site, "sensor": sensor, "state": worst.state if worst else HealthState.WORKS,
         "since": worst.since_s if worst else np.nan, "share": share, "gap_begin": longest[0],
         "gap_s": longest[1], "clock_offset_s": offset,
         "reasons": "; ".join(each.words for each in reasons if each.words),
@@ -186,11 +185,13 @@ def _silence(
     recordings: pd.DataFrame, begin_s: float, end_s: float, why: str | None
 ) -> Iterator[_Reason]:
     last_s = float(recordings.loc[recordings["first_time"] < end_s, "last_time"].max())
-    if end_s - last_s > SILENT_S:
+    if end_s - last_s > _SILENT_S:
         text = tr("silent all month") if last_s < begin_s else tr("silent up to the end")
-        yield _Reason(SILENT, last_s, f"{text} ({seconds_text(end_s - max(last_s, begin_s))})")
+        yield _Reason(
+            HealthState.SILENT, last_s, f"{text} ({seconds_text(end_s - max(last_s, begin_s))})"
+        )
         if why is not None:  # recordings came, but were refused
-            yield _Reason(SILENT, last_s, tr(why))
+            yield _Reason(HealthState.SILENT, last_s, tr(why))
 
 
 def _poses(dataset: Dataset, recordings: pd.DataFrame) -> pd.DataFrame:
@@ -213,7 +214,7 @@ def _moves(poses: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reaso
     for k in np.flatnonzero(moved & (begin[1:] > begin_s) & (begin[1:] < end_s)):
         text = "moved by {m} m and {deg}°" if step_m[k] >= LEAST_STATED_M else "turned by {deg}°"
         words = tr(text, m=figure_text(step_m[k], 1), deg=figure_text(turn_deg[k], 1))
-        yield _Reason(MOVED, float(begin[k + 1]), words)
+        yield _Reason(HealthState.MOVED, float(begin[k + 1]), words)
 
 
 def _doubts(dataset: Dataset, sensor: str, end_s: float) -> Iterator[_Reason]:
@@ -224,22 +225,26 @@ def _doubts(dataset: Dataset, sensor: str, end_s: float) -> Iterator[_Reason]:
     since = pd.to_datetime(finding.since, utc=True, errors="coerce")
     since_s = np.nan if pd.isna(since) else since.timestamp()
     if not since_s >= end_s:
-        state = DOUBTFUL if finding.verdict in (WRONG, FITS) else NOT_CONFIRMED
-        yield _Reason(CLOCK_OFF if finding.is_of_clocks else state, since_s, tr(finding.text))
+        state = (
+            HealthState.DOUBTFUL if finding.verdict in (WRONG, FITS) else HealthState.NOT_CONFIRMED
+        )
+        yield _Reason(
+            HealthState.CLOCK_OFF if finding.is_of_clocks else state, since_s, tr(finding.text)
+        )
 
 
 def _clocks(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reason]:
     """Yield the largest clock offset that recordings of the month were corrected by."""
     inside = (recordings["last_time"] >= begin_s) & (recordings["first_time"] < end_s)
-    off = recordings[inside & (recordings["clock_offset"].abs() > CLOCK_S)]
+    off = recordings[inside & (recordings["clock_offset"].abs() > _CLOCK_OFF_S)]
     if len(off):
         offsets = off["clock_offset"].to_numpy(np.float64)
         most = float(offsets[np.abs(offsets).argmax()])
         words = tr("clock ahead by {s} s, corrected", s=figure_text(most, 3))
-        yield _Reason(CLOCK_OFF, float(off["first_time"].min()), words)
+        yield _Reason(HealthState.CLOCK_OFF, float(off["first_time"].min()), words)
 
 
 def _missing(gaps: Floats, share: float) -> Iterator[_Reason]:
     longest_s = gaps[:, 1].max(initial=0.0)
-    if share < LEAST_SHARE_SEEN or longest_s > SILENT_S:
-        yield _Reason(GAPS, np.nan, "")  # the longest gap has columns of its own
+    if share < LEAST_SHARE_SEEN or longest_s > _SILENT_S:
+        yield _Reason(HealthState.GAPS, np.nan, "")  # the longest gap has columns of its own

@@ -13,18 +13,18 @@ from gis_radar.city.month_tables import share_with_error, value_with_error
 from gis_radar.city.site_month import SiteMonth
 from gis_radar.products import NOT_OBSERVED, colour_classes
 
-WIDTH, MARGIN = 1000.0, 70.0  # units of the map, some pixels on a wide page
+_WIDTH, _MARGIN = 1000.0, 70.0  # units of the map, some pixels on a wide page
 TALLEST, FLATTEST = 0.9, 0.35  # height as a share of the width
 RADIUS = (9.0, 24.0)  # of the mark without vehicles, and of the site with most
 UNKNOWN_RADIUS = 9.0  # of the mark of a site of unknown volume
-LETTER, LINE = 8.2, 17.0  # width of a letter of a label, height of its line
+_LETTER, _LINE = 8.2, 17.0  # width of a letter of a label, height of its line
 RING = 6.0  # from the edge of a mark to the outside of the dashed ring around it
 MOST_LABEL = 26  # letters of a label
 DEEP_FROM = 0.02  # occupancy from which its class has a deep colour
 FINEST = 1.0  # tolerance, in units of the map, by which lanes are simplified
 METRES_PER_DEGREE = 111_195.0  # of latitude, on a sphere of the Earth's mean radius
 BAR_X, BAR_ROOM = 20.0, 30.0  # of the scale bar from the edge; below the marks, for its text
-BAR_SHARE = 0.25  # longest scale bar, of the width
+_BAR_SHARE = 0.25  # longest scale bar, of the width
 
 
 class SiteMark(NamedTuple):
@@ -105,10 +105,12 @@ def draw_city(
     metres = np.array([np.cos(np.radians(middle[1])), 1.0]) * METRES_PER_DEGREE
     places = np.array([(each.place - middle) * metres for each in sites]) * [1.0, -1.0]
     size = np.maximum(np.ptp(places, axis=0), 300.0)
-    inner = WIDTH - 2 * MARGIN
-    scale = min(inner / size[0], (WIDTH * TALLEST - 2 * MARGIN) / size[1])
-    height = max(size[1] * scale + 2 * MARGIN, WIDTH * FLATTEST)
-    corner = (places.min(axis=0) + places.max(axis=0)) / 2.0 - np.array([WIDTH, height]) / 2 / scale
+    inner = _WIDTH - 2 * _MARGIN
+    scale = min(inner / size[0], (_WIDTH * TALLEST - 2 * _MARGIN) / size[1])
+    height = max(size[1] * scale + 2 * _MARGIN, _WIDTH * FLATTEST)
+    corner = (places.min(axis=0) + places.max(axis=0)) / 2.0 - np.array(
+        [_WIDTH, height]
+    ) / 2 / scale
     centres, height = (places - corner) * scale, height + BAR_ROOM
     volumes = np.array([each.volume[0] for each in sites])
     most = np.nanmax(volumes, initial=1.0)
@@ -134,7 +136,7 @@ def draw_city(
         _path(((way - middle) * metres * [1.0, -1.0] - corner) * scale)
         for each in sites for way in each.lines
     )  # fmt: skip
-    return CityMap(WIDTH, round(float(height)), lanes, marks, bar, _legend_classes(legend))
+    return CityMap(_WIDTH, round(float(height)), lanes, marks, bar, _legend_classes(legend))
 
 
 def _colour(site: SiteMonth) -> str:
@@ -164,21 +166,21 @@ def _labels(
     bar: tuple[float, float, str],
 ) -> list[tuple[float, float, str, str] | None]:
     """Return places of names beside their marks, without overlaps; None where there is no room."""
-    bounds = shapely.box(0.0, 0.0, WIDTH, height)
+    bounds = shapely.box(0.0, 0.0, _WIDTH, height)
     taken = [shapely.Point(*p).buffer(r) for p, r in zip(centres, radius, strict=True)]
-    taken += [_box_of_bar(bar[0], bar[1], height), shapely.box(WIDTH - 50.0, 0.0, WIDTH, 80.0)]
+    taken += [_box_of_bar(bar[0], bar[1], height), shapely.box(_WIDTH - 50.0, 0.0, _WIDTH, 80.0)]
     labels: list[tuple[float, float, str, str] | None] = []
     for name, (x, y), r in zip(names, centres, radius, strict=True):
         text = name if len(name) <= MOST_LABEL else name[: MOST_LABEL - 1] + "\u2026"
-        wide, best = LETTER * len(text), None
+        wide, best = _LETTER * len(text), None
         for dx, dy, anchor in (
-            (r + 5, 0, "start"), (-r - 5, 0, "end"), (0, -r - LINE / 2, "middle"),
-            (0, r + LINE / 2 + 2, "middle"),
+            (r + 5, 0, "start"), (-r - 5, 0, "end"), (0, -r - _LINE / 2, "middle"),
+            (0, r + _LINE / 2 + 2, "middle"),
         ):  # fmt: skip
             left = x + dx - wide * {"start": 0.0, "middle": 0.5, "end": 1.0}[anchor]
-            box = shapely.box(left, y + dy - LINE / 2, left + wide, y + dy + LINE / 2)
+            box = shapely.box(left, y + dy - _LINE / 2, left + wide, y + dy + _LINE / 2)
             if bounds.contains(box) and not any(shapely.intersects(taken, box)):
-                best = round(float(x + dx), 1), round(float(y + dy + LINE * 0.3), 1), anchor, text
+                best = round(float(x + dx), 1), round(float(y + dy + _LINE * 0.3), 1), anchor, text
                 taken.append(box)
                 break
         labels.append(best)
@@ -192,13 +194,13 @@ def _path(points: Floats) -> str:
 
 
 def _bar(scale: float, centres: Floats, height: float) -> tuple[float, float, str]:
-    longest = WIDTH * BAR_SHARE / scale
+    longest = _WIDTH * _BAR_SHARE / scale
     power = 10.0 ** np.floor(np.log10(longest))
     metres = max(each for each in (power, 2 * power, 5 * power) if each <= longest)
     text = f"{metres / 1000:g} km" if metres >= 1000 else f"{metres:g} m"
     length, marks = round(float(metres * scale), 1), shapely.MultiPoint(centres)
     x = max(
-        BAR_X, WIDTH - BAR_X - length, key=lambda x: _box_of_bar(x, length, height).distance(marks)
+        BAR_X, _WIDTH - BAR_X - length, key=lambda x: _box_of_bar(x, length, height).distance(marks)
     )
     return x, length, text
 

@@ -33,9 +33,10 @@ from gis_radar.base import (
     tr,
     zone_of,
 )
+from gis_radar.calibration import HealthState
 from gis_radar.city.city import RESULTS, City, open_city
 from gis_radar.city.executors import Workers, workers_of
-from gis_radar.city.health import WORKS, health_of, worst_first
+from gis_radar.city.health import health_of, worst_first
 from gis_radar.city.month import CityMonth, month_of
 from gis_radar.city.month_map import draw_city
 from gis_radar.city.month_tables import (
@@ -63,9 +64,9 @@ from gis_radar.products import (
 
 MONTH_PAGE = "month.html"
 PROFILES = 12  # sites whose profiles are drawn
-HOURS = 24
+_HOURS = 24
 MANY_SITES = 6  # from so many sites on, processes save more time than their start takes
-TOPS = (50, 100, 200, 300, 500, 750, 1000, 1500, 2000, 3000, 5000, 7500, 10_000)  # veh/h
+_TOPS = (50, 100, 200, 300, 500, 750, 1000, 1500, 2000, 3000, 5000, 7500, 10_000)  # veh/h
 
 
 class Profile(NamedTuple):
@@ -221,7 +222,7 @@ def _page(
 ) -> tuple[str, dict[str, Any]]:  # fmt: skip
     """Return the page, and its figures for the command line."""
     worst, changes = worst_lanes(sites), changes_of(sites)
-    fault_counts = health[health["state"] != WORKS].groupby("site").size()
+    fault_counts = health[health["state"] != HealthState.WORKS].groupby("site").size()
     faulty = {str(name): int(number) for name, number in fault_counts.items()}
     facts = _facts(sites, health, worst)
     legend = [(each.colour, class_label(each.label, current_language()))
@@ -268,7 +269,7 @@ def _ends_early(month: CityMonth, sites: Sequence[SiteMonth], clock: Clock) -> l
 def _facts(sites: Sequence[SiteMonth], health: pd.DataFrame, worst: pd.DataFrame) -> list[Fact]:
     """Return the figures at the top."""
     with_data = sum(each.lanes is not None for each in sites)
-    works = int((health["state"] == WORKS).sum())
+    works = int((health["state"] == HealthState.WORKS).sum())
     tables = [each.lanes for each in sites if each.lanes is not None]
     lanes = sum(int((each["volume"].notna() & ~each["is_inside"]).sum()) for each in tables)
     facts = [
@@ -302,8 +303,8 @@ def _profiles(sites: Sequence[SiteMonth]) -> list[Profile]:
     with_profile = sorted(with_profile, key=lambda each: -np.nan_to_num(each.volume[0]))[:PROFILES]
     tables = [each.profile for each in with_profile if each.profile is not None]
     high = max((float((t["volume"] + t["volume_se"]).max()) for t in tables), default=0.0)
-    top = next((each for each in TOPS if each >= high), high)
-    edges = np.linspace(0.0, 1.0, HOURS + 1)
+    top = next((each for each in _TOPS if each >= high), high)
+    edges = np.linspace(0.0, 1.0, _HOURS + 1)
     profiles = []
     for site, table in zip(with_profile, tables, strict=True):
         strips, words = [], []

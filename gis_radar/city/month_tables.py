@@ -18,7 +18,7 @@ from gis_radar.base import (
     seconds_text,
     tr,
 )
-from gis_radar.city.health import WORKS
+from gis_radar.calibration import HealthState
 from gis_radar.city.site_month import SiteMonth
 from gis_radar.products import (
     LEAST_QUEUE_M,
@@ -41,7 +41,7 @@ def site_table(sites: Sequence[SiteMonth], health: pd.DataFrame) -> Table:
     seen = health.groupby("site")["share"].min()
     ordered = sorted(sites, key=lambda each: (seen.get(each.name, 0.0), each.name))
     number = {each.name: place for place, each in enumerate(sites, start=1)}
-    faulty = health[health["state"] != WORKS].groupby("site").size()
+    faulty = health[health["state"] != HealthState.WORKS].groupby("site").size()
     count = health.groupby("site").size()
 
     def sensors(site: SiteMonth) -> str:
@@ -255,7 +255,7 @@ def health_table(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock)
         Column(tr("Longest gap"), "", gap, False),
         Column(tr("What is known"), "", lambda row: row["reasons"] or NO_FIGURE, False),
     ]
-    works = int((health["state"] == WORKS).sum())
+    works = int((health["state"] == HealthState.WORKS).sum())
     return Table(
         name="health", caption=tr("Sensors, worst first"), columns=columns,
         rows=text_rows((row for _, row in health.iterrows()), columns),
@@ -271,7 +271,7 @@ def sensor_faults(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock
     """Return a sentence for each faulty state with its sensors and since when, worst first."""
     titles = {each.name: each.title for each in sites}
     sentences = []
-    for state, rows in health[health["state"] != WORKS].groupby("state", sort=False):
+    for state, rows in health[health["state"] != HealthState.WORKS].groupby("state", sort=False):
         names = []
         for _, row in rows.head(MOST_NAMED).iterrows():
             name = f"{titles[row['site']]} {row['sensor']}"

@@ -50,12 +50,11 @@ from gis_radar.dataset import (
     open_hours,
     site_folders,
 )
-from gis_radar.site import software
+from gis_radar.site import STATE, software
 
-STATE = ".gis-radar"
-OWNED = (STATE, "site=", "results", "poses", "recordings", "run.json", MONTH_PAGE)
-REGISTRY_EVERY_S = 10.0  # seconds between writes of a site's registry
-HOURS = Text("hours")
+_OWNED = (STATE, "site=", "results", "poses", "recordings", "run.json", MONTH_PAGE)
+_REGISTRY_EVERY_S = 10.0  # seconds between writes of a site's registry
+_HOURS = Text("hours")
 
 
 @dataclass(kw_only=True)
@@ -182,7 +181,7 @@ def run_city(
     state = root / STATE
     with output_errors(root):
         if root.exists() and not site_folders(root):
-            refuse_foreign(root, OWNED)  # such as the results of one site, whose record is alike
+            refuse_foreign(root, _OWNED)  # such as the results of one site, whose record is alike
         state.mkdir(parents=True, exist_ok=True)
     sites = {each.name: SiteOutcome() for each in city.site}
     with (
@@ -251,7 +250,7 @@ class CitySteps(CityRun):
                 for name, hour in self._make_hours(calls):
                     opened[name].made.append(hour)
                     self.sites[name].hours += 1
-                    if time.monotonic() - written_at[name] > REGISTRY_EVERY_S:
+                    if time.monotonic() - written_at[name] > _REGISTRY_EVERY_S:
                         opened[name].note()
                         written_at[name] = time.monotonic()
             finally:  # also after an error
@@ -303,7 +302,7 @@ class CitySteps(CityRun):
     def _make_hours(
         self, calls: Mapping[tuple[str, int], Sequence[Any]]
     ) -> Iterator[tuple[str, int]]:
-        self.reporter.progress(HOURS, 0, len(calls))
+        self.reporter.progress(_HOURS, 0, len(calls))
         for done, ((name, hour), found) in enumerate(self.workers.results(calls), start=1):
             if isinstance(found, OutputError):
                 raise found  # no other hour could be written either
@@ -311,7 +310,7 @@ class CitySteps(CityRun):
                 self._fail(name, hour_text(hour), found)
             else:
                 yield name, hour
-            self.reporter.progress(HOURS, done, len(calls))
+            self.reporter.progress(_HOURS, done, len(calls))
 
     def _fail(self, name: str, what: str, error: GisRadarError) -> None:
         """Keep a failure and warn of it once, though a broken file stops several steps."""

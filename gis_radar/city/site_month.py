@@ -25,7 +25,7 @@ from gis_radar.products import PAGE, as_stated, compare, read_run, service_level
 LEAST_DAYS = 3  # of the error of a mean over days
 QUARTERS_PER_HOUR = 4
 WEEKEND = 5  # Saturday, Monday as 0
-GEOGRAPHIC = CRS.from_epsg(4326)
+_GEOGRAPHIC = CRS.from_epsg(4326)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,7 +162,7 @@ def _lane_lines(dataset: Dataset) -> list[Floats]:
         lines = list(dataset.layer(LANES_LAYER).geometry)
     else:
         lines = [shapely.box(*dataset.tiles().total_bounds).exterior]
-    there = transformer(metric_crs(dataset.crs, what="CRS of a dataset"), GEOGRAPHIC)
+    there = transformer(metric_crs(dataset.crs, what="CRS of a dataset"), _GEOGRAPHIC)
     return [np.column_stack(there.transform(*shapely.get_coordinates(each).T)) for each in lines]
 
 

@@ -41,7 +41,7 @@ from gis_radar.site import (
     stages_of,
 )
 
-POSES = "poses"  # folder of a city with the poses that were found
+_POSES = "poses"  # folder of a city with the poses that were found
 BASIS = ".basis"  # beside such a pose: what it was found from
 NOT_NEEDED = {"guess": None, "view": None}  # not needed where a pose is known
 CONVERTED = "recordings"  # folder of a city with the recordings that were converted
@@ -168,7 +168,7 @@ def _is_converted(path: Path, converted: Path, stated: str) -> bool:
 
 
 def _pose_path(sensor: Sensor, task: SiteTask) -> Path:
-    return task.root / POSES / task.name / f"{sensor.name}.json"
+    return task.root / _POSES / task.name / f"{sensor.name}.json"
 
 
 def _with_known_poses(site: Site, task: SiteTask) -> Site:

@@ -56,7 +56,7 @@ from gis_radar.cli.usage import text_of_click
 # Shown with --json only: constants in effect, findings that `remarks` has as sentences, and errors
 # that follow.
 FOR_PROGRAMS = {"settings", "found", "failed"}
-SILENT_S = 30.0  # between lines of progress in a log
+_SILENT_S = 30.0  # between lines of progress in a log
 MOST_BARS = 8  # with more than that, full bars are hidden
 
 
@@ -202,11 +202,11 @@ class TerminalConsole(Console):
             self._bars.update(self._tasks[stage], visible=False)
 
     def _print_shares(self, stage: str, done: int, total: int | None) -> None:
-        """Print how far each moving stage is, if nothing was printed for `SILENT_S`."""
+        """Print how far each moving stage is, if nothing was printed for `_SILENT_S`."""
         self._shares.pop(stage, None)
         if done != total:
             self._shares[stage] = f" {100 * done // total} %" if total else ""
-        if self._shares and monotonic() - self._printed_at >= SILENT_S:
+        if self._shares and monotonic() - self._printed_at >= _SILENT_S:
             self._printed_at = monotonic()
             shares = [f"{self.translated(name)}{each}" for name, each in self._shares.items()]
             self._shares.clear()  # a stage that failed or has no end would stay for ever

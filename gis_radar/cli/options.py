@@ -110,12 +110,12 @@ def _cycles(text: str) -> dict[str, float]:
     return cycles
 
 
-POSITION = Parsed("E,N[,H]", _position)  # easting and northing, with or without a height, m
+GIVEN_POSITION = Parsed("E,N[,H]", _position)  # easting and northing, with or without a height, m
 BEARING = Parsed("BEARING", _bearing)  # degrees clockwise from true north, or a word for them
 WORDS = Parsed("a,b,...", _words)
 PAIRS = Parsed("a=A,b=B,...", _pairs)  # values by name
 DURATION = Parsed("DURATION", _duration)  # seconds; a bare number is seconds, too
-CYCLES = Parsed("SENSOR=TIME,...", _cycles)  # seconds from frame to frame, by sensor
+_CYCLES = Parsed("SENSOR=TIME,...", _cycles)  # seconds from frame to frame, by sensor
 
 
 def numbers(names: str) -> Parsed:
@@ -176,7 +176,7 @@ view = in_order(
 )
 frame_times = in_order(
     click.option(
-        "--cycle", "cycles", type=CYCLES,
+        "--cycle", "cycles", type=_CYCLES,
         help="Time from frame to frame of sensors slower than 10 Hz: a frame is valid 1.5 times as "
         "long.",
     ),

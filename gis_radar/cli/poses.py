@@ -25,7 +25,7 @@ from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import (
     BEARING,
     FILE,
-    POSITION,
+    GIVEN_POSITION,
     lanes,
     origin,
     output,
@@ -46,7 +46,7 @@ from gis_radar.cli.options import (
 @lanes
 @road
 @click.option(
-    "--guess", "guesses", type=POSITION, multiple=True, required=True,
+    "--guess", "guesses", type=GIVEN_POSITION, multiple=True, required=True,
     help="Where the sensor stands, within 15 m, in the road's CRS.",
 )  # fmt: skip
 @click.option("--guess-crs", help="CRS of the guess, where it is not the road's: EPSG:3857.")

@@ -17,16 +17,16 @@ from gis_radar.base import Floats, InputError, Integers, atomic_write, opened_pa
 from gis_radar.dataset.dataset import Dataset, open_dataset
 from gis_radar.hdmap import LANES_LAYER
 
-SPACING_M = 0.5  # distance between the points at which lanes are compared
+_SPACING_M = 0.5  # distance between the points at which lanes are compared
 MOST_OFFSET_M = 1.5  # maps are drawn anew to some decimetres, lanes are 2.5 m and wider
 MOST_TURN_RAD = math.radians(30.0)  # largest angle between two lanes
 SAME_SHARE = 0.9  # least share of both lanes that follows the other where they are the same
-LEAST_SHARE = 0.1  # least share of either lane for a row of the table
-COLUMNS = ("old_lane", "new_lane", "share_of_old", "share_of_new", "offset_m", "same")
+_LEAST_SHARE = 0.1  # least share of either lane for a row of the table
+_COLUMNS = ("old_lane", "new_lane", "share_of_old", "share_of_new", "offset_m", "same")
 
 
 class _Points(NamedTuple):
-    """Points along lanes, every `SPACING_M`.
+    """Points along lanes, every `_SPACING_M`.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class _Points(NamedTuple):
     @classmethod
     def of(cls, lanes: gpd.GeoDataFrame) -> _Points:
         lines = np.asarray(lanes.geometry.force_2d())
-        count = np.maximum(np.ceil(shapely.length(lines) / SPACING_M).astype(np.int64), 1)
+        count = np.maximum(np.ceil(shapely.length(lines) / _SPACING_M).astype(np.int64), 1)
         lane = np.repeat(np.arange(len(lines)), count)
         number = np.arange(len(lane)) - np.repeat(np.cumsum(count) - count, count)
         share = (number + 0.5) / count[lane]
@@ -101,7 +101,7 @@ def match_lanes(
     identical = _identical_lanes(pairs, *numbers)
     matched = pairs[identical]
     is_free = ~(pairs["old"].isin(matched["old"]) | pairs["new"].isin(matched["new"]))
-    is_worth = pairs[["share_of_old", "share_of_new"]].max(axis=1) >= LEAST_SHARE
+    is_worth = pairs[["share_of_old", "share_of_new"]].max(axis=1) >= _LEAST_SHARE
     rows = pairs.assign(same=identical)[identical | (is_free & is_worth)]
     unmatched = [
         pd.DataFrame({side: np.setdiff1d(np.arange(len(ids)), rows[side])})
@@ -115,7 +115,7 @@ def match_lanes(
     shares = ["share_of_old", "share_of_new"]
     rows[shares] = rows[shares].fillna(0.0).round(3)
     rows["offset_m"] = rows["offset_m"].round(2)
-    return rows.reset_index(drop=True)[[*COLUMNS]]
+    return rows.reset_index(drop=True)[[*_COLUMNS]]
 
 
 def write_lane_matches(table: pd.DataFrame, path: Path) -> None:
@@ -146,7 +146,7 @@ def _lanes(source: Any) -> gpd.GeoDataFrame:
 
 def _near_pairs(old: _Points, new: _Points, olds: int, news: int) -> pd.DataFrame:
     """Return, for all pairs of lanes near each other, the share of each that follows the other."""
-    reach = math.hypot(MOST_OFFSET_M, SPACING_M)
+    reach = math.hypot(MOST_OFFSET_M, _SPACING_M)
     near = cKDTree(old.xy).sparse_distance_matrix(cKDTree(new.xy), reach, output_type="ndarray")
     old_point, new_point = near["i"], near["j"]
     along = np.einsum("ij,ij->i", old.along[old_point], new.along[new_point])

@@ -18,6 +18,7 @@ from .tile_lanes import Lane, lanes_of
 from .tile_lookup import Numbers, TileCells, TileGrid, cell_at, is_inside
 from .tiles import (
     LANE_COLUMN,
+    SAME_LEVEL_M,
     TILE_COLUMNS,
     TILE_FIELDS,
     TILES_LAYER,
@@ -37,6 +38,7 @@ __all__ = [
     "LANE_EXIT_M",
     "LANE_MARGIN_M",
     "ON_FOOT_OR_BICYCLE",
+    "SAME_LEVEL_M",
     "STOP_LINES_LAYER",
     "TILES_LAYER",
     "TILE_COLUMNS",

@@ -18,7 +18,7 @@ from gis_radar.base import Floats, heading_difference
 
 DRAWING_ERROR_M = 0.05  # accuracy of drawn lines: a vertex nearer to a chord is no corner
 EQUAL_TURN_RAD = np.radians(5.0)  # two turns that differ by less are equal
-BEND_RAD = np.radians(30.0)  # a sharper turn from lane to lane is a corner, not a bend
+_BEND_RAD = np.radians(30.0)  # a sharper turn from lane to lane is a corner, not a bend
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,11 +130,11 @@ def lane_headings(
 def _straightest(turns: dict[float, int]) -> int | None:
     """Return the lane, of those by their turn (rad), that continues straightest.
 
-    None where all turn by `BEND_RAD` or more, or where two of them fork evenly.
+    None where all turn by `_BEND_RAD` or more, or where two of them fork evenly.
     """
     least, *others = sorted(turns, key=abs) or [np.inf]
     parts = any(
         abs(each - least) > EQUAL_TURN_RAD and abs(each) - abs(least) < EQUAL_TURN_RAD
         for each in others
     )
-    return None if parts or abs(least) >= BEND_RAD else turns[least]
+    return None if parts or abs(least) >= _BEND_RAD else turns[least]

@@ -16,13 +16,13 @@ from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, compiled, 
 from gis_radar.hdmap.curves import lane_headings
 from gis_radar.hdmap.tagging import is_driven
 
-STEP_M = 1.0  # between samples: on a curve of 10 m radius their chord is 1 cm off the arc
+_STEP_M = 1.0  # between samples: on a curve of 10 m radius their chord is 1 cm off the arc
 LANE_MARGIN_M = 1.0  # added on both sides of a lane: a vehicle's middle is rarely farther outside
-CELL_M = 1.0  # side of a cell of a :class:`LaneField`
-JOIN_M = 1.5  # between ends of lanelets that follow each other without shared nodes: half a lane
-JOIN_RAD = np.radians(30.0)  # between their directions
+_FIELD_CELL_M = 1.0  # side of a cell of a :class:`LaneField`
+_JOIN_M = 1.5  # between ends of lanelets that follow each other without shared nodes: half a lane
+_JOIN_RAD = np.radians(30.0)  # between their directions
 MOST_LANES_AT_POINT = 8  # lanelets that may overlap at one point
-LEVEL_M = 2.0  # roads that differ less in height are on one level (the contract)
+_LEVEL_M = 2.0  # roads that differ less in height are on one level (the contract)
 
 FieldArrays: TypeAlias = tuple[Integers, Integers, Integers, Integers, Floats]
 
@@ -130,7 +130,7 @@ class LaneGraph:
 def lane_graph(lanelets: gpd.GeoDataFrame) -> LaneGraph:
     """Build the graph of the lanelets that vehicles drive on.
 
-    Lanelets that share no nodes follow each other where the end of one lies within `JOIN_M` of the
+    Lanelets that share no nodes follow each other where the end of one lies within `_JOIN_M` of the
     start of the other and both point the same way.
 
     Parameters
@@ -177,7 +177,7 @@ def _sampled(
     left: shapely.LineString, right: shapely.LineString
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return points (m), distances (m), headings (rad) and half widths (m) along a lanelet."""
-    count = max(int(np.ceil(max(left.length, right.length) / STEP_M)), 1) + 1
+    count = max(int(np.ceil(max(left.length, right.length) / _STEP_M)), 1) + 1
     share = np.linspace(0.0, 1.0, count)
     sides = [
         shapely.get_coordinates(
@@ -197,15 +197,15 @@ def _sampled(
 
 
 def _successors(graph: LaneGraph, table: gpd.GeoDataFrame) -> list[Integers]:
-    """Return the positions of each lanelet's successors: those stated, and those by `JOIN_M`."""
+    """Return the positions of each lanelet's successors: those stated, and those by `_JOIN_M`."""
     position = {ref: index for index, ref in enumerate(graph.lanelet_id.tolist())}
     starts, ends = graph.first[:-1], graph.first[1:] - 1
     successors = []
     for index, named in enumerate(table["successors"]):
         gap = graph.points[starts] - graph.points[ends[index]]
         turn = np.cos(graph.heading[starts] - graph.heading[ends[index]])
-        level = ~(np.abs(gap[:, 2]) > LEVEL_M)
-        near = (np.hypot(gap[:, 0], gap[:, 1]) < JOIN_M) & (turn > np.cos(JOIN_RAD)) & level
+        level = ~(np.abs(gap[:, 2]) > _LEVEL_M)
+        near = (np.hypot(gap[:, 0], gap[:, 1]) < _JOIN_M) & (turn > np.cos(_JOIN_RAD)) & level
         near[index] = False
         stated = [position[ref] for ref in named if ref in position]
         successors.append(
@@ -235,12 +235,14 @@ class LaneField:
         lane_of = np.repeat(np.arange(len(graph.lanelet_id)), np.diff(graph.first))
         shift = float(graph.half_width_m.max()) + LANE_MARGIN_M
         size = graph.points[:, :2].max(axis=0) + 2.0 * shift
-        columns, rows = (int(side / CELL_M) + 1 for side in size)
+        columns, rows = (int(side / _FIELD_CELL_M) + 1 for side in size)
         heads = np.flatnonzero(np.diff(lane_of) == 0)
         ends = np.stack([graph.points[heads, :2], graph.points[heads + 1, :2]])
         reach = np.maximum(graph.half_width_m[heads], graph.half_width_m[heads + 1]) + LANE_MARGIN_M
-        low = np.floor((ends.min(axis=0) - reach[:, None] + shift) / CELL_M).astype(np.int64)
-        high = np.floor((ends.max(axis=0) + reach[:, None] + shift) / CELL_M).astype(np.int64)
+        low = np.floor((ends.min(axis=0) - reach[:, None] + shift) / _FIELD_CELL_M).astype(np.int64)
+        high = np.floor((ends.max(axis=0) + reach[:, None] + shift) / _FIELD_CELL_M).astype(
+            np.int64
+        )
         low, high = np.maximum(low, 0), np.minimum(high, [columns - 1, rows - 1])
         wide = high - low + 1
         number = np.repeat(np.arange(len(heads)), wide[:, 0] * wide[:, 1])
@@ -284,7 +286,7 @@ def lanes_at(
     """
     first, segment, size, lane_of, samples = field
     shift = samples[0, 6]
-    column, row = int((x + shift) / CELL_M), int((y + shift) / CELL_M)
+    column, row = int((x + shift) / _FIELD_CELL_M), int((y + shift) / _FIELD_CELL_M)
     if x + shift < 0.0 or y + shift < 0.0 or column >= size[0] or row >= size[1]:
         return 0
     cell, found = row * size[0] + column, 0

@@ -24,14 +24,14 @@ from gis_radar.hdmap.tagging import STREET, TURN_TAG
 
 LANES_LAYER, STOP_LINES_LAYER = "lanes", "stop_lines"
 TOUCH_M = 0.05  # between the ends of lanelets that follow each other: nodes may be drawn twice
-JOIN_RAD = math.radians(30.0)  # between their cross-lines: excludes the opposite direction
+_JOIN_RAD = math.radians(30.0)  # between their cross-lines: excludes the opposite direction
 SHAPE_M = 0.01  # tolerance of simplified centre lines: far below a pixel, a tenth of the points
 LANE_EXIT_M = 5.0  # last part of a lane, which gives its direction: it may turn before
 STRAIGHT_RAD = math.radians(35.0)  # turns of the sample and four public maps: 57 degrees or more
 BACK_RAD = math.radians(150.0)  # from which on a turn is called `back` (a U-turn)
 SHARP_M = 50.0  # largest mean radius of a turn; roads that only bend have more
 STOP_NEAR_M = 2.0  # from the end of a lanelet to a stop line drawn behind it
-TURNS = ("left", "straight", "right", "back")
+_TURNS = ("left", "straight", "right", "back")
 _STOP_KINDS: dict[str, Any] = {
     "stop_line": np.int64, "lane": np.int64, "lanelet_id": np.int64,
     "s_m": np.float64, "lane_m": np.float64, "sign": object,
@@ -123,7 +123,7 @@ def joining(starts: Floats, ends: Floats, within_m: float) -> list[list[int]]:
     low = begin.min(axis=0) if len(begin) else 0.0
     trees = (scipy.spatial.cKDTree(each - low) for each in (end, begin))
     near = next(trees).query_ball_tree(next(trees), within_m)
-    least = math.cos(JOIN_RAD)
+    least = math.cos(_JOIN_RAD)
     return [
         sorted(k for k in found if k != i and math.cos(opening[k] - closing[i]) > least)
         for i, found in enumerate(near)
@@ -261,7 +261,7 @@ def _lane_turns(
             turns_of_lane |= {own[ref] or "straight" for ref in ahead}
         elif chain[0] in branches and not turns_of_lane:
             turns_of_lane = {"straight"}
-        turns.append(";".join(way for way in TURNS if way in turns_of_lane) or None)
+        turns.append(";".join(way for way in _TURNS if way in turns_of_lane) or None)
     return turns
 
 

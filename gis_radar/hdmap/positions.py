@@ -29,7 +29,7 @@ from gis_radar.base import (
 from gis_radar.hdmap.osm import OsmMap
 
 WIDEST_DEG = 0.5  # of longitude, from the middle of a map; nodes farther away are misplaced
-SCALE_TOLERANCE = 0.001  # 10 cm in 100 m; UTM's scale error at the edge of its zone
+_SCALE_TOLERANCE = 0.001  # 10 cm in 100 m; UTM's scale error at the edge of its zone
 # Equal heights of less than this share of the nodes come from a template, not from a survey.
 KNOWN_HEIGHTS = 0.25
 _MOST_HEIGHTS = 0.5  # share of nodes with a height from which on missing ones are not reported
@@ -219,7 +219,7 @@ def _with_geographic(
     # Compared in the site's UTM zone: the scale of another --crs would count as a disagreement.
     zone = _utm_zone_of(osm.geographic[both])
     off = _scale_error(osm.local[both], _project(osm.geographic[both], zone))
-    if off > SCALE_TOLERANCE:
+    if off > _SCALE_TOLERANCE:
         reason = Text("latitudes and longitudes differ from them in scale by {:.2g} %", 100.0 * off)
         return _placed_by_local(osm.local, projected[both] - osm.local[both], origin, reason)
     _require_fit(target, projected[geographic])

@@ -41,10 +41,10 @@ from gis_radar.hdmap.tagging import (
     subtype_of,
 )
 
-STAGE = "reading lanelets"
+_STAGE = "reading lanelets"
 WIDE_M = 40.0  # width from which on a lanelet is doubtful: squares and turning areas are narrower
 WIDEST_M = 500.0  # width from which on a node must be in the wrong place
-STRAY_M = 100_000.0  # from the middle of the map: no site is so large
+_STRAY_M = 100_000.0  # from the middle of the map: no site is so large
 
 # Lanelets, and their share, that lead against how they are drawn in a mirrored map: 37 to 100 %
 # where latitudes and longitudes are swapped, at most 13 % in eight maps as they are.
@@ -168,7 +168,7 @@ def _assembled(
     problems: list[_Problem] = []
     for done, (ref, relation) in enumerate(relations.items()):
         if done % 200 == 0:
-            reporter.progress(STAGE, done, len(relations))
+            reporter.progress(_STAGE, done, len(relations))
         drawn: list[Floats] = []
         try:
             lanelet, reasons = _lanelet(osm, ref, relation, xyz, drawn)
@@ -180,7 +180,7 @@ def _assembled(
             shape = outline(lanelet.bounds.left, lanelet.bounds.right)
             reason = "; ".join(reasons)
             problems.append(_Problem(id=ref, action=REPAIRED, reason=reason, shape=shape))
-    reporter.progress(STAGE, len(relations), len(relations))
+    reporter.progress(_STAGE, len(relations), len(relations))
     plausible, implausible = _plausible(lanelets)
     return plausible, problems + implausible
 
@@ -195,12 +195,12 @@ def _plausible(lanelets: list[_Lanelet]) -> tuple[list[_Lanelet], list[_Problem]
         along = np.linspace(0.0, 1.0, 5)
         apart = at_fractions(left, along)[:, :2] - at_fractions(right, along)[:, :2]
         width_m = float(np.median(np.hypot(*apart.T)))
-        is_left_out = off_m > STRAY_M or width_m > WIDEST_M
+        is_left_out = off_m > _STRAY_M or width_m > WIDEST_M
         if not is_left_out:
             kept.append(lanelet)
         if is_left_out or width_m > WIDE_M:
             far = Text("it lies {:.0f} km from the middle of the map", off_m / 1000.0)
-            reason = far if off_m > STRAY_M else Text("its bounds are {:.0f} m apart", width_m)
+            reason = far if off_m > _STRAY_M else Text("its bounds are {:.0f} m apart", width_m)
             action = LEFT_OUT if is_left_out else DOUBTFUL
             shape = outline(left, right)
             problems.append(_Problem(id=lanelet.id, action=action, reason=reason, shape=shape))

@@ -24,15 +24,15 @@ from gis_radar.base import (
 )
 from gis_radar.hdmap.tagging import STREET
 
-NAME_FIELDS = (
+_NAME_FIELDS = (
     "name", "street", "street_name", "road_name", "strassenname", "straßenname", "str_name",
     "strname", "strasse", "straße", "bezeichnung", "nom_voie", "naam", "straatnaam",
 )  # fmt: skip
 PART = "street_part"  # column: of several streets with one name, the one that a lane is on
-NEAR_M = 20.0  # from the middle of a street to its outermost lane: six lanes and a tram
+_NEAR_M = 20.0  # from the middle of a street to its outermost lane: six lanes and a tram
 PARALLEL_RAD = math.radians(30.0)  # between directions of a lane and of its street
-SAMPLE_M = 5.0  # between the points of a lane at which the street is looked up
-APART_M = 250.0  # between lines of one name, beyond which they are different streets
+_SAMPLE_M = 5.0  # between the points of a lane at which the street is looked up
+_APART_M = 250.0  # between lines of one name, beyond which they are different streets
 
 
 def name_streets(
@@ -86,7 +86,7 @@ def _known_streets(
     table = _read(streets, what)
     name = _field_of(table, field, what)
     if name is None:
-        usual = ", ".join(NAME_FIELDS[:4])
+        usual = ", ".join(_NAME_FIELDS[:4])
         reporter.warn(
             "{}: no column of names ({}, ...); lanes stay without names of streets",
             what,
@@ -130,7 +130,7 @@ def _field_of(table: gpd.GeoDataFrame, field: str | None, what: str) -> str | No
             "{}: has no column {}", what, repr(field), hint=Text("its columns: {}", listed)
         )
     usual = {name.casefold(): name for name in reversed(texts)}
-    return field or next((usual[name] for name in NAME_FIELDS if name in usual), None)
+    return field or next((usual[name] for name in _NAME_FIELDS if name in usual), None)
 
 
 def _reprojected(table: gpd.GeoDataFrame, crs: Any, what: str) -> gpd.GeoDataFrame:
@@ -142,11 +142,11 @@ def _reprojected(table: gpd.GeoDataFrame, crs: Any, what: str) -> gpd.GeoDataFra
 
 def _name_along(lane: shapely.LineString, streets: gpd.GeoDataFrame) -> str | None:
     """Return the name of the street that is nearest and parallel along most of a lane."""
-    count = max(round(lane.length / SAMPLE_M), 1) + 1
+    count = max(round(lane.length / _SAMPLE_M), 1) + 1
     at = np.linspace(0.0, lane.length, count)
     points, heading_of_lane = _points_and_headings(lane, at)
     sample, street = streets.sindex.query(
-        shapely.points(points), predicate="dwithin", distance=NEAR_M
+        shapely.points(points), predicate="dwithin", distance=_NEAR_M
     )
     lines = streets.geometry.array[street]
     near = shapely.distance(lines, shapely.points(points[sample]))
@@ -218,8 +218,8 @@ def _street_parts(
 
 
 def _street_numbers(lines: list[shapely.LineString]) -> list[int]:
-    """Return the number of each line's street: lines nearer than `APART_M` belong to one street."""
-    near = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=APART_M)
+    """Return the number of each line's street: lines nearer than `_APART_M` are of one street."""
+    near = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=_APART_M)
     links = scipy.sparse.coo_array((np.ones(near.shape[1]), near), shape=(len(lines), len(lines)))
     return list(scipy.sparse.csgraph.connected_components(links, directed=False)[1].tolist())
 
@@ -232,7 +232,7 @@ def _part_words(lanes: Any, street_of_lane: list[int]) -> dict[int, str]:
     )
     from_mean = middles - middles.mean(axis=0)
     words = [wind_of(*each) for each in from_mean]
-    in_middle = np.hypot(*from_mean.T).min() < APART_M / 4.0  # a street without a clear direction
+    in_middle = np.hypot(*from_mean.T).min() < _APART_M / 4.0  # a street without a clear direction
     if len(set(words)) < len(known) or in_middle:
         words = [str(number) for number in range(1, len(known) + 1)]
     return dict(zip(known, words, strict=True))

@@ -17,22 +17,22 @@ from shapely.geometry.base import BaseGeometry
 from gis_radar.base import Floats, one_line
 from gis_radar.hdmap.osm import OsmMap, Relation
 
-VEHICLE, BICYCLE, PEDESTRIAN = "vehicle", "bicycle", "pedestrian"
+_VEHICLE, _BICYCLE, _PEDESTRIAN = "vehicle", "bicycle", "pedestrian"
 
 # Lanelet2, "Tagging Lanelets and Areas", table "Subtype and Location".
 USERS: dict[str, tuple[str, ...]] = {
-    "": (VEHICLE,),
-    "road": (BICYCLE, VEHICLE),
-    "highway": (VEHICLE,),
-    "play_street": (BICYCLE, PEDESTRIAN, VEHICLE),
-    "exit": (BICYCLE, PEDESTRIAN, VEHICLE),
+    "": (_VEHICLE,),
+    "road": (_BICYCLE, _VEHICLE),
+    "highway": (_VEHICLE,),
+    "play_street": (_BICYCLE, _PEDESTRIAN, _VEHICLE),
+    "exit": (_BICYCLE, _PEDESTRIAN, _VEHICLE),
     "emergency_lane": ("vehicle:emergency",),
     "bus_lane": ("vehicle:bus", "vehicle:emergency", "vehicle:taxi"),
-    "bicycle_lane": (BICYCLE,),
-    "walkway": (PEDESTRIAN,),
-    "shared_walkway": (BICYCLE, PEDESTRIAN),
-    "crosswalk": (PEDESTRIAN,),
-    "stairs": (PEDESTRIAN,),
+    "bicycle_lane": (_BICYCLE,),
+    "walkway": (_PEDESTRIAN,),
+    "shared_walkway": (_BICYCLE, _PEDESTRIAN),
+    "crosswalk": (_PEDESTRIAN,),
+    "stairs": (_PEDESTRIAN,),
 }
 # Tags for the street's name, for which Lanelet2 has none; the most general come last.
 STREET, STREET_TAGS = "street", ("street_name", "road_name", "street", "addr:street", "name")
@@ -66,12 +66,12 @@ def subtype_of(tags: dict[str, str]) -> str:
     if subtype := tags.get("subtype", ""):
         return subtype
     users = participants_of(tags)
-    if any(user.startswith(VEHICLE) for user in users):
+    if any(user.startswith(_VEHICLE) for user in users):
         return "road"
     fitting = {
-        (BICYCLE,): "bicycle_lane",
-        (PEDESTRIAN,): "walkway",
-        (BICYCLE, PEDESTRIAN): "shared_walkway",
+        (_BICYCLE,): "bicycle_lane",
+        (_PEDESTRIAN,): "walkway",
+        (_BICYCLE, _PEDESTRIAN): "shared_walkway",
     }
     return fitting.get(users, "unknown")
 
@@ -95,7 +95,7 @@ def one_way_of(tags: dict[str, str]) -> bool:
     given = truth(tags.get("one_way", ""))
     if given is not None:
         return given
-    return participants_of(tags) != (PEDESTRIAN,)
+    return participants_of(tags) != (_PEDESTRIAN,)
 
 
 def truth(text: str) -> bool | None:
@@ -121,7 +121,7 @@ def kmh_of_signs(signs: Iterable[str]) -> float:
 
 
 ELEMENT = "regulatory_element"
-COLUMNS = (
+_COLUMNS = (
     "element_id",
     "subtype",
     "role",
@@ -176,7 +176,7 @@ def regulatory_table(osm: OsmMap, xyz: Floats, crs: CRS) -> gpd.GeoDataFrame:
         element names are rows of their own, with the way's id as `element_id`.
     """
     rows = [*_members(osm, xyz), *_lone_stop_lines(osm, xyz)]
-    columns: dict[str, Any] = {name: [row[i] for row in rows] for i, name in enumerate(COLUMNS)}
+    columns: dict[str, Any] = {name: [row[i] for row in rows] for i, name in enumerate(_COLUMNS)}
     for name in ("element_id", "member_id"):
         columns[name] = np.array(columns[name], dtype=np.int64)
     return gpd.GeoDataFrame(columns, geometry=[row[-1] for row in rows], crs=crs)

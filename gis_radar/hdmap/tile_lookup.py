@@ -80,7 +80,7 @@ def _is_separated(
 
 
 LEAST_CELL_M = 0.5  # as long as a tile
-MOST_CELLS = 16_000_000  # of a grid, 64 MB; larger maps get larger cells
+_MOST_CELLS = 16_000_000  # of a grid, 64 MB; larger maps get larger cells
 Pairs = tuple[Integers, Integers]
 
 
@@ -137,7 +137,7 @@ class TileGrid:
         origin = _origin(quads)
         local = np.ascontiguousarray(quads - origin)  # one layout, one compiled form
         span = local.reshape(-1, 2).max(axis=0) if len(quads) else np.ones(2)
-        cell_m = max(LEAST_CELL_M, math.sqrt(float(span.prod()) / MOST_CELLS))
+        cell_m = max(LEAST_CELL_M, math.sqrt(float(span.prod()) / _MOST_CELLS))
         columns, rows = (int(side * (1.0 / cell_m)) + 1 for side in span)  # rounded as in cell_at
         first, tiles = _fill_cells(local, columns, rows, cell_m)
         (west, south), (width, height) = origin.tolist(), span.tolist()

@@ -51,7 +51,8 @@ _MAKE_ONE = Text("make one with: gis-radar tiles")
 TILE_COLUMNS = (
     "tile_id", "lanelet_id", "index", "s_m", "length_m", "width_m", "height_m", "subtype",
 )  # fmt: skip
-IDS = ("tile_id", "lanelet_id", "index")
+SAME_LEVEL_M = 2.0  # heights that differ by more are of another level (the contract)
+_IDS = ("tile_id", "lanelet_id", "index")
 LANE_COLUMN = "lane"  # number of the lane; tiles without it are read, too
 
 
@@ -217,7 +218,7 @@ def fingerprint(tiles: gpd.GeoDataFrame) -> str:
 
 def _digest(tiles: gpd.GeoDataFrame, first: str = "") -> str:
     digest = hashlib.blake2b(first.encode(), digest_size=16)
-    for column in IDS:
+    for column in _IDS:
         digest.update(tiles[column].to_numpy(np.int64).tobytes())
     digest.update(quads(tiles).tobytes())
     return digest.hexdigest()
@@ -345,7 +346,7 @@ def require_tiles(tiles: gpd.GeoDataFrame, *, what: str) -> None:
         raise InputError("{} lacks {}", what, lacking, hint=_MAKE_ONE)
     if tiles.empty:
         raise InputError("{} is empty", what)
-    for column in IDS:
+    for column in _IDS:
         if not pd.api.types.is_integer_dtype(tiles[column]) or tiles[column].hasnans:
             raise InputError("{}: column {} holds something else than whole numbers", what, column)
     shapes = tiles.geometry.array
@@ -363,9 +364,8 @@ def require_tiles(tiles: gpd.GeoDataFrame, *, what: str) -> None:
         raise InputError("{}: tile {} is there twice", what, twice)
 
 
-SAME_LEVEL_M = 2.0  # of the contract; bridges are over 4 m above
 ON_TILES = 0.5  # share of a road's points to warn under: all of it with its map, of another's 0.42
-NEAR_M = 1.5  # half a lane: the nearest point is still of the same road
+_NEAR_M = 1.5  # half a lane: the nearest point is still of the same road
 
 
 def with_road_heights(
@@ -374,7 +374,7 @@ def with_road_heights(
     """Return tiles whose `height_m` is that of the scanned road.
 
     A tile takes the median height of the points in it; without any, that of the nearest point
-    within `NEAR_M` of its centre; else it keeps its height. Points that differ from the map's
+    within `_NEAR_M` of its centre; else it keeps its height. Points that differ from the map's
     height by more than `SAME_LEVEL_M` belong to another road, and do not count.
 
     Parameters
@@ -402,7 +402,7 @@ def with_road_heights(
     without = np.flatnonzero(np.isnan(height_m))
     centres = shapely.get_coordinates(tiles.geometry.centroid)[without]
     tree = scipy.spatial.cKDTree(road[:, :2])
-    distance, nearest = tree.query(centres, distance_upper_bound=NEAR_M)
+    distance, nearest = tree.query(centres, distance_upper_bound=_NEAR_M)
     near = np.isfinite(distance)
     height = road[np.asarray(nearest)[near], 2]
     fits = ~(np.abs(height - map_height_m[without[near]]) > SAME_LEVEL_M)
@@ -419,7 +419,7 @@ def with_road_heights(
 
 
 AREA_TOLERANCE = 0.005  # share of a lanelet's area from which on cut corners are reported
-STAGE = "splitting lanelets"
+_STAGE = "splitting lanelets"
 
 
 def _rungs(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> list[Floats]:
@@ -446,8 +446,8 @@ def _rungs(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> l
             raise InputError("lanelet {}: {}", ref, error) from error
         finer += len(rungs_by_lanelet[-1]) - 1 != slices(*bounds, length_m)
         if done % 100 == 0:
-            reporter.progress(STAGE, done, len(lanelets))
-    reporter.progress(STAGE, len(lanelets), len(lanelets))
+            reporter.progress(_STAGE, done, len(lanelets))
+    reporter.progress(_STAGE, len(lanelets), len(lanelets))
     if finer:
         asked = Text("{} cut into more tiles than {:g} m asks for", _lanelet_count(finer), length_m)
         reporter.warn("{}: longer ones would cross themselves", asked)

@@ -31,20 +31,20 @@ from gis_radar.base import (
     read_json,
     tr,
 )
-from gis_radar.calibration import SENSOR_STATES, concerns_clocks
+from gis_radar.calibration import SENSOR_STATES, HealthState, concerns_clocks
 from gis_radar.live.background import in_background
 from gis_radar.live.health import ALARMS, SensorHealth
 from gis_radar.live.served.sensorthings import opener_of
 from gis_radar.live.wire.payload import VERSION
 from gis_radar.live.wire.settings import webhook_address
 
-_, SILENT, MOVED, DOUBTFUL, CLOCK_OFF, _, _, WORKS = SENSOR_STATES
 # Time for which a state lasts before an alert is sent: twice the longest wait for a lost link, so
 # that a broker or a sensor's program that is started again is no alert.
 HOLD_S = 60.0
 TIMEOUT_S = 5.0  # longest wait for a webhook
 RETRIES_S = (5.0, 30.0, 180.0)  # waits before further tries: a receiver that is restarted is back
-MOST_WAITING = 1_000  # most alerts that wait for a webhook: some of each sensor of a large site
+# most alerts that wait for a webhook: some of each sensor of a large site
+MOST_ALERTS_WAITING = 1_000
 
 
 class _Cause(NamedTuple):
@@ -57,17 +57,30 @@ class _Cause(NamedTuple):
 
 _SET_CLOCK = "set its clock by PTP or NTP, and see whether the network is slow"
 CAUSES = (
-    _Cause(("offline",), SILENT, "check its power, its network and gis-radar edge there"),
-    _Cause(("moved",), MOVED, "it counts again once traffic confirms its pose, which takes "
-           "minutes; if that does not come, find its pose again with gis-radar localize"),
-    _Cause(("silent", "off_time"), CLOCK_OFF, _SET_CLOCK),
-    _Cause(("silent", "refused"), SILENT, "give it the tiles and the version of fusion"),
-    _Cause(("silent", "damaged"), SILENT, "see the log of gis-radar edge there"),
-    _Cause(("silent",), SILENT,
-           "check the radar and its cable; where all sensors are silent, the broker"),
-    _Cause(("pose",), DOUBTFUL, "its counts are not to be trusted until that is put right"),
-    _Cause(("clock",), CLOCK_OFF, _SET_CLOCK),
-)  # fmt: skip
+    _Cause(
+        ("offline",), HealthState.SILENT, "check its power, its network and gis-radar edge there"
+    ),
+    _Cause(
+        ("moved",),
+        HealthState.MOVED,
+        "it counts again once traffic confirms its pose, which takes "
+        "minutes; if that does not come, find its pose again with gis-radar localize",
+    ),
+    _Cause(("silent", "off_time"), HealthState.CLOCK_OFF, _SET_CLOCK),
+    _Cause(
+        ("silent", "refused"), HealthState.SILENT, "give it the tiles and the version of fusion"
+    ),
+    _Cause(("silent", "damaged"), HealthState.SILENT, "see the log of gis-radar edge there"),
+    _Cause(
+        ("silent",),
+        HealthState.SILENT,
+        "check the radar and its cable; where all sensors are silent, the broker",
+    ),
+    _Cause(
+        ("pose",), HealthState.DOUBTFUL, "its counts are not to be trusted until that is put right"
+    ),
+    _Cause(("clock",), HealthState.CLOCK_OFF, _SET_CLOCK),
+)
 """Causes in the order of precedence: a sensor that was moved is silent as well."""
 WELL = "it works; there is nothing to do"
 
@@ -91,11 +104,11 @@ class _Watched:
         state, _ = condition(self.health)
         if state != self.state:
             self.state, self.since_s = state, now_s
-        if state != WORKS:
+        if state != HealthState.WORKS:
             self.ill_since_s = min(self.ill_since_s, now_s)
         elif now_s - self.since_s >= HOLD_S:
             self.ill_since_s = math.inf
-        begins = state != WORKS and sent in {"", WORKS}
+        begins = state != HealthState.WORKS and sent in {"", HealthState.WORKS}
         lasts_s = now_s - (self.ill_since_s if begins else self.since_s)
         return lasts_s if state != sent and lasts_s >= HOLD_S else None
 
@@ -105,10 +118,10 @@ def condition(health: SensorHealth) -> tuple[Text, Text]:
     for alarms, state, advice in CAUSES:
         if health.alarms.keys() >= {*alarms}:
             reason = health.alarms[alarms[-1]]
-            is_clock = state == DOUBTFUL and concerns_clocks(reason)
+            is_clock = state == HealthState.DOUBTFUL and concerns_clocks(reason)
             text = Text("{}: {}; {}", Text(ALARMS[alarms[-1]]), reason, Text(advice))
-            return CLOCK_OFF if is_clock else state, text
-    return WORKS, Text(WELL)
+            return HealthState.CLOCK_OFF if is_clock else state, text
+    return HealthState.WORKS, Text(WELL)
 
 
 class Alerts:
@@ -158,11 +171,11 @@ class Alerts:
             if lasts_s is None:
                 continue
             changed, since_s = True, time_s - lasts_s
-            if each.state == SILENT:
+            if each.state == HealthState.SILENT:
                 since_s = min(since_s, each.health.heard_s)
             self._sent[name] = self._record(each, since_s)
             self._publish(name, _packed(self._sent[name]))
-            if self._webhook is not None and (before or each.state != WORKS):
+            if self._webhook is not None and (before or each.state != HealthState.WORKS):
                 self._webhook.put(_packed(self._sent[name]))
         if changed:
             self._store()
@@ -233,7 +246,7 @@ class Webhook:
     ) -> None:
         self._url, self._retries_s, self._reporter = webhook_address(url), retries_s, reporter
         self._host = urlsplit(url).hostname  # the rest of the address may be a secret
-        self._waiting: Queue[bytes] = Queue(MOST_WAITING)
+        self._waiting: Queue[bytes] = Queue(MOST_ALERTS_WAITING)
         self._is_failing = False
         self.sent = self.lost = 0
         in_background("webhook", self._work)

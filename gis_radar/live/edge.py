@@ -17,7 +17,7 @@ from gis_radar.live.own_pose import FollowedPose, PoseFollower, rounded, view_of
 from gis_radar.live.wire.broker import Link, SensorTopics
 from gis_radar.live.wire.buffer import DiskBuffer
 from gis_radar.live.wire.detections import DetectionSelector, FrameDetections, pack_detections
-from gis_radar.live.wire.outbox import OFFLINE, Outbox, status_message
+from gis_radar.live.wire.outbox import OFFLINE_STATUS, Outbox, status_message
 from gis_radar.live.wire.payload import PoseContent, in_parts, key_of_pose
 from gis_radar.live.wire.settings import EdgeFile, read_edge_file
 from gis_radar.live.wire.sources import IDLE_S, Frames, Radar, Replay
@@ -90,7 +90,7 @@ class Edge:
         ) as buffer:
             if buffer.put_aside:
                 self._reporter.warn("{}: {}, and is put aside", buffer.put_aside, buffer.why)
-            will = status_message(OFFLINE, stream=buffer.stream.hex())
+            will = status_message(OFFLINE_STATUS, stream=buffer.stream.hex())
             link = Link(
                 file.address(), name=f"{file.site}-{file.sensor}", topics=(topics.of("ack"),),
                 will=(topics.of("status"), will), reporter=self._reporter,

@@ -43,8 +43,8 @@ from gis_radar.live.now.vehicles_now import LiveVehicles, layer_of
 from gis_radar.live.served.lane_push import LanePush
 from gis_radar.live.served.snapshot import place_of
 from gis_radar.live.wire.broker import FUSION, Link, SensorTopics
-from gis_radar.live.wire.outbox import OFFLINE, ONLINE, status_message
-from gis_radar.live.wire.payload import DETECTIONS, POSE, Acknowledgement
+from gis_radar.live.wire.outbox import OFFLINE_STATUS, ONLINE_STATUS, status_message
+from gis_radar.live.wire.payload import DETECTIONS_TOPIC, POSE_TOPIC, Acknowledgement
 from gis_radar.live.wire.settings import LiveSite, read_live_site
 from gis_radar.measures import FrameCounter, validity_of
 from gis_radar.scans import SightTiles, open_sight
@@ -180,8 +180,8 @@ class Fusion:
         own = SensorTopics(live.site, FUSION).of("status")
         link = Link(
             self._site.address(), name=f"{live.site}-fusion",
-            topics=tuple(topics.of(kind) for kind in (POSE, "status", DETECTIONS)),
-            will=(own, status_message(OFFLINE)), reporter=self._reporter,
+            topics=tuple(topics.of(kind) for kind in (POSE_TOPIC, "status", DETECTIONS_TOPIC)),
+            will=(own, status_message(OFFLINE_STATUS)), reporter=self._reporter,
         )  # fmt: skip
         self.link = link
         if self._page is not None:
@@ -197,7 +197,7 @@ class Fusion:
             while not stop.is_set():
                 if link.connections != connections and link.connected:
                     connections = link.connections
-                    link.publish(own, status_message(ONLINE), retain=True)
+                    link.publish(own, status_message(ONLINE_STATUS), retain=True)
                     self._alerts.repeat()
                     for each in self.sensors.values():
                         each.due = bool(each.stream)
@@ -211,7 +211,7 @@ class Fusion:
             self._finish()
         finally:
             gc.unfreeze()
-            link.close(own, status_message(OFFLINE))
+            link.close(own, status_message(OFFLINE_STATUS))
             if self._page is not None:
                 self._page.close()
             self.close()

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 CLOCK_ALARM_S = 0.025  # half of a step: a clock that is off by more is wrong
 CLOCK_MESSAGES = 200  # live messages whose least delay is the offset of a sensor's clock: 10 s
-SILENT_S = 5.0  # time without a message after which a sensor is silent
+_SILENT_S = 5.0  # time without a message after which a sensor is silent
 # Time after which an alarm of a single message ends: Prometheus asks once a minute.
 ALARM_END_S = 120.0
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
-COUNTS = {
+_COUNTS = {
     "messages": "messages that came in",
     "frames": "frames that were stored",
     "hits": "tiles hit, over all frames",
@@ -65,7 +65,7 @@ class SensorHealth:
     reporter : Reporter
         Receives a line when an alarm begins or ends.
     counts : Counter
-        Counts by the names of :data:`COUNTS`.
+        Counts by the names of :data:`_COUNTS`.
     alarms : dict
         Text of each alarm that is raised, by the names of :data:`ALARMS`.
     newest_s, heard_s : float
@@ -129,7 +129,7 @@ class SensorHealth:
         for kind in ("damaged", "off_time", "twins"):  # alarms that single messages raise
             if now_s - self.raised_s.get(kind, now_s) > ALARM_END_S:
                 self.alarm(kind, None)
-        silent = quiet_s > SILENT_S
+        silent = quiet_s > _SILENT_S
         self.alarm("silent", Text("for {:.0f} s", quiet_s) if silent else None)
 
 
@@ -143,7 +143,7 @@ class _Metrics:
     def collect(self) -> Iterator[Metric]:
         from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily  # noqa: PLC0415
 
-        for name, meaning in COUNTS.items():
+        for name, meaning in _COUNTS.items():
             count = CounterMetricFamily(f"gis_radar_{name}", meaning, labels=["sensor"])
             for each in self.sensors:
                 count.add_metric([each.name], each.counts[name])

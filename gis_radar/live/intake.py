@@ -24,9 +24,9 @@ from gis_radar.base import (
 from gis_radar.live.health import SensorHealth
 from gis_radar.live.hours.recordings import HOUR_US, hour_of_time
 from gis_radar.live.hours.spool import (
-    FRAMES,
-    HEAD,
-    SKIPPED,
+    FRAMES_RECORD,
+    HEAD_RECORD,
+    SKIPPED_RECORD,
     STREAMS_KEPT,
     Spool,
     SpooledFrames,
@@ -37,10 +37,10 @@ from gis_radar.live.now.map_of_now import SensorReport, Windows
 from gis_radar.live.now.vehicles_now import LiveVehicles
 from gis_radar.live.wire.broker import FUSION, Received, parts_of
 from gis_radar.live.wire.detections import FrameDetections, unpack_detections
-from gis_radar.live.wire.outbox import ONLINE
+from gis_radar.live.wire.outbox import ONLINE_STATUS
 from gis_radar.live.wire.payload import (
-    DETECTIONS,
-    POSE,
+    DETECTIONS_TOPIC,
+    POSE_TOPIC,
     STREAM_BYTES,
     Envelope,
     PoseContent,
@@ -57,14 +57,14 @@ from gis_radar.scans import IN_SIGHT, SightScan, SightTiles, find_sight
 ACK_S = 1.0  # between two acknowledgements without a new number
 # Time within which two streams of one sensor that alternate come from two programs of one name.
 TWINS_WITHIN_S = 60.0
-MOST_LOST = 2**63  # limit of a plausible count of lost messages: their numbers have 63 bits
+_MOST_LOST = 2**63  # limit of a plausible count of lost messages: their numbers have 63 bits
 STREAM = re.compile(f"[0-9a-f]{{{2 * STREAM_BYTES}}}")
 AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
 LONGEST_MESSAGE_US = HOUR_US  # longest time from first to last frame of a message
 MOST_NUMBER = 1 << 40  # largest number with which a stream may begin
 MOST_AHEAD = 1 << 24  # most numbers that may be missing if the sensor lost them: ten days
 POSES_KEPT = 64  # newest poses that are kept of a sensor
-FARTHEST_M = 20_000.0  # largest distance of a sensor from the tiles
+_FARTHEST_M = 20_000.0  # largest distance of a sensor from the tiles
 _LAST_STEP = 5_000_000_000 * 20  # in 2128: times before it are written as ISO 8601
 
 
@@ -212,9 +212,9 @@ class Intake:
         last: dict[tuple[str, str], bytes] = {}
         for file in files[newest:]:
             for _, (kind, name, payload) in file.records():
-                if kind == HEAD:
+                if kind == HEAD_RECORD:
                     self._spool.marks = marks_in(payload)
-                elif name in self.sensors and kind in {FRAMES, SKIPPED}:
+                elif name in self.sensors and kind in {FRAMES_RECORD, SKIPPED_RECORD}:
                     last.pop((name, stream_of(payload)), None)  # the latest stream stands last
                     last[name, stream_of(payload)] = payload
         self._spool.mark((name, payload) for (name, _), payload in last.items())
@@ -236,9 +236,9 @@ class Intake:
         try:
             if kind == "status":
                 self._handle_status(sensor, message)
-            elif kind == POSE:
+            elif kind == POSE_TOPIC:
                 self._take_pose(sensor, message.payload)
-            elif kind == DETECTIONS:
+            elif kind == DETECTIONS_TOPIC:
                 self._handle_numbered(sensor, message)
         except VersionError as error:
             self._refuse(sensor, error.message)
@@ -249,13 +249,13 @@ class Intake:
     def _handle_status(self, sensor: SensorState, message: Received) -> None:
         """Take counts, alarms and the stream from a sensor's status message."""
         record = read_record(message.payload, what="a status")
-        online = record.get("state") == ONLINE
+        online = record.get("state") == ONLINE_STATUS
         sensor.health.alarm(
             "offline", None if online else Text("the broker lost it, or it was stopped")
         )
         for name in ("lost", "not_followed"):
             count = record.get(name)
-            if isinstance(count, int) and 0 <= count < MOST_LOST:
+            if isinstance(count, int) and 0 <= count < _MOST_LOST:
                 sensor.health.counts[name] = count
                 if name == "lost":
                     sensor.health.alarm(name, Text("{} messages", count) if count else None)
@@ -413,8 +413,8 @@ class Intake:
             raise InputError("{}: it is that of {}", what, f"{pose.sensor:.40}")
         require_same(pose.crs, self._road.crs, what=what, other_what="the tiles")
         offset_m: Floats = self._road.centres[:, :2] - pose.position[:2]
-        if not np.hypot(*offset_m.T).min() <= FARTHEST_M:
-            raise InputError("{}: it is over {:g} km from the tiles", what, FARTHEST_M / 1000)
+        if not np.hypot(*offset_m.T).min() <= _FARTHEST_M:
+            raise InputError("{}: it is over {:g} km from the tiles", what, _FARTHEST_M / 1000)
         if self._scan is not None:
             self._scan.read([pose])
         sight = find_sight(pose, self._road, self._scan)

@@ -21,7 +21,7 @@ BACKLOG = 64  # connections that are accepted at once, beyond these
 REQUEST_S = 5.0  # longest wait for a whole request; browsers also open spare connections
 UNREAD_S = 60.0  # longest wait for a client to read an answer: a megabyte at 20 kB/s
 END_S = 2.0
-LOOPBACK = ("127.0.0.1", "localhost", "::1", "[::1]")
+_LOOPBACK = ("127.0.0.1", "localhost", "::1", "[::1]")
 
 
 class BoundedConnection(H11Protocol):
@@ -110,7 +110,7 @@ class WebServer:
     ) -> None:
         self._host, _, port = address.rpartition(":")
         host = self._host.strip("[]")
-        hosts = [*names, *LOOPBACK] if names or host in LOOPBACK else ["*"]
+        hosts = [*names, *_LOOPBACK] if names or host in _LOOPBACK else ["*"]
         config = uvicorn.Config(
             TrustedHostMiddleware(app, allowed_hosts=hosts),
             http=cast("type[H11Protocol]", partial(BoundedConnection, unread_s=unread_s)),

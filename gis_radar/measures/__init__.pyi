@@ -5,11 +5,11 @@ from .frame_hash import HashedFrames
 from .frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
 from .headways import Headways, headways
 from .hit_counter import FrameCounter
-from .hour import LONGEST_VALID_STEPS, MARGIN_STEPS, HourWindow
+from .hour import HOUR_MARGIN_STEPS, LONGEST_VALID_STEPS, HourWindow
 from .hour_hits import ValidFrames, frame_columns, observed_runs, sorted_hits, valid_runs
 from .lane_fronts import FrontStates, StepGrid, TrackedLanes, VehicleTable, VisibleRuns
 from .lane_measures import (
-    LEAST_SHARE,
+    LEAST_VISIBLE_SHARE,
     SPEED_CLASS_KMH,
     SPEED_CLASSES,
     Measured,
@@ -43,12 +43,12 @@ from .validity import (
 
 __all__ = [
     "CYCLES_VALID",
+    "HOUR_MARGIN_STEPS",
     "INTERVALS",
     "JOINED_M",
-    "LEAST_SHARE",
+    "LEAST_VISIBLE_SHARE",
     "LEVEL",
     "LONGEST_VALID_STEPS",
-    "MARGIN_STEPS",
     "NO_FURTHER",
     "SPEED_CLASSES",
     "SPEED_CLASS_KMH",

@@ -28,18 +28,22 @@ from gis_radar.measures.queues import (
 )
 
 LEAST_RED_S = 8.0  # without a crossing before green: vehicles of a queue follow every 2 to 4 s
-CYCLE_S = (30.0, 240.0)  # lengths of cycles: those of RiLSA (30 to 120 s), and longer ones abroad
+_CYCLE_S = (30.0, 240.0)  # lengths of cycles: those of RiLSA (30 to 120 s), and longer ones abroad
 LEAST_GREENS = 4  # begins of green from which a cycle is inferred
 EVEN_S = 3.0  # most time between a seen and a fitted begin: first drivers react in 1 to 2 s, +- 1 s
 MOST_CHANCE = 0.05  # most probability that begins at random lie so well on cycles of any length
 # Least share of the cycles with a seen begin whose first is at the fitted time; signals that follow
 # demand have fewer.
 LEAST_ON = 0.6
-FINE, TRIED, FITS = 32, 20, 3  # trial rates per resolved one; how many are fitted; rounds of a fit
+_FINE, _TRIED, _FITS = (
+    32,
+    20,
+    3,
+)  # trial rates per resolved one; how many are fitted; rounds of a fit
 FEW = Text("fewer than {} begins of green seen", LEAST_GREENS)
 UNEVEN = Text("vehicles do not leave periodically")
 UNSTATED = Text("no two begins of green stated")
-HIDDEN = Text("stop line not visible throughout")
+LINE_HIDDEN = Text("stop line not visible throughout")
 CHANCE = Text("vehicles leave in the stated greens hardly more than by chance")
 AMBER_S = 3.0  # after green, in which vehicles still cross
 LEAST_LEAVING = 10  # fewest vehicles from which greens of another signal or clock are found
@@ -105,16 +109,16 @@ def period_of(begins_s: Floats) -> Period | str:
     if len(begins_s) < LEAST_GREENS:
         return FEW
     span = float(np.ptp(begins_s))
-    rate = np.arange(1.0 / CYCLE_S[1], 1.0 / CYCLE_S[0], 1.0 / (FINE * max(span, CYCLE_S[1])))
+    rate = np.arange(1.0 / _CYCLE_S[1], 1.0 / _CYCLE_S[0], 1.0 / (_FINE * max(span, _CYCLE_S[1])))
     power = np.abs(np.exp(2j * np.pi * np.outer(rate, begins_s)).sum(axis=1))
     fits = [
-        _fitted_cycles(begins_s, float(1.0 / each)) for each in rate[np.argsort(-power)[:TRIED]]
+        _fitted_cycles(begins_s, float(1.0 / each)) for each in rate[np.argsort(-power)[:_TRIED]]
     ]
     chance, share_on, period = min(fits, key=lambda each: each[0])
     # number of periods that differ by more than `EVEN_S` in begin or length
     resolution = (period.length_s / (2.0 * EVEN_S)) ** 2
-    period_count = resolution * span * (1.0 / CYCLE_S[0] - 1.0 / CYCLE_S[1])
-    in_range = CYCLE_S[0] <= period.length_s <= CYCLE_S[1]
+    period_count = resolution * span * (1.0 / _CYCLE_S[0] - 1.0 / _CYCLE_S[1])
+    in_range = _CYCLE_S[0] <= period.length_s <= _CYCLE_S[1]
     is_even = share_on >= LEAST_ON and chance * period_count < MOST_CHANCE
     return period if in_range and is_even else UNEVEN
 
@@ -134,7 +138,7 @@ def _fitted_cycles(begins_s: Floats, length_s: float) -> tuple[float, float, Per
     distance = (begins_s - begins_s[:, None] + length_s / 2.0) % length_s - length_s / 2.0
     begin = float(begins_s[(np.abs(distance) <= EVEN_S).sum(axis=1).argmax()])
     period = Period(length_s, np.nan, begin)
-    for _ in range(FITS):
+    for _ in range(_FITS):
         number = np.floor((begins_s - period.begin_s + EVEN_S) / period.length_s)
         first = np.diff(number, prepend=-np.inf) > 0
         number, first_begins = number[first], begins_s[first]
@@ -191,7 +195,7 @@ def cycles(lanes: TrackedLanes, known: Mapping[int, Greens] | None = None) -> li
                 figures = _with_figures(each, crossings_here, course, queue_states, end, lanes)
                 filled.append(figures)
             else:
-                filled.append(each._replace(reason=HIDDEN))
+                filled.append(each._replace(reason=LINE_HIDDEN))
     return filled
 
 

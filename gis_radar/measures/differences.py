@@ -33,7 +33,7 @@ import scipy
 
 from gis_radar.base import Floats, Text
 
-DAYS, TIMES, INTERVALS = Text("days"), Text("times of day"), Text("intervals")
+_DAYS, _TIMES, INTERVALS = Text("days"), Text("times of day"), Text("intervals")
 LEVEL = 0.05  # chance to name any lane where nothing changed
 LEAST_UNITS = 3  # days, pairs or intervals for the estimate of a variance; that of two is useless
 LEAST_WAVE = 10  # intervals in the shortest wave: by minute, over two of the longest cycles
@@ -107,11 +107,11 @@ def compare_values(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
     if several and len(shared):
         days = [_day_means(each, before, after) for each in (before, after)]
         if min(map(len, days)) >= LEAST_UNITS:
-            return _welch(_mean_of_days(days[0]), _mean_of_days(days[1]), DAYS)
+            return _welch(_mean_of_days(days[0]), _mean_of_days(days[1]), _DAYS)
     alike = len(shared) >= LEAST_UNITS
     if alike and np.ptp(shared) >= PROFILE_MIN:
         return _paired(before, after)
-    units = TIMES if alike else INTERVALS
+    units = _TIMES if alike else INTERVALS
     return _welch(_mean_of_intervals(before), _mean_of_intervals(after), units)
 
 
@@ -160,7 +160,7 @@ def _paired(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
     ]
     (first, deviations, size), (second, other_deviations, other_size) = map(_quotient, sums)
     variance, freedom = _variance(other_deviations - deviations, min(size, other_size))
-    return Difference(first, second, float(np.sqrt(variance)), freedom, TIMES, len(deviations))
+    return Difference(first, second, float(np.sqrt(variance)), freedom, _TIMES, len(deviations))
 
 
 def _welch(before: _Mean, after: _Mean, units: str) -> Difference:

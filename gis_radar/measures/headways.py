@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gis_radar.base import STEP_S, Floats, Integers
-from gis_radar.measures.lane_fronts import SLOW_MPS, TrackedLanes
+from gis_radar.measures.lane_fronts import STOPPED_MPS, TrackedLanes
 from gis_radar.measures.lane_measures import COUNTING_INFERRED, COUNTING_SEEN
 
 
@@ -50,7 +50,7 @@ def headways(lanes: TrackedLanes) -> Headways:
     headway = np.asarray((follower.step - leader.step) * STEP_S, np.float64)
     length = lanes.vehicles.length_m[lanes.vehicles.of(leader.vehicle)]
     passing_s = np.where(
-        leader.speed >= SLOW_MPS, length / np.maximum(leader.speed, SLOW_MPS), np.nan
+        leader.speed >= STOPPED_MPS, length / np.maximum(leader.speed, STOPPED_MPS), np.nan
     )
     error = np.where(follower.seen, COUNTING_SEEN, COUNTING_INFERRED)
     gap = np.asarray(np.maximum(headway - passing_s, 0.0), np.float64)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from gis_radar.base import STEP_US, STEPS_PER_HOUR, STEPS_PER_SECOND
 
-MARGIN_STEPS = 120 * STEPS_PER_SECOND
+HOUR_MARGIN_STEPS = 120 * STEPS_PER_SECOND
 """Steps on either side of an hour that its vehicles are found from (the contract: two minutes)."""
 LONGEST_VALID_STEPS = 64
 """Upper bound of validity in steps: 1.5 x the slowest cycle are 3 s, 60 steps."""
@@ -25,7 +25,7 @@ class HourWindow:
     """
 
     hour: int
-    margin: int = MARGIN_STEPS
+    margin: int = HOUR_MARGIN_STEPS
 
     @property
     def begin(self) -> int:

@@ -20,7 +20,7 @@ from gis_radar.measures.lane_network import LaneNetwork
 
 # By how much the rest of a lane, or the place on the next one, may exceed the distance driven.
 FOLLOWS_M = 2.0
-SLOW_MPS = 5.0 / 3.6  # a vehicle stands when it is slower (HCM, ch. 31, for stops) ...
+STOPPED_MPS = 5.0 / 3.6  # a vehicle stands when it is slower (HCM, ch. 31, for stops) ...
 SLOW_STEPS = STEPS_PER_SECOND  # ... for this time
 
 
@@ -184,7 +184,7 @@ class FrontStates:
             Whether it begins to stand in the state; a vehicle that is slow from its first state on
             does not stop.
         """
-        slow = self.speed < SLOW_MPS
+        slow = self.speed < STOPPED_MPS
         new = np.ones(len(slow), np.bool_)
         new[1:] = np.diff(self.vehicle) != 0
         begins = new.copy()

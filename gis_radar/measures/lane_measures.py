@@ -35,7 +35,7 @@ SPEED_CLASS_KMH = 5.0  # width of a class of speeds
 SPEED_CLASSES = 40  # up to 200 km/h; the last one is open
 # Share of an interval that must be visible for an estimate of the whole: with less, the error is
 # that of a guess.
-LEAST_SHARE = 0.2
+LEAST_VISIBLE_SHARE = 0.2
 # Standard deviation that a counted vehicle adds: if measured, 5 % do not exist and as many are
 # missing; if inferred, 25 % each. Hidden parts of the visible time have the error of inferred
 # vehicles, too.
@@ -195,7 +195,7 @@ class _Hidden(NamedTuple):
 
 def _volumes(counts: _Counts, share: Floats, hidden: _Hidden) -> dict[str, Any]:
     """Return the counts, and the estimates for whole intervals."""
-    estimated = share >= LEAST_SHARE
+    estimated = share >= LEAST_VISIBLE_SHARE
     visible = np.where(estimated, share, 1.0)
     observed = np.where(estimated, share + hidden.share, 1.0)
     passable = np.maximum(observed - visible - hidden.blocked, 0.0)
@@ -237,7 +237,7 @@ def _flows(
     """Return density, flow, travel time and delay."""
     length, free = (np.repeat(each, grid.count) for each in (network.length_m, network.free_speed))
     whole_km_h = length * grid.steps / STEPS_PER_SECOND / 3.6e6
-    enough = areas.visible_km_h >= LEAST_SHARE * whole_km_h
+    enough = areas.visible_km_h >= LEAST_VISIBLE_SHARE * whole_km_h
     pace = np.where(enough & (metres > 0.0), quotient(seconds, metres), np.nan)
     return {
         "density": quotient(seconds / 3600.0, areas.visible_km_h),
@@ -279,7 +279,7 @@ def _turns(
     start = np.repeat(ways[:, 0], grid.count) * grid.count + np.tile(
         np.arange(grid.count), len(ways)
     )
-    size, seen = lanes.cells, share >= LEAST_SHARE
+    size, seen = lanes.cells, share >= LEAST_VISIBLE_SHARE
     total = np.bincount(start, followed * seen, size)[start]
     has_hidden_exit = np.bincount(start, ~seen, size)[start] > 0
     divisor = np.where(has_hidden_exit, np.maximum(by_lane["followed"], total), total)

@@ -24,9 +24,9 @@ from gis_radar.measures.lane_network import LaneNetwork, Turn
 
 BEFORE_M = 5.0  # before stop line or junction, where direction and number of a lane are determined
 DIRECT_M = 15.0  # length of the exit in the line of a turn without connectors: a short connector's
-BESIDE_M = 5.5  # largest distance between the middles of lanes side by side
-ABREAST_M = 30.0  # width over which lanes of one direction are searched
-PARALLEL = math.cos(math.radians(30.0))  # least cosine between parallel lanes
+_BESIDE_M = 5.5  # largest distance between the middles of lanes side by side
+_ABREAST_M = 30.0  # width over which lanes of one direction are searched
+_PARALLEL = math.cos(math.radians(30.0))  # least cosine between parallel lanes
 _BOUND = {
     "north": Text("northbound"), "north-east": Text("north-eastbound"),
     "east": Text("eastbound"), "south-east": Text("south-eastbound"),
@@ -130,7 +130,7 @@ def _kerb_side(points: Floats, directions: Floats, lines: Sequence[shapely.LineS
     votes = 0.0
     for point, direction in zip(points, directions, strict=True):
         opposite = [
-            off for off, along in _lines_abreast(point, direction, lines) if along < -PARALLEL
+            off for off, along in _lines_abreast(point, direction, lines) if along < -_PARALLEL
         ]
         votes += np.sign(min(opposite, key=abs)) if opposite else 0.0
     return -1.0 if votes > 0.0 else 1.0
@@ -141,7 +141,7 @@ def _lines_abreast(
 ) -> list[tuple[float, float]]:
     """Return how far lines lie to the right of a place, m, and the cosines of their directions."""
     right = np.array([direction[1], -direction[0]])
-    across = shapely.LineString([point - ABREAST_M * right, point + ABREAST_M * right])
+    across = shapely.LineString([point - _ABREAST_M * right, point + _ABREAST_M * right])
     offsets = []
     for k in np.flatnonzero(shapely.intersects(lines, across)).tolist():
         for met in shapely.get_coordinates(shapely.intersection(lines[k], across)):
@@ -155,11 +155,11 @@ def _number(
 ) -> int:
     """Return the number of a lane, from the kerb, among lanes side by side."""
     offsets = (
-        kerb * off for off, along in _lines_abreast(point, direction, lines) if along > PARALLEL
+        kerb * off for off, along in _lines_abreast(point, direction, lines) if along > _PARALLEL
     )
     number, reached = 1, 0.0
     for offset_m in sorted(each for each in offsets if each > 0.0):
-        if offset_m - reached > BESIDE_M:
+        if offset_m - reached > _BESIDE_M:
             break
         if offset_m - reached > 1.0:  # leaves out the lane itself and one that merges into it
             number, reached = number + 1, offset_m

@@ -23,7 +23,7 @@ import pandas as pd
 from gis_radar.base import Booleans, Floats, Integers, ranges
 from gis_radar.hdmap import joining, lanes_of, quads
 
-JOIN_M = 0.5  # largest distance from the middle of a lane's end to that of the next one's begin
+_JOIN_M = 0.5  # largest distance from the middle of a lane's end to that of the next one's begin
 QUEUE_REACH_M = 500.0  # distance from the stop line up to which queues are followed
 
 
@@ -280,4 +280,4 @@ def _after(tiles: gpd.GeoDataFrame, rows: Sequence[Integers]) -> list[tuple[int,
     corners = quads(tiles)
     starts = np.array([corners[each[0]][[3, 0]].ravel() for each in rows])
     ends = np.array([corners[each[-1]][[2, 1]].ravel() for each in rows])
-    return [tuple(found) for found in joining(starts, ends, JOIN_M)]
+    return [tuple(found) for found in joining(starts, ends, _JOIN_M)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from gis_radar.base import STEP_S, STEP_US, Floats, InputError, Integers, iso_from_step, step_of
 from gis_radar.hdmap import Numbers, TileGrid
-from gis_radar.measures.counting_loop import POSE, TILES_HIT, TIME_US
+from gis_radar.measures.counting_loop import FRAME_POSE, TILES_HIT, TIME_US
 from gis_radar.measures.filters import Filters
 from gis_radar.measures.frame_hash import FrameHasher, HashedFrames
 from gis_radar.measures.hit_counter import NO_TILES, Counted, HitCounter, rows_of_columns
@@ -175,7 +175,7 @@ def read_sensor(
         frames=HashedFrames.join([part.fresh for part in readings]),
         source=np.repeat(np.arange(len(readings)), [len(part.fresh) for part in readings]),
         pose=np.concatenate([NO_TILES, *(part.poses() for part in readings)]),
-        counted=np.concatenate([np.empty((0, POSE + 1), np.int64), *counted]),
+        counted=np.concatenate([np.empty((0, FRAME_POSE + 1), np.int64), *counted]),
         tile=[tile for part in readings for tile in part.tile],
         evidence=[part.evidence for part in readings],
     )
@@ -290,7 +290,9 @@ class _Counter:
             if len(of_hour):
                 reading.evidence.times.add(of_hour[:, TIME_US])
                 reading.evidence.hits += int(of_hour[:, TILES_HIT].sum())
-            for index, count in zip(*np.unique(of_hour[:, POSE], return_counts=True), strict=True):
+            for index, count in zip(
+                *np.unique(of_hour[:, FRAME_POSE], return_counts=True), strict=True
+            ):
                 sight = reading.source.sights[self._places[index]].name
                 frames_of_sight = reading.evidence.frames
                 frames_of_sight[sight] = frames_of_sight.get(sight, 0) + int(count)

@@ -34,7 +34,7 @@ SIGMA_FIELDS = tuple(f"sigma_{name}" for name in (*POSITION, *ANGLES))
 QUATERNION_FIELDS = ("quaternion_x", "quaternion_y", "quaternion_z", "quaternion_w")
 TRACK_FIELDS = ("time", "sensor", "crs", *POSITION, *ANGLES, *QUATERNION_FIELDS, *SIGMA_FIELDS,
                 "event", "vehicles", "fitness")  # fmt: skip
-NUMBERS = {"vehicles": int, "fitness": float}  # evidence that is a number; all other is text
+_NUMBERS = {"vehicles": int, "fitness": float}  # evidence that is a number; all other is text
 DECIMALS = 6  # of metres and degrees
 # A warning is given where the standard deviation of place or yaw exceeds these for so long.
 UNCERTAIN_M, UNCERTAIN_DEG, UNCERTAIN_S = 1.0, 1.0, 60.0
@@ -310,7 +310,7 @@ def _pose_of_row(row: dict[str, Any], what: str, shared: dict[str, CRS]) -> Pose
         record["sigma"] = sigma
     view = {name: record.pop(name) for name in VIEW_FIELDS if name in record}
     further: dict[str, Any] = {
-        name: _parsed(text, f"{what}: {name}", NUMBERS.get(name, str))
+        name: _parsed(text, f"{what}: {name}", _NUMBERS.get(name, str))
         for name, text in row.items()
         if name and text and name not in known
     }

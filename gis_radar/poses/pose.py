@@ -408,7 +408,7 @@ def _check_quaternion(pose: Pose, quaternion: Any, what: str) -> None:
 
 _ARC_DEG = 2.0  # between points of a drawn arc: 5 cm off at 300 m
 _CHI2_95 = -2.0 * math.log(0.05)  # of two degrees of freedom
-INK = "#111827"
+_INK = "#111827"
 
 
 def ellipse(centre: Floats, covariance: Floats) -> shapely.Polygon:
@@ -448,10 +448,10 @@ def draw_sensor(
         Name of the sensor in the legend.
     """
     place = tuple(position[:2])
-    arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}
+    arrow = {"arrowstyle": "-|>", "color": _INK, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}
     tip = (position[0] + ahead[0], position[1] + ahead[1])
     ax.annotate("", tip, place, arrowprops=arrow, zorder=5, annotation_clip=True)
-    ax.scatter(*place, s=34, color=INK, marker="^", label=label, zorder=6)
+    ax.scatter(*place, s=34, color=_INK, marker="^", label=label, zorder=6)
     if ring is not None:
         x, y = ring.exterior.xy
-        ax.plot(x, y, color=INK, linewidth=1.0, label=tr("95 % ellipse of the place"), zorder=5)
+        ax.plot(x, y, color=_INK, linewidth=1.0, label=tr("95 % ellipse of the place"), zorder=5)

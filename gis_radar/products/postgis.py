@@ -87,7 +87,7 @@ _LATEST = """
     SELECT DISTINCT ON (lane) m.*, l.name, l.geometry
     FROM {schema}.lane_measures m JOIN {schema}.lanes l USING (lane) ORDER BY lane, begin_time DESC
 """
-VIEWS = {
+PUBLISHED_VIEWS = {
     "occupancy": (_OCCUPANCY, "Share of time that a vehicle is on a tile, over all dates"),
     "latest_traffic": (_LATEST, "Traffic of each lane in its last quarter of an hour"),
 }
@@ -394,7 +394,7 @@ class Session:
 
     def make_views(self) -> None:
         """Make the views."""
-        for name, (statement, comment) in VIEWS.items():
+        for name, (statement, comment) in PUBLISHED_VIEWS.items():
             if self.is_there("lane_measures"):
                 self.run(statement)
                 self.run("COMMENT ON VIEW {schema}.{view} IS {text}", text=comment, view=name)

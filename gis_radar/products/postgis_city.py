@@ -18,8 +18,8 @@ from gis_radar.base import QUIET, GisRadarError, InputError, OutputError, Report
 from gis_radar.dataset import site_folders, warn_of_copies
 from gis_radar.products.postgis import (
     MARK,
+    PUBLISHED_VIEWS,
     VERSION,
-    VIEWS,
     Publication,
     Session,
     opened_session,
@@ -27,7 +27,7 @@ from gis_radar.products.postgis import (
     require_name,
 )
 
-_VIEWS = {name: comment for name, (_, comment) in VIEWS.items()} | {
+_VIEWS = {name: comment for name, (_, comment) in PUBLISHED_VIEWS.items()} | {
     "tiles": "Tiles of all sites", "lanes": "Lanes of all sites", "sensors": "Radars of all sites",
     "tile_counts": "Steps of 50 ms of a tile in a quarter of an hour",
     "lane_measures": "Traffic of a lane in a quarter of an hour",

@@ -44,7 +44,7 @@ from gis_radar.products.traffic_exchange import (
 from gis_radar.products.traffic_picture import write_turning_diagram
 from gis_radar.products.traffic_style import VOLUMES, traffic_style
 
-LANES, TURNS, SECTIONS, CYCLES = "lanes", "turns", "sections", "cycles"
+LANES, _TURNS, _SECTIONS, _CYCLES = "lanes", "turns", "sections", "cycles"
 TITLES = {
     "lane": Text("Lane (id)"), "name": Text("Lane"),
     "section": Text("Section"), "direction": Text("Direction"), "place": Text("Section or lane"),
@@ -79,7 +79,7 @@ _LAYER_METADATA = {"shows": VOLUMES}  # makes GDAL create the metadata tables, w
 _IDS = ("lane", "from_lane", "to_lane")  # up to 9e18: as numbers, xlsx and JSON would round them
 _TIMES = ("begin", "end")
 # What files of an earlier result begin with, also of one with other options.
-_OWNED = ("traffic.", "turns.", f"{SECTIONS}.", "hand_counts.", f"{CYCLES}.", "sumo.", "datex.")
+_OWNED = ("traffic.", "turns.", f"{_SECTIONS}.", "hand_counts.", f"{_CYCLES}.", "sumo.", "datex.")
 _DIGITS = 4  # of numbers in tables for people: far below their errors
 
 
@@ -212,13 +212,13 @@ class Traffic:
 
     @property
     def _further_tables(self) -> dict[str, pd.DataFrame]:
-        tables = {SECTIONS: self.sections, "hand_counts": self.hand_counts, CYCLES: self.cycles}
+        tables = {_SECTIONS: self.sections, "hand_counts": self.hand_counts, _CYCLES: self.cycles}
         return {name: table for name, table in tables.items() if table is not None}
 
     def _write_workbook(self, path: Path) -> None:
         sheets = {tr("Lanes"): self.lanes, tr("Turns"): self.turns}
-        names = {SECTIONS: tr("Count sections"), "hand_counts": tr("Counts by hand"),
-                 CYCLES: tr("Cycles")}  # fmt: skip
+        names = {_SECTIONS: tr("Count sections"), "hand_counts": tr("Counts by hand"),
+                 _CYCLES: tr("Cycles")}  # fmt: skip
         sheets |= {names[name]: table for name, table in self._further_tables.items()}
         shown_by_sheet = {}
         for sheet, table in sheets.items():
@@ -235,8 +235,8 @@ class Traffic:
 
     def _write_package(self, path: Path) -> None:
         titles = {name: (tr(title), tr(title)) for name, title in TITLES.items()}
-        layers = {LANES: self.lanes, TURNS: self.turns}
-        layers |= {} if self.sections is None else {SECTIONS: self.sections}
+        layers = {LANES: self.lanes, _TURNS: self.turns}
+        layers |= {} if self.sections is None else {_SECTIONS: self.sections}
         for layer, table in layers.items():
             shown = table.assign(
                 **{name: table[name].dt.tz_convert("UTC") for name in _TIMES},
@@ -254,8 +254,8 @@ class Traffic:
         }
         notes = {
             LANES: LayerNotes(tr("Lanes"), tr("Traffic of lanes by interval"), titles),
-            TURNS: LayerNotes(tr("Turns"), tr("Volumes of turns by interval"), titles),
-            SECTIONS: LayerNotes(tr("Count sections"), tr("Volumes by direction"), titles),
+            _TURNS: LayerNotes(tr("Turns"), tr("Volumes of turns by interval"), titles),
+            _SECTIONS: LayerNotes(tr("Count sections"), tr("Volumes by direction"), titles),
         }
         style_layers(
             path, styles, name="traffic", about="volumes by lane and turn",

@@ -14,13 +14,13 @@ import shapely
 from gis_radar.base import Clock, picture_file, tr, with_error, zone_of
 from gis_radar.products.heatmap.picture import INK, SOFT
 
-WIDTH_IN, DPI = 10.0, 160  # width of the picture, and dots an inch
-AROUND_M = 45.0  # length of road shown around the turns, for the numbers
+_WIDTH_IN, _DPI = 10.0, 160  # width of the picture, and dots an inch
+_AROUND_M = 45.0  # length of road shown around the turns, for the numbers
 VEH_H_PER_POINT = 40.0  # a line of 10 points is 400 veh/h
 HEAD = (4.0, 1.2)  # size of an arrow's head: points, and a multiple of its line's width
 _BEFORE_M = 2.0  # distance of the numbers before the turn, and more where others stand there
 _LETTERS, _TRIES = 8.0, 30  # size of the numbers, points; how often they are moved by as much
-ROAD, FLOW = "#d5d8db", "#ba1c4d"  # distinct in grey and for colour-blind eyes
+_ROAD, _FLOW = "#d5d8db", "#ba1c4d"  # distinct in grey and for colour-blind eyes
 _ARROWS = {"left": "\u21b0", "straight": "\u2191", "right": "\u21b1", "back": "\u21b6"}
 
 
@@ -64,7 +64,7 @@ def write_turning_diagram(
     path : Path
         The picture (PNG).
     """
-    with picture_file(path, (WIDTH_IN, WIDTH_IN), DPI, tight=True) as figure:
+    with picture_file(path, (_WIDTH_IN, _WIDTH_IN), _DPI, tight=True) as figure:
         axes = draw_turning_diagram(figure, lanes, mean_turns(turns))
         axes.set_title(_title(turns), loc="left", color=INK, fontsize=13, fontweight="bold")
         below = f"{tr(_BELOW)}\n{tr(_UNSEEN)}"
@@ -87,13 +87,13 @@ def draw_turning_diagram(
     labels : bool
         Whether their figures are written along the approaches.
     """
-    axes, scale = figure.subplots(), figure.get_figwidth() / WIDTH_IN
+    axes, scale = figure.subplots(), figure.get_figwidth() / _WIDTH_IN
     for line in lanes.geometry.drop_duplicates():
-        axes.plot(*line.xy, color=ROAD, linewidth=7.0 * scale, solid_capstyle="butt", zorder=1)
+        axes.plot(*line.xy, color=_ROAD, linewidth=7.0 * scale, solid_capstyle="butt", zorder=1)
     for row in turns.itertuples():
         _draw_turn(axes, row.geometry, float(row.volume_veh_h) * scale)
     low_x, low_y, high_x, high_y = turns.total_bounds
-    half = max(high_x - low_x, high_y - low_y) / 2.0 + AROUND_M
+    half = max(high_x - low_x, high_y - low_y) / 2.0 + _AROUND_M
     x, y = (low_x + high_x) / 2.0, (low_y + high_y) / 2.0
     axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
     axes.set_axis_off()
@@ -123,11 +123,11 @@ def _title(turns: pd.DataFrame) -> str:
 def _draw_turn(axes: Any, line: shapely.LineString, volume: float) -> None:
     points = shapely.get_coordinates(line)
     width = max(volume / VEH_H_PER_POINT, 0.4)
-    axes.plot(*points.T, color=FLOW, linewidth=width, alpha=0.55, zorder=3, solid_capstyle="butt")
+    axes.plot(*points.T, color=_FLOW, linewidth=width, alpha=0.55, zorder=3, solid_capstyle="butt")
     ahead = points[-1] - points[-2]
     turned = math.degrees(math.atan2(ahead[1], ahead[0])) - 90.0  # a marker points north
     axes.plot(
-        *points[-1], marker=(3, 0, turned), markersize=HEAD[0] + HEAD[1] * width, color=FLOW,
+        *points[-1], marker=(3, 0, turned), markersize=HEAD[0] + HEAD[1] * width, color=_FLOW,
         markeredgewidth=0.0, zorder=4,
     )  # fmt: skip
 

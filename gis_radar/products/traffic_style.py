@@ -12,7 +12,7 @@ from gis_radar.base import tr
 from gis_radar.products.heatmap.style import text_template
 
 VOLUMES = "volume_veh_h"
-BREAKS = (0.0, 50.0, 100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 1e6)  # of lanes, veh/h
+_BREAKS = (0.0, 50.0, 100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 1e6)  # of lanes, veh/h
 # Not those of heat maps, on which these layers lie: one colour would mean two things.
 SHADES = (
     "#9eedcc", "#79d1bb", "#52b6aa", "#269a99", "#107e85", "#02636f", "#094956", "#00313f",
@@ -52,7 +52,7 @@ def traffic_style(interval_s: float, titles: Mapping[str, str], layer: str) -> s
     """
     classes = [
         LineClass(low, high, colour, _class_label(low, high))
-        for (low, high), colour in zip(pairwise(BREAKS), SHADES, strict=True)
+        for (low, high), colour in zip(pairwise(_BREAKS), SHADES, strict=True)
     ]
     return _filled(
         column=VOLUMES, classes=classes, unit=f" {tr('veh/h')}", wide=layer == "turns", timed=True,
@@ -70,7 +70,7 @@ def class_style(column: str, classes: Iterable[LineClass]) -> str:
 
 def _class_label(low: float, high: float) -> str:
     """Return the words of a class of volumes."""
-    if high == BREAKS[-1]:
+    if high == _BREAKS[-1]:
         return tr("over {low}", low=f"{low:g}")
     return tr("{low} to {high}", low=f"{low:g}", high=f"{high:g}")
 

@@ -21,7 +21,7 @@ from gis_radar.recordings.frames import Column, DamagedError, Frame
 PACKET = "ars430_ros_publisher/msg/RadarPacket"
 DETECTION = "ars430_ros_publisher/msg/RadarDetection"
 # ROS 2 bags up to Humble do not hold their definitions; those of ROS 1 do.
-DEFINITIONS = {
+ARS430_DEFINITIONS = {
     DETECTION: "float32 pos_x\nfloat32 pos_y\nfloat32 pos_z\nfloat32 vrel_rad\nfloat32 az_ang\n"
     "float32 el_ang\nfloat32 rcs\nfloat32 range\nfloat32 range_var\nfloat32 az_ang_var\n"
     "float32 el_ang_var\nfloat32 snr\nuint8 flags",

@@ -14,7 +14,7 @@ from gis_radar.recordings.recording import COLUMNS
 from gis_radar.recordings.units import refuse_degrees
 
 # Names in radar drivers and data sets, compared without case and underscores, by priority.
-NAMES: dict[str, tuple[str, ...]] = {
+COLUMN_NAMES: dict[str, tuple[str, ...]] = {
     "time": ("time", "timestamp", "t", "stamp"),
     "x": ("x", "x_m", "pos_x"),
     "y": ("y", "y_m", "pos_y"),
@@ -33,7 +33,7 @@ NAMES: dict[str, tuple[str, ...]] = {
 # Drivers' clouds for RViz keep the cross section here, in whole dBm2; amplitudes have no sign.
 SIGNED_RCS = "intensity"
 CARTESIAN, POLAR = ("x", "y", "z"), ("range", "azimuth", "elevation")
-TARGETS = tuple(NAMES)
+TARGETS = tuple(COLUMN_NAMES)
 
 Values = Callable[[str], Column]
 
@@ -190,7 +190,7 @@ def find_layout(
         sources[target] = field
     taken = {field.removeprefix("-") for field in sources.values()}
     lower = {_folded_name(field): field for field in reversed(list(fields)) if field not in taken}
-    for target, names in NAMES.items():
+    for target, names in COLUMN_NAMES.items():
         found = next(
             (lower[_folded_name(name)] for name in names if _folded_name(name) in lower), None
         )

@@ -27,7 +27,7 @@ from gis_radar.base import (
 )
 from gis_radar.recordings.formats import format_of
 from gis_radar.recordings.frame_clock import CLOCKS, Clock, FrameClock
-from gis_radar.recordings.frame_order import WINDOW, FrameOrder, merged
+from gis_radar.recordings.frame_order import REORDERED_FRAMES, FrameOrder, merged
 from gis_radar.recordings.frames import Format, Frame, ReaderContext, counts_text
 from gis_radar.recordings.recording_file import RecordingFile
 
@@ -122,7 +122,7 @@ NO_ELEVATION = Text(
     "measures no elevation (z is missing or 0 throughout): x and y are at the slant "
     "range; height, pitch, roll and clearance cannot be had from it"
 )
-IDENTITIES_KEPT = 4 * WINDOW  # latest frames among which duplicates are found
+IDENTITIES_KEPT = 4 * REORDERED_FRAMES  # latest frames among which duplicates are found
 # Share of a sensor's frames at which an earlier input goes on after another one, from which on to
 # warn that inputs are of several sensors: a second recorder of one sensor only fills gaps.
 ALTERNATING = 0.1

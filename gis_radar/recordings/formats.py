@@ -13,7 +13,7 @@ from gis_radar.recordings import readers
 from gis_radar.recordings.frames import Format
 from gis_radar.recordings.recording import UNREADABLE, Recording, open_table
 
-OWN = ".parquet"  # opened without importing or asking any reader
+_OWN = ".parquet"  # opened without importing or asking any reader
 
 
 @cache
@@ -53,7 +53,7 @@ def is_recording(path: Path) -> bool:
 
 
 def _opener(path: Path) -> Callable[[Path], Recording] | None:
-    if path.suffix.lower() == OWN:
+    if path.suffix.lower() == _OWN:
         return open_table
     if path.is_file():
         return next((form.opens for form in known_formats() if form.accepts(str(path))), None)

@@ -18,19 +18,19 @@ CLOCKS: tuple[Clock, ...] = ("auto", "sensor", "recorder")
 
 # A clock that was set is far after this; one that counts from its start is not.
 EARLIEST_S = 946_684_800.0  # 2000-01-01
-LATEST_S = 4_102_444_800.0  # 2100-01-01
+_LATEST_S = 4_102_444_800.0  # 2100-01-01
 AGREEING_S = 5.0  # clocks set by NTP or PTP agree far better; TAI is 37 s off
 # How far a sensor's clock may move against the recorder's. A busy recorder stamps late, which looks
 # as if the sensor's clock fell behind: only one that goes back by its own count is surely wrong.
-FORWARD_S, BACK_S = 0.5, 0.1
+_FORWARD_S, _BACK_S = 0.5, 0.1
 # Frames ahead that distinguish a clock that jumped (all are off) from a single late frame.
 FRAMES_AHEAD = 40
 # Frames to which a rate is fitted, half of them at least: 10 s at 20 Hz give it to 0.012 % where
 # arrivals jitter by 9 ms.
 RATE_FRAMES = 200
 # Quartz clocks differ by 0.01 %, a recorder that NTP corrects by 0.05 %; an ARS430 was 0.8 % slow.
-# Over MOST_RATE one of the two does not show the time, as where a bag was replayed faster.
-LEAST_RATE, MOST_RATE = 0.003, 0.02
+# Over _MOST_RATE one of the two does not show the time, as where a bag was replayed faster.
+_LEAST_RATE, _MOST_RATE = 0.003, 0.02
 REFIT_FRAMES = 20  # a second of frames between two fits of a rate
 # A PTP clock on TAI, without the leap seconds since 1972.
 TAI_AHEAD_S = 37.0
@@ -42,7 +42,7 @@ class FrameClock:
     The first frames decide; where the sensor's clock goes wrong later, the recorder's counts from
     there on, for good: two clocks in turn would shuffle the frames. A sensor's clock is right if
     the sensor calls it synchronised, it agrees with the recorder's to `AGREEING_S`, and does not
-    jump. One that runs slow or fast by `LEAST_RATE` or more, evenly over the first `RATE_FRAMES`,
+    jump. One that runs slow or fast by `_LEAST_RATE` or more, evenly over the first `RATE_FRAMES`,
     is corrected by a robust line through its offsets from the recorder's clock: times are then the
     recorder's without jitter, and jumps are measured from that line.
 
@@ -124,9 +124,9 @@ class FrameClock:
         line, half = OffsetLine(pairs), len(pairs) // 2
         half_rates = [OffsetLine(pairs[:half]).rate, OffsetLine(pairs[half:]).rate]
         # A jump, or a recorder that was busy, changes the rate of one half only.
-        if abs(line.rate) < LEAST_RATE or not all(0.5 <= p / line.rate <= 1.5 for p in half_rates):
+        if abs(line.rate) < _LEAST_RATE or not all(0.5 <= p / line.rate <= 1.5 for p in half_rates):
             return None
-        if abs(line.rate) > MOST_RATE:
+        if abs(line.rate) > _MOST_RATE:
             raise InputError(
                 "{}: {} runs {:.1%} {} against the recorder's: one of them is no clock",
                 self._sensor,
@@ -148,7 +148,7 @@ class FrameClock:
                 self._use_recorder(reason)
                 recorder = True
         time = frame.recorder_time if recorder else self._corrected(frame)
-        if time is None or not EARLIEST_S <= time < LATEST_S:
+        if time is None or not EARLIEST_S <= time < _LATEST_S:
             raise InputError(
                 "{}: no usable time: the {} says {}, the recorder {}",
                 self._sensor,
@@ -180,7 +180,7 @@ class FrameClock:
             return Text("the sensor gives no time")
         if not frame.synchronised:
             return Text("{} is not synchronised", self._name)
-        if not EARLIEST_S <= frame.sensor_time < LATEST_S:
+        if not EARLIEST_S <= frame.sensor_time < _LATEST_S:
             return Text("{} stands at {:,.0f} s since 1970", self._name, frame.sensor_time)
         offset_s = _offset_s(frame)
         if offset_s is None or abs(offset_s) <= AGREEING_S or self._line is not None:
@@ -196,11 +196,11 @@ class FrameClock:
         if self._line is not None:
             usual_s = self._line.at(frame.sensor_time)
         jump_s = offset_s - usual_s
-        back = jump_s < -BACK_S and frame.sensor_time < self._latest - BACK_S
+        back = jump_s < -_BACK_S and frame.sensor_time < self._latest - _BACK_S
         self._latest = max(self._latest, frame.sensor_time)
-        if (back or jump_s > FORWARD_S) and self._lasts(usual_s, jump_s):
+        if (back or jump_s > _FORWARD_S) and self._lasts(usual_s, jump_s):
             return Text("{} jumped by {:+.3f} s", self._name, jump_s)
-        if abs(jump_s) <= FORWARD_S:
+        if abs(jump_s) <= _FORWARD_S:
             self._offsets_s.append(offset_s)
             if self._line is not None:
                 self._line.add(frame.sensor_time, offset_s)
@@ -266,7 +266,7 @@ def _offset_s(frame: Frame) -> float | None:
     """Return how far the sensor's clock is ahead of the recorder's, seconds; None if unknown."""
     if frame.sensor_time is None or frame.recorder_time is None:
         return None
-    if not EARLIEST_S <= frame.recorder_time < LATEST_S:
+    if not EARLIEST_S <= frame.recorder_time < _LATEST_S:
         return None
     return frame.sensor_time - frame.recorder_time
 

@@ -11,7 +11,7 @@ from gis_radar.base import QUIET, InputError
 from gis_radar.recordings.frames import Frame, NothingHereError, ReaderContext
 
 # 12 s of a 20 Hz sensor: far more than a network or a bag writer ever reorders.
-WINDOW = 256
+REORDERED_FRAMES = 256
 
 Input = Callable[[ReaderContext], Generator[Frame]]
 Active = tuple[float, int, Frame, Iterator[Frame]]
@@ -93,7 +93,7 @@ class FrameOrder:
         self._last_yielded = -float("inf")
 
     def put(self, time: float, frame: Frame) -> Iterator[tuple[float, Frame]]:
-        """Take a frame; yield the earliest one, once more than `WINDOW` are held.
+        """Take a frame; yield the earliest one, once more than `REORDERED_FRAMES` are held.
 
         Raises
         ------
@@ -113,7 +113,7 @@ class FrameOrder:
         self._latest = max(self._latest, time)
         self._number += 1
         heapq.heappush(self._heap, (time, self._number, frame))
-        if len(self._heap) > WINDOW:
+        if len(self._heap) > REORDERED_FRAMES:
             yield self._pop()
 
     def finish(self) -> Iterator[tuple[float, Frame]]:

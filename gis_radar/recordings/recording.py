@@ -31,7 +31,7 @@ from gis_radar.recordings.parquet_table import first_group_of, parquet_batches, 
 from gis_radar.recordings.units import refuse_positions_in_other_units, refuse_whole_seconds
 
 COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
-SENSOR = b"gis_radar.sensor"  # key of a file's metadata
+SENSOR_KEY = b"gis_radar.sensor"  # key of a file's metadata
 LEAST_CONSTANT = 1000  # so many detections of one value are no chance, and no made-up example
 FARTHEST_M = 1e6  # no radar sees so far, and point cloud files hold no farther coordinates
 
@@ -261,7 +261,7 @@ def _open_parquet(path: Path) -> Recording:
         for name in COLUMNS:
             _require_numbers(file.schema_arrow.field(name).type, name, path)
         rows = file.metadata.num_rows
-        sensor = (file.schema_arrow.metadata or {}).get(SENSOR, b"").decode(errors="replace")
+        sensor = (file.schema_arrow.metadata or {}).get(SENSOR_KEY, b"").decode(errors="replace")
         selected = "pose" in file.schema_arrow.names
 
     def batches_from(begin: float, columns: Sequence[str]) -> tuple[int, Iterator[pa.RecordBatch]]:
@@ -281,8 +281,8 @@ def _open_csv(path: Path) -> Recording:
 
 
 UNREADABLE = (pa.ArrowException, OSError, ValueError)
-NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null)
-VIEWS = {pa.string_view(): pa.string(), pa.binary_view(): pa.binary()}
+_NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null)
+_VIEWS = {pa.string_view(): pa.string(), pa.binary_view(): pa.binary()}
 
 
 def _require_columns(names: list[str], path: Path) -> None:
@@ -380,7 +380,7 @@ def _further(batch: pa.RecordBatch) -> pa.RecordBatch:
     """Return the further columns, without view types, of which Arrow cannot take rows."""
     others = batch.select([name for name in batch.schema.names if name not in COLUMNS])
     for place, field in enumerate(others.schema):
-        if kind := VIEWS.get(field.type):
+        if kind := _VIEWS.get(field.type):
             others = others.set_column(place, field.name, pc.cast(others.column(place), kind))
     return others
 
@@ -452,7 +452,7 @@ def _refuse_long_frame(time: Floats, path: Path, last: float, before: int) -> in
 
 def _require_numbers(kind: pa.DataType, name: str, path: Path) -> None:
     # A column of nulls has the type null, which NUMERIC holds; digits as text are refused.
-    if not any(is_kind(kind) for is_kind in NUMERIC):
+    if not any(is_kind(kind) for is_kind in _NUMERIC):
         hint = Text("gis-radar convert makes a recording of it")
         raise InputError("{}: column {} is {}, expected numbers", path, name, kind, hint=hint)
 

@@ -13,12 +13,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gis_radar.base import InputError, output_errors
+from gis_radar.base import ROWS_IN_GROUP, InputError, output_errors
 from gis_radar.recordings.frames import Column, Frame
-from gis_radar.recordings.recording import SENSOR, constant_value
+from gis_radar.recordings.recording import SENSOR_KEY, constant_value
 from gis_radar.recordings.units import refuse_positions_in_other_units, refuse_whole_seconds
 
-ROWS_IN_GROUP = 1 << 17  # held in memory until written: 4 MB of our columns
 CORE = ("x", "y", "z", "range_rate", "rcs")
 LEAST_LEVEL = 100  # detections at z = 0 m, and none elsewhere, that show: elevation is not measured
 _NOWHERE = np.full((1, 3), np.nan, dtype=np.float32)
@@ -100,7 +99,7 @@ class RecordingFile:
         with output_errors(self._place):
             if self._writer is None:
                 options = parquet_options(table.schema.names)
-                schema = table.schema.with_metadata({SENSOR: self._sensor})
+                schema = table.schema.with_metadata({SENSOR_KEY: self._sensor})
                 self._writer = pq.ParquetWriter(self.path, schema, **options)
             self._writer.write_table(table, row_group_size=ROWS_IN_GROUP)
 

@@ -9,12 +9,12 @@ from gis_radar.base import Floats, InputError, Text
 FARTHEST_RADAR_M = 1514.0  # the farthest an ARS548 can be set to; others end at 300 m
 LEAST_CHECKED = 100  # detections: the median of fewer may be that of a ghost target
 LEAST_MEDIAN_M = 10.0  # median range; of roadside radars 20 to 60 m. Less: a smaller unit was meant
-MAP_M = 1e5  # numbers beyond are no millimetres: the median range of a radar is under 100 m
+_MAP_M = 1e5  # numbers beyond are no millimetres: the median range of a radar is under 100 m
 LEAST_EXTENT_M = 0.02  # positions of even one still target vary by more; 0.02 degrees are 2 km
-TURN_RAD = 2.0 * np.pi
+_TURN_RAD = 2.0 * np.pi
 # Most detections of one frame: radars have some 500; more of each time are several frames. Fewer
-# than those of LEAST_FRAMES are not checked.
-MOST_ROWS, LEAST_FRAMES = 1000, 10
+# than those of _LEAST_FRAMES are not checked.
+_MOST_ROWS, _LEAST_FRAMES = 1000, 10
 ODD_ANGLES, MOST_ODD = 0.1, 2  # share and number of angles beyond a turn that damage may explain
 
 
@@ -59,7 +59,7 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
 
 
 def _likely(median: float) -> str:
-    if median > MAP_M:
+    if median > _MAP_M:
         return "it looks like places in a map, not positions from the sensor"
     unit = "millimetres" if median / 1000.0 >= LEAST_MEDIAN_M else "centimetres"
     return Text("it looks like {}", Text(unit))
@@ -82,8 +82,8 @@ def refuse_whole_seconds(time: Floats, what: str) -> None:
     InputError
         If all are whole seconds, each of more detections than a frame has.
     """
-    frames = max(int(np.count_nonzero(np.diff(time, prepend=-1.0))), LEAST_FRAMES)
-    if len(time) > MOST_ROWS * frames and not np.any(time % 1.0):
+    frames = max(int(np.count_nonzero(np.diff(time, prepend=-1.0))), _LEAST_FRAMES)
+    if len(time) > _MOST_ROWS * frames and not np.any(time % 1.0):
         raise InputError(
             "{}: all times are whole seconds: the fractions are lost",
             what,
@@ -110,7 +110,9 @@ def refuse_degrees(angles: Floats, field: str, name: str) -> None:
     """
     known = np.abs(angles[np.isfinite(angles)])
     if name == "azimuth_deg":
-        if len(known) >= LEAST_CHECKED and 0.0 < known.max() <= TURN_RAD / 4.0:  # radars look ahead
+        if (
+            len(known) >= LEAST_CHECKED and 0.0 < known.max() <= _TURN_RAD / 4.0
+        ):  # radars look ahead
             raise InputError(
                 "{}: no value is over {:.3g}, expected degrees: it looks like radians",
                 field,
@@ -118,7 +120,7 @@ def refuse_degrees(angles: Floats, field: str, name: str) -> None:
                 hint=Text("state it: {} azimuth={}", "--columns", field),
             )
         return
-    limit = TURN_RAD if name == "azimuth" else TURN_RAD / 4.0
+    limit = _TURN_RAD if name == "azimuth" else _TURN_RAD / 4.0
     beyond = np.count_nonzero(known > limit)
     if beyond > max(ODD_ANGLES * len(known), MOST_ODD):
         raise InputError(

@@ -1,4 +1,4 @@
-from .columns import ScanColumns, ground_under, nearest_known, read_columns
+from .columns import LEAST_GROUND, ScanColumns, ground_under, nearest_known, read_columns
 from .mask import RoadMask, mask_road, require_road_name
 from .pdal import find_pdal
 from .roads import Roads, read_roads
@@ -6,12 +6,13 @@ from .scan import box_with_margin, open_scan, read_road, road_crs
 from .shift import read_shifted
 from .sight.gaps import find_gaps, gap_warning
 from .sight.layers import SIGHT_LAYER, open_sight, write_sights
+from .sight.obstacles import WIDEST_ROOF_M
 from .sight.picture import SIGHT_COLOURS, SIGHT_NAMES, draw_sight
 from .sight.recorded import (
+    CAR_REFLECTION_M,
     JUDGED_FRAMES,
     MOVEMENT_LEVEL_M,
     MOVEMENT_MPS,
-    REFLECTION_M,
     MovingHits,
     find_contradictions,
     report_contradictions,
@@ -20,6 +21,7 @@ from .sight.sight import (
     HIDDEN,
     IN_SIGHT,
     OUT_OF_VIEW,
+    TARGET_M,
     VIEW_ONLY,
     WINDOWS_KEPT,
     Sight,
@@ -30,17 +32,20 @@ from .sight.sight import (
 from .sight.tiles import SightTiles
 
 __all__ = [
+    "CAR_REFLECTION_M",
     "HIDDEN",
     "IN_SIGHT",
     "JUDGED_FRAMES",
+    "LEAST_GROUND",
     "MOVEMENT_LEVEL_M",
     "MOVEMENT_MPS",
     "OUT_OF_VIEW",
-    "REFLECTION_M",
     "SIGHT_COLOURS",
     "SIGHT_LAYER",
     "SIGHT_NAMES",
+    "TARGET_M",
     "VIEW_ONLY",
+    "WIDEST_ROOF_M",
     "WINDOWS_KEPT",
     "MovingHits",
     "RoadMask",

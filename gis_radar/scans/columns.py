@@ -15,7 +15,8 @@ from gis_radar.base import QUIET, Booleans, Box, Floats, Grid, Integers, Reporte
 from gis_radar.scans.scan import Scan
 
 # ASPRS LAS 1.4, table 17
-PLANTS, BUILDING, DECK, GROUND = (3, 4, 5), (6,), (17,), (2, 8, 11)
+_PLANTS, _BUILDING, _DECK, _GROUND = (3, 4, 5), (6,), (17,), (2, 8, 11)
+LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
 UNFIT = (7, 9, 13, 14, 15, 16, 18)  # noise, water, wires and pylons
 Heights: TypeAlias = NDArray[np.float32]  # exact to 0.03 mm at 400 m, in half the memory
 
@@ -69,11 +70,11 @@ class ScanColumns:
         height, category = xyz[kept, 2].astype(np.float32), category[kept]
         self.points += len(cell)
         for heights, classes in (
-            (self.top, None), (self.plants, PLANTS), (self.building, BUILDING)
+            (self.top, None), (self.plants, _PLANTS), (self.building, _BUILDING)
         ):  # fmt: skip
             chosen = slice(None) if classes is None else np.isin(category, classes)
             np.maximum.at(heights.reshape(-1), cell[chosen], height[chosen])
-        for heights, classes in ((self.low, None), (self.ground, GROUND), (self.deck, DECK)):
+        for heights, classes in ((self.low, None), (self.ground, _GROUND), (self.deck, _DECK)):
             chosen = slice(None) if classes is None else np.isin(category, classes)
             np.minimum.at(heights.reshape(-1), cell[chosen], height[chosen])
 

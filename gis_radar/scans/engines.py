@@ -30,6 +30,7 @@ from gis_radar.base import (
     same_coordinates,
     scratch_folder,
 )
+from gis_radar.scans.columns import LEAST_GROUND
 from gis_radar.scans.pdal import INSTALL_HINT, PdalRunner, find_pdal
 from gis_radar.scans.point_store import PointStore
 from gis_radar.scans.roads import Roads
@@ -45,8 +46,7 @@ from gis_radar.scans.scan import (
     open_scan,
 )
 
-LAYER, COLUMN = "roads", "road"
-LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
+_LAYER, _COLUMN = "roads", "road"
 # Margin around a road for PDAL's ground filter: wider than its window (SMRF, 18 m).
 FILTER_MARGIN_M = 30.0
 MARK_DIMENSION = "UserData"
@@ -100,8 +100,8 @@ class Pipeline:
         stages += [
             {"type": "filters.assign", "assignment": f"{MARK_DIMENSION}[:]=0"},
             {
-                "type": "filters.overlay", "datasource": str(roads), "layer": LAYER,
-                "column": COLUMN, "dimension": MARK_DIMENSION,
+                "type": "filters.overlay", "datasource": str(roads), "layer": _LAYER,
+                "column": _COLUMN, "dimension": MARK_DIMENSION,
             },
             {"type": "filters.range", "limits": f"{MARK_DIMENSION}[1:1]"},
             {
@@ -196,7 +196,7 @@ def write_layer(roads: Roads, path: Path, *, outside: Any = None) -> None:
         Part of the roads outside the scans.
     """
     parts = shapely.get_parts(roads.area)
-    layers = {LAYER: gpd.GeoDataFrame({COLUMN: [1] * len(parts)}, geometry=parts, crs=roads.crs)}
+    layers = {_LAYER: gpd.GeoDataFrame({_COLUMN: [1] * len(parts)}, geometry=parts, crs=roads.crs)}
     if outside is not None:
         shapes = shapely.get_parts(outside)
         layers["outside"] = gpd.GeoDataFrame(
@@ -206,8 +206,8 @@ def write_layer(roads: Roads, path: Path, *, outside: Any = None) -> None:
         add_layer(table, path, name, geometry_type="Polygon")
 
 
-NAMES = ("auto", "pdal", "laspy")
-STAGE = "reading scans"
+ENGINE_NAMES = ("auto", "pdal", "laspy")
+_STAGE = "reading scans"
 # PDAL holds the points of a ground filter in memory: more than these are run scan by scan.
 MOST_AT_ONCE = 5_000_000
 
@@ -220,16 +220,16 @@ Engine: TypeAlias = Callable[[PointStore, Sequence[Scan], Reporter], Selection]
 
 
 def engine_of(name: str, *, reporter: Reporter = QUIET) -> tuple[str, Engine]:
-    """Return an engine, after its title with version, by a name of `NAMES`; `auto` prefers PDAL.
+    """Return an engine by a name of `ENGINE_NAMES`, after its title; `auto` prefers PDAL.
 
     Raises
     ------
     UsageError
         If the name is unknown; GisRadarError if it is `pdal` and there is none.
     """
-    if name not in NAMES:
+    if name not in ENGINE_NAMES:
         raise UsageError(
-            "engine {} is not known", repr(name), hint=Text("one of {}", ", ".join(NAMES))
+            "engine {} is not known", repr(name), hint=Text("one of {}", ", ".join(ENGINE_NAMES))
         )
     runner = None if name == "laspy" else find_pdal(reporter=reporter)
     if runner is not None:
@@ -252,7 +252,7 @@ def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter)
             ground += batch.ground
             times += _store_on_road(store, number, batch)
             done += batch.read
-            reporter.progress(STAGE, done, total)
+            reporter.progress(_STAGE, done, total)
         classified.append(ground >= LEAST_GROUND * scan.points)
         store.classified(number, ground=classified[-1])
         counts = store.counts[number]

@@ -42,10 +42,10 @@ SIDE_FILE_ENDINGS = (".roads.gpkg", ".pipeline.json")
 BARE_M2 = 20.0  # a square without a point and with so much road is outside the scans
 WARN_OUTSIDE = 0.001  # share of roads outside the scans from which on a warning is logged
 WARN_OFFSET_M = 2.0  # the same for the scan's height over the map: it may be of another level
-DATUM_M = 110.0  # no vertical datums differ by more: geoid undulations are under 107 m (EGM2008)
+_DATUM_M = 110.0  # no vertical datums differ by more: geoid undulations are under 107 m (EGM2008)
 # Share of the road's cells inside the scans' extents below which there is no mask, and below which
 # a warning is logged. A scan of 1 point/m2 fills 0.2 of the cells of 0.5 m.
-LEAST_COVERED, WARN_COVERED = 0.02, 0.1
+_LEAST_COVERED, _WARN_COVERED = 0.02, 0.1
 # The same share over that of a bare road at the density of the points, below which a warning is
 # logged: 0.79 to 0.99 in scans of the place, 0.46 to 0.57 in those of a neighbouring town.
 WARN_BARE = 0.65
@@ -338,9 +338,9 @@ def _bare_share(mask: RoadMask) -> float:
 
 
 def _refuse_empty(mask: RoadMask, scans: Sequence[Scan]) -> None:
-    """Refuse a mask that has points on less than `LEAST_COVERED` of the road inside the scans."""
+    """Refuse a mask that has points on less than `_LEAST_COVERED` of the road inside the scans."""
     share = _inside_share(mask, scans)
-    if share < LEAST_COVERED:
+    if share < _LEAST_COVERED:
         raise NoAnswerError(
             "{}: only {:.1%} of the road inside the scans has points",
             scans[0].path,
@@ -371,7 +371,7 @@ def _report(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
             north,
         )
     covered = _inside_share(mask, mask.pipeline.scans)
-    if covered < WARN_COVERED:
+    if covered < _WARN_COVERED:
         reporter.warn("only {:.0%} of the road inside the scans has points", covered)
     elif covered < WARN_BARE * (bare := _bare_share(mask)):
         reporter.warn(
@@ -386,6 +386,6 @@ def _report(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
         text = Text(
             "the scans lie {:.2f} m over the map's heights: another vertical datum?", offset
         )
-        if abs(offset) > DATUM_M:
+        if abs(offset) > _DATUM_M:
             text = Text("{} none is so far off: are they in feet, or of another place?", text)
         reporter.warn(text)

@@ -209,7 +209,7 @@ _MM = 1000.0  # in a metre
 # Equal points are found by sorting one number each: 20 bits north, 20 east, 22 up, 1 for no ground.
 _SHIFT, _MOST_TALL = 100_000, 2**22 - 1  # mm: added, as a margin has negative places; most height
 # Millimetres from the block's corner: smaller than float64, and exact for equal points.
-RECORD = np.dtype(
+_RECORD = np.dtype(
     [("x", np.int32), ("y", np.int32), ("z", np.int32), ("category", np.uint8), ("scan", np.uint16)]
 )
 
@@ -261,7 +261,7 @@ class PointStore:
         """
         for number, rows in _by_block(block):
             west, south = self.blocks.cells(number).corner
-            records = np.empty(len(rows), RECORD)
+            records = np.empty(len(rows), _RECORD)
             for name, column, origin in (("x", 0, west), ("y", 1, south), ("z", 2, 0.0)):
                 records[name] = np.rint((xyz[rows, column] - origin) * _MM)
             records["category"], records["scan"] = category[rows], scan
@@ -315,8 +315,8 @@ class PointStore:
         parts = list(self._by_block_number.get(block, []))
         file = self._folder / f"{block}.points"
         if file.exists():
-            parts.append(np.fromfile(file, RECORD))
-        return np.concatenate(parts) if parts else np.empty(0, RECORD)
+            parts.append(np.fromfile(file, _RECORD))
+        return np.concatenate(parts) if parts else np.empty(0, _RECORD)
 
 
 def _unique_points(records: Any, ground: Booleans) -> tuple[Floats, Booleans]:

@@ -36,10 +36,10 @@ from gis_radar.base import (
 )
 from gis_radar.hdmap import ON_FOOT_OR_BICYCLE, LaneletMap, at_fractions, bound_length, read_map
 
-SAMPLE_M = 2.0  # spacing of samples of the map's heights, and side of the squares that share one
-# Lanelets closer than NEAR_M are one surface, unless their heights differ by more than STEP_M and a
-# slope of 30 %, which no road has.
-NEAR_M, STEP_M, STEEPEST = 6.0, 1.0, 0.3
+_SAMPLE_M = 2.0  # spacing of samples of the map's heights, and side of the squares that share one
+# Lanelets closer than _NEAR_M are one surface, unless their heights differ by more than _STEP_M and
+# a slope of 30 %, which no road has.
+_NEAR_M, _STEP_M, _STEEPEST = 6.0, 1.0, 0.3
 SAME_AREA = 1e-3  # share by which mending a polygon may change its area
 MOST_EXTENT_M = 200_000.0  # a wider map has a node in the wrong place
 
@@ -65,11 +65,11 @@ class RoadLevel:
         return len(self.heights) > 0
 
     def height_near(self, xy: Floats) -> Floats:
-        """Return the map's height (m) nearest to the square of `SAMPLE_M` of each place, (n,)."""
+        """Return the map's height (m) nearest to the square of `_SAMPLE_M` of each place, (n,)."""
         if len(xy) == 0:
             return np.empty(0)
         x, y = xy.T
-        grid = Grid.around(x, y, SAMPLE_M)
+        grid = Grid.around(x, y, _SAMPLE_M)
         squares, which = np.unique(grid.keys(x, y), return_inverse=True)
         _, nearest = self._samples.query(grid.centres(squares))
         return np.asarray(self.heights[nearest, 2][which])
@@ -99,7 +99,7 @@ def _levels_of(outlines: Any, lefts: Iterable[Any], rights: Iterable[Any]) -> tu
 def _sampled(left: shapely.LineString, right: shapely.LineString) -> Floats:
     """Return points on both bounds and half-way between them, (n, 3) metres."""
     bounds = [shapely.get_coordinates(line, include_z=True) for line in (left, right)]
-    count = max(2, round(max(bound_length(bound) for bound in bounds) / SAMPLE_M) + 1)
+    count = max(2, round(max(bound_length(bound) for bound in bounds) / _SAMPLE_M) + 1)
     fractions = np.linspace(0.0, 1.0, count)
     on_left, on_right = (at_fractions(bound, fractions) for bound in bounds)
     return np.concatenate([on_left, (on_left + on_right) / 2.0, on_right])
@@ -123,13 +123,13 @@ def _level_numbers(conflicts: Integers, points: Floats, owner: Integers, count: 
 
 def _conflicts(points: Floats, owner: Integers) -> Integers:
     """Return pairs of lanelets that cannot be one surface, as (n, 2) numbers."""
-    if np.ptp(points[:, 2]) <= STEP_M:
+    if np.ptp(points[:, 2]) <= _STEP_M:
         return np.empty((0, 2), np.int64)
-    pairs = scipy.spatial.cKDTree(points[:, :2]).query_pairs(NEAR_M, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(points[:, :2]).query_pairs(_NEAR_M, output_type="ndarray")
     a, b = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]].T
     step = np.abs(points[a, 2] - points[b, 2])
     near = np.hypot(*(points[a, :2] - points[b, :2]).T)
-    steep = step > STEP_M + STEEPEST * near
+    steep = step > _STEP_M + _STEEPEST * near
     return np.unique(np.column_stack([owner[a[steep]], owner[b[steep]]]), axis=0)
 
 

@@ -17,16 +17,16 @@ from gis_radar.scans.columns import ScanColumns, read_columns
 from gis_radar.scans.roads import Roads, roads_of_map
 from gis_radar.scans.scan import Scan, box_with_margin
 
-HIGH_M, AROUND_M = 2.5, 2.5  # over the lowest point around: higher than most cars
-STEP_M, REACH_M = 1.0, 16.0  # of the places that are tried
-# Places within `SAME_M` are one. Where the roads are, this share of what stands over them at any
+_HIGH_M, _AROUND_M = 2.5, 2.5  # over the lowest point around: higher than most cars
+_STEP_M, _REACH_M = 1.0, 16.0  # of the places that are tried
+# Places within `_SAME_M` are one. Where the roads are, this share of what stands over them at any
 # other place stands over them at most: 0.07 to 0.36 on four simulated sites. Where there are two
-# with less than `LEAST_ELSEWHERE`, as beside an avenue in fields, the place is not known.
-SAME_M, OPEN_SHARE, LEAST_HIGH, LEAST_ELSEWHERE = 4.0, 0.5, 0.05, 0.01
-LEAST_POINTS, MOST_POINTS = 400, 5000  # of the roads that are compared
-EDGE_M = 1.25  # of roads, over which crowns and roofs reach
-NEAR_M = 200.0  # of a sensor
-CELL_M, MOST_CELLS = 1.0, 4_000_000  # of the scan where it is read for this alone
+# with less than `_LEAST_ELSEWHERE`, as beside an avenue in fields, the place is not known.
+_SAME_M, _OPEN_SHARE, _LEAST_HIGH, _LEAST_ELSEWHERE = 4.0, 0.5, 0.05, 0.01
+_LEAST_POINTS, _MOST_POINTS = 400, 5000  # of the roads that are compared
+_EDGE_M = 1.25  # of roads, over which crowns and roofs reach
+_NEAR_M = 200.0  # of a sensor
+_SCAN_CELL_M, _MOST_CELLS = 1.0, 4_000_000  # of the scan where it is read for this alone
 
 
 def warn_shifted(columns: ScanColumns, xy: Floats, path: str | Path, reporter: Reporter) -> bool:
@@ -48,21 +48,21 @@ def warn_shifted(columns: ScanColumns, xy: Floats, path: str | Path, reporter: R
     bool
         Whether it was warned.
     """
-    grid, xy = columns.grid, xy[:: 1 + len(xy) // MOST_POINTS]
-    size = 2 * round(AROUND_M / grid.cell_m) + 1
+    grid, xy = columns.grid, xy[:: 1 + len(xy) // _MOST_POINTS]
+    size = 2 * round(_AROUND_M / grid.cell_m) + 1
     ground = scipy.ndimage.minimum_filter(columns.low, size, mode="nearest")
-    high = np.where(np.isfinite(columns.low), columns.top > ground + HIGH_M, np.nan)
-    side = np.arange(-REACH_M, REACH_M + STEP_M, STEP_M)
+    high = np.where(np.isfinite(columns.low), columns.top > ground + _HIGH_M, np.nan)
+    side = np.arange(-_REACH_M, _REACH_M + _STEP_M, _STEP_M)
     moves = np.array(list(product(side, side)))
     places = np.moveaxis(xy + moves[:, None], -1, 0)
     over = np.where(grid.holds(*grid.cells(*places)), high[grid.nearest(*places)], np.nan)
-    if np.isfinite(over).sum(axis=1).min() < LEAST_POINTS:
+    if np.isfinite(over).sum(axis=1).min() < _LEAST_POINTS:
         return False
     share = np.nanmean(over, axis=1)
     here, best = share[len(share) // 2], moves[share.argmin()]
-    elsewhere = share[np.hypot(*(moves - best).T) >= SAME_M].min()
-    is_alone = elsewhere >= max(share.min() / OPEN_SHARE, LEAST_ELSEWHERE)
-    if here < LEAST_HIGH or np.hypot(*best) < SAME_M or not is_alone:
+    elsewhere = share[np.hypot(*(moves - best).T) >= _SAME_M].min()
+    is_alone = elsewhere >= max(share.min() / _OPEN_SHARE, _LEAST_ELSEWHERE)
+    if here < _LEAST_HIGH or np.hypot(*best) < _SAME_M or not is_alone:
         return False
     reporter.warn(
         "{}: the roads of the map fit the scan {:.0f} m to the east and {:.0f} m to the north of "
@@ -88,21 +88,21 @@ def read_shifted(
     reporter : Reporter
         Receives the warning.
     near : (2,) array, optional
-        Only roads within `NEAR_M` of this place, metres.
+        Only roads within `_NEAR_M` of this place, metres.
     """
     roads = roads_of_map(roads) if isinstance(roads, LaneletMap) else roads
     area: Any = roads.area
     if near is not None:
-        area = shapely.intersection(area, shapely.Point(near).buffer(NEAR_M))
+        area = shapely.intersection(area, shapely.Point(near).buffer(_NEAR_M))
     if area.is_empty:
         return False
-    box = box_with_margin(area.bounds, REACH_M + AROUND_M)
-    grid = Grid.around(np.array(box[::2]), np.array(box[1::2]), CELL_M)
-    if grid.columns * grid.rows > MOST_CELLS:
+    box = box_with_margin(area.bounds, _REACH_M + _AROUND_M)
+    grid = Grid.around(np.array(box[::2]), np.array(box[1::2]), _SCAN_CELL_M)
+    if grid.columns * grid.rows > _MOST_CELLS:
         return False
     columns = ScanColumns(grid=grid)
     read_columns(scans, [columns], box, roads.crs)
-    middle = shapely.buffer(area, -EDGE_M)
+    middle = shapely.buffer(area, -_EDGE_M)
     shapely.prepare(middle)
     places = grid.centres(np.arange(grid.columns * grid.rows))
     inside = shapely.contains_xy(middle, places[:, 0], places[:, 1])

@@ -5,7 +5,7 @@ from .plan import Stage, stages_of
 from .recipes import mask_scans, measure_recordings, paths_named_by, split_map, write_sights_of
 from .run import SiteRun, prepare_site, run_site
 from .settings import MapTable, Sensor, Site, ViewTable, read_site, site_template
-from .stages import convert_stage, heatmap_stage, measure_stage, refusals_of
+from .stages import STATE, convert_stage, heatmap_stage, measure_stage, refusals_of
 from .toml_file import LARGEST_FILE, read_toml, toml_template
 from .values import (
     File,
@@ -26,6 +26,7 @@ from .worker import Pool, WorkerContext, process_pool
 
 __all__ = [
     "LARGEST_FILE",
+    "STATE",
     "BrokerTable",
     "Duration",
     "File",

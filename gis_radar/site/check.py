@@ -50,7 +50,7 @@ from gis_radar.site.settings import Sensor, Site, read_site
 NEAR_MAP_M = 300.0
 # Recordings shorter than this are reported if the pose must be found: 100 s of traffic are a good
 # length, half of that rarely suffices.
-LEAST_S = 60.0
+_LEAST_S = 60.0
 # Greatest difference, hours, of a time zone from the sun's time at the site; the greatest in the
 # world, in the west of China, is 3.2. With more, the zone is probably that of another place.
 ZONE_HOURS = 3.5
@@ -315,7 +315,7 @@ def _sensor_check(
     if not spans:
         return SensorCheck(begin=math.nan, end=math.nan, detections=0, view={})
     longest = max(each[1] - each[0] for each in spans)
-    if sensor.guess is not None and longest < LEAST_S and not sensor.foreign:
+    if sensor.guess is not None and longest < _LEAST_S and not sensor.foreign:
         warnings.append(
             Text(
                 "{}: {:.0f} s in one recording rarely suffice to find its pose, 100 s are a "

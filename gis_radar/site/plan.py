@@ -13,7 +13,7 @@ from gis_radar.site import stages
 from gis_radar.site.joint_poses import CANDIDATES_FILE, POSE_FILE, RECORDING_FILE
 from gis_radar.site.settings import ConvertTable, Sensor, Site
 
-OWNED = (
+OWNED_BY_RUN = (
     "road.", "tiles.gpkg", "sensors", "dataset", "heatmap", "sight.gpkg",
     "footprints.gpkg", "site.qgz", "site_", "run.json",
     "together.json", *REPORT_FILES,

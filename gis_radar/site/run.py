@@ -34,7 +34,7 @@ from gis_radar.base import (
 )
 from gis_radar.site import stages as work
 from gis_radar.site.execution import Execution, RunState, discard
-from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
+from gis_radar.site.plan import OWNED_BY_RUN, Outcome, Stage, stages_of
 from gis_radar.site.settings import Site, read_site
 from gis_radar.site.stages import STATE
 from gis_radar.site.versions import software
@@ -247,7 +247,7 @@ def _opened(folder: Path, reporter: Reporter) -> Iterator[tuple[RunState, Path]]
     state = root / STATE
     with output_errors(root):
         if root.is_dir() and not state.is_dir():
-            refuse_foreign(root, OWNED)
+            refuse_foreign(root, OWNED_BY_RUN)
         state.mkdir(parents=True, exist_ok=True)
         (state / ".gitignore").write_text("*\n", encoding="utf-8")
     scratch = state / "scratch"

@@ -39,7 +39,7 @@ from gis_radar.site.messages import error_in_site_words
 from gis_radar.site.recipes import mask_scans, measure_site, split_map
 
 STATE = ".gis-radar"
-SIGHTS = "sights"  # folder in STATE: a cache of the sights of poses
+_SIGHTS = "sights"  # folder in STATE: a cache of the sights of poses
 Figures = dict[str, Any]
 Paths = Sequence[Path]
 
@@ -207,7 +207,7 @@ def measure_stage(
     cycles = {name: each["cycle"] for name, each in sensors.items() if each["cycle"]}
     made, refused = measure_site(
         given, tile_file, map_file, outputs[0], cycles=cycles, reporter=reporter,
-        sight_cache=outputs[0].parent / STATE / SIGHTS, before_hour=before_hour, **options,
+        sight_cache=outputs[0].parent / STATE / _SIGHTS, before_hour=before_hour, **options,
     )  # fmt: skip
     heavy = {}
     if made.has_vehicles and before_hour is None:

@@ -12,7 +12,7 @@ from .detections import (
     still_rate,
 )
 from .footprints import Footprints, PathBook, footprints_of
-from .hour_blocks import MARGIN_STEPS
+from .hour_blocks import BLOCK_MARGIN_STEPS
 from .hour_vehicles import HourVehicles, vehicles_of_hour
 from .map_check import map_of_tiles
 from .passages import HEAVY
@@ -20,11 +20,11 @@ from .start.bodies import are_persons, usual_rcs
 from .start.forward import STAND_S, ForwardFilter
 
 __all__ = [
+    "BLOCK_MARGIN_STEPS",
     "HEAVY",
     "HEIGHT_RAD",
     "HIGH_M",
     "LOW_M",
-    "MARGIN_STEPS",
     "MOVING_MPS",
     "NOISE_S",
     "SLOW_MPS",

@@ -16,16 +16,16 @@ from gis_radar.tracking.blocks import Block
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.routes import route_of
-from gis_radar.tracking.tables import TRACKS, VEHICLES
+from gis_radar.tracking.tables import TRACKS_KIND, VEHICLES_KIND
 
 BIN_RAD = np.pi / 9.0  # width of a bin of directions: in one, lanes show the same shift of a pose
-BEND_M, BEND_RAD = 5.0, 0.1  # a lane that bends by so much within so far is left out
-LEAST_ROWS = 5  # least detections of a vehicle on a lane for the median of their distances from it
+_BEND_M, _BEND_RAD = 5.0, 0.1  # a lane that bends by so much within so far is left out
+_LEAST_ROWS = 5  # least detections of a vehicle on a lane for the median of their distances from it
 SURE_SIGMAS = 4.0  # least sigmas of a reported shift: hardly one of hundreds of sensors by chance
 LEAST_OF_WORST = 0.75  # least share of the largest shift of any sensor of a reported one
-SIDES = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
-SEEN_S = 0.5  # a state is seen within so many seconds of a detection (the contract)
-DRIVING_MPS = 3.0  # slower vehicles may turn in, park or load beside the lanes
+_SIDES = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
+_SEEN_S = 0.5  # a state is seen within so many seconds of a detection (the contract)
+_DRIVING_MPS = 3.0  # slower vehicles may turn in, park or load beside the lanes
 LEAST_JUDGED = 8  # least vehicles by which a pose is judged
 MOST_OFF_LANE = 0.2  # share of a sensor's vehicles on no lanelet above which its pose is doubtful
 # Shift of all vehicles of a sensor from the centres of lanes, or from those of other sensors, above
@@ -33,7 +33,7 @@ MOST_OFF_LANE = 0.2  # share of a sensor's vehicles on no lanelet above which it
 MOST_BESIDE_M = 0.6
 # Sigma of the mean distance of a lane's drivers from its centre, as recorded at three junctions; of
 # a driver's distance from that mean; of a pose.
-LANE_M, BESIDE_M, SHIFT_M = 0.25, 0.7, 1.0
+_LANE_M, _BESIDE_M, _SHIFT_M = 0.25, 0.7, 1.0
 POSE_HINT = "gis-radar track, gis-radar localize"
 
 
@@ -46,13 +46,13 @@ class VehicleBatch:
     first_step, last_step : int
         The span, inclusive, which follows that of the batch before. The last one ends with a frame.
     tracks : DataFrame
-        The columns of `TRACKS`, by step and vehicle: all states in the span, one for each step from
-        a vehicle's first to its last. `easting` and `northing` are the middle of the rectangle of
-        its length and width: the middle of its front lies half a length ahead along `heading`, of
-        vehicles over 12 m too.
+        The columns of `TRACKS_KIND`, by step and vehicle: all states in the span, one for each step
+        from a vehicle's first to its last. `easting` and `northing` are the middle of the rectangle
+        of its length and width: the middle of its front lies half a length ahead along `heading`,
+        of vehicles over 12 m too.
     vehicles : DataFrame
-        The columns of `VEHICLES`: each vehicle with a state in the span, as known so far. It may
-        go on in the next batch under the same number.
+        The columns of `VEHICLES_KIND`: each vehicle with a state in the span, as known so far. It
+        may go on in the next batch under the same number.
     """
 
     first_step: int
@@ -91,7 +91,7 @@ class BatchMaker:
         inside = [k for k, each in enumerate(states) if len(each.step)]
         motions, states = [motions[k] for k in inside], [states[k] for k in inside]
         self.numbers = numbers = self._numbers(block, motions, states)
-        tables = [TRACKS.empty()]
+        tables = [TRACKS_KIND.empty()]
         rows, driven = [], []
         for number, motion, each in zip(numbers, motions, states, strict=True):
             table, lanelets = self._tables(each, motion)
@@ -108,7 +108,7 @@ class BatchMaker:
             )  # fmt: skip
         if driven:
             self._lane_offsets.append(_lane_offsets(driven))
-        vehicles = pd.DataFrame(rows, columns=[*VEHICLES.columns]).sort_values("vehicle")
+        vehicles = pd.DataFrame(rows, columns=[*VEHICLES_KIND.columns]).sort_values("vehicle")
         tracks = pd.concat(tables, ignore_index=True).sort_values(["step", "vehicle"])
         return VehicleBatch(
             first_step=block.first_step, last_step=block.last_step, tracks=tracks,
@@ -176,9 +176,9 @@ class BatchMaker:
         for lane in np.unique(route.lane[on]).tolist():
             here = np.flatnonzero(route.lane == lane)
             before, now, after = (
-                graph.place(lane, route.s_m[here] + more)[1] for more in (-BEND_M, 0.0, BEND_M)
+                graph.place(lane, route.s_m[here] + more)[1] for more in (-_BEND_M, 0.0, _BEND_M)
             )
-            straight = np.abs(after - before) < BEND_RAD
+            straight = np.abs(after - before) < _BEND_RAD
             towards[here[straight]] = np.angle(np.exp(1j * now[straight]))
         table = pd.DataFrame(
             {
@@ -203,7 +203,7 @@ def _driven_detections(
     """Return the detections of a vehicle while it drives, with its distance left of its lane."""
     step = (detections.time[motion.rows] / STEP_S).astype(np.int64) - int(table["step"].iloc[0])
     inside = np.flatnonzero((step >= 0) & (step < len(table)))
-    drives = inside[table["speed"].to_numpy()[step[inside]] > DRIVING_MPS]
+    drives = inside[table["speed"].to_numpy()[step[inside]] > _DRIVING_MPS]
     at = step[drives]
     towards = table["towards"].to_numpy()[at]
     left_m = table["d_m"].to_numpy(np.float64, na_value=np.nan)[at]
@@ -285,7 +285,7 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str]) -> list[str]:
         if mine["vehicle"].nunique() >= LEAST_JUDGED:
             counts = mine.groupby("vehicle")[["size", "on"]].sum()
             off = float((counts["on"] < 0.5 * counts["size"]).mean())
-            left = mine[mine["count"] >= LEAST_ROWS]
+            left = mine[mine["count"] >= _LEAST_ROWS]
             enough = left["vehicle"].nunique() >= LEAST_JUDGED
             beside = float(left["left_m"].abs().median()) if enough else np.nan
             judged[number] = off, beside, *_shift(left)
@@ -300,7 +300,7 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str]) -> list[str]:
         if off > MOST_OFF_LANE:
             what = Text("{:.0%} of its vehicles follow no lanelet", off)
         elif shifts[number] > least:
-            side = SIDES[round(float(np.arctan2(shift[1], shift[0])) / (0.25 * np.pi)) % 8]
+            side = _SIDES[round(float(np.arctan2(shift[1], shift[0])) / (0.25 * np.pi)) % 8]
             what = Text("its vehicles drive {:.1f} m {} of the lanes", shifts[number], Text(side))
         elif apart > MOST_BESIDE_M:
             what = Text(
@@ -326,9 +326,9 @@ def _shift(left: pd.DataFrame) -> tuple[Floats, float]:
     )
     way = ways["towards"].to_numpy(np.float64)
     normal = np.column_stack([-np.sin(way), np.cos(way)])
-    var = LANE_M**2 + BESIDE_M**2 / ways["count"].to_numpy(np.float64)
+    var = _LANE_M**2 + _BESIDE_M**2 / ways["count"].to_numpy(np.float64)
     weighted = normal / var[:, None]
-    prior = np.eye(2) / SHIFT_M**2
+    prior = np.eye(2) / _SHIFT_M**2
     beside = ways["left_m"].to_numpy(np.float64)
     spread = np.linalg.inv(normal.T @ weighted + prior)
     shift = spread @ (weighted.T @ beside)
@@ -355,7 +355,7 @@ class _States:
         s_m, speed = motion.at(time)
         middle, heading = motion.path.at(s_m)
         hits = block.detections.time[motion.rows]
-        seen = np.abs(hits[nearest(hits, time)] - time) <= SEEN_S
+        seen = np.abs(hits[nearest(hits, time)] - time) <= _SEEN_S
         return cls(step, middle, heading, speed, seen)
 
 

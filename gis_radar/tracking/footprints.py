@@ -16,22 +16,21 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from gis_radar.base import Booleans, Floats, Integers, compiled, ranges
-from gis_radar.hdmap import quads
+from gis_radar.hdmap import SAME_LEVEL_M, quads
 
 # Least overlap of a footprint with the middle cross-line of a tile that it occupies; or half of the
 # cross-line or of the vehicle's width where that is less (the contract).
 OVERLAP_M = 0.5
 # Largest difference of road heights on one level (the contract): above a crossfall, below the
 # clearance of a bridge.
-SAME_LEVEL_M = 2.0
 # A longer vehicle is the strip of its width along the path its front took (the contract): the
 # longest single vehicle without a joint.
 STRIP_M = 12.0
 # Distance of the points of such a path: on a curve of 10 m radius its chord is 1 cm off the arc.
 PATH_STEP_M = 1.0
-CELL_M = 2.0  # side of a cell of the look-up; twice or half of it is as fast
-MOST_CELLS = 16_000_000  # most cells; in a larger map they are wider
-ROUNDING_M = 1e-9  # tolerance, so that rounding does not decide about an overlap on the limit
+_LOOKUP_CELL_M = 2.0  # side of a cell of the look-up; twice or half of it is as fast
+_MOST_CELLS = 16_000_000  # most cells; in a larger map they are wider
+_ROUNDING_M = 1e-9  # tolerance, so that rounding does not decide about an overlap on the limit
 MOST_PARTS = 256  # most parts of a strip, two for each point of its path: road trains have 60
 
 
@@ -71,7 +70,7 @@ class CrossLines:
         local = corners - origin
         right, left = local[:, :2].mean(axis=1), local[:, 2:].mean(axis=1)
         span = local.max(axis=(0, 1))
-        cell_m = max(CELL_M, math.sqrt(float(span.prod()) / MOST_CELLS))
+        cell_m = max(_LOOKUP_CELL_M, math.sqrt(float(span.prod()) / _MOST_CELLS))
         columns, rows = (int(side / cell_m) + 1 for side in span)
         lines = np.hstack([right, left])
         return cls(
@@ -357,7 +356,7 @@ def is_occupied(
     """Return whether a footprint overlaps a cross-line by enough to occupy its tile."""
     length = math.sqrt((line[2] - line[0]) ** 2 + (line[3] - line[1]) ** 2)
     needed = min(OVERLAP_M, 0.5 * length, box[5])
-    return bool(overlapped_m(line, box, path, points, begins, shares) >= needed - ROUNDING_M)
+    return bool(overlapped_m(line, box, path, points, begins, shares) >= needed - _ROUNDING_M)
 
 
 @compiled

@@ -22,7 +22,7 @@ from gis_radar.tracking.detections import NOISE_S, MapDetections, map_detections
 BLOCK_STEPS = 6000  # length of a block, which begins at a multiple of it: five minutes
 # Steps before and after a block whose detections are used, too: a stationary vehicle is undetected
 # for 25 s on end in one case of ten.
-MARGIN_STEPS = 1200
+BLOCK_MARGIN_STEPS = 1200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class Section:
 
 def sections_of(window: HourWindow) -> list[Section]:
     """Return the sections of an hour: around its begin, within it, around its end."""
-    margin = MARGIN_STEPS
+    margin = BLOCK_MARGIN_STEPS
     low, high = window.begin + margin, window.end - margin
     inner = range(window.begin, window.end, BLOCK_STEPS)
     edges = [low, *(step for step in inner if low < step < high), high]
@@ -80,7 +80,7 @@ def blocks_of(
         The block there; it begins with the first and ends with the last frame where there are none
         on the other side of its edge.
     """
-    margin = MARGIN_STEPS
+    margin = BLOCK_MARGIN_STEPS
     steps = [sensor.frames.time_us // STEP_US for sensor in sensors]
     known = np.unique(np.concatenate([np.empty(0, np.int64), *steps]))
     for section in sections_of(window):

@@ -26,7 +26,7 @@ from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.hour_blocks import blocks_of
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.occupancy import OccupancyEngine
-from gis_radar.tracking.tables import PASSAGES, TRACKS, VEHICLES
+from gis_radar.tracking.tables import PASSAGES_KIND, TRACKS_KIND, VEHICLES_KIND
 from gis_radar.tracking.tracker import vehicles_in
 
 NUMBERS_PER_HOUR = 1_000_000  # an hour's vehicles have numbers from so many times the hour on
@@ -166,7 +166,7 @@ class _HourResults:
 
     def add(self, states: pd.DataFrame, vehicles: pd.DataFrame, numbers: list[int]) -> None:
         """Add the states of a block, after `advance` over all earlier ones."""
-        states, vehicles = TRACKS.typed(states), VEHICLES.typed(vehicles)
+        states, vehicles = TRACKS_KIND.typed(states), VEHICLES_KIND.typed(vehicles)
         begin, end = self.window.begin, self.window.end
         states = states[states["step"] <= end].reset_index(drop=True)
         self.waiting = (states, vehicles)
@@ -204,9 +204,9 @@ class _HourResults:
         rows = [
             self.vehicles[n] | {"vehicle": final[n]} for n in sorted(final, key=final.__getitem__)
         ]
-        vehicles = pd.DataFrame(rows, columns=[*VEHICLES.columns])
-        tracks = pd.concat([TRACKS.empty(), *self.tracks], ignore_index=True)
-        passages = pd.concat([PASSAGES.empty(), *self.passages], ignore_index=True)
+        vehicles = pd.DataFrame(rows, columns=[*VEHICLES_KIND.columns])
+        tracks = pd.concat([TRACKS_KIND.empty(), *self.tracks], ignore_index=True)
+        passages = pd.concat([PASSAGES_KIND.empty(), *self.passages], ignore_index=True)
         passages = passages[passages["step"].between(begin, end - 1)]
         heavy = passages["vehicle"].map({n: row["p_heavy"] for n, row in self.vehicles.items()})
         before = (self.window.hour - 1) * NUMBERS_PER_HOUR
@@ -215,7 +215,7 @@ class _HourResults:
             tracks=_ends_and_fourths(_renumbered(tracks, final), vehicles),
             vehicles=vehicles,
             continued=pd.DataFrame(continued, columns=["vehicle", "next"]).astype(np.int64),
-            passages=_renumbered(passages.assign(p_heavy=heavy), final, PASSAGES.order),
+            passages=_renumbered(passages.assign(p_heavy=heavy), final, PASSAGES_KIND.order),
             occupied=occupied, visible=visible, on_lanes=on_lanes,
         )  # fmt: skip
 

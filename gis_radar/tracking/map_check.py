@@ -14,8 +14,8 @@ import shapely
 from gis_radar.base import QUIET, InputError, Reporter, Text, UsageError, name_of
 from gis_radar.hdmap import LaneletMap, quads, read_map
 
-HINT = Text("give the map that the tiles were made from, with the same CRS and origin")
-SAME_PLACE_M = 0.01  # largest distance, by rounding, of the same bounds
+_HINT = Text("give the map that the tiles were made from, with the same CRS and origin")
+_SAME_PLACE_M = 0.01  # largest distance, by rounding, of the same bounds
 
 
 def map_of_tiles(
@@ -41,7 +41,7 @@ def map_of_tiles(
             raise error from None
     origin = _origin(local, tiles)
     if origin is None:
-        raise InputError("{}: has none of the lanelets of the tiles", path, hint=HINT)
+        raise InputError("{}: has none of the lanelets of the tiles", path, hint=_HINT)
     roads = read_map(path, crs=tiles.crs, origin=origin, reporter=reporter)
     return roads, describe_map(path, roads, tiles, origin=origin)
 
@@ -96,7 +96,7 @@ def describe_map(
     known = roads.lanelets.set_index("lanelet_id")
     missing = ids[~np.isin(ids, known.index.to_numpy())]
     if len(missing):
-        raise InputError("{}: lacks lanelet {} of the tiles", path, missing[0], hint=HINT)
+        raise InputError("{}: lacks lanelet {} of the tiles", path, missing[0], hint=_HINT)
     known = known.loc[ids]
     for side, begin, end in (("right", 0, 1), ("left", 3, 2)):
         bound = known[side].to_numpy()
@@ -104,13 +104,13 @@ def describe_map(
             place = shapely.get_coordinates(shapely.get_point(bound, point))
             apart = np.hypot(*(place - corners[order[rows], corner]).T)
             far = int(apart.argmax())
-            if not apart[far] <= SAME_PLACE_M:
+            if not apart[far] <= _SAME_PLACE_M:
                 raise InputError(
                     "{}: lanelet {} lies {:.2f} m from its tiles",
                     path,
                     ids[far],
                     apart[far],
-                    hint=HINT,
+                    hint=_HINT,
                 )
     digest = hashlib.blake2b(Path(path).read_bytes(), digest_size=16).hexdigest()
     place_of_zero = None if origin is None else [float(each) for each in origin]

@@ -19,18 +19,21 @@ from gis_radar.tracking.paths import DIRECTION_RAD, Path, path_through
 from gis_radar.tracking.size import END_SHARE, Size, size_of
 
 HALF_STEPS = STEPS_PER_SECOND // 2
+# Median time gap that drivers keep, and sigma of its logarithm (Treiber and Kesting, Traffic Flow
+# Dynamics, ch. 4).
+GAP_S, GAP_SPREAD = 1.8, 0.6
 # Prior variances of place, m2, and speed, m2/s2.
 UNKNOWN_S, UNKNOWN_V = 25.0, 9.0
 MOST_MISSES = 6  # places in a row outside the gate after which the filter starts again
 STILL_COS = 0.05  # least cosine of the aspect; below it, a range rate is no evidence of the speed
-SPACING_M = 1.0  # distance along the road of the points through which a path is fitted
-ALONG_M = 0.3  # sigma of a detection along the road
+_SPACING_M = 1.0  # distance along the road of the points through which a path is fitted
+_ALONG_M = 0.3  # sigma of a detection along the road
 RANGE_RATE_MPS = 0.4  # sigma of a range rate, including what wheels and turning add
 ACCEL_VAR = 2.0  # variance that a driver's choice adds to the speed per second, m2/s3
 REPEAT_FACTOR = 4.0  # factor on the sigma of places, as a scatterer lasts for several frames
-MOST_WEIGHT = 8.0  # most weight sideways of the detections in two metres of a path, 1/m2
+_MOST_WEIGHT = 8.0  # most weight sideways of the detections in two metres of a path, 1/m2
 # Weight for the length of detections of a slower vehicle: some may be of objects beside it.
-DRIVING_MPS, STILL_TRUST = 1.0, 0.3
+_DRIVING_MPS, _STILL_TRUST = 1.0, 0.3
 # A detection whose range rate differs from the motion's by more than both this and this share of
 # the speed does not count for the length, as it may be of a wheel or in a turn.
 LEAST_OFF_MPS, OFF_SHARE = 0.4, 0.05
@@ -167,7 +170,7 @@ def fit_motion(detections: MapDetections, rows: Integers, states: Floats) -> Mot
     sight = detections.sight[rows]
     cos = np.cos(heading) * sight[:, 0] + np.sin(heading) * sight[:, 1]
     sin = np.abs(np.cos(heading) * sight[:, 1] - np.sin(heading) * sight[:, 0])
-    noise = np.hypot(ALONG_M, AZIMUTH_RAD * detections.range_m[rows] * sin)
+    noise = np.hypot(_ALONG_M, AZIMUTH_RAD * detections.range_m[rows] * sin)
     rate = detections.range_rate[rows] / np.where(np.abs(cos) < STILL_COS, STILL_COS, cos)
     rate_var = (RANGE_RATE_MPS / np.maximum(np.abs(cos), STILL_COS)) ** 2
     same_step = np.bincount(step, minlength=count)[step]
@@ -194,7 +197,7 @@ def fit_motion(detections: MapDetections, rows: Integers, states: Floats) -> Mot
         rate_error = np.abs(rate - speed) * np.maximum(np.abs(cos), STILL_COS)
         fits = rate_error < LEAST_OFF_MPS + OFF_SHARE * speed
         # a standing vehicle may seem as long as all still things there
-        trust = np.where(speed > DRIVING_MPS, 1.0, STILL_TRUST) * fits
+        trust = np.where(speed > _DRIVING_MPS, 1.0, _STILL_TRUST) * fits
         size, shift = size_of(along, ends, noise, time, trust)
     return Motion(
         rows=rows, path=path, first_step=first,
@@ -245,7 +248,7 @@ def side_seen(path: Path, s_m: Floats, sight: Floats) -> Floats:
 def _fitted_path(detections: MapDetections, rows: Integers, states: Floats) -> tuple[Path, Floats]:
     """Return the path through states, shifted sideways to the detections, and places along it."""
     when = detections.time[rows, None]
-    path, way = path_through(np.hstack([states[:, :3], when]), SPACING_M)
+    path, way = path_through(np.hstack([states[:, :3], when]), _SPACING_M)
     guess, _ = path.project(states[:, :2], way, 25.0)
     s, left = path.project(detections.points[rows], guess, 30.0)
     left = left - side_seen(path, s, detections.sight[rows])
@@ -255,7 +258,7 @@ def _fitted_path(detections: MapDetections, rows: Integers, states: Floats) -> t
     total = np.bincount(cell, weight, count)
     offset = np.bincount(cell, weight * np.clip(left, -2.0, 2.0), count)
     # repeated detections of a lasting scatterer do not reduce its bias
-    factor = np.minimum(total, MOST_WEIGHT) / np.maximum(total, 1e-9)
+    factor = np.minimum(total, _MOST_WEIGHT) / np.maximum(total, 1e-9)
     kernel = np.exp(-0.5 * (np.arange(-10, 11) / 4.0) ** 2)
     weight_near = np.convolve(total * factor, kernel, "full")[10:-10]
     shift = np.convolve(offset * factor, kernel, "full")[10:-10] / (weight_near + 1.0)

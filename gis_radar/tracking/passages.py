@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.base import STEP_S, Booleans, Floats, Integers
-from gis_radar.tracking.tables import PASSAGES
+from gis_radar.tracking.tables import PASSAGES_KIND
 
 HEAVY = 0.5  # probability from which a vehicle counts as heavy
 
@@ -113,7 +113,7 @@ class PassageBook:
         Returns
         -------
         DataFrame
-            As `PASSAGES`, and `tile`, the position of the tile at the middle.
+            As `PASSAGES_KIND`, and `tile`, the position of the tile at the middle.
         """
         known = states[["vehicle", "step", "s_m", "speed"]]
         known = known.assign(number=self.places.find(states["lanelet_id"]))
@@ -160,7 +160,7 @@ class PassageBook:
 
 def _distinct(found: pd.DataFrame, counted: set[tuple[int, int]]) -> pd.DataFrame:
     """Return passages not counted yet, each once, by step, and add them to `counted`."""
-    order = list(PASSAGES.order)
+    order = list(PASSAGES_KIND.order)
     found = found.sort_values(order, ignore_index=True)
     new = []
     for key in zip(found["vehicle"].tolist(), found["lanelet_id"].tolist(), strict=True):

@@ -12,13 +12,13 @@ from gis_radar.base import Floats, Integers, compiled, heading_difference
 from gis_radar.tracking.size import LONGEST_M
 
 TIGHTEST_M = 5.0  # radius of the turning circle of a small car
-FASTEST_MPS = 70.0  # largest speed, 250 km/h
+_FASTEST_MPS = 70.0  # largest speed, 250 km/h
 TURN_ERROR_RAD = 0.35  # largest error of the difference of two states' headings
 # Sigma of a vehicle's direction about that of its path, radians: 3 degrees, by errors of maps in
 # bends, lane changes, and swinging bodies.
 DIRECTION_RAD = 0.05
 SMOOTHING_M = 3  # sigma of the normal kernel by which a path is smoothed, whole metres
-ROUNDING_M = 1e-6  # more than distances of a few kilometres are off by rounding
+_ROUNDING_M = 1e-6  # more than distances of a few kilometres are off by rounding
 ANCHORS = 5  # states that are tried as a start of the path: hardly all of them are outliers
 
 
@@ -97,7 +97,7 @@ def _project(
         low = max(min(np.searchsorted(s_m, guess[i] - reach_m) - 1, last), 0)
         high = max(min(np.searchsorted(s_m, guess[i] + reach_m), last + 1), low + 1)
         near = min(max(np.searchsorted(s_m, guess[i]), low), high - 1)
-        least = math.hypot(points[i, 0] - line[near, 0], points[i, 1] - line[near, 1]) + ROUNDING_M
+        least = math.hypot(points[i, 0] - line[near, 0], points[i, 1] - line[near, 1]) + _ROUNDING_M
         best, k = 1e18, low
         while k < high:
             dx, dy = points[i, 0] - line[k, 0], points[i, 1] - line[k, 1]
@@ -117,7 +117,7 @@ def _project(
             ex, ey = dx - t * bx, dy - t * by
             if ex * ex + ey * ey < best:
                 best = ex * ex + ey * ey
-                least = min(least, math.sqrt(best) + ROUNDING_M)
+                least = min(least, math.sqrt(best) + _ROUNDING_M)
                 along[i] = s_m[k] + t * length
                 left[i] = (bx * dy - by * dx) / length
             k += 1
@@ -183,7 +183,7 @@ def _progress_from(
         way_m, lapse = np.hypot(dx, dy), abs(states[k, 3] - states[last, 3])
         # no vehicle turns within less distance, or is faster: such a state is an outlier
         able = turn < TURN_ERROR_RAD + way_m / TIGHTEST_M
-        able = able and way_m < LONGEST_M + FASTEST_MPS * lapse
+        able = able and way_m < LONGEST_M + _FASTEST_MPS * lapse
         if ahead_m >= spacing_m and able:
             kept[count] = k
             count += 1

@@ -9,13 +9,13 @@ import numpy as np
 from gis_radar.base import Floats, Integers, compiled, heading_difference
 from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
 
-MOST = 8  # most lanelets at one point
+_MOST = 8  # most lanelets at one point
 # Sigma of the front's distance from the lanelet's centre, and of the heading from the lanelet's.
-LEFT_M, TURN_RAD = 1.0, 0.3
+_LEFT_M, _TURN_RAD = 1.0, 0.3
 MOST_RAD = 1.0  # largest difference of headings at which a vehicle follows a lanelet
 OFF_LANE_COST = 9.0  # cost of a step off all lanelets: that of three sigma beside one
 # Cost of a change to a lanelet that is no successor: half a second beside the lane.
-CHANGE_COST = 30.0
+_CHANGE_COST = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,21 +70,21 @@ def _likeliest(
     fronts: Floats, heading: Floats, first: Integers, after: Integers, field: FieldArrays
 ) -> tuple[Integers, Floats, Floats]:  # pragma: no cover - compiled
     """Return lane, s and d of the likeliest sequence of lanelets at each step (Viterbi)."""
-    count, lanes = len(fronts), np.empty((MOST, 6))
+    count, lanes = len(fronts), np.empty((_MOST, 6))
     # candidates (lane, s, d) of each step; the last one stands for off the lanes
-    candidates = np.full((count, MOST + 1, 3), np.nan)
-    cost, parent = np.full((count, MOST + 1), 1e18), np.zeros((count, MOST + 1), np.int64)
+    candidates = np.full((count, _MOST + 1, 3), np.nan)
+    cost, parent = np.full((count, _MOST + 1), 1e18), np.zeros((count, _MOST + 1), np.int64)
     for i in range(count):
         number = lanes_at(fronts[i, 0], fronts[i, 1], field, lanes)
-        for j in range(MOST + 1):
-            if j == MOST:
+        for j in range(_MOST + 1):
+            if j == _MOST:
                 emission = OFF_LANE_COST
                 candidates[i, j, 0] = -1.0
             elif j < number:
                 turn = abs(heading_difference(lanes[j, 3], heading[i]))
                 if turn > MOST_RAD:
                     continue
-                emission = (lanes[j, 2] / LEFT_M) ** 2 + (turn / TURN_RAD) ** 2
+                emission = (lanes[j, 2] / _LEFT_M) ** 2 + (turn / _TURN_RAD) ** 2
                 candidates[i, j] = lanes[j, :3]
             else:
                 continue
@@ -124,8 +124,8 @@ def _change_cost(
     if old == new:
         return 0.0
     if old < 0.0 or new < 0.0:
-        return 0.5 * CHANGE_COST
+        return 0.5 * _CHANGE_COST
     for k in range(first[int(old)], first[int(old) + 1]):
         if after[k] == int(new):
             return 0.0
-    return CHANGE_COST
+    return _CHANGE_COST

@@ -34,21 +34,21 @@ class TableKind:
         return found.astype(self.columns).round(_FINE)
 
 
-TRACKS = TableKind(
+TRACKS_KIND = TableKind(
     columns={
         "vehicle": "int64", "step": "int64", "easting": "float64", "northing": "float64",
         "heading": "float64", "speed": "float64", "lanelet_id": "Int64", "s_m": "float64",
         "d_m": "float64", "seen": "bool",
     },
 )  # fmt: skip
-VEHICLES = TableKind(
+VEHICLES_KIND = TableKind(
     columns={
         "vehicle": "int64", "first_step": "int64", "last_step": "int64", "length_m": "float64",
         "width_m": "float64", "length_sigma_m": "float64", "p_exists": "float64",
         "p_heavy": "float64", "lanelets": "object",
     },
 )  # fmt: skip
-PASSAGES = TableKind(
+PASSAGES_KIND = TableKind(
     columns={
         "vehicle": "int64", "lanelet_id": "int64", "step": "int64", "speed": "float64",
         "heavy": "bool",

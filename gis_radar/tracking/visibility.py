@@ -21,6 +21,7 @@ import shapely
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, compiled
 from gis_radar.measures import PoseSight
 from gis_radar.poses import Pose
+from gis_radar.scans import TARGET_M
 from gis_radar.tracking.footprints import MOST_PARTS, CrossLines, Footprints, clip_box, is_occupied
 
 HIDDEN_S = 10.0  # a tile stays visible for so long while other vehicles hide it (the contract)
@@ -30,7 +31,6 @@ UNSEEN_S = 1.0
 # Steps between two checks of the lines of sight, which are also checked when sensors change: a
 # vehicle at 15 m/s moves 3 m in 0.2 s, which is little against 10 s of hiding.
 CHECK_STEPS = 4
-TARGET_M = 0.6  # height over the road of a tile's target (the contract): a car's bumper
 # Height of a sensor over the road where tiles have no heights: a mast or a signal head stands 4 to
 # 6 m high.
 SENSOR_OVER_ROAD_M = 5.0

@@ -41,7 +41,7 @@ from gis_radar.live import (
     unpack_detections,
     waiting_hours,
 )
-from gis_radar.live.wire.outbox import ONLINE, status_message
+from gis_radar.live.wire.outbox import ONLINE_STATUS, status_message
 from gis_radar.measures import FrameCounter
 from gis_radar.scans import SightTiles
 
@@ -93,7 +93,9 @@ def build(folder: Path) -> None:
     ]  # fmt: skip
     content = pack_detections(frames, pose=key_of_pose(message))
     envelope = Envelope(stream=STREAM, number=1, first=True)
-    status = status_message(ONLINE, stream=STREAM.hex(), lost=0, fingerprint=road.fingerprint)
+    status = status_message(
+        ONLINE_STATUS, stream=STREAM.hex(), lost=0, fingerprint=road.fingerprint
+    )
     (place / "status").write_bytes(status)
     (place / "pose").write_bytes(message)
     (place / "detections").write_bytes(pack_message(envelope, content))

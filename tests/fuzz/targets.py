@@ -20,7 +20,7 @@ import gis_radar as gr
 from fuzz import edits, live
 from gis_radar.dataset.files.tables import HOUR_TABLES
 from gis_radar.recordings import open_recording
-from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
+from gis_radar.recordings.readers.udp import LIST_METHOD, method_of, read_detections
 from gis_radar.scans import open_scan, read_roads
 
 SECONDS = 10.0  # of the processor; who reads a file of some kilobytes for longer hangs
@@ -205,7 +205,7 @@ def _track(folder: Path) -> None:
 
 def _payload(folder: Path) -> None:
     payload = (folder / "list2.bin").read_bytes()
-    if method_of(payload) == METHOD:
+    if method_of(payload) == LIST_METHOD:
         frame = read_detections(payload, sensor="R1", recorder_time=0.0)
         assert frame is None or len(frame) == len(frame.rcs)
 

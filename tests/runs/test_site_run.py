@@ -31,7 +31,7 @@ from gis_radar.demo import pose_errors
 from gis_radar.scans import SightScan, SightTiles
 from gis_radar.site import run as product
 from gis_radar.site import site_template, stages_of
-from gis_radar.site.plan import OWNED
+from gis_radar.site.plan import OWNED_BY_RUN
 
 
 def test_the_whole_way(small):
@@ -83,7 +83,7 @@ def test_single_vehicles_are_shown_by_choice(copied, blank_paper, without_report
     # Without its state, a folder is still a result, which is made again.
     (out / "footprints.gpkg").touch()
     shutil.rmtree(out / ".gis-radar")
-    refuse_foreign(out, OWNED)
+    refuse_foreign(out, OWNED_BY_RUN)
 
 
 def test_what_was_in_effect_is_beside_the_results(small):

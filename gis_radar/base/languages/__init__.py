@@ -15,9 +15,8 @@ from pathlib import Path
 from gis_radar.base.languages.po import read_catalogue
 
 LANGUAGES = ("en", "de")
-LANGUAGE_VARIABLE = (
-    "GIS_RADAR_LANGUAGE"  # the environment variable that the plugin sets for its worker
-)
+# the environment variable that the plugin sets for its worker
+LANGUAGE_VARIABLE = "GIS_RADAR_LANGUAGE"
 _SYSTEM_VARIABLES = ("LANGUAGE", "LC_ALL", "LC_MESSAGES", "LANG")  # as gettext asks them
 
 

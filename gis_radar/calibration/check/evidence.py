@@ -18,12 +18,12 @@ from gis_radar.poses import Pose
 
 # Mixture of the likelihood. On a lane: uniform over its width, with edges blurred by the errors of
 # poses, maps and bearings (1 sigma: metres, and share of the range).
-EDGE_M, EDGE_SHARE = 0.5, 0.01
+_EDGE_M, _EDGE_SHARE = 0.5, 0.01
 OTHERS = 0.1  # share of detections that are of anything else than vehicles on lanes
 AREA_M = 8.0  # width and height over which those are uniform
 # Height over the road of reflections: mean, 1 sigma, 1 sigma of elevation as a share of the range.
-REFLECTION_M, HEIGHT_M, HEIGHT_SHARE = 0.7, 1.0, 0.012
-SAME_M = 0.3  # poses so near to each other, as those of a pose track, share sampled lanes
+MEAN_REFLECTION_M, _HEIGHT_M, _HEIGHT_SHARE = 0.7, 1.0, 0.012
+_SAME_M = 0.3  # poses so near to each other, as those of a pose track, share sampled lanes
 MOST_CACHED = 4  # places whose lanes are held in memory, 25 MB each
 
 
@@ -84,7 +84,7 @@ class LaneMap:
         reach_m = float(np.ceil((reach_m + MARGIN_M) / 10.0) * 10.0)
         key = pose.easting, pose.northing, reach_m
         for east, north, reach in self._cache:
-            if reach == reach_m and np.hypot(east - key[0], north - key[1]) < SAME_M:
+            if reach == reach_m and np.hypot(east - key[0], north - key[1]) < _SAME_M:
                 key = east, north, reach
         if key not in self._cache:
             while len(self._cache) >= MOST_CACHED:
@@ -150,13 +150,13 @@ def _lane_likelihoods(
     direction = offset[:, :2] / np.maximum(flat, 1e-9)[:, None]
     matches = match_along(lanes, matched, direction, rate, reach)
     ahead, left, height_over_m = lanes.beside(matches.lane, local)
-    half, edge = lanes.width_m[matches.lane] / 2.0, np.hypot(EDGE_M, EDGE_SHARE * reach)
+    half, edge = lanes.width_m[matches.lane] / 2.0, np.hypot(_EDGE_M, _EDGE_SHARE * reach)
     beyond = np.maximum(np.abs(ahead) - 1.5 * LANE_STEP_M, 0.0) / edge
     across = [scipy.special.ndtr((side * left + half) / edge) for side in (1.0, -1.0)]
     lane_density = (across[0] + across[1] - 1.0) / (2.0 * half) * np.exp(-0.5 * beyond**2)
     height_over_m[np.isnan(points[:, 2])] = np.nan
-    spread = np.hypot(HEIGHT_M, HEIGHT_SHARE * reach)
-    normal = np.exp(-0.5 * ((height_over_m - REFLECTION_M) / spread) ** 2)
+    spread = np.hypot(_HEIGHT_M, _HEIGHT_SHARE * reach)
+    normal = np.exp(-0.5 * ((height_over_m - MEAN_REFLECTION_M) / spread) ** 2)
     normal /= np.sqrt(2.0 * np.pi) * spread
     height_density = np.where(np.isnan(height_over_m) | (not heights), 1.0 / AREA_M, normal)
     lane = matches.found * (1.0 - OTHERS) * lane_density * height_density

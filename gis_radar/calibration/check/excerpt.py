@@ -25,13 +25,13 @@ from gis_radar.calibration.timing.clocks import SensorClock
 from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Detections, Recording
 
-SEGMENT_S = 20.0  # length of a segment: a vehicle crosses the view in it
+_SEGMENT_S = 20.0  # length of a segment: a vehicle crosses the view in it
 LEAST_SEGMENTS = 5  # together as long as the window of a localization
 MOST_SEGMENTS = 33  # for quiet nights; of 5, 9, 17, 33 segments the earlier are among the later
 ENOUGH_VEHICLES = 30  # an excerpt with so many is complete: no further segments are read
 LEAST_VEHICLES = 10  # fewer give no verdict
 CYCLING_MPS = 7.0  # 25 km/h: cyclists ride at 5 m/s on average, motors of pedelecs stop at 7
-SAME_PLACE_M = 1.0  # poses of a pose track that are farther apart are different places
+_SAME_PLACE_M = 1.0  # poses of a pose track that are farther apart are different places
 PER_TRACK = 40  # most detections that a track keeps: more add no information
 
 
@@ -98,14 +98,14 @@ class Excerpt:
     def as_usual(self) -> tuple[Moving, Integers]:
         """The moving detections in the sensor frame of the usual pose, and their tracks.
 
-        Detections of poses more than `SAME_PLACE_M` away are left out; tracks are numbered anew,
+        Detections of poses more than `_SAME_PLACE_M` away are left out; tracks are numbered anew,
         from 0 without gaps.
         """
         usual, points = self.usual, self.moving.points.copy()
         near = np.ones(len(points), dtype=bool)
         for number, pose in enumerate(self.poses):
             rows = self.moving_pose == number
-            if np.linalg.norm(pose.position - usual.position) > SAME_PLACE_M:
+            if np.linalg.norm(pose.position - usual.position) > _SAME_PLACE_M:
                 near[rows] = False
             elif pose != usual:
                 offset = pose.to_map(points[rows]) - usual.position
@@ -162,7 +162,7 @@ def read_excerpts(
     while True:
         rows = _read_rows(recordings, _segment_begins(spans, count), clock or NO_OFFSET)
         excerpt = _excerpt(rows, tracks)
-        last = SEGMENT_S * count >= length_s or count >= MOST_SEGMENTS
+        last = _SEGMENT_S * count >= length_s or count >= MOST_SEGMENTS
         if last or excerpt.vehicles >= ENOUGH_VEHICLES or excerpt.fault is not None:
             excerpt = replace(excerpt, scene_change=_scene_change(rows, tracks) if tracks else None)
             del rows  # the caller may keep this generator for long before asking for more
@@ -176,17 +176,17 @@ def _segment_begins(spans: Sequence[tuple[float, float]], count: int) -> list[Fl
     """Return the begins of each recording's segments, UNIX s, spread evenly over all recordings."""
     length = np.array([end - begin for begin, end in spans])
     ends = np.cumsum(length)
-    step = max(SEGMENT_S, (ends[-1] - SEGMENT_S) / (count - 1))
+    step = max(_SEGMENT_S, (ends[-1] - _SEGMENT_S) / (count - 1))
     offsets = step * np.arange(count)
-    offsets = offsets[offsets < max(ends[-1], SEGMENT_S)]
+    offsets = offsets[offsets < max(ends[-1], _SEGMENT_S)]
     recording = np.minimum(np.searchsorted(ends, offsets, side="right"), len(spans) - 1)
     begins = [
         spans[k][0] + offsets[recording == k] - (ends[k] - length[k]) for k in range(len(spans))
     ]
-    if step == SEGMENT_S:
+    if step == _SEGMENT_S:
         return begins
     # on a common grid of time, so that segments of sensors with a common view coincide
-    return [np.unique(np.floor(each / SEGMENT_S) * SEGMENT_S) for each in begins]
+    return [np.unique(np.floor(each / _SEGMENT_S) * _SEGMENT_S) for each in begins]
 
 
 def _read_rows(
@@ -212,12 +212,12 @@ def _read_segments(recording: Recording, begins: Floats) -> Iterator[Detections]
         for rows in recording.read() if len(begins) else ():
             segment = np.maximum(np.searchsorted(begins, rows.time, side="right") - 1, 0)
             yield rows.take(
-                (rows.time >= begins[segment]) & (rows.time < begins[segment] + SEGMENT_S)
+                (rows.time >= begins[segment]) & (rows.time < begins[segment] + _SEGMENT_S)
             )
         return
     for begin in begins.tolist():
-        for rows in recording.read_between(begin, begin + SEGMENT_S):
-            yield rows.take((rows.time >= begin) & (rows.time < begin + SEGMENT_S))
+        for rows in recording.read_between(begin, begin + _SEGMENT_S):
+            yield rows.take((rows.time >= begin) & (rows.time < begin + _SEGMENT_S))
 
 
 def _excerpt(rows: Rows, tracks: Sequence[PoseTrack]) -> Excerpt:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from gis_radar.base import Text
-from gis_radar.calibration.check.evidence import REFLECTION_M, LaneMap, Score, score
+from gis_radar.calibration.check.evidence import MEAN_REFLECTION_M, LaneMap, Score, score
 from gis_radar.calibration.check.excerpt import Excerpt
 from gis_radar.calibration.check.fitted_pose import fits_if
 from gis_radar.calibration.check.mistakes import (
@@ -26,20 +26,20 @@ from gis_radar.poses import Pose
 
 # Least share of vehicles on lanes at which a pose fits: right poses have 0.85 and more.
 FIT_SHARE = 0.75
-# A mistake must put LEAST_GAIN more of the vehicles on lanes than the given pose (a right pose
-# leaves a fifth of them off, too), LEAST_SHARE of all, and have a z score of LEAST_Z over it.
-# Mistakes within a z score of AS_LIKELY of the best are as likely. One is only named if the pose
+# A mistake must put _LEAST_GAIN more of the vehicles on lanes than the given pose (a right pose
+# leaves a fifth of them off, too), LEAST_ON_LANES of all, and have a z score of _LEAST_Z over it.
+# Mistakes within a z score of _AS_LIKELY of the best are as likely. One is only named if the pose
 # fits once it is corrected; a pose is only searched where no usual mistake can be named.
-LEAST_GAIN, LEAST_SHARE, LEAST_Z, AS_LIKELY = 0.2, 0.65, 4.0, 3.0
+_LEAST_GAIN, LEAST_ON_LANES, _LEAST_Z, _AS_LIKELY = 0.2, 0.65, 4.0, 3.0
 FOUND_SHARE = 0.8  # least share of a searched pose: a search explains a part of any traffic
 # Where no mistake fits, a pose is wrong if its share exceeds that of turned sensors by less than
-# OVER_CHANCE, or is below LEAST_SHARE; up to FIT_SHARE it is doubted, as maps lack lanes.
+# OVER_CHANCE, or is below LEAST_ON_LANES; up to FIT_SHARE it is doubted, as maps lack lanes.
 OVER_CHANCE = 0.1
 # Share of the vehicles that right poses put on lanes, and the probability with which a sample of
 # few vehicles may fall short of it (three standard deviations).
 RIGHT_SHARE, SHORT_BY_CHANCE = 0.84, 0.00135
 MOST_CAUSES = 2  # if more causes are equally likely, none is named
-HIGH_M = 1.5  # larger errors of the median height over the road may be of height or tilt
+_HIGH_M = 1.5  # larger errors of the median height over the road may be of height or tilt
 # Where all range rates have one sign, signs are lost if so many vehicles (number, and share of all)
 # drive along lanes only with the other sign: few vehicles drive against a lane.
 BACKWARDS, BACKWARDS_SHARE = 5, 0.1
@@ -72,7 +72,9 @@ def compare_explanations(
     """
     given, flat = score(excerpt, lanes), score(excerpt, lanes, heights=False)
     heights_m = flat.height_over_m[np.isfinite(flat.height_over_m)]
-    height_off = len(heights_m) > 0 and abs(float(np.median(heights_m)) - REFLECTION_M) > HIGH_M
+    height_off = (
+        len(heights_m) > 0 and abs(float(np.median(heights_m)) - MEAN_REFLECTION_M) > _HIGH_M
+    )
     evidence = Text(
         "with this pose {:.0%} of {} recorded vehicles drive along lanes of the map",
         given.share, len(given.on_lane),
@@ -82,14 +84,14 @@ def compare_explanations(
         return wrong(evidence, *SIGNLESS.causes) if lost else judged(FITS, evidence)
     mistakes = usual_mistakes(excerpt, others, units_known=units_known)
     mistakes += of_height(excerpt, flat) if height_off else []
-    least = given.share + (0.0 if height_off else LEAST_GAIN)
+    least = given.share + (0.0 if height_off else _LEAST_GAIN)
     named = best_mistakes(excerpt, lanes, given, mistakes, least)
     named = [each for each in named if fits_if(excerpt, lanes, each[0])]
     if given.share < FIT_SHARE and (not named or AGAINST in named[0][0].causes):
         poses = search_poses(excerpt, lanes)
         found = best_mistakes(excerpt, lanes, given, poses, max(least, FOUND_SHARE))[:1]
         found = [each for each in found if fits_if(excerpt, lanes, each[0])]
-        if not named or (found and named[0][1].z_score_over(found[0][1]) < AS_LIKELY):
+        if not named or (found and named[0][1].z_score_over(found[0][1]) < _AS_LIKELY):
             named = found + named  # a map with swapped bounds is no likelier than a pose
     if named:
         return explained(excerpt, evidence, named)
@@ -134,7 +136,7 @@ def least_share(vehicles: int, random_share: float = 0.0) -> float:
         Share with the sensor turned at random, plus a margin.
     """
     usual_least = scipy.stats.binom.ppf(SHORT_BY_CHANCE, vehicles, RIGHT_SHARE) / vehicles
-    return float(min(max(LEAST_SHARE, min(random_share, FIT_SHARE)), usual_least))
+    return float(min(max(LEAST_ON_LANES, min(random_share, FIT_SHARE)), usual_least))
 
 
 def _drive_backwards(excerpt: Excerpt, lanes: LaneMap, given: Score) -> bool:
@@ -168,13 +170,13 @@ def best_mistakes(
     better = [
         (mistake, found)
         for mistake, found in scored
-        if found.share >= max(least, LEAST_SHARE) and found.z_score_over(given) >= LEAST_Z
+        if found.share >= max(least, LEAST_ON_LANES) and found.z_score_over(given) >= _LEAST_Z
     ]
     better.sort(key=lambda each: -float(each[1].log_likelihood.sum()))
     as_likely = [
         each
         for each in better
-        if each is better[0] or better[0][1].z_score_over(each[1]) < AS_LIKELY
+        if each is better[0] or better[0][1].z_score_over(each[1]) < _AS_LIKELY
     ]
     pose = excerpt.usual
     as_likely.sort(key=lambda each: (each[0].is_twofold(pose), each[0].fitted))

@@ -17,12 +17,13 @@ LEAST_REPEATED = 2  # smaller frames equal the one before by chance
 MOST_DUPLICATES, LEAST_DUPLICATES = 0.1, 30
 # So many detections faster than this (m/s) cannot be vehicles, in m/s or in km/h.
 TOO_FAST_MPS, LEAST_TOO_FAST = 300.0, 30
-# What stands has one range rate: of slower detections than SLOW_MPS, at least LEAST_SLOW, half lie
-# within SAME_RATE_MPS (sensors have 0.02 to 0.08). That is 0 but for less than moving ones have.
-SLOW_MPS, LEAST_SLOW, SAME_RATE_MPS = 3.0, 1000, MIN_SPEED_MPS
+# What stands has one range rate: of slower detections than _SLOW_MPS, at least _LEAST_SLOW, half
+# lie within _SAME_RATE_MPS (sensors have 0.02 to 0.08). That is 0 but for less than moving ones
+# have.
+_SLOW_MPS, _LEAST_SLOW, _SAME_RATE_MPS = 3.0, 1000, MIN_SPEED_MPS
 # Half of what stands is in cells of so many metres that are detected in this share of the frames
 # (eleven sensors: 0.41 to 0.92); a vehicle is in such a cell for a second.
-CELL_M, STAYING_SHARE = 2.0, 0.2
+_STAYING_CELL_M, _STAYING_SHARE = 2.0, 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,15 +111,15 @@ def _too_fast(rows: Rows) -> Finding | None:
 
 def _shifted(rows: Rows) -> Finding | None:
     """Return the finding on range rates of what stands that are not 0 but something else."""
-    slow = np.sort(rows.range_rate[np.abs(rows.range_rate) < SLOW_MPS])
+    slow = np.sort(rows.range_rate[np.abs(rows.range_rate) < _SLOW_MPS])
     half = len(slow) // 2
-    if len(slow) < LEAST_SLOW:
+    if len(slow) < _LEAST_SLOW:
         return None
     widths = slow[half:] - slow[: len(slow) - half]
     first = int(widths.argmin())  # of the shortest interval with half of them
     low, high = slow[[first, first + half]]
     shift = float(np.median(slow[first : first + half]))
-    if high - low > SAME_RATE_MPS or abs(shift) <= MIN_SPEED_MPS:
+    if high - low > _SAME_RATE_MPS or abs(shift) <= MIN_SPEED_MPS:
         return None
     if not _stays(rows, (rows.range_rate >= low) & (rows.range_rate <= high)):
         return None
@@ -132,10 +133,10 @@ def _shifted(rows: Rows) -> Finding | None:
 def _stays(rows: Rows, chosen: Booleans) -> bool:
     """Return whether half of the chosen detections lie in cells that are detected all the time."""
     frames, frame = np.unique(rows.time, return_inverse=True)
-    places = np.floor(rows.points[chosen, :2] / CELL_M)
+    places = np.floor(rows.points[chosen, :2] / _STAYING_CELL_M)
     cell = np.unique(places, axis=0, return_inverse=True)[1].ravel()
     count = np.bincount(np.unique(np.column_stack([cell, frame[chosen]]), axis=0)[:, 0])
-    return bool(np.median(count[cell]) >= STAYING_SHARE * len(frames))
+    return bool(np.median(count[cell]) >= _STAYING_SHARE * len(frames))
 
 
 def iso(time: float) -> str:

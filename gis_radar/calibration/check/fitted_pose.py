@@ -13,28 +13,28 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 from gis_radar.base import Floats, Text
-from gis_radar.calibration.check.evidence import REFLECTION_M, LaneMap
+from gis_radar.calibration.check.evidence import MEAN_REFLECTION_M, LaneMap
 from gis_radar.calibration.check.excerpt import Excerpt
-from gis_radar.calibration.check.mistakes import TURNS, Mistake, within_half_turn
+from gis_radar.calibration.check.mistakes import Mistake, within_half_turn
 from gis_radar.calibration.findings import sense, side
 from gis_radar.calibration.monitoring.kalman_filter import Measurement, covariance_of_angles
-from gis_radar.calibration.monitoring.windows import NEAR, WINDOW, data_alone
+from gis_radar.calibration.monitoring.windows import NEAR, WINDOW_SCHEDULE, data_alone
 from gis_radar.calibration.registration.certainty import MAP_SIGMA_M, PLACE, PLANE, along_valley
 from gis_radar.calibration.registration.hypotheses import LOOK_SCALE_M, few_samples, prior_at
 from gis_radar.calibration.registration.lanes import Scene
 from gis_radar.calibration.registration.model import MODEL
 from gis_radar.calibration.registration.solver import Fit, Prior, cost_at, solve_likeliest
-from gis_radar.calibration.registration.state import POSE, SIZE, State
+from gis_radar.calibration.registration.state import POSE_PART, SIZE, State
 from gis_radar.calibration.registration.traces import thin
-from gis_radar.poses import Pose
+from gis_radar.poses import ANGLES, Pose
 
-LEAST_FITNESS = 0.75  # least share of the samples that lie on lanes at a pose that is fitted
+_LEAST_FITNESS = 0.75  # least share of the samples that lie on lanes at a pose that is fitted
 # Place and heading are surveyed each by itself, and one mistake is of one of them: 1 sigma of the
 # other, as 0.3 m, here or 60 m ahead, is a usual survey (east and north, metres; degrees).
 SURVEYED_M, SURVEYED_DEG = 0.2, 0.3
 SINGLE = 0.0027  # least likelihood (three standard errors) of the other one at a single mistake
 # Prior in place of NEAR where map or radar has no heights: height, roll and pitch stay as given.
-LEVEL = np.array([*NEAR[:2], 0.01, 1e-4, 1e-4, NEAR[5]])
+_LEVEL = np.array([*NEAR[:2], 0.01, 1e-4, 1e-4, NEAR[5]])
 TURN_Z = 5  # of the state: the turn about the vertical
 # Starts: the given pose, a metre to each side, and of those that are turned by so many degrees
 # there or a metre aside the one of the lowest cost.
@@ -49,7 +49,7 @@ TOO_FAR, FAR_SIGMAS = 2.0, 5.0
 # pitch, roll): a third of a lane's width, here or 60 m ahead, and tilts that would be refused.
 SHOWS_M, SHOWS_DEG = 1.0, (1.0, TOO_FAR * OFF_DEG[1], TOO_FAR * OFF_DEG[2])
 LIKELY = 2.0  # standard errors by which a pose may be farther off than it is measured to be
-FARTHEST_M, FARTHEST_DEG = 20.0, 20.0  # farther off is another place, turned farther other lanes
+_FARTHEST_M, _FARTHEST_DEG = 20.0, 20.0  # farther off is another place, turned farther other lanes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,21 +105,21 @@ def fit_pose(excerpt: Excerpt, lanes: LaneMap) -> FittedPose | None:
     heights = near.points[:, 2][np.isfinite(near.points[:, 2])]
     measured = len(heights) > 0 and bool(np.isfinite(moving.points).all())
     if not measured:
-        road_m = float(np.median(heights)) + REFLECTION_M if len(heights) else np.nan
+        road_m = float(np.median(heights)) + MEAN_REFLECTION_M if len(heights) else np.nan
         points = (pose.to_map(moving.points, road_m=road_m) - pose.position) @ pose.R_map_sensor
         near = replace(near, points=near.points * [1.0, 1.0, np.nan])
         moving = replace(moving, points=points)
     scene = Scene(lanes=near, samples=thin(moving, track))
     centre = State(
         position=pose.position - [*near.origin, 0.0], R_map_sensor=pose.R_map_sensor,
-        reflection=REFLECTION_M,
+        reflection=MEAN_REFLECTION_M,
     )  # fmt: skip
     prior = prior_at(centre)
     information = prior.information.copy()
-    information[POSE, POSE] = np.diag((NEAR if measured else LEVEL) ** -2.0)
+    information[POSE_PART, POSE_PART] = np.diag((NEAR if measured else _LEVEL) ** -2.0)
     prior = Prior(mean=centre, information=information)
     fit = along_valley(scene, _likeliest(scene, prior), prior, MODEL)
-    if not fit.converged or fit.fitness < LEAST_FITNESS:
+    if not fit.converged or fit.fitness < _LEAST_FITNESS:
         return None
     return FittedPose(pose=pose, prior=prior, scene=scene, fit=fit, heights=measured)
 
@@ -132,7 +132,7 @@ def _likeliest(scene: Scene, prior: Prior) -> Fit:
     level, turned = starts[: len(SIDES_M)], starts[len(SIDES_M) :]
     few = few_samples(scene)
     likeliest = min(turned, key=lambda start: cost_at(few, start, scale_m=LOOK_SCALE_M))
-    return solve_likeliest(scene, [*level, likeliest], prior, schedule=WINDOW)
+    return solve_likeliest(scene, [*level, likeliest], prior, schedule=WINDOW_SCHEDULE)
 
 
 def mistakes_apart(seen: Measurement, centre: State) -> list[tuple[Measurement, float]]:
@@ -153,7 +153,7 @@ def mistakes_apart(seen: Measurement, centre: State) -> list[tuple[Measurement, 
         own = spread[np.ix_(right, right)] + sigma**2 * np.eye(len(right))
         gain = spread[:, right] @ np.linalg.inv(own)
         step = away.copy()
-        step[POSE] -= gain @ away[right]
+        step[POSE_PART] -= gain @ away[right]
         there = centre.moved(step)
         one = replace(
             seen, position=there.position, covariance=spread - gain @ spread[right],
@@ -188,11 +188,11 @@ def _measured(fit: Fit, prior: Prior) -> Measurement:
     counts, as in a localization.
     """
     seen = data_alone(fit, prior)
-    unit = np.diag(prior.information[POSE, POSE]) ** -0.5
+    unit = np.diag(prior.information[POSE_PART, POSE_PART]) ** -0.5
     away = _away(seen, prior.mean)
     values, vectors = np.linalg.eigh(seen.covariance / np.outer(unit, unit))
     known = vectors[:, values < 1.0]
-    away[POSE] = unit * (known @ (known.T @ (away[POSE] / unit)))
+    away[POSE_PART] = unit * (known @ (known.T @ (away[POSE_PART] / unit)))
     there = prior.mean.moved(away)
     quaternion = Rotation.from_matrix(there.R_map_sensor).as_quat()
     covariance = seen.covariance.copy()
@@ -258,9 +258,9 @@ def offs_of(pose: Pose, seen: Measurement, centre: State) -> list[Off]:
     right = Text("easting {:.2f}, northing {:.2f}", pose.easting + east, pose.northing + north)
     offs = [Off(amount=off_m, sigma=sigma_m, least=OFF_M, text=text, right=right)]
     for k, (turn, sigma) in enumerate(turns_of(pose, seen)):
-        text = _turned(TURNS[k], turn, sigma)
-        angle = within_half_turn(getattr(pose, TURNS[k]) + turn)
-        right = Text("{} {:.2f} deg", TURNS[k], angle)
+        text = _turned(ANGLES[k], turn, sigma)
+        angle = within_half_turn(getattr(pose, ANGLES[k]) + turn)
+        right = Text("{} {:.2f} deg", ANGLES[k], angle)
         offs.append(Off(amount=abs(turn), sigma=sigma, least=OFF_DEG[k], text=text, right=right))
     return offs
 
@@ -307,12 +307,12 @@ def hidden(pose: Pose, seen: Measurement, centre: State) -> list[Text]:
     found = []
     if most_m > SHOWS_M:
         sides = side(*axis), side(*-axis)
-        found.append(Text("{:.1f} m to the {} or {}", min(most_m, FARTHEST_M), *sides))
+        found.append(Text("{:.1f} m to the {} or {}", min(most_m, _FARTHEST_M), *sides))
     turns = turns_of(pose, of_yaw)
-    for name, (turn, sigma), least in zip(TURNS, turns, SHOWS_DEG, strict=True):
+    for name, (turn, sigma), least in zip(ANGLES, turns, SHOWS_DEG, strict=True):
         most_deg = max(OFF_SIGMAS * sigma, abs(turn) + LIKELY * sigma)
         if most_deg > least:
-            found.append(Text("{:.1f} deg of {}", min(most_deg, FARTHEST_DEG), name))
+            found.append(Text("{:.1f} deg of {}", min(most_deg, _FARTHEST_DEG), name))
     return found
 
 
@@ -339,7 +339,7 @@ def turns_of(pose: Pose, seen: Measurement) -> list[tuple[float, float]]:
     angles = Rotation.from_quat(seen.quaternion).as_euler("ZYX", degrees=True)
     spread = covariance_of_angles(seen.quaternion, seen.covariance)
     sigmas = np.degrees(np.sqrt(np.diag(spread)[5:2:-1]))
-    turns = [within_half_turn(a - getattr(pose, n)) for a, n in zip(angles, TURNS, strict=True)]
+    turns = [within_half_turn(a - getattr(pose, n)) for a, n in zip(angles, ANGLES, strict=True)]
     return list(zip(turns, sigmas.tolist(), strict=True))
 
 

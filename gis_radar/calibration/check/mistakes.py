@@ -9,26 +9,26 @@ from typing import Any
 import numpy as np
 
 from gis_radar.base import Floats, Text, yaw_from_compass
-from gis_radar.calibration.check.evidence import REFLECTION_M, LaneMap, Score, score
+from gis_radar.calibration.check.evidence import MEAN_REFLECTION_M, LaneMap, Score, score
 from gis_radar.calibration.check.excerpt import Excerpt
 from gis_radar.calibration.findings import Cause, sense, side
 from gis_radar.calibration.registration.hypotheses import find_hypotheses, mirrored
 from gis_radar.calibration.registration.lanes import Scene
 from gis_radar.calibration.registration.traces import thin
 from gis_radar.calibration.unit_mistakes import ABSOLUTE, FEET, SIGN, USUAL_MISTAKES, YARDS
-from gis_radar.poses import Pose
+from gis_radar.poses import ANGLES, Pose
 
 # Searched poses that differ by less are equal (metres; degrees of yaw, pitch, roll).
-SAME_PLACE_M, SAME_DEG, TURNS = 2.0, (2.0, 3.0, 5.0), ("yaw", "pitch", "roll")
+_SAME_PLACE_M, _SAME_DEG = 2.0, (2.0, 3.0, 5.0)
 # A pose with a single mistake has either place or yaw right, up to these errors of the search.
 ONE_MISTAKE_M, ONE_MISTAKE_DEG = 3.0, 3.0
 CHANGE_SIGN = "change the sign of {} of all detections"
 STEP_DEG, NEAR_DEG = 10.0, 20.0  # of tried yaws: step, and least distance from the given yaw
 XYZ = (1, 2, 3)  # axes of a right recording
-FARTHEST_M = 20.0  # the search finds poses up to 15 m off; farther off is another place
+_FARTHEST_M = 20.0  # the search finds poses up to 15 m off; farther off is another place
 TILTED_DEG = 10.0  # of roll or pitch: at a wrong place the search is off by 4 deg
 SEARCHED = 3  # number of likeliest poses taken from a search
-DATUM_M = 10.0  # larger errors of a height may be of its datum
+_DATUM_M = 10.0  # larger errors of a height may be of its datum
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,12 +108,12 @@ class Mistake:
         mine, others = self.pose(pose), other.pose(pose)
         turns = [
             abs(within_half_turn(getattr(mine, name) - getattr(others, name))) < least
-            for name, least in zip(TURNS, SAME_DEG, strict=True)
+            for name, least in zip(ANGLES, _SAME_DEG, strict=True)
         ]
         alike = all(getattr(self, n) == getattr(other, n) for n in ("axes", "backwards", "scale"))
         apart_m = float(np.linalg.norm(mine.position - others.position))
         same_yaw = all(m.searched and abs(m.off(pose)[1]) < ONE_MISTAKE_DEG for m in (self, other))
-        return alike and ((apart_m < SAME_PLACE_M and all(turns)) or same_yaw)
+        return alike and ((apart_m < _SAME_PLACE_M and all(turns)) or same_yaw)
 
     def by(self, pose: Pose, there: Pose) -> Mistake:
         """Return this mistake with a pose, too; every one is off as `pose` is from `there`."""
@@ -264,7 +264,7 @@ def search_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Mistake]:
     for recorded, seen in variants:
         for hypothesis in find_hypotheses(seen, heading=None)[:SEARCHED]:
             state = hypothesis.fit.state
-            if np.hypot(*state.position[:2]) > FARTHEST_M:
+            if np.hypot(*state.position[:2]) > _FARTHEST_M:
                 continue
             place = (state.position + np.append(near.origin, 0.0)).tolist()
             angles = np.degrees(state.yaw_pitch_roll).tolist()
@@ -317,12 +317,12 @@ def of_height(excerpt: Excerpt, given: Score) -> list[Mistake]:
     known = np.isfinite(given.height_over_m) & (ahead > 1.0)
     if not known.any():
         return []
-    over_m = given.height_over_m[known] - REFLECTION_M
+    over_m = given.height_over_m[known] - MEAN_REFLECTION_M
     high_m, tilt = float(np.median(over_m)), float(np.degrees(np.median(over_m / ahead[known])))
     height = Text("height is {:.1f} m too high", high_m)
     if high_m < 0.0:
         height = Text("height is {:.1f} m too low", -high_m)
-    if abs(high_m) > DATUM_M:
+    if abs(high_m) > _DATUM_M:
         height = Text("{}: is it of another vertical datum, as over the ellipsoid?", height)
     pitch = Text("pitch is {:.1f} deg too low: the sensor looks farther down", tilt)
     if tilt < 0.0:

@@ -18,7 +18,7 @@ from gis_radar.calibration.timing.clock_offsets import ClockOffset, measured_off
 from gis_radar.calibration.timing.lane_detections import LaneDetections, placed_on_lanes
 
 # Clocks contradict each other from this offset on; a car drives its length in it.
-CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0
+CONTRADICTION_S, _CLOCK_SIGMAS = 0.3, 5.0
 LEAST_PART = 1.0 / 3.0  # of the detections: less has too few vehicles
 LEAST_SHARED = 0.5  # of a third: the other sensor has so many at the same times if no clock was set
 PARTNERS = 3  # comparisons that suffice for a sensor: two of them are the majority
@@ -132,7 +132,7 @@ def _within(seen: LaneDetections, part: LaneDetections) -> LaneDetections:
 
 def _excess(offset: ClockOffset) -> float:
     """Return an offset as a multiple of the least one that contradicts, given its error."""
-    return abs(offset.offset_s) / max(CLOCK_S, CLOCK_SIGMAS * offset.sigma_s)
+    return abs(offset.offset_s) / max(CONTRADICTION_S, _CLOCK_SIGMAS * offset.sigma_s)
 
 
 def _clocks_apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:

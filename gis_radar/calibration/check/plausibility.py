@@ -20,7 +20,7 @@ from gis_radar.calibration.check.explanations import compare_explanations, least
 from gis_radar.calibration.check.faults import iso
 from gis_radar.calibration.check.mistakes import AGAINST
 from gis_radar.calibration.check.nearly_right import judge_offset
-from gis_radar.calibration.check.odd_clocks import CLOCK_S, odd_clocks, on_lanes
+from gis_radar.calibration.check.odd_clocks import CONTRADICTION_S, odd_clocks, on_lanes
 from gis_radar.calibration.findings import (
     FITS,
     RECORD_MORE,
@@ -40,13 +40,13 @@ from gis_radar.calibration.unit_mistakes import ABSOLUTE, odd_scale
 from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Recording
 
-STAGE = "checking poses and recordings"
+_STAGE = "checking poses and recordings"
 
 LEAST_SIDE = 8  # least number of vehicles on either side of a change
 # Least log likelihood ratio of a change over none: odds of 3,000, and of 20 where a mistake
 # explains the traffic on one side.
 CHANGED, EXPLAINED = 8.0, 3.0
-SIDES = "until {}: {}", "from {} on: {}"  # of a moment
+_SIDES = "until {}: {}", "from {} on: {}"  # of a moment
 # Ends of causes from a moment on that do not move static surroundings, and are the only ones named.
 RATE_CAUSES = f": {AGAINST.text}", f": {ABSOLUTE.text}"
 
@@ -105,7 +105,7 @@ def check_plausibility(
         for name, each in first_excerpts.items()
     }
     for done, name in enumerate(first_excerpts):
-        reporter.progress(STAGE, done, len(sensors))
+        reporter.progress(_STAGE, done, len(sensors))
         others = {other: pose for other, pose in poses.items() if other != name}
         remaining = chain([first_excerpts[name]], excerpts[name])
         findings[name], excerpt = judge(name, remaining, lanes, others)
@@ -113,13 +113,15 @@ def check_plausibility(
             lane_detections[name] = on_lanes(excerpt, lanes)
     for name, finding in odd_clocks(lane_detections).items():
         findings[name] = _told_correction(finding, sensors[name].clock)
-    reporter.progress(STAGE, len(sensors), len(sensors))
+    reporter.progress(_STAGE, len(sensors), len(sensors))
     return tuple(findings.values())
 
 
 def _told_correction(finding: Finding, clock: SensorClock | None) -> Finding:
     """Return a finding on a clock with the correction that was given for it, which may be wrong."""
-    if clock is None or abs(clock.offset_s) < CLOCK_S / 2.0:  # a wrong sign errs by twice as much
+    if (
+        clock is None or abs(clock.offset_s) < CONTRADICTION_S / 2.0
+    ):  # a wrong sign errs by twice as much
         return finding
     corrected = Text("its times were corrected by {:+.2f} s: is the sign right?", -clock.offset_s)
     return replace(finding, advice=Text("{}; {}", corrected, finding.advice))
@@ -149,7 +151,7 @@ def check_recordings(
     """
     findings = []
     for done, (name, each) in enumerate(sorted(sensors.items())):
-        reporter.progress(STAGE, done, len(sensors))
+        reporter.progress(_STAGE, done, len(sensors))
         excerpt = next(read_excerpts(each.recordings, clock=each.clock))
         finding = (
             excerpt.fault
@@ -157,7 +159,7 @@ def check_recordings(
             or _too_little_traffic(excerpt)
         )
         findings += [replace(finding, sensor=name)] if finding is not None else []
-    reporter.progress(STAGE, len(sensors), len(sensors))
+    reporter.progress(_STAGE, len(sensors), len(sensors))
     return tuple(findings)
 
 
@@ -296,7 +298,7 @@ def _faults_of_sides(
 ) -> list[Finding]:
     """Return what is wrong until a moment and from it on, where there is traffic enough to tell."""
     faults = []
-    for side, template in zip(excerpt.split_at(when), SIDES, strict=True):
+    for side, template in zip(excerpt.split_at(when), _SIDES, strict=True):
         if side.vehicles >= LEAST_SIDE:
             found = compare_explanations(side, lanes, others)
             if found.verdict == WRONG:

@@ -13,19 +13,20 @@ import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers
 
-STILL_MPS = 0.15  # largest range rate of static targets, as in the comparison with scans
-CELL_M = 2.0  # side of a cell: positions of a target and corrections of a pose vary by decimetres
+_STATIC_MPS = 0.15  # largest range rate of static targets, as in the comparison with scans
+# side of a cell: positions of a target and corrections of a pose vary by decimetres
+_SCENE_CELL_M = 2.0
 PERIOD_S = 10.0  # length of a period: two in a segment of an excerpt
 LEAST_PERIOD_S = 5  # least number of seconds with detections in a period that is compared
 # Least share of the seconds of a period in which a static cell is detected: parked cars and walls
 # are in 46 to 84 % of the frames, people who wait or walk by leave sooner.
 STANDING_SHARE = 0.4
-LEAST_CELLS = 30  # fewer static cells may be a queue of vehicles
+_LEAST_CELLS = 30  # fewer static cells may be a queue of vehicles
 LEAST_PERIODS = 2  # least number of periods on either side of a change
 # Of the static cells of one period, another period of the same sensor has 70 to 95 %, another
 # sensor 5 to 20 % (eleven sensors of four junctions). On either side of a change periods share at
 # least ALIKE of their cells; across it less than STAYING times that.
-STAYING, ALIKE = 0.5, 0.5
+_STAYING, _ALIKE = 0.5, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +61,7 @@ def detect_scene_change(time: Floats, places: Floats, range_rate: Floats) -> Sce
     range_rate : (n,) array
         Range rates of the detections, m/s.
     """
-    still = np.flatnonzero(np.isfinite(places).all(axis=1) & (np.abs(range_rate) <= STILL_MPS))
+    still = np.flatnonzero(np.isfinite(places).all(axis=1) & (np.abs(range_rate) <= _STATIC_MPS))
     if len(still) == 0:
         return None
     periods, stands = _standing_cells(time[still], places[still])
@@ -75,7 +76,7 @@ def detect_scene_change(time: Floats, places: Floats, range_rate: Floats) -> Sce
                 continue
             share = float(common[:first, begin:].mean())
             usual = min(_mean_share(common[:first, :first]), _mean_share(common[begin:, begin:]))
-            if usual >= ALIKE and share < min(STAYING * usual, best.share if best else 1.0):
+            if usual >= _ALIKE and share < min(_STAYING * usual, best.share if best else 1.0):
                 moment = float(periods[first]) * PERIOD_S + float(time[still[0]])
                 best = SceneChange(time=moment, share=share, usual=usual)
     return best or SceneChange(time=None, share=_mean_share(common), usual=_mean_share(common))
@@ -84,7 +85,7 @@ def detect_scene_change(time: Floats, places: Floats, range_rate: Floats) -> Sce
 def _standing_cells(time: Floats, places: Floats) -> tuple[Integers, Booleans]:
     """Return the numbers of usable periods, and for each which cells are static."""
     second = np.floor(time - time[0]).astype(np.int64)
-    cells = np.floor(places / CELL_M).astype(np.int64)
+    cells = np.floor(places / _SCENE_CELL_M).astype(np.int64)
     # one number for each cell: sorting rows of two takes ten times as long
     east, north = (cells - cells.min(axis=0)).T
     cell = np.unique(east * (int(north.max()) + 1) + north, return_inverse=True)[1]
@@ -95,7 +96,7 @@ def _standing_cells(time: Floats, places: Floats) -> tuple[Integers, Booleans]:
     hits = hits.reshape(len(periods), count)
     seconds = np.bincount(np.searchsorted(periods, np.unique(seen) // int(PERIOD_S)))
     stands = hits >= STANDING_SHARE * seconds[:, None]
-    usable = (seconds >= LEAST_PERIOD_S) & (stands.sum(axis=1) >= LEAST_CELLS)
+    usable = (seconds >= LEAST_PERIOD_S) & (stands.sum(axis=1) >= _LEAST_CELLS)
     return periods[usable], stands[usable]
 
 

@@ -37,7 +37,13 @@ from gis_radar.calibration.monitoring.kalman_filter import (
     predicted,
     widened,
 )
-from gis_radar.calibration.monitoring.moves import GATE, Change, MoveTest, Scatter, SuspectedMove
+from gis_radar.calibration.monitoring.moves import (
+    MOVE_GATE,
+    Change,
+    MoveTest,
+    Scatter,
+    SuspectedMove,
+)
 from gis_radar.calibration.monitoring.pose_track import (
     MOVED,
     NOTHING,
@@ -48,8 +54,8 @@ from gis_radar.calibration.monitoring.pose_track import (
 )
 from gis_radar.calibration.monitoring.stationary_targets import Displacement, Watch
 from gis_radar.calibration.monitoring.windows import WindowFit, WindowFitter, WindowTraffic
-from gis_radar.calibration.registration.hypotheses import REFLECTION_M
-from gis_radar.calibration.registration.traces import FRAMES, LEAST_FRAMES
+from gis_radar.calibration.registration.hypotheses import PRIOR_REFLECTION_M
+from gis_radar.calibration.registration.traces import LEAST_FRAMES, WINDOW_FRAMES
 from gis_radar.calibration.single.lane_method import LEAST_TRACKS
 from gis_radar.calibration.single.moving import MovingWindow
 from gis_radar.calibration.single.result import Problem
@@ -68,9 +74,9 @@ LEAST_SIGMA = (1e-3, 1e-3, 1e-3, math.radians(1e-3), math.radians(1e-3), math.ra
 # and model, is common to all windows.
 NOISE_SHARE = 0.3
 
-STAGE = "following the pose"
+_STAGE = "following the pose"
 SAME_MAP = ("lane", "track")  # methods whose poses share the map's errors
-HINT = Text("find the pose with gis-radar localize")
+_HINT = Text("find the pose with gis-radar localize")
 
 
 def track(
@@ -154,7 +160,7 @@ def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detectio
             if due <= rows.time[0]:  # rounding: the cycle must end after this frame
                 due = begin + CYCLE_S * (count + 1.0)
         yield rows, None
-        reporter.progress(STAGE, done, recording.rows)
+        reporter.progress(_STAGE, done, recording.rows)
     if due - last < (1.0 - LEAST_CYCLE) * CYCLE_S:
         yield rows.take(np.zeros(len(rows), dtype=bool)), due
 
@@ -252,7 +258,7 @@ class Follower:
         self.watch, self.scatter = Watch(), Scatter()
         self._window = MovingWindow()
         self._past: deque[Estimate] = deque([start])
-        self._reflection_m = REFLECTION_M
+        self._reflection_m = PRIOR_REFLECTION_M
         self._last_fit: WindowFit | None = None
         self._vehicles = 0
         self._rejected_since: Estimate | None = None
@@ -322,7 +328,7 @@ class Follower:
         row = replace(row, fitness=window_fit.fit.fitness, chi2=gap.chi2)
         if not window_fit.on_lanes:
             return replace(row, event=REJECTED)
-        if window_fit.trusted and gap.chi2 > GATE:
+        if window_fit.trusted and gap.chi2 > MOVE_GATE:
             return _widened_row(replace(row, event=REJECTED), likeliest_move(gap))
         if not window_fit.trusted:
             return row  # not converged
@@ -434,7 +440,7 @@ class Follower:
                 name,
                 len(self._window),
                 LEAST_FRAMES,
-                hint=Text("record longer: {} frames are a good length", FRAMES),
+                hint=Text("record longer: {} frames are a good length", WINDOW_FRAMES),
             )
         if self._last_fit:
             self._refuse_start(self._last_fit)
@@ -453,7 +459,7 @@ class Follower:
             raise NoAnswerError(
                 "at the start pose only {:.0%} of the traffic lie on lanes",
                 seen.fit.fitness,
-                hint=HINT,
+                hint=_HINT,
             )
         gap: Floats = innovation(self.rows[0].estimate, seen.measurement).gap
         raise NoAnswerError(
@@ -461,7 +467,7 @@ class Follower:
             "more than that pose's sigma allows",
             np.linalg.norm(gap[:3]),
             np.degrees(np.linalg.norm(gap[3:])),
-            hint=HINT,
+            hint=_HINT,
         )
 
 

@@ -22,7 +22,7 @@ from gis_radar.calibration.monitoring.kalman_filter import (
 from gis_radar.calibration.monitoring.windows import WindowFit, WindowFitter, WindowTraffic
 from gis_radar.calibration.registration.certainty import z_score
 from gis_radar.calibration.registration.solver import FAR, Fit
-from gis_radar.calibration.registration.state import POSE, State
+from gis_radar.calibration.registration.state import POSE_PART, State
 
 # Lengths of the newest parts of the window that are tested for a move: the short one shows a blow
 # early, but holds few vehicles; the long one shows a shift of some decimetres.
@@ -42,7 +42,7 @@ def chi2_quantile(level: float) -> float:
 
 # Chi-square with six degrees of freedom: threshold of a certain move; of a suspected one, which
 # widens the pose's sigma; median.
-GATE = chi2_quantile(1.0 - FALSE_ALARMS / (HOUR_S / CYCLE_S * len(LENGTHS_S)))
+MOVE_GATE = chi2_quantile(1.0 - FALSE_ALARMS / (HOUR_S / CYCLE_S * len(LENGTHS_S)))
 SUSPECT = chi2_quantile(0.95)
 MEDIAN = chi2_quantile(0.5)
 # Number of the last tests from which the ratio of chi-square to its expectation is measured at a
@@ -53,9 +53,9 @@ ASSUMED_TESTS = 4
 NEWEST_VEHICLES = 8  # least vehicles in a tested part; it grows until it holds them
 LEAST_BEFORE_S = 30.0  # seconds of data before a tested part from which the pose is known
 SETTLED_S = 15.0  # a shorter deviation is a shake
-LATEST_S = 8.0  # newest seconds in which the new pose must still be the better one
+_LATEST_S = 8.0  # newest seconds in which the new pose must still be the better one
 SLICE_S = 1.0  # resolution of the time of a move: half a second to either side
-BACK_S = 75.0  # how far back a move is looked for: within the window of 100 s, less LEAST_BEFORE_S
+_BACK_S = 75.0  # how far back a move is looked for: within the window of 100 s, less LEAST_BEFORE_S
 CHANGE_ROUNDS = 2  # rounds in which time and pose of a move are estimated alternately
 FAR_WINDOW = replace(FAR, rounds=12)  # fit after a suspected move
 
@@ -113,7 +113,9 @@ def score(gap: Innovation, window_fit: WindowFit) -> float:
         The fit.
     """
     chi2, along = gap.chi2, np.linalg.solve(gap.covariance, gap.gap)
-    influence = window_fit.fit.scores @ np.linalg.inv(window_fit.fit.information)[:, POSE] @ along
+    influence = (
+        window_fit.fit.scores @ np.linalg.inv(window_fit.fit.information)[:, POSE_PART] @ along
+    )
     squares = np.square(influence)
     if chi2 <= 0.0 or not squares.any():
         return chi2
@@ -222,7 +224,7 @@ class MoveTest:
             if score_of_fit < ratio * SUSPECT:
                 continue
             suspected = SuspectedMove(
-                certain=score_of_fit >= ratio * GATE and agree >= AGREEMENT,
+                certain=score_of_fit >= ratio * MOVE_GATE and agree >= AGREEMENT,
                 move=likeliest_move(gap),
                 change=self.lasting_change(expected, fit),
             )
@@ -266,13 +268,13 @@ class MoveTest:
             if self.now - since < SETTLED_S or refitted is None or not refitted.trusted:
                 return None
             fit = refitted
-        latest = traffic.between(self.now - LATEST_S, np.inf).samples()
+        latest = traffic.between(self.now - _LATEST_S, np.inf).samples()
         if len(latest) and fitter.cost(latest, fit.fit.state) > fitter.cost(latest, old):
             return None
         gap = innovation(expected, fit.measurement)
         gain, agree = self._likelihood_gain(part, expected, fit)
         contradiction = min(score(gap, fit), gain)
-        if contradiction < self.scatter.ratio * GATE or agree < AGREEMENT:
+        if contradiction < self.scatter.ratio * MOVE_GATE or agree < AGREEMENT:
             return None
         return Change(time=since, fit=fit, chi2=contradiction)
 
@@ -302,7 +304,7 @@ class MoveTest:
             The two poses.
         """
         slice_s, fitter = SLICE_S, self.fitter
-        begin = max(self.now - BACK_S, self.traffic.moving.begin)
+        begin = max(self.now - _BACK_S, self.traffic.moving.begin)
         edges = begin + slice_s * np.arange(max(int(np.ceil((self.now - begin) / slice_s)), 1))
         gains = np.zeros(len(edges))
         for i, edge in enumerate(edges):

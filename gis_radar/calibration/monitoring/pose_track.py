@@ -27,12 +27,12 @@ from gis_radar.calibration.registration.certainty import stated
 from gis_radar.calibration.single.result import Problem
 from gis_radar.poses import COMPONENTS, Pose, PoseTrack
 
-LINE, NEAR, FAR, MOVE, REJECT, QUIET = (
+_LINE, _NEAR, _FAR, _MOVE, _REJECT, _QUIET = (
     "#1d4ed8", "#93b4f5", "#dbe6fd", "#c2410c", "#fcd9a0", "#e5e7eb",
 )  # fmt: skip
 MOVED, REJECTED, NOTHING = "moved", "rejected", ""
-DPI = 150
-SIZE_IN = (11.0, 8.0)
+_DPI = 150
+_SIZE_IN = (11.0, 8.0)
 LEAST_SPAN = (0.1, 0.05)  # least span of an axis, metres and degrees, lest noise fill it
 
 
@@ -49,10 +49,10 @@ def _draw_bands(
         y, s = (np.append(v[rows], v[rows[-1]]) for v in (value, sigma))
         labels = ("pose", "1 sigma", "2 sigma") if number == 0 else (None, None, None)
         ax.fill_between(
-            t, y - 2 * s, y + 2 * s, step="post", color=FAR, linewidth=0, label=labels[2]
+            t, y - 2 * s, y + 2 * s, step="post", color=_FAR, linewidth=0, label=labels[2]
         )
-        ax.fill_between(t, y - s, y + s, step="post", color=NEAR, linewidth=0, label=labels[1])
-        ax.plot(t, y, color=LINE, linewidth=1.3, drawstyle="steps-post", label=labels[0])
+        ax.fill_between(t, y - s, y + s, step="post", color=_NEAR, linewidth=0, label=labels[1])
+        ax.plot(t, y, color=_LINE, linewidth=1.3, drawstyle="steps-post", label=labels[0])
     later = slice(min(4, len(value) - 1), None)  # the first poses have wide bands
     low = float((value - 2.5 * sigma)[later].min())
     high = float((value + 2.5 * sigma)[later].max())
@@ -64,8 +64,8 @@ def _draw_bands(
 def _draw_events(ax: Any, time: np.ndarray, events: np.ndarray, idle: Booleans) -> None:
     """Draw bands where the pose was not corrected or a fit was rejected, and lines at moves."""
     kinds = (
-        (idle & (events == ""), QUIET, "no correction"),
-        (events == REJECTED, REJECT, REJECTED),
+        (idle & (events == ""), _QUIET, "no correction"),
+        (events == REJECTED, _REJECT, REJECTED),
     )
     for which, colour, label in kinds:
         for count, i in enumerate(np.flatnonzero(which[1:]) + 1):
@@ -74,7 +74,7 @@ def _draw_events(ax: Any, time: np.ndarray, events: np.ndarray, idle: Booleans) 
             ax.axvspan(time[i], end, color=colour, alpha=0.5, linewidth=0, label=words)
     for count, i in enumerate(np.flatnonzero(events == MOVED)):
         words = MOVED if count == 0 else None
-        ax.axvline(time[i], color=MOVE, linewidth=1.2, linestyle=(0, (4, 2)), label=words)
+        ax.axvline(time[i], color=_MOVE, linewidth=1.2, linestyle=(0, (4, 2)), label=words)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +192,7 @@ class Track:
         path : str or Path
             The picture; appears whole or not at all.
         """
-        with picture_file(path, SIZE_IN, DPI) as figure:
+        with picture_file(path, _SIZE_IN, _DPI) as figure:
             axes = figure.subplots(3, 2, sharex=True)
             for i, name in enumerate(COMPONENTS):
                 self._draw(name, axes[i % 3, i // 3])

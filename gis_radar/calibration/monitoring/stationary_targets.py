@@ -24,8 +24,8 @@ from gis_radar.calibration.registration.traces import MIN_SPEED_MPS
 from gis_radar.recordings import Detections
 
 # Reach and cells of the map of hits by range and azimuth: finer than the variation of a target.
-REACH_M = 300.0
-CELL_M = 0.2
+_REACH_M = 300.0
+_TARGET_CELL_M = 0.2
 CELL_RAD = math.radians(0.4)
 # *Recorded* means in recordings of an ARS548, in which a target varies from frame to frame by 0.01
 # m, 0.05 and 0.1 to 2 degrees, and over seconds by 0.1 m, 0.15 and 1 degree.
@@ -39,18 +39,18 @@ LEAST_TARGETS = 12  # least number of targets of a test
 WANTED_M = 0.3  # shift that must be detected
 # Least score of a significant move, from 120 hours of changing days of one radar
 # (`bench/alarm.py --seed 1`); false alarms on other hours are in docs/limits.md.
-GATE = 28.0
+LEAST_MOVE_SCORE = 28.0
 FIRST_SEARCH = 6  # blocks before the first search for targets: two minutes
 # Least number of hits a frame of a target. Recorded: cells hit in half of the frames or more hold
 # 46 to 84 % of the stationary detections.
-LEAST_RATE = 0.3
+_LEAST_RATE = 0.3
 # Largest distance of a detection from its target's mean: three times the variation plus the wanted
 # move; in azimuth plus the wanted shift.
 GATE_M = 0.7
 GATE_RAD = math.radians(1.0)
 # Least distance between targets: gates do not overlap at 100 m, and a parked car gives at most two.
-APART_M = 3.0
-LEAST_SHARE = 0.5  # least share of its mean hits with which a target is present in a block
+_APART_M = 3.0
+_LEAST_SHARE = 0.5  # least share of its mean hits with which a target is present in a block
 GONE_BLOCKS = 180  # a target absent for so many blocks, an hour, is dropped
 LEAST_AGE = 6  # least number of blocks in a mean that is used; no verdict before seven minutes
 # Number of tests in a row that must find a move: the estimated noise of some dozen targets is far
@@ -66,7 +66,7 @@ START_SIGMA_RAD = (math.radians(0.15), math.radians(1.0))
 LEAST_SCATTER = (0.004, math.radians(0.005), math.radians(0.02))
 # Scale of the Cauchy weights of residuals, in units of the noise: a car may replace another.
 OUTLIER = 2.0
-ROUNDS = 10  # iterations of weights and noise; both converge in seven
+_ROUNDS = 10  # iterations of weights and noise; both converge in seven
 # A move would be noticed if its standard deviation is below this share of it.
 SENSITIVE_SHARE = 0.34
 # Number of newest blocks that are tested for a blow, and from which the size of a move is measured.
@@ -162,7 +162,7 @@ class Watch:
         self._newest = self._targets.verdict(BLOW_BLOCKS)
         tested = (each.displacement for each in self._targets.tested)
         move = max(tested, key=lambda each: each.score, default=None)
-        if move is None or move.score <= GATE:
+        if move is None or move.score <= LEAST_MOVE_SCORE:
             return None
         # measured by the latest blocks only: earlier ones may be from before the move
         latest = self._targets.verdict(LATEST_BLOCKS)
@@ -220,7 +220,7 @@ class StationaryTargets:
         self._search_blocks = search_blocks
         self._batches: list[Floats] = []  # stationary detections since the last block: polar
         self._frames = self._searched = self._blocks = 0  # frames of block and map; ended blocks
-        cells = (round(REACH_M / CELL_M), round(2 * np.pi / CELL_RAD))
+        cells = (round(_REACH_M / _TARGET_CELL_M), round(2 * np.pi / CELL_RAD))
         self._hits = np.zeros(cells, dtype=np.int64)
         self._recent: deque[Floats] = deque()  # positions in the newest blocks, not yet in the mean
         self.tested: list[Verdict] = []  # verdicts at the end of the last block
@@ -267,7 +267,7 @@ class StationaryTargets:
         """
         still = np.abs(range_rate) <= MIN_SPEED_MPS
         polar = polar_of(points[still & np.isfinite(points).all(axis=1)])
-        self._batches.append(polar[(polar[:, 0] > 0.0) & (polar[:, 0] < REACH_M)])
+        self._batches.append(polar[(polar[:, 0] > 0.0) & (polar[:, 0] < _REACH_M)])
         self._frames += len(np.unique(time))
 
     def end_block(self) -> None:
@@ -303,7 +303,7 @@ class StationaryTargets:
 
     def _cell_indices(self, polar: Floats) -> tuple[Integers, Integers]:
         """Return row (range) and column (azimuth) in the map of hits."""
-        size = [CELL_M, CELL_RAD]
+        size = [_TARGET_CELL_M, CELL_RAD]
         cell = ((polar[:, :2] + [0.0, np.pi]) / size).astype(np.int64)
         far, round_ = self._hits.shape
         return np.minimum(cell[:, 0], far - 1), cell[:, 1] % round_
@@ -313,7 +313,7 @@ class StationaryTargets:
         medians, labelled = np.full((len(self), 3), np.nan), label != NONE
         polar, label = polar[labelled], label[labelled]
         count = np.bincount(label, minlength=len(self))
-        enough = count > np.maximum(LEAST_SHARE * self.rate * frames, 1.0)
+        enough = count > np.maximum(_LEAST_SHARE * self.rate * frames, 1.0)
         middle = (np.cumsum(count) - count + count // 2)[enough]
         for k in range(3):
             medians[enough, k] = polar[np.lexsort((polar[:, k], label)), k][middle]
@@ -329,9 +329,9 @@ class StationaryTargets:
         """Drop targets that are gone, and add peaks of the map of hits away from other targets."""
         staying = self._absent < GONE_BLOCKS
         count = int(staying.sum())
-        peaks, hits = _peaks_of_hits(self._hits, LEAST_RATE * self._searched)
+        peaks, hits = _peaks_of_hits(self._hits, _LEAST_RATE * self._searched)
         place = np.vstack([self.place[staying], peaks])
-        apart = _far_apart(place, count, APART_M)
+        apart = _far_apart(place, count, _APART_M)
         new = apart[count:]
         zeros, unseen = np.zeros(int(new.sum())), np.full((int(new.sum()), 3), np.nan)
         self._recent = deque(np.vstack([block[staying], unseen]) for block in self._recent)
@@ -347,7 +347,7 @@ class StationaryTargets:
         """Return for each cell of range and azimuth the target in whose gate it is, or `NONE`."""
         label = np.full(self._hits.shape, NONE)
         rows, columns = self._cell_indices(self.place)
-        high = round(GATE_M / CELL_M)
+        high = round(GATE_M / _TARGET_CELL_M)
         for number, (row, column) in enumerate(zip(rows, columns, strict=True)):
             across = GATE_RAD + WANTED_M / self.place[number, 0]
             wide = round(across / CELL_RAD)
@@ -400,7 +400,7 @@ class StationaryTargets:
         )
         return Verdict(
             displacement=displacement,
-            at_rest=score < GATE
+            at_rest=score < LEAST_MOVE_SCORE
             and bool((sigma < SENSITIVE_SHARE * KNOCK[PLANE_AND_ANGLES]).all()),
         )
 
@@ -411,7 +411,7 @@ class StationaryTargets:
         prior = np.diag(np.square(KNOCK) ** -1.0)
         design = by_move(place).reshape(-1, len(prior))
         weight = np.ones(gap.shape)
-        for _ in range(ROUNDS):
+        for _ in range(_ROUNDS):
             precision = weight / sigma**2
             weighted = design.T * precision.ravel()
             covariance = np.linalg.inv(weighted @ design + prior)
@@ -425,7 +425,7 @@ class StationaryTargets:
 
 def _peaks_of_hits(hits: Integers, least: float) -> tuple[Floats, Floats]:
     """Return positions and hits of the local maxima of a map of hits, strongest first."""
-    window = 2 * round(GATE_M / CELL_M / 2) + 1
+    window = 2 * round(GATE_M / _TARGET_CELL_M / 2) + 1
     hits_near = uniform_filter(hits.astype(np.float64), (window, window), mode=("constant", "wrap"))
     hits_near = hits_near * window**2
     top = (hits_near == maximum_filter(hits_near, (window, window), mode=("constant", "wrap"))) & (
@@ -435,7 +435,7 @@ def _peaks_of_hits(hits: Integers, least: float) -> tuple[Floats, Floats]:
     order = np.argsort(-hits_near[row, column], kind="stable")
     row, column = row[order], column[order]
     place = np.column_stack(
-        [(row + 0.5) * CELL_M, (column + 0.5) * CELL_RAD - np.pi, np.zeros(len(row))]
+        [(row + 0.5) * _TARGET_CELL_M, (column + 0.5) * CELL_RAD - np.pi, np.zeros(len(row))]
     )
     return place, hits_near[row, column]
 

@@ -25,7 +25,7 @@ from gis_radar.calibration.registration.hypotheses import (
 from gis_radar.calibration.registration.lanes import Lanes, Scene
 from gis_radar.calibration.registration.model import MODEL
 from gis_radar.calibration.registration.solver import FAR, Fit, Prior, Schedule, cost_at, solve
-from gis_radar.calibration.registration.state import POSE, REFLECTION, SIZE, State
+from gis_radar.calibration.registration.state import POSE_PART, REFLECTION, SIZE, State
 from gis_radar.calibration.registration.traces import (
     Moving,
     Samples,
@@ -39,10 +39,10 @@ from gis_radar.calibration.single.result import Problem
 # 1 sigma of the wide prior, around the expected pose, with which a window is fitted.
 NEAR = np.array([1.0, 1.0, 1.0, *np.radians([2.0, 2.0, 2.0])])
 # Schedule of the fit of a window, which starts within decimetres.
-WINDOW = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=12)
+WINDOW_SCHEDULE = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=12)
 # Information of the data below this share of the prior's is taken for none and set to UNKNOWN.
 LEAST_DATA = 0.05
-UNKNOWN = 1e-4
+_UNKNOWN = 1e-4
 REACH_GROWS = 1.2  # factor on the range of traces for sampling lanes, so that it is seldom repeated
 # A pose a lane off contradicts the start pose with this z score (1 more than for ambiguous
 # localizations) and distance.
@@ -51,7 +51,7 @@ OTHER_LANE_M = 1.0
 # Schedule of a first fit from a lane off; fits that return to within half of OTHER_LANE_M are not
 # continued.
 LANE_OFF = Schedule(scales_m=(0.75, 0.3), rounds=3)
-FARTHEST = 4.0  # largest distance of a searched pose, in sigmas of its prior
+_FARTHEST = 4.0  # largest distance of a searched pose, in sigmas of its prior
 
 
 def data_alone(fit: Fit, prior: Prior) -> Measurement:
@@ -70,7 +70,7 @@ def data_alone(fit: Fit, prior: Prior) -> Measurement:
     """
     known = certainty(fit, map_sigma_m=0.0)
     quaternion = _quaternion(fit.state)
-    unit = np.diag(prior.information[POSE, POSE]) ** -0.5
+    unit = np.diag(prior.information[POSE_PART, POSE_PART]) ** -0.5
     total, noise = (
         covariance_from_angles(quaternion, part) / np.outer(unit, unit)
         for part in (known.covariance, known.noise)
@@ -78,13 +78,13 @@ def data_alone(fit: Fit, prior: Prior) -> Measurement:
     values, vectors = np.linalg.eigh(np.linalg.inv(total))
     data = values - 1.0
     informed = data > LEAST_DATA
-    offset = fit.state.difference(prior.mean)[POSE] / unit
+    offset = fit.state.difference(prior.mean)[POSE_PART] / unit
     factor = np.where(informed, values / np.where(informed, data, 1.0), 0.0)
     step = np.zeros(SIZE)
-    step[POSE] = unit * (vectors @ (factor * (vectors.T @ offset)))
+    step[POSE_PART] = unit * (vectors @ (factor * (vectors.T @ offset)))
     state = prior.mean.moved(step)
     # in directions without information only the noise is scaled, not the common error
-    noise_scale = np.sqrt(values / np.where(informed, data, UNKNOWN))
+    noise_scale = np.sqrt(values / np.where(informed, data, _UNKNOWN))
     common_scale = np.where(informed, noise_scale, 1.0)
     noise, common = (
         _scaled_covariance(part, vectors * grows @ vectors.T, unit)
@@ -219,7 +219,7 @@ class WindowFitter:
         *,
         near: Floats = NEAR,
         start: State | None = None,
-        schedule: Schedule = WINDOW,
+        schedule: Schedule = WINDOW_SCHEDULE,
     ) -> WindowFit | None:
         """Fit a window of traffic to the lanes near a pose; None where it holds too few vehicles.
 
@@ -254,7 +254,7 @@ class WindowFitter:
     def find(
         self, traffic: WindowTraffic, centre: Estimate, reflection_m: float, *, near: Floats
     ) -> WindowFit | None:
-        """Search a pose within `FARTHEST` sigmas at which the traffic fits; None if none is found.
+        """Search a pose within `_FARTHEST` sigmas at which the traffic fits; None if none is found.
 
         Parameters
         ----------
@@ -264,8 +264,8 @@ class WindowFitter:
         samples, state = traffic.samples(), centre.state(reflection_m)
         heading = float(state.yaw_pitch_roll[0]), HEADING_TOLERANCE
         for hypothesis in find_hypotheses(self.scene(samples), heading=heading):
-            offset = hypothesis.fit.state.difference(state)[POSE] / near
-            if np.abs(offset).max() < FARTHEST:
+            offset = hypothesis.fit.state.difference(state)[POSE_PART] / near
+            if np.abs(offset).max() < _FARTHEST:
                 fit = self.fit(traffic, centre, reflection_m, near=near, start=hypothesis.fit.state)
                 return fit if fit is not None and fit.trusted else None
         return None
@@ -286,7 +286,7 @@ class WindowFitter:
     def _prior(self, centre: State, near: Floats) -> Prior:
         """Return the prior about a state, with 1 sigma `near` and the adapted reflections."""
         information = prior_at(centre).information.copy()
-        information[POSE, POSE] = np.diag(near**-2.0)
+        information[POSE_PART, POSE_PART] = np.diag(near**-2.0)
         if self._reflections is not None:
             mean_m, information[REFLECTION, REFLECTION] = self._reflections
             centre = replace(centre, reflection=mean_m)

@@ -24,24 +24,24 @@ from gis_radar.calibration.registration.state import REFLECTION
 from gis_radar.calibration.registration.traces import SPELL_S, Samples
 
 # Lower edge of reflections over the road and 1 sigma of it: ground clearance is 0.12 to 0.3 m.
-EDGE_M = 0.2
+_EDGE_M = 0.2
 EDGE_SIGMA_M = 0.07
 # Nodes of the quadrature over the gamma distribution of heights above the edge.
 NODES = gammaincinv(2.0, (np.arange(16) + 0.5) / 16)
 # Share of reflections that come from bodies, and their lowest and highest height above the edge.
 TALL_SHARE = 0.2
-TALL_M = (0.2, 2.8)
+_TALL_M = (0.2, 2.8)
 # Share of outliers, and the interval of heights over which they are uniform.
 STRAY_HEIGHTS = 0.05
-STRAY_M = 8.0
-NEAR_M = 80.0  # farther samples are left out: 0.6 degrees are 0.8 m there
-MOST_SAMPLES = 1500  # more do not improve the estimate
+_STRAY_M = 8.0
+_NEAR_M = 80.0  # farther samples are left out: 0.6 degrees are 0.8 m there
+_MOST_SAMPLES = 1500  # more do not improve the estimate
 NOISE_M = 0.05  # 1 sigma of the heights of scan and map
 # Edge (m), scale (m) and elevation noise (radians): start of the fit, and its bounds.
 START = (0.2, 0.2, math.radians(0.5))
 LOWER_BOUND = (-1.5, 0.05, math.radians(0.1))
 UPPER_BOUND = (2.0, 0.6, math.radians(2.0))
-LEAST_SAMPLES = 200  # least number of samples within NEAR_M to estimate heights
+LEAST_SAMPLES = 200  # least number of samples within _NEAR_M to estimate heights
 # Number of tried factors on the side strength, from 1 / MOST_FACTOR to MOST_FACTOR.
 FACTORS = 17
 MOST_FACTOR = 4.0
@@ -185,7 +185,7 @@ def heights(scene: Scene, fit: Fit, *, weight: Floats | None = None) -> Heights 
     """Estimate the distribution of the heights of reflections from their heights in a fit.
 
     A higher sensor and higher reflections give the same heights, but the lower edge of reflections
-    is known: vehicles end `EDGE_M` over the road. Their scale above the edge, and the noise of
+    is known: vehicles end `_EDGE_M` over the road. Their scale above the edge, and the noise of
     elevations that blurs it, follow by maximum likelihood of a mixture: a gamma distribution of
     shape 2 above the edge, reflections from bodies, and outliers.
 
@@ -201,15 +201,15 @@ def heights(scene: Scene, fit: Fit, *, weight: Floats | None = None) -> Heights 
     Returns
     -------
     Heights or None
-        None where fewer than `LEAST_SAMPLES` are within `NEAR_M`.
+        None where fewer than `LEAST_SAMPLES` are within `_NEAR_M`.
     """
     samples, reach = scene.samples, scene.samples.reach
     over = height_over_road(scene.lanes, place(samples, fit.state), fit.matches)
     on_path = fit.on_lane & (fit.matches.path_cost == 0.0)
-    usable = np.flatnonzero(on_path & np.isfinite(over) & (reach < NEAR_M))
+    usable = np.flatnonzero(on_path & np.isfinite(over) & (reach < _NEAR_M))
     if len(usable) < LEAST_SAMPLES:
         return None
-    usable = np.random.default_rng(0).permutation(usable)[:MOST_SAMPLES]
+    usable = np.random.default_rng(0).permutation(usable)[:_MOST_SAMPLES]
     over, reach = over[usable], reach[usable]
     weights = np.ones(len(over)) if weight is None else weight[usable]
 
@@ -224,7 +224,7 @@ def heights(scene: Scene, fit: Fit, *, weight: Floats | None = None) -> Heights 
     parameters: Floats = np.asarray(fitted.x)
     clusters = samples.vehicles[samples.track[usable]]
     error = _clustered_error(parameters, over, reach, clusters, weights)
-    shift = parameters[0] - EDGE_M
+    shift = parameters[0] - _EDGE_M
     return Heights(
         mean_m=float(fit.state.reflection - shift),
         sigma_m=float(np.hypot(EDGE_SIGMA_M, error)),
@@ -238,11 +238,11 @@ def _log_density(parameters: Floats, over: Floats, reach: Floats) -> Floats:
     sigma = np.hypot(NOISE_M, np.exp(parameters[2]) * reach)
     away = (over[:, None] - edge - scale * NODES) / sigma[:, None]
     low = np.exp(-0.5 * away**2).mean(axis=1) / (sigma * np.sqrt(2.0 * np.pi))
-    begin, end = TALL_M
+    begin, end = _TALL_M
     tall = ndtr((over - edge - begin) / sigma) - ndtr((over - edge - end) / sigma)
     share, stray = TALL_SHARE, STRAY_HEIGHTS
     vehicle = (1.0 - share) * low + share * tall / (end - begin)
-    return np.asarray(np.log((1.0 - stray) * vehicle + stray / STRAY_M))
+    return np.asarray(np.log((1.0 - stray) * vehicle + stray / _STRAY_M))
 
 
 def _clustered_error(

@@ -22,7 +22,7 @@ from gis_radar.calibration.registration.solver import (
     settle,
     solve,
 )
-from gis_radar.calibration.registration.state import LEVER_M, POSE, SIZE, State
+from gis_radar.calibration.registration.state import LEVER_M, POSE_PART, SIZE, State
 from gis_radar.calibration.registration.traces import Samples
 from gis_radar.poses import COMPONENTS
 
@@ -50,7 +50,7 @@ LOOK_GAIN = 1.0  # least gain in cost of a better optimum: one sigma costs 0.5
 
 PLACE = [0, 1]  # of the state: easting, northing
 PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
-UNITS = np.repeat([1.0, math.degrees(1.0)], 3)  # of a pose file's sigmas: metres, degrees
+POSE_UNITS = np.repeat([1.0, math.degrees(1.0)], 3)  # of a pose file's sigmas: metres, degrees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,13 +107,13 @@ def certainty(
     if rival is not None:
         gap = rival.difference(fit.state)
         covariance = covariance + np.outer(gap, gap) / 2.0
-    pose = to_angles @ covariance[POSE, POSE] @ to_angles.T
-    drawn = to_angles @ noise[POSE, POSE] @ to_angles.T
+    pose = to_angles @ covariance[POSE_PART, POSE_PART] @ to_angles.T
+    drawn = to_angles @ noise[POSE_PART, POSE_PART] @ to_angles.T
     return Certainty(
         covariance=pose,
         noise=drawn,
         sigma=np.sqrt(np.diag(pose)),
-        eigenvalues=eigenvalues(fit.data_information[POSE, POSE]),
+        eigenvalues=eigenvalues(fit.data_information[POSE_PART, POSE_PART]),
         observable=is_fixed(pose),
     )
 
@@ -296,7 +296,7 @@ def with_information_along(fit: Fit, hold: Floats, before: float, after: float) 
 
 def _along(fit: Fit, hold: Floats, covariance: Floats) -> float:
     """Return the variance, m^2, of a linear combination of a pose's components."""
-    way = np.linalg.solve(fit.state.to_angles.T, hold[POSE])
+    way = np.linalg.solve(fit.state.to_angles.T, hold[POSE_PART])
     return float(way @ covariance @ way)
 
 
@@ -369,7 +369,7 @@ def widened_along(fit: Fit, hold: Floats, sigma_m: float) -> Fit:
 
 def stated(covariance: Floats) -> dict[str, Any]:
     """Return a covariance, and its sigmas in m and degrees, as entries of a pose's evidence."""
-    sigma = np.sqrt(np.diag(covariance)) * UNITS
+    sigma = np.sqrt(np.diag(covariance)) * POSE_UNITS
     named = {name: float(value) for name, value in zip(COMPONENTS, sigma, strict=True)}
     return {"sigma": named, "covariance": covariance.tolist()}
 

@@ -33,7 +33,7 @@ from gis_radar.calibration.registration.solver import (
     solve,
     solve_likeliest,
 )
-from gis_radar.calibration.registration.state import LEVER_M, POSE, REFLECTION, SIZE, State
+from gis_radar.calibration.registration.state import LEVER_M, POSE_PART, REFLECTION, SIZE, State
 from gis_radar.calibration.registration.traces import Samples
 
 GUESS_M = 15.0  # largest error of a guess (docs/limits.md)
@@ -52,25 +52,25 @@ LEVEL_SPREAD_M = 0.5
 LEVEL_ELEVATION = math.radians(0.6)
 LEVEL_ROUNDS = 12  # reweighted fits of the plane; it converges in five to eight
 SCORED_SAMPLES = 900  # samples that the search scores; cost in proportion
-SIGHTS = 64  # bins of the direction of sight, 5.6 degrees
+_SIGHTS = 64  # bins of the direction of sight, 5.6 degrees
 # 1 sigma across a lane in the search; steps of its grid of places, and of headings (1.7 m at 50 m).
 SPREAD_M = 2.0
-STEP_M = 2.0
+_STEP_M = 2.0
 YAW_STEP = math.radians(2.0)
 # A lane disagrees with the Doppler's sign if the cosine between lane and sight is below minus this
 # (15 degrees).
 OPPOSITE_COSINE = 0.25
 # Peaks of the search that are closer are one.
-NEAR_M = 3.0
+_NEAR_M = 3.0
 NEAR_RAD = math.radians(5.0)
 # Prior of the mean height of reflections: between wheel hubs and belt lines. The check of a given
 # pose takes 0.7, with which the sample's height is right to 0.05 m, with 0.6 to 0.1 m.
-REFLECTION_M = 0.6
+PRIOR_REFLECTION_M = 0.6
 REFLECTION_SIGMA_M = 0.25
 ROUGH_SAMPLES = 1000  # enough to rank hypotheses; cost in proportion
 MOST_BEHIND = 5.0  # hypotheses whose z score is farther behind the best are no finalists
 # Fits that are closer are one: easting, northing, height; rotations about the axes.
-SAME_M = (0.3, 0.3, 0.5)
+_SAME_M = (0.3, 0.3, 0.5)
 SAME_RAD = (math.radians(0.5), math.radians(0.5), math.radians(0.3))
 # Grid of starts around an optimum: step, half a vehicle's width, and number of steps to each side
 # in place and in yaw (its steps in metres at LEVER_M).
@@ -82,7 +82,7 @@ LOOK_SCALE_M = 0.3
 LOOK_SAMPLES = 400
 LOOK_PLACES = 4
 # Number of peaks that are fitted, without and with a heading; cost in proportion.
-CANDIDATES = 10
+_CANDIDATES = 10
 KNOWN_CANDIDATES = 4
 
 
@@ -173,7 +173,7 @@ def search(
     lanes, samples = scene.lanes, scene.samples
     chosen = np.random.default_rng(0).permutation(len(samples))[:SCORED_SAMPLES]
     points, away = levelled[chosen, :2].copy(), samples.range_rate[chosen] > 0.0
-    places, yaws = _places(GUESS_M + BEYOND_GUESS_M, STEP_M), _yaws(heading, YAW_STEP)
+    places, yaws = _places(GUESS_M + BEYOND_GUESS_M, _STEP_M), _yaws(heading, YAW_STEP)
     layers = closeness(lanes)
     scores = _mean_closeness(layers, lanes.corner, LANE_CELL_M, points, away, places, yaws)
     return _peaks(np.asarray(scores), places, yaws, most)
@@ -212,7 +212,7 @@ def closeness(lanes: Lanes) -> NDArray[np.uint8]:
         255 on a centre line. For approaching traffic take the layer of the opposite direction.
     """
     near = np.exp(-0.5 * (lanes.distance / SPREAD_M) ** 2)
-    sights, bins = SIGHTS, len(near)
+    sights, bins = _SIGHTS, len(near)
     directions = np.arange(bins) * (2.0 * np.pi / bins)
     layers = np.zeros((sights, *near.shape[1:]), dtype=np.uint8)
     near_bytes = np.rint(near * 255.0).astype(np.uint8)
@@ -223,14 +223,14 @@ def closeness(lanes: Lanes) -> NDArray[np.uint8]:
 
 
 def _peaks(scores: Floats, places: Floats, yaws: Floats, most: int) -> list[Candidate]:
-    """Return the best candidates, at least `NEAR_M` or `NEAR_RAD` from each other."""
+    """Return the best candidates, at least `_NEAR_M` or `NEAR_RAD` from each other."""
     order = np.argsort(-scores, axis=None)[: 400 * most]
     peaks: list[Candidate] = []
     for index in order:
         i, j = divmod(int(index), scores.shape[1])
         place, yaw = places[i], float(yaws[j])
         close = any(
-            np.hypot(*(place - other.place)) < NEAR_M
+            np.hypot(*(place - other.place)) < _NEAR_M
             and abs(math.remainder(yaw - other.yaw, math.tau)) < NEAR_RAD
             for other in peaks
         )
@@ -322,7 +322,7 @@ def find_hypotheses(scene: Scene, *, heading: tuple[float, float] | None) -> lis
         Radians; without it all headings are tried.
     """
     levelling, part = level(scene), rough(scene)
-    most = CANDIDATES if heading is None else KNOWN_CANDIDATES
+    most = _CANDIDATES if heading is None else KNOWN_CANDIDATES
     candidates = _search_levelled(scene, levelling, heading, most)
     hypotheses = [_rough_fit(part, _start(part, levelling, c), c.score) for c in candidates]
     return _ranked(hypotheses)
@@ -440,12 +440,12 @@ def _start(scene: Scene, levelling: Levelling, candidate: Candidate) -> State:
     state = State(
         position=np.array([*candidate.place, 0.0]),
         R_map_sensor=turn @ levelling.R_level_sensor,
-        reflection=REFLECTION_M,
+        reflection=PRIOR_REFLECTION_M,
     )
     placed = place(scene.samples, state)
     without_height = placed.points * [1.0, 1.0, np.nan]
     matches = match(lanes, replace(placed, points=without_height))
-    heights = lanes.points[matches.lane, 2] + REFLECTION_M - placed.points[:, 2]
+    heights = lanes.points[matches.lane, 2] + PRIOR_REFLECTION_M - placed.points[:, 2]
     heights = heights[matches.found & np.isfinite(heights)]
     known = lanes.points[:, 2][np.isfinite(lanes.points[:, 2])]
     height = np.median(heights) if len(heights) else np.median(known) + levelling.depth_m
@@ -462,7 +462,7 @@ def prior_at(state: State) -> Prior:
     """
     information = np.zeros((SIZE, SIZE))
     sigma = np.array([GUESS_M / 2, GUESS_M / 2, GUESS_M, TILT, TILT, np.pi])
-    information[POSE, POSE] = np.diag(sigma**-2)
+    information[POSE_PART, POSE_PART] = np.diag(sigma**-2)
     information[REFLECTION, REFLECTION] = REFLECTION_SIGMA_M**-2
     mean = replace(state, position=np.array([0.0, 0.0, state.position[2]]))
     return Prior(mean=mean, information=information)
@@ -476,11 +476,11 @@ def _rough_fit(scene: Scene, start: State, score: float) -> Hypothesis:
 
 
 def _ranked(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return hypotheses the best first, without those equal to a better one (`SAME_M`, ...)."""
-    same = np.array([*SAME_M, *SAME_RAD])
+    """Return hypotheses the best first, without those equal to a better one (`_SAME_M`, ...)."""
+    same = np.array([*_SAME_M, *SAME_RAD])
     distinct: list[Hypothesis] = []
     for h in sorted(hypotheses, key=lambda h: h.loss):
-        gaps = [np.abs(h.fit.state.difference(k.fit.state)[POSE]) / same for k in distinct]
+        gaps = [np.abs(h.fit.state.difference(k.fit.state)[POSE_PART]) / same for k in distinct]
         if not any((gap < 1.0).all() for gap in gaps):
             distinct.append(h)
     return distinct

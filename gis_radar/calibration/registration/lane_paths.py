@@ -16,7 +16,7 @@ from gis_radar.calibration.registration.lanes import LANE_STEP_M, Lanes, Placed
 from gis_radar.calibration.registration.matches import Matches, lanes_near
 from gis_radar.calibration.registration.model import Model
 from gis_radar.calibration.registration.residuals import (
-    FRONT,
+    FRONT_PLACES,
     NO_VEHICLE,
     STRAY_SHARE,
     faces,
@@ -24,7 +24,7 @@ from gis_radar.calibration.registration.residuals import (
     weights,
 )
 
-MOST_LANES = 6  # lanes of a sample among which a path chooses: three, and their successors
+_MOST_LANES = 6  # lanes of a sample among which a path chooses: three, and their successors
 # Negative log likelihood of a change of lanes: one vehicle in fifty in a track of eight seconds.
 CHANGE_COST = 4.0
 # Another lane continues the path, without a change, if it begins within SIDE_STEP_M across the
@@ -32,7 +32,7 @@ CHANGE_COST = 4.0
 SIDE_STEP_M = 1.0
 LEAST_RADIUS_M = 6.0
 KINK = 0.5
-LEAST_COSINE = math.cos(KINK)
+_LEAST_KINK_COSINE = math.cos(KINK)
 # Cost of each metre farther than PAST_M past the last sample of a lane, up to that of a sample on
 # no vehicle.
 PAST_COST, PAST_M = 1.0, 1.5 * LANE_STEP_M
@@ -57,10 +57,10 @@ def match_paths(
         Standard deviation added in squares to all others, metres.
     """
     samples = placed.samples
-    near = lanes_near(lanes, placed, most=MOST_LANES)
+    near = lanes_near(lanes, placed, most=_MOST_LANES)
     weight = weights(samples, model)
     cost = _lane_costs(
-        lateral_constants(model, scale_m), np.array(FRONT), near, lanes.points, lanes.along,
+        lateral_constants(model, scale_m), np.array(FRONT_PLACES), near, lanes.points, lanes.along,
         placed.points, placed.flat, placed.sight, aside[samples.track], weight,
     )  # fmt: skip
     road = lanes.points, lanes.along, lanes.lane
@@ -205,7 +205,7 @@ def _transition_cost(  # pragma: no cover - compiled
     across = y * east - x * north
     if across**2 > SIDE_STEP_M**2 * (east**2 + north**2):
         return CHANGE_COST
-    if cosine < LEAST_COSINE:
+    if cosine < _LEAST_KINK_COSINE:
         most_turn = min(KINK + np.hypot(x, y) / LEAST_RADIUS_M, np.pi)
         return CHANGE_COST if cosine < np.cos(most_turn) else 0.0
     return 0.0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, compiled
 from gis_radar.calibration.registration.state import State
 from gis_radar.calibration.registration.traces import Samples
-from gis_radar.hdmap import is_driven
+from gis_radar.hdmap import SAME_LEVEL_M, is_driven
 
 # Spacing of centre line samples and side of the grid's cells: error 1 cm in bends of 10 m radius.
 LANE_STEP_M = 1.0
@@ -22,7 +22,6 @@ LANE_CELL_M = 1.0
 LANE_BINS = 16  # bins of direction, 22.5 degrees each: the grid keeps crossing lanes apart
 LANE_REACH_M = 12.0  # largest distance from a lane of a point that matches it: three lanes
 MARGIN_M = 20.0  # reach of the lanes beyond the farthest traces and the error of the guess
-SAME_LEVEL_M = 2.0  # scanned points farther from the map's height are of another level
 # A sample's height is the median of up to SCAN_POINTS scanned points within SCAN_NEAR_M.
 SCAN_NEAR_M = 2.0
 SCAN_POINTS = 12
@@ -34,7 +33,7 @@ SPEEDING = 1.5
 MIN_TOP_MPS = 15.0
 BORDER_M = 1.0  # a sample nearer to its lane's middle is in no other lane: less than half a lane
 NEXT_LANE_M = 5.5  # largest distance between the centre lines of neighbouring lanes
-PARALLEL = 0.87  # least cosine between their directions (30 degrees)
+_PARALLEL = 0.87  # least cosine between their directions (30 degrees)
 NO_DIRECTION_M = 1e-9  # shorter vectors have no direction
 # A lane bends if the mean of its unit vectors is shorter: that of an arc of 30 degrees.
 BENT_BELOW = 0.9886
@@ -111,7 +110,7 @@ class Lanes:
         )
         sample, neighbour = np.concatenate([pairs, pairs[:, ::-1]]).T
         ahead, left, _ = self.beside(sample, self.points[neighbour])
-        parallel = np.sum(self.along[sample] * self.along[neighbour], axis=1) > PARALLEL
+        parallel = np.sum(self.along[sample] * self.along[neighbour], axis=1) > _PARALLEL
         near = parallel & (np.abs(ahead) < LANE_STEP_M) & (np.abs(left) > BORDER_M)
         beside = np.full((len(self.points), 2), -1)
         order = np.flatnonzero(near)[np.argsort(-np.abs(left[near]), kind="stable")]

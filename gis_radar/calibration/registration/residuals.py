@@ -27,7 +27,7 @@ STRAY_HEIGHT_M = 8.0
 # Loss of a sample on no vehicle.
 NO_VEHICLE = float(-np.log(STRAY_SHARE * np.sqrt(2.0 * np.pi) / STRAY_WIDTH_M))
 # Places where a front or rear reflects, in half widths: the middles of its thirds.
-FRONT: tuple[float, ...] = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
+FRONT_PLACES: tuple[float, ...] = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
 # Margin inside the edge of the view in which no height counts: there only the tall are seen.
 VIEW_EDGE = math.radians(1.0)
 
@@ -107,9 +107,9 @@ def lateral(compared: LaneComparison, effect: Floats) -> Residuals:
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
     samples, model = placed.samples, compared.model
     rows, jacobian = _lateral(
-        lateral_constants(model, compared.scale_m), np.array(FRONT), matches.lane, matches.found,
-        lanes.points, lanes.along, placed.points, placed.arms, placed.flat, placed.sight,
-        samples.track, effect[:, 0],
+        lateral_constants(model, compared.scale_m), np.array(FRONT_PLACES), matches.lane,
+        matches.found, lanes.points, lanes.along, placed.points, placed.arms, placed.flat,
+        placed.sight, samples.track, effect[:, 0],
     )  # fmt: skip
     weight = weights(samples, model)
     stiffness = np.full((samples.tracks, 1, 1), model.driver**-2)

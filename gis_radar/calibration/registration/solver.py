@@ -54,7 +54,7 @@ AT_REST_M = 0.1
 AT_REST_SIGMAS = 1.5
 # A step that does not lower the cost is divided by SHRINK, down to this share.
 SHRINK = 3.0
-LEAST_SHARE = 0.05
+_LEAST_SHARE = 0.05
 # Share of the weights' information that is used where the curvature is not positive definite.
 LEAST_CURVATURE = 0.05
 FLOOR = 1e-6  # least information in any direction, 1/m^2: a kilometre
@@ -257,7 +257,7 @@ def _descended(
         for _ in range(schedule.rounds):
             step, effects, sigmas = cost.step(here)
             there, share = None, 1.0
-            while share > LEAST_SHARE and (there is None or there.total > here.total):
+            while share > _LEAST_SHARE and (there is None or there.total > here.total):
                 moved = _Point(
                     here.point.state.moved(share * step),
                     [b + share * more for b, more in zip(here.point.effects, effects, strict=True)],

@@ -14,10 +14,10 @@ from gis_radar.base import Floats
 # Order of a step (change of the state): metres, radians about the map's axes, metres.
 NAMES = ("easting", "northing", "height", "turn_x", "turn_y", "turn_z", "reflection")
 SIZE = len(NAMES)
-POSE = slice(0, 6)
+POSE_PART = slice(0, 6)
 TURN = slice(3, 6)
 REFLECTION = 6
-SMALL = 1e-12  # smaller angles (radians) take the limit of a formula
+_SMALL = 1e-12  # smaller angles (radians) take the limit of a formula
 LEVER_M = 50.0  # converts turns to metres: the usual distance of traces from the sensor
 
 
@@ -117,8 +117,8 @@ def _rotation_matrix(turn: Floats) -> Floats:
     """
     x, y, z = turn.tolist()
     angle = math.sqrt(x * x + y * y + z * z)
-    sine_term = math.sin(angle) / angle if angle > SMALL else 1.0
-    cosine_term = 2.0 * (math.sin(angle / 2.0) / angle) ** 2 if angle > SMALL else 0.5
+    sine_term = math.sin(angle) / angle if angle > _SMALL else 1.0
+    cosine_term = 2.0 * (math.sin(angle / 2.0) / angle) ** 2 if angle > _SMALL else 0.5
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + sine_term * cross + cosine_term * (cross @ cross))
 
@@ -137,7 +137,7 @@ def _rotation_vector(matrix: Floats) -> Floats:
     x, y, z, w = max(quaternions, key=lambda q: q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     sine = math.sqrt(x * x + y * y + z * z)
     sine, w = (sine, w) if w >= 0.0 else (-sine, -w)
-    scale = 2.0 * math.atan2(abs(sine), w) / sine if abs(sine) > SMALL * w else 2.0 / w
+    scale = 2.0 * math.atan2(abs(sine), w) / sine if abs(sine) > _SMALL * w else 2.0 / w
     return np.array([x, y, z]) * scale
 
 

@@ -10,20 +10,20 @@ import pandas as pd
 
 from gis_radar.base import Booleans, Floats, Integers, compiled
 
-FRAMES = 2000  # of the window, 100 s at 20 Hz (the paper's n_f)
+WINDOW_FRAMES = 2000  # of the window, 100 s at 20 Hz (the paper's n_f)
 LEAST_FRAMES = 100  # fewer are refused: 5 s show no traffic
 MIN_SPEED_MPS = 0.15  # least absolute range rate of moving detections (the paper)
-SEGMENT_S = 8.0  # longer tracks are cut: a dense stream of vehicles may be linked without end
+_SEGMENT_S = 8.0  # longer tracks are cut: a dense stream of vehicles may be linked without end
 WALK_MPS = 2.7  # slower tracks, by range rates and by displacement, may be of walkers
-MOST_SAMPLES = 6000  # most samples in all; cost grows in proportion
+_MOST_SAMPLES = 6000  # most samples in all; cost grows in proportion
 LINK_S = 0.35  # longest gap in a track: a far vehicle is detected in one frame of four
 RANGE_M = 1.5  # largest difference between change of range and Doppler: faces of one vehicle
 # Largest displacement across the line of sight: a vehicle's size, and a speed without Doppler.
-ACROSS_M = 1.5
+_ACROSS_M = 1.5
 ACROSS_MPS = 6.0
-RATE_MPS = 1.5  # largest difference of range rates in a track, as of a turning vehicle
+_MOST_RATE_CHANGE_MPS = 1.5  # largest difference of range rates in a track, as of a turning vehicle
 # A track of fewer points is a false alarm, a slow track with a shorter path is a leaf.
-MIN_POINTS = 6
+_MIN_POINTS = 6
 MIN_PATH_M = 3.0
 LEAF_MPS = 1.5  # leaves have a lower median range rate
 # Slow tracks are left out if they are a larger share of all: in gridlock up to 0.11 are slow, with
@@ -31,16 +31,16 @@ LEAF_MPS = 1.5  # leaves have a lower median range rate
 MOST_WALKERS = 0.15
 # Side of voxels, wider than a vehicle, and most samples of a track in each: enough to keep the
 # proportion of its faces.
-VOXEL_M = 6.0
+_VOXEL_M = 6.0
 PER_VOXEL = 8
 CROWD_M = 10.0  # length over which samples of a vehicle share its offset (`Model.wander`)
-# A track is of a vehicle that was hidden for up to HIDDEN_S if it begins within VEHICLE_M of the
+# A track is of a vehicle that was hidden for up to _HIDDEN_S if it begins within VEHICLE_M of the
 # vehicle's predicted position, plus STRAY_MPS times the time hidden.
-HIDDEN_S = 6.0
+_HIDDEN_S = 6.0
 VEHICLE_M = 5.0
 STRAY_MPS = 1.0
 # Time over which the motion at a track's begin and end is averaged, and largest difference of range
-# rates of one vehicle's tracks: more than RATE_MPS, as it may turn while it is hidden.
+# rates of one vehicle's tracks: more than _MOST_RATE_CHANGE_MPS, as it may turn while it is hidden.
 PACE_S = 0.5
 PACE_MPS = 3.0
 PACE_POINTS = 4  # least detections in PACE_S: the median of three may be of a limb
@@ -178,7 +178,7 @@ class Samples:
         )
 
 
-def link_tracks(moving: Moving, *, segment_s: float = SEGMENT_S) -> Integers:
+def link_tracks(moving: Moving, *, segment_s: float = _SEGMENT_S) -> Integers:
     """Link moving detections to tracks.
 
     Two detections are linked if the range changed by the Doppler, and azimuth and Doppler are
@@ -220,7 +220,7 @@ def _is_vehicle(number: Integers, time: Floats, moving: Moving) -> Booleans:
     extent = np.hypot(rows["x"].max() - rows["x"].min(), rows["y"].max() - rows["y"].min())
     moves = (path >= MIN_PATH_M) & (path >= 0.5 * extent)
     streams = (rows["rate"].median() >= LEAF_MPS) & (extent >= MIN_PATH_M)
-    plausible = (rows.size() >= MIN_POINTS) & (moves | streams)
+    plausible = (rows.size() >= _MIN_POINTS) & (moves | streams)
     fast = plausible & (_top_speed(number, time, moving) > WALK_MPS)
     # in a queue vehicles are as slow as walkers: drop slow tracks only where they are many
     walkers = 1.0 - fast.sum() / max(plausible.sum(), 1)
@@ -261,7 +261,7 @@ def _speed_of_line(number: Integers, time: Floats, moving: Moving) -> Floats:
     slopes = [np.bincount(number, t * coordinate) / spread for coordinate in (east, north)]
     speed = np.hypot(*slopes)
     residual = np.bincount(number, east**2 + north**2) / count - speed**2 * spread / count
-    return np.where(np.sqrt(np.maximum(residual, 0.0)) < ACROSS_M, speed, 0.0)
+    return np.where(np.sqrt(np.maximum(residual, 0.0)) < _ACROSS_M, speed, 0.0)
 
 
 def top_speeds(moving: Moving, tracks: Integers) -> Floats:
@@ -279,7 +279,7 @@ def top_speeds(moving: Moving, tracks: Integers) -> Floats:
     return _top_speed(tracks[on_track], linked.time - moving.begin, linked)
 
 
-def thin(moving: Moving, tracks: Integers, *, most: int = MOST_SAMPLES) -> Samples:
+def thin(moving: Moving, tracks: Integers, *, most: int = _MOST_SAMPLES) -> Samples:
     """Return up to `PER_VOXEL` random detections of each track and voxel, at most `most` in all.
 
     Parameters
@@ -294,7 +294,7 @@ def thin(moving: Moving, tracks: Integers, *, most: int = MOST_SAMPLES) -> Sampl
     rng = np.random.default_rng(0)
     rows = np.flatnonzero(tracks != NONE)
     rows = rows[rng.permutation(len(rows))]
-    cells = np.floor(moving.points[rows, :2] / VOXEL_M).astype(np.int64)
+    cells = np.floor(moving.points[rows, :2] / _VOXEL_M).astype(np.int64)
     frame = pd.DataFrame({"k": tracks[rows], "i": cells[:, 0], "j": cells[:, 1]})
     keep = rows[(frame.groupby(["k", "i", "j"]).cumcount() < PER_VOXEL).to_numpy()][:most]
     keep.sort()
@@ -354,7 +354,7 @@ def _first_tracks(  # pragma: no cover - compiled
         best = VEHICLE_M
         for i in range(count):
             ended = time[first[i + 1] - 1]
-            if i == j or time[first[i]] > begin or ended < begin - HIDDEN_S:
+            if i == j or time[first[i]] > begin or ended < begin - _HIDDEN_S:
                 continue
             # motion of track i around the begin of track j, or at its own end
             until = min(ended, begin + PACE_S)
@@ -429,11 +429,11 @@ def _track_roots(  # pragma: no cover - compiled
             if lapse > LINK_S:
                 break
             moved = reach[j] - reach[i] - 0.5 * (rate[i] + rate[j]) * lapse
-            if abs(rate[i] - rate[j]) > RATE_MPS or abs(moved) > RANGE_M:
+            if abs(rate[i] - rate[j]) > _MOST_RATE_CHANGE_MPS or abs(moved) > RANGE_M:
                 continue
             turn = abs(bearing[j] - bearing[i])
             turn = min(turn, 2.0 * np.pi - turn)
-            if turn * reach[i] > ACROSS_M + ACROSS_MPS * lapse:
+            if turn * reach[i] > _ACROSS_M + ACROSS_MPS * lapse:
                 continue
             a, b = i, j
             while parent[a] != a:

@@ -16,7 +16,7 @@ from gis_radar.base import Floats
 from gis_radar.calibration.registration.certainty import (
     MAP_SIGMA_M,
     PLANE,
-    UNITS,
+    POSE_UNITS,
     is_fixed,
     longest_m,
     stated,
@@ -37,12 +37,12 @@ from gis_radar.poses import COMPONENTS, Pose
 
 # Tried places along an open direction: reach to either side (a guess may be off by 15 m), step, and
 # number of bootstrap draws.
-ALONG_M, STEP_M, PLACE_DRAWS = 20.0, 0.25, 200
+_ALONG_M, _STEP_M, _PLACE_DRAWS = 20.0, 0.25, 200
 # Least share of displacement in an open direction, the rest is rotation: below it, the sensor moves
 # on a circle of less than 13 m radius.
 LEAST_LENGTH = 0.25
 MOST_SHARE = 0.25  # largest variance by the scan along it, as a share of that by traffic
-SMALL = 1e-9  # avoids a division by 0
+_SMALL = 1e-9  # avoids a division by 0
 OFFSET_DRAWS = 20  # of patches, for the covariance: it is known to a sixth then
 START_SPREAD = np.array([1.0, 1.0, 1.0])  # largest offset of a climb's start: m, m, deg
 OPEN_M = 0.5  # 1 sigma of the maxima above which a direction is open; that of the starts is 0.58 m
@@ -90,7 +90,7 @@ def fix_open_direction(pose: Pose, check: ScanCheck) -> tuple[Pose, Pose]:
     step = covariance @ row / (row @ covariance @ row)  # for a metre along; with height and tilt
     frame = np.eye(6)
     frame[:2, :2] = rotation(float(direction[2]) * place)
-    steps = dict(zip(COMPONENTS, step * place * UNITS, strict=True))
+    steps = dict(zip(COMPONENTS, step * place * POSE_UNITS, strict=True))
     steps["easting"], steps["northing"] = along_arc(*(direction * place))
     turned = frame @ covariance @ frame.T
     moved = _apply_steps(pose, steps, turned)
@@ -112,7 +112,7 @@ def _best_place_along(
     variance_m2 : float
         Variance of the place along it, by traffic.
     """
-    places = np.arange(-ALONG_M, ALONG_M + 0.5 * STEP_M, STEP_M)
+    places = np.arange(-_ALONG_M, _ALONG_M + 0.5 * _STEP_M, _STEP_M)
     ahead, left = rotation(-math.radians(pose.yaw)) @ direction[:2]
     turns = direction[2] * places
     offsets = [*along_arc(ahead * places, left * places, turns), np.degrees(turns)]
@@ -122,14 +122,14 @@ def _best_place_along(
     ])  # fmt: skip
     top = int(np.argmax(patches.sum(axis=1)))
     losses = patches[top] - patches
-    z_scores = losses.sum(axis=1) / np.maximum(np.sqrt((losses**2).sum(axis=1)), SMALL)
+    z_scores = losses.sum(axis=1) / np.maximum(np.sqrt((losses**2).sum(axis=1)), _SMALL)
     chi2 = z_scores**2 + (places**2 - places[top] ** 2) / variance_m2
     likely = chi2 - chi2.min() < CLEAR_SIGMAS**2
     if likely[[0, -1]].any() or np.count_nonzero(np.diff(likely)) > 2:
         return None  # likely places reach the end of the line, or are several
     count = patches.shape[1]
     drawn = np.random.default_rng(0).multinomial(
-        count, np.full(count, 1.0 / count), size=PLACE_DRAWS
+        count, np.full(count, 1.0 / count), size=_PLACE_DRAWS
     )
     drawn_places = places[likely][np.argmax(patches[likely] @ drawn.T, axis=0)]
     return float(drawn_places.mean()), float(np.var(drawn_places)) + MAP_SIGMA_M**2
@@ -201,7 +201,7 @@ def _updated(
         return None
     gain = covariance @ rows.T @ inverse
     updated = covariance - gain @ rows @ covariance
-    steps = dict(zip(COMPONENTS, gain @ gap * UNITS, strict=True))
+    steps = dict(zip(COMPONENTS, gain @ gap * POSE_UNITS, strict=True))
     return _apply_steps(pose, steps, (updated + updated.T) / 2.0)
 
 

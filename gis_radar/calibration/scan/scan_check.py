@@ -43,7 +43,7 @@ from gis_radar.scans import box_with_margin, open_scan
 # 1 sigma of the distance of a static cell from its structure: the radar detects a wall, the scan
 # the edge of the roof over it.
 CLOSE_M = 0.75
-LANE_M, ASKEW_DEG = 3.0, 3.0  # offsets from here on (a lane's width) are another pose
+_LANE_M, _ASKEW_DEG = 3.0, 3.0  # offsets from here on (a lane's width) are another pose
 # Least z score of another pose, or of shifts, for `doubts` (by chance one in 700), and of the pose
 # over all others and over shifts for `confirms` (one in 40).
 BETTER_SIGMAS, CLEAR_SIGMAS = 3.0, 2.0
@@ -52,7 +52,7 @@ LEAST_COVERED = 0.5  # least share of the cells over which the scan has points
 COARSE_CELLS = 2  # side of the coarse cells in the search over all headings, in cells
 TURN_DEG = 1.0  # step of heading in that search
 ALONG_DEG = 15.0  # between the directions in which patches are moved along what stands
-CANDIDATES = 8  # peaks of that search that are refined
+_CANDIDATES = 8  # peaks of that search that are refined
 # Steps of the hill climbing, metres and degrees.
 CLIMBING_STEPS: tuple[tuple[float, float], ...] = ((1.0, 1.0), (0.5, 0.5), (0.25, 0.25), (0.1, 0.1))
 # Smaller offsets are the same pose: nearer to its lane than to the next one.
@@ -62,7 +62,7 @@ LEAST_PATCHES = 12  # static cells in fewer patches are not compared
 # Limits of the radius that is compared: 300 m is the longest range of the sensors.
 LEAST_REACH_M = 60.0
 MOST_REACH_M = 300.0
-MARGIN_M = 20.0  # width of the scan read beyond that radius, for shifted poses
+_MARGIN_M = 20.0  # width of the scan read beyond that radius, for shifted poses
 
 HERE = (0.0, 0.0, 0.0)  # the offset of the checked pose
 
@@ -148,7 +148,7 @@ class Alignment:
     def climb(self, place: Sequence[float], *, apart: bool = False) -> PoseOffset:
         """Climb from an offset to the nearest local maximum of the score.
 
-        With `apart`, only offsets that are another pose are tried (`LANE_M`, `ASKEW_DEG`).
+        With `apart`, only offsets that are another pose are tried (`_LANE_M`, `_ASKEW_DEG`).
         """
         best = self.offset(place)
         farthest_m = SHIFT_M * np.sqrt(2.0)
@@ -158,7 +158,7 @@ class Alignment:
                 neighbours = self.offsets(best.place + _MOVES * step)
                 neighbours = [o for o in neighbours if o.shift_m <= farthest_m]
                 if apart:
-                    neighbours = [o for o in neighbours if o.beyond(LANE_M, ASKEW_DEG)]
+                    neighbours = [o for o in neighbours if o.beyond(_LANE_M, _ASKEW_DEG)]
                 better = max(neighbours, key=lambda o: o.score, default=best)
                 if better.score <= best.score + 1e-9:
                     break
@@ -175,7 +175,7 @@ class Alignment:
         scores = _scores_of_shifts(self, turns.tolist(), COARSE_CELLS)
         size = (7, 5, 5)
         top = scipy.ndimage.maximum_filter(scores, size, mode=("wrap", "nearest", "nearest"))
-        order = np.argsort(-np.where(scores == top, scores, -1.0), axis=None)[:CANDIDATES]
+        order = np.argsort(-np.where(scores == top, scores, -1.0), axis=None)[:_CANDIDATES]
         turn, ahead, left = np.unravel_index(order, scores.shape)
         middle, cell_m = scores.shape[1] // 2, CELL_M * COARSE_CELLS
         places = np.column_stack([(ahead - middle) * cell_m, (left - middle) * cell_m, turns[turn]])
@@ -188,7 +188,7 @@ _ALONG = np.array([
     [
         (shift_m * np.cos(turn), shift_m * np.sin(turn), 0.0)
         for shift_m in np.arange(-SHIFT_M, SHIFT_M + CELL_M / 2.0, CELL_M)
-        if abs(shift_m) >= LANE_M
+        if abs(shift_m) >= _LANE_M
     ]
     for turn in np.radians(np.arange(0.0, 180.0, ALONG_DEG))
 ])  # fmt: skip
@@ -321,7 +321,7 @@ def check_against_scan(
     level = LevelFrame(pose=pose)
     reach_m = float(np.clip(slow.reach_m, LEAST_REACH_M, MOST_REACH_M))
     structure = read_structure(
-        scans, level, reach_m=reach_m + MARGIN_M, scan_crs=scan_crs, reporter=reporter
+        scans, level, reach_m=reach_m + _MARGIN_M, scan_crs=scan_crs, reporter=reporter
     )
     if structure is None:
         raise _no_points_error(scans, reach_m, pose.sensor, pose.position.tolist(), pose.crs)
@@ -356,7 +356,7 @@ def _comparison_fields(cells: Standing, structure: Structure) -> dict[str, Any]:
     peaks, chance = alignment.search_headings()
     tops = [alignment.climb(peak.place) for peak in (here, *peaks)]
     best = max(tops, key=lambda top: top.score)
-    others = [o for o in (*peaks, *tops) if o.beyond(LANE_M, ASKEW_DEG)]
+    others = [o for o in (*peaks, *tops) if o.beyond(_LANE_M, _ASKEW_DEG)]
     rivals = [alignment.climb(other.place, apart=True) for other in others]
     rival = max(rivals, key=lambda top: top.score, default=None)
     rows, columns = LevelFrame.cells(cells.points, len(structure.top))

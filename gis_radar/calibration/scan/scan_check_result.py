@@ -28,17 +28,17 @@ CONFIRMS, DOUBTS = Text("confirms"), Text("doubts")
 UNCLEAR, UNDECIDED = Text("nothing to compare"), Text("undecided")
 SHIFT_M = 10.0  # reach, ahead and to the sides, of the search for better poses
 
-DPI = 216  # of the picture
-SIZE_IN = (6.6, 6.6)  # inches
-MARGIN_M = 12.0  # of the picture around the static cells
+_DPI = 216  # of the picture
+_SIZE_IN = (6.6, 6.6)  # inches
+_MARGIN_M = 12.0  # of the picture around the static cells
 TALLEST_M = 15.0  # height from which on colours are darkest
-ON, LEAVES, OFF, SENSOR = "#1e1b6b", "#0e93c9", "#dc2626", "#111827"
-BARE, UNSEEN = "#f4f2ec", "#ffffff"
+_ON, _LEAVES, _OFF, _SENSOR = "#1e1b6b", "#0e93c9", "#dc2626", "#111827"
+_BARE, _UNSEEN = "#f4f2ec", "#ffffff"
 CANOPY, ROOF, TALL = ("#d3e8c4", "#4f9a51"), ("#e6ddd3", "#a8927e"), ("#dfe5d3", "#83997a")
 WALL = "#6b5c4f"
 RUSTLING = 0.15  # least share of moving detections of a cell that is drawn as leaves
-FITS = 0.3  # least closeness of a cell that is drawn as fitting the scan
-LINE, LEGEND_LINE = 46, 22  # most letters in a line of the title, and of the legend
+_FITS = 0.3  # least closeness of a cell that is drawn as fitting the scan
+_LINE, _LEGEND_LINE = 46, 22  # most letters in a line of the title, and of the legend
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +176,7 @@ class ScanCheck:
         path : str or Path
             The picture; appears whole or not at all.
         """
-        with picture_file(path, SIZE_IN, DPI, tight=True) as figure:
+        with picture_file(path, _SIZE_IN, _DPI, tight=True) as figure:
             self.plot(figure.add_subplot())
 
     def plot(self, ax: Any = None) -> Any:
@@ -206,10 +206,16 @@ class ScanCheck:
         ahead = self.pose.R_map_sensor[:2, 0]
         low, high = _map_window(self)
         tip = place + ahead * float((high - low).max()) / 12.0
-        ax.plot(*np.column_stack([place, tip]), color=SENSOR, linewidth=1.5, zorder=5)
+        ax.plot(*np.column_stack([place, tip]), color=_SENSOR, linewidth=1.5, zorder=5)
         handles.append(
             ax.scatter(
-                [place[0]], [place[1]], s=30, color=SENSOR, marker="^", label=tr("sensor"), zorder=5
+                [place[0]],
+                [place[1]],
+                s=30,
+                color=_SENSOR,
+                marker="^",
+                label=tr("sensor"),
+                zorder=5,
             )
         )
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
@@ -222,7 +228,7 @@ class ScanCheck:
 
 
 def _title(check: ScanCheck) -> str:
-    reason = ";\n".join(fill(part, LINE) for part in tr(check.reason).split("; "))
+    reason = ";\n".join(fill(part, _LINE) for part in tr(check.reason).split("; "))
     verdict = tr(
         "{sensor}, scan check: {verdict}", sensor=check.pose.sensor, verdict=tr(check.verdict)
     )
@@ -235,7 +241,7 @@ def _colours(structure: Structure) -> Floats:
 
     over = np.nan_to_num((structure.top - structure.ground - TALL_M) / TALLEST_M, nan=-1.0)
     shade = np.clip(over, 0.0, 1.0)[..., None]
-    image = np.where(np.isnan(structure.top)[..., None], to_rgb(UNSEEN), to_rgb(BARE))
+    image = np.where(np.isnan(structure.top)[..., None], to_rgb(_UNSEEN), to_rgb(_BARE))
     kinds: tuple[tuple[Booleans, tuple[str, str]], ...] = ((over > 0.0, TALL),)
     if structure.classified:
         kinds = ((structure.roof, ROOF), (structure.canopy, CANOPY))
@@ -264,12 +270,18 @@ def _draw_standing(ax: Any, check: ScanCheck) -> list[Any]:
     if len(found) == 0:
         return []
     east, north = check.level.to_map(found.points[:, :2]).T
-    off = check.closeness < FITS if len(check.closeness) else np.zeros(len(found), bool)
+    off = check.closeness < _FITS if len(check.closeness) else np.zeros(len(found), bool)
     leaves = ~off & (found.rustles > RUSTLING)
     kinds: tuple[tuple[Booleans, str, str, float, str], ...] = (
-        (~off & ~leaves, ON, "o", 3.0, "stands"),
-        (leaves, LEAVES, "o", 3.0, "moves in place, as leaves do"),
-        (off, OFF, "x", 9.0, "stands where the scan shows nothing"),  # a shape for the colour-blind
+        (~off & ~leaves, _ON, "o", 3.0, "stands"),
+        (leaves, _LEAVES, "o", 3.0, "moves in place, as leaves do"),
+        (
+            off,
+            _OFF,
+            "x",
+            9.0,
+            "stands where the scan shows nothing",
+        ),  # a shape for the colour-blind
     )
     handles = []
     for which, colour, marker, size, label in kinds:
@@ -282,7 +294,7 @@ def _draw_standing(ax: Any, check: ScanCheck) -> list[Any]:
             handles.append(
                 Line2D(
                     [], [], color=colour, marker=marker, markersize=4, linestyle="",
-                    label=fill(tr(label), LEGEND_LINE),
+                    label=fill(tr(label), _LEGEND_LINE),
                 )
             )  # fmt: skip
     return handles
@@ -295,8 +307,8 @@ def _map_window(check: ScanCheck) -> tuple[Floats, Floats]:
         half = len(check.structure.top) // 2 * CELL_M
         return place - half, place + half
     spots = check.level.to_map(check.standing.points[:, :2])
-    low = np.minimum(np.percentile(spots, 0.5, axis=0), place) - MARGIN_M
-    high = np.maximum(np.percentile(spots, 99.5, axis=0), place) + MARGIN_M
+    low = np.minimum(np.percentile(spots, 0.5, axis=0), place) - _MARGIN_M
+    high = np.maximum(np.percentile(spots, 99.5, axis=0), place) + _MARGIN_M
     side = float((high - low).max())
     middle = (low + high) / 2.0
     return middle - side / 2.0, middle + side / 2.0

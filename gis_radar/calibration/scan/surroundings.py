@@ -15,10 +15,12 @@ import numpy as np
 import scipy
 
 from gis_radar.base import CELL_M, QUIET, Booleans, Floats, Grid, Integers, Reporter
-from gis_radar.calibration.registration.traces import FRAMES, MIN_SPEED_MPS
+from gis_radar.calibration.registration.traces import MIN_SPEED_MPS, WINDOW_FRAMES
 from gis_radar.poses import Pose
 from gis_radar.recordings import RangeCounts, Recording, RollingWindow, as_recording
 from gis_radar.scans import (
+    LEAST_GROUND,
+    WIDEST_ROOF_M,
     ScanColumns,
     box_with_margin,
     ground_under,
@@ -31,7 +33,7 @@ from gis_radar.scans import (
 # OVERHEAD_M or LEAST_SPANS halved or doubled, as CLOSE_M of the scan check, the verdicts stay
 # `confirms` and `doubts`; the score moves by up to 0.09 at the true pose, and beside it by up to
 # 0.10, with CLOSE_M doubled by 0.24.
-SLOW_MPS = 1.0  # largest absolute range rate of static targets: leaves in wind reach it
+_SLOW_MPS = 1.0  # largest absolute range rate of static targets: leaves in wind reach it
 # A cell is static with detections in LEAST_SPANS of SPANS equal spans of the window: people and
 # vehicles that wait or pass are detected in fewer.
 LEAST_SPANS = 8
@@ -41,9 +43,7 @@ SPANS = 20
 PATCH_M = 8.0  # side of the patches that are independent: a tree, or a section of wall
 JUMP_CELLS = 3  # width over which a step of height is measured, in cells of 0.5 m
 GAP_CELLS = 3  # gaps of the scan up to this distance are filled, in cells
-GROUND_CELLS = 4  # side of a cell of the ground, in cells
-WIDEST_ROOF_M = 40.0  # opening that removes roofs from the ground in scans without classes
-LEAST_GROUND = 0.01  # least share of points in ground classes of a classified scan
+_GROUND_CELLS = 4  # side of a cell of the ground, in cells
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,8 +163,10 @@ def read_slow(recording: str | Path | Recording, *, reporter: Reporter = QUIET) 
     """
     source = as_recording(recording)
     window = RollingWindow(
-        frames=FRAMES,
-        keep=lambda batch: (np.abs(batch.range_rate) <= SLOW_MPS) & np.isfinite(batch.points[:, 2]),
+        frames=WINDOW_FRAMES,
+        keep=lambda batch: (
+            (np.abs(batch.range_rate) <= _SLOW_MPS) & np.isfinite(batch.points[:, 2])
+        ),
     )
     ranges, done = RangeCounts(), 0
     for batch in source.read():
@@ -308,7 +310,7 @@ def _structure(columns: ScanColumns, *, classified: bool) -> Structure:
     ground = ground_under(
         np.minimum(columns.ground, columns.deck) if classified else columns.low,
         cell_m=CELL_M,
-        coarse_cells=GROUND_CELLS,
+        coarse_cells=_GROUND_CELLS,
         widest_roof_m=WIDEST_ROOF_M,
         classified=classified,
     )

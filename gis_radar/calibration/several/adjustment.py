@@ -29,15 +29,15 @@ SIDE_SIGMA = math.log(1.5)  # 1 sigma of the logarithm of the side strength
 # 1 sigma, along and across, of the gap between two radars that all vehicles on a stretch of a lane
 # share: 0.2 to 0.3 and 0.1 m at the true poses of two simulators.
 STRETCH_SIGMA_M = (0.3, 0.1)
-CLOCK_S = 0.02  # 1 sigma of a clock's offset: NTP on a local network
+CLOCK_SIGMA_S = 0.02  # 1 sigma of a clock's offset: NTP on a local network
 # The same of clocks that are not synchronised; with larger offsets, vehicles are not paired.
 FREE_CLOCK_S = 1.0
 # Degrees of freedom of Student's t for a pair's gap: about one pair of ten is wrong.
 FREEDOM_T = 4.0
 
-ITERATIONS = 8  # of weights and poses in turn; they converge in three or four
-POSES = 2 * PLANAR  # unknowns: the poses of both sensors
-UNKNOWNS = POSES + FACES + 2  # with face constants and both clocks: 11
+_ITERATIONS = 8  # of weights and poses in turn; they converge in three or four
+_POSES = 2 * PLANAR  # unknowns: the poses of both sensors
+UNKNOWNS = _POSES + FACES + 2  # with face constants and both clocks: 11
 Edge = tuple[int, int]
 
 
@@ -110,7 +110,7 @@ def sum_correspondences(rows: Rows) -> Correspondences:
     effect_covariance = np.linalg.inv(np.diag(1.0 / variances) + by_pair(by_effect, by_effect))
     coupling = by_pair(slope, by_effect)
     gain = coupling @ effect_covariance
-    mean, covariance = mean_gaps(rows, np.zeros((POSES, POSES)))
+    mean, covariance = mean_gaps(rows, np.zeros((_POSES, _POSES)))
     return Correspondences(
         information=by_pair(slope, slope) - gain @ np.swapaxes(coupling, 1, 2),
         gradient=(by_pair(slope, gap) - gain @ by_pair(by_effect, gap))[:, :, 0],
@@ -178,12 +178,12 @@ def adjust(
     covariances : sequence of (3, 3) arrays
         Covariance of each pose by single localization.
     clocks_s : sequence of float, optional
-        Standard deviations of the clocks; by default `CLOCK_S` each.
+        Standard deviations of the clocks; by default `CLOCK_SIGMA_S` each.
     comparison_only : collection of (int, int)
         Pairs of sensors whose `misfit` is computed, but whose correspondences are not used.
     """
     n = len(covariances)
-    clock_sigmas = [CLOCK_S] * n if clocks_s is None else list(clocks_s)
+    clock_sigmas = [CLOCK_SIGMA_S] * n if clocks_s is None else list(clocks_s)
     prior = np.zeros((PLANAR * n + FACES + n, PLANAR * n + FACES + n))
     single = shared_covariance(covariances)
     prior[: PLANAR * n, : PLANAR * n] = np.linalg.inv(single)
@@ -191,7 +191,7 @@ def adjust(
     prior[PLANAR * n :, PLANAR * n :] = np.diag(nuisance)
     start = np.concatenate([away.ravel(), np.zeros(FACES + n)])
     step = np.zeros(len(prior))
-    for _ in range(ITERATIONS):
+    for _ in range(_ITERATIONS):
         weights = {edge: _weights(matched, step[_unknowns_of(edge, n)])
                    for edge, matched in correspondences.items()}  # fmt: skip
         information, scores = prior.copy(), []
@@ -269,12 +269,12 @@ def _contradiction(
 ) -> float:
     """Return the chi-square of the poses of a pair by correspondences less by localization."""
     information, gradients = matched.normal_equations(weight, np.zeros(UNKNOWNS))
-    gradient = gradients.sum(axis=0) - information[:, :POSES] @ away.ravel()
-    inner = np.linalg.inv(information[POSES:, POSES:] + np.diag(nuisance))
-    gain = information[:POSES, POSES:] @ inner
-    reduced_gradient = gradient[:POSES] - gain @ gradient[POSES:]
-    known = information[:POSES, :POSES] - gain @ information[POSES:, :POSES]
-    covariance = np.zeros((POSES, POSES))
+    gradient = gradients.sum(axis=0) - information[:, :_POSES] @ away.ravel()
+    inner = np.linalg.inv(information[_POSES:, _POSES:] + np.diag(nuisance))
+    gain = information[:_POSES, _POSES:] @ inner
+    reduced_gradient = gradient[:_POSES] - gain @ gradient[_POSES:]
+    known = information[:_POSES, :_POSES] - gain @ information[_POSES:, :_POSES]
+    covariance = np.zeros((_POSES, _POSES))
     covariance[:PLANAR, :PLANAR], covariance[PLANAR:, PLANAR:] = covariances
     scatter = known + known @ covariance @ known
     scale = np.sqrt(np.maximum(np.diag(scatter), 1e-12))

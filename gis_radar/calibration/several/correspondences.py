@@ -20,18 +20,18 @@ from gis_radar.calibration.registration.traces import NONE, Moving, Samples
 MOMENT_S = 0.2  # length of a moment: two or more frames of each radar; a vehicle moves 2 to 3 m
 LEAST_MOMENTS = 5  # least number of common moments of a pair of tracks: one second
 # Least cosine between line of sight and lane at which the Doppler gives the speed (70 degrees).
-LEAST_COSINE = math.cos(math.radians(70.0))
+_LEAST_DOPPLER_COSINE = math.cos(math.radians(70.0))
 # Least length of the mean unit vector of travel of a moment; shorter if detections are on several
 # lanes.
 LEAST_STRAIGHT = 0.95
-LONGEST_M = 7.0  # largest extent of a moment along the lane: longer ones are several vehicles
+_LONGEST_M = 7.0  # largest extent of a moment along the lane: longer ones are several vehicles
 # Least cosine between the directions of travel of a pair (30 degrees: a bend, and a guess's yaw).
 LEAST_AGREEMENT = math.cos(math.radians(30.0))
-SPEED_MPS = 2.5  # largest difference of speeds: wheels, noise of the Doppler over the cosine
-LEVEL_M = 3.0  # largest difference of heights: bridges are higher
+_SPEED_MPS = 2.5  # largest difference of speeds: wheels, noise of the Doppler over the cosine
+_LEVEL_M = 3.0  # largest difference of heights: bridges are higher
 # Least share of two tracks' common moments in which speed, direction and height agree.
 LEAST_AGREEING_SHARE = 0.7
-FARTHEST_M = 60.0  # tracks farther apart are not compared: no pose is that far off
+FARTHEST_TRACK_M = 60.0  # tracks farther apart are not compared: no pose is that far off
 # Distance from the middle of a vehicle to the reflections at its ends, and 1 sigma among vehicles:
 # half of 4.5 m, less 0.1 to 0.35 m, as wheels and the underbody reflect from behind a face (1.9 and
 # 2.0 m at the true poses of two simulators).
@@ -39,7 +39,7 @@ HALF_LENGTH_M = 2.05
 HALF_LENGTH_SPREAD_M = 0.6
 # 1 sigma, along and across, of a vehicle's constant offset between two radars, which see different
 # parts of it: mirrors, wheels, rounded corners.
-SPOT_M = (0.7, 0.35)
+_SPOT_M = (0.7, 0.35)
 STRETCH_M = 30.0  # length of a stretch of a lane, on which all vehicles share an offset
 # 1 sigma of one moment without its faces: error of range, and of the time within the moment.
 MOMENT_SIGMA_M = 0.3
@@ -119,7 +119,7 @@ def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -
     matches = match(lanes, placed)
     along = lanes.along[matches.lane]
     cosine = np.sum(along * placed.sight, axis=1)
-    clear = np.abs(cosine) > LEAST_COSINE
+    clear = np.abs(cosine) > _LEAST_DOPPLER_COSINE
     speed = np.divide(samples.range_rate, cosine, out=np.full(len(samples), np.nan), where=clear)
     moment = np.floor(moving.time[linked] / MOMENT_S).astype(np.int64)
     columns = {
@@ -139,7 +139,7 @@ def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -
     direction = means[["e", "n"]].to_numpy()
     straight = np.hypot(*direction.T)
     # leave out means over several vehicles: a queue linked to one track, or crossing lanes
-    good = (extent < LONGEST_M) & np.isfinite(pace) & (straight > LEAST_STRAIGHT)
+    good = (extent < _LONGEST_M) & np.isfinite(pace) & (straight > LEAST_STRAIGHT)
     direction = direction / np.maximum(straight, LEAST_STRAIGHT)[:, None]
     arm = means[list("xyz")].to_numpy(copy=True)
     arm[:, FLAT] -= direction * (pace * means["late"].to_numpy())[:, None]
@@ -243,10 +243,10 @@ def compare_moments(one: Moments, other: Moments) -> Rows:
     rise = np.abs(one.points[a, 2] - other.points[b, 2])
     agree = (
         (cosine > LEAST_AGREEMENT)
-        & (np.abs(one.speed[a] - other.speed[b]) < SPEED_MPS)
-        & (rise < LEVEL_M)
+        & (np.abs(one.speed[a] - other.speed[b]) < _SPEED_MPS)
+        & (rise < _LEVEL_M)
     )
-    near = np.hypot(*(one.points[a] - other.points[b])[:, FLAT].T) < FARTHEST_M
+    near = np.hypot(*(one.points[a] - other.points[b])[:, FLAT].T) < FARTHEST_TRACK_M
     pairs = table.groupby(["one", "other"], sort=True)
     number = pairs.ngroup().to_numpy()
     share = np.bincount(number, weights=agree) / np.maximum(np.bincount(number), 1)
@@ -260,12 +260,12 @@ def compare_moments(one: Moments, other: Moments) -> Rows:
 
 
 def _in_reach(one: Moments, other: Moments) -> bool:
-    """Return whether the bounding boxes of two sensors' vehicles come within `FARTHEST_M`."""
+    """Return whether the bounding boxes of two sensors' vehicles come within `FARTHEST_TRACK_M`."""
     if not len(one) or not len(other):
         return False
     a, b = one.points[:, FLAT], other.points[:, FLAT]
     apart_m = np.maximum(a.min(axis=0) - b.max(axis=0), b.min(axis=0) - a.max(axis=0))
-    return bool((apart_m < FARTHEST_M).all())
+    return bool((apart_m < FARTHEST_TRACK_M).all())
 
 
 def _pairs_of_moments(one: Integers, other: Integers) -> tuple[Integers, Integers]:
@@ -326,7 +326,7 @@ def effects(rows: Rows) -> tuple[Floats, Floats]:
     """
     spots = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
     derivatives = np.concatenate([spots, rows.constants[:, :, :1], rows.bearings], axis=2)
-    spread = [*SPOT_M, HALF_LENGTH_SPREAD_M, MODEL.bearing, MODEL.bearing]
+    spread = [*_SPOT_M, HALF_LENGTH_SPREAD_M, MODEL.bearing, MODEL.bearing]
     return derivatives, np.square(spread)
 
 

@@ -58,10 +58,10 @@ from gis_radar.poses import Pose
 # Length of the part of long recordings that is used, seconds: 2000 frames.
 COMMON_S = 100.0
 
-STAGE = "finding the poses together"
+_STAGE = "finding the poses together"
 READING = "reading what moved"
 WITHOUT = Text("the other sensors have their poses; does each guess belong to its recording?")
-AWAY = "it did not record while the others did"
+_AWAY = "it did not record while the others did"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,7 +227,7 @@ def locate_all(
         used, {name: tuple(each.pose for each in found) for name, found in answers.items()},
         roads, road_points, end=end, reporter=reporter,
     )  # fmt: skip
-    reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
+    reporter.progress(_STAGE, len(recordings) + 1, len(recordings) + 1)
     confirmed: dict[str, Localization] = {}
     if check is not None:
         confirmed = _confirmed_by_scan({n: answers[n] for n in solved.refused}, used, compare)
@@ -294,7 +294,7 @@ def _localize_each(
     answers: dict[str, tuple[Localization, ...]] = {}
     refused: dict[str, NoAnswerError] = {}
     for done, (recording, localize_sensor) in enumerate(zip(recordings, localizers, strict=True)):
-        reporter.progress(STAGE, done, len(recordings) + 1)
+        reporter.progress(_STAGE, done, len(recordings) + 1)
         try:
             answers[recording.stem] = (localize_sensor(recording),)
         except AmbiguousError as error:
@@ -302,7 +302,7 @@ def _localize_each(
             refused[recording.stem] = error
         except NoAnswerError as error:
             refused[recording.stem] = error
-    reporter.progress(STAGE, len(recordings), len(recordings) + 1)
+    reporter.progress(_STAGE, len(recordings), len(recordings) + 1)
     if all(name in refused for name in answers):
         raise NoAnswerError(Text("; ").join(error.message for error in refused.values()),
                             hint="at least one sensor must have an answer of its own")  # fmt: skip
@@ -382,7 +382,7 @@ def adjust_poses(
         with _note_error(reasons, name):
             moving = read_until(overlapping, until, corrections[name])
         if not moving.frames:
-            reasons.setdefault(name, AWAY)
+            reasons.setdefault(name, _AWAY)
         clock_s = _known_sigma_s(corrections[name])
         stations.append(Station(name=name, moving=moving, poses=poses[name], clock_s=clock_s))
     refuse_equal({each.name: each.moving for each in stations})

@@ -14,7 +14,7 @@ from gis_radar.calibration.registration.lanes import Lanes
 from gis_radar.calibration.registration.state import State
 from gis_radar.calibration.registration.traces import NONE, link_tracks
 from gis_radar.calibration.several.adjustment import (
-    CLOCK_S,
+    CLOCK_SIGMA_S,
     FREE_CLOCK_S,
     Adjusted,
     Correspondences,
@@ -62,12 +62,12 @@ from gis_radar.poses import Pose
 # smaller ones are estimated in the adjustment of the poses.
 MOST_OFFSET_S = 10.0
 LEAST_OFFSET_S = 0.25
-CLOCK_SIGMAS = 4.0  # least offset of a clock that is reported, in standard deviations
+_CLOCK_SIGMAS = 4.0  # least offset of a clock that is reported, in standard deviations
 # Least number of pairs that moves a pose certain by itself: a cluster-robust covariance needs 20 to
 # 50 clusters (Cameron, Miller 2015), and few vehicles may all be on one lane.
 FIRM_PAIRS = 20
 FIXED_M = 1.0  # largest 1 sigma, in any direction, of a pose that counts as fixed
-PAIRING_ROUNDS = 6  # rounds of pairing and adjustment; two or three are enough
+_PAIRING_ROUNDS = 6  # rounds of pairing and adjustment; two or three are enough
 CONVERGED = 1e-4  # a smaller step ends the adjustment, metres and radians
 CLASH_HINT = Text("check both guesses, and the clocks of both sensors: gis-radar clocks")
 
@@ -327,17 +327,14 @@ class _Network:
         gate = shared_covariance(gates)
         result = adjust({}, np.zeros((len(names), PLANAR)), covariances)
         correspondences: dict[Names, Correspondences] = {}
-        for _ in range(PAIRING_ROUNDS):
+        for _ in range(_PAIRING_ROUNDS):
             seen = {n: self.seen(self.all[n], self.all[n].choice, self.all[n].away) for n in names}
             correspondences = self._correspondences(names, seen, gate)
             if not correspondences:
                 break
-            index = {
-                (names.index(a), names.index(b)): matched
-                for (a, b), matched in correspondences.items()
-            }
-            compared = self._comparison_only(correspondences)
-            unused = {(names.index(a), names.index(b)) for a, b in compared}
+            edges = {pair: (names.index(pair[0]), names.index(pair[1])) for pair in correspondences}
+            index = {edges[pair]: matched for pair, matched in correspondences.items()}
+            unused = {edges[pair] for pair in self._comparison_only(correspondences)}
             away = np.array([self.all[name].away for name in names])
             clocks = [self._clock_sigma_s(self.all[name]) for name in names]
             result = adjust(index, away, covariances, clocks_s=clocks, comparison_only=unused)
@@ -403,7 +400,7 @@ class _Network:
         if member.free:
             return FREE_CLOCK_S
         measured_s = member.station.clock_s
-        return CLOCK_S if measured_s is None else max(measured_s, CLOCK_S)
+        return CLOCK_SIGMA_S if measured_s is None else max(measured_s, CLOCK_SIGMA_S)
 
     def _clock_gap(self, pair: Names, matched: Correspondences) -> tuple[float, float]:
         """Return the offset of the second clock less the first, and 1 sigma, seconds."""
@@ -418,7 +415,7 @@ class _Network:
         for pair, matched in correspondences.items():
             ahead_s, sigma_s = self._clock_gap(pair, matched)
             sigmas_s = [self._clock_sigma_s(self.all[name]) for name in pair]
-            if abs(ahead_s) > CLOCK_SIGMAS * math.hypot(*sigmas_s, sigma_s):
+            if abs(ahead_s) > _CLOCK_SIGMAS * math.hypot(*sigmas_s, sigma_s):
                 offsets[pair] = ahead_s
         named = [name for pair in offsets for name in reversed(pair) if not self.all[name].free]
         if not named:
@@ -431,7 +428,7 @@ class _Network:
         return True
 
     def clock_remarks(self, correspondences: Mapping[Names, Correspondences]) -> list[str]:
-        """Return remarks on free clocks that are off by more than `CLOCK_SIGMAS`, or drift."""
+        """Return remarks on free clocks that are off by more than `_CLOCK_SIGMAS`, or drift."""
         remarks: list[str] = []
         for pair, matched in correspondences.items():
             one, other = (self.all[name] for name in pair)
@@ -440,7 +437,8 @@ class _Network:
             gap_s, sigma_s = self._clock_gap(pair, matched)
             ahead_s = other.clock.offset_s - one.clock.offset_s + gap_s
             rate = (other.clock.drift_ppm - one.clock.drift_ppm) * 1e-6
-            if not rate and abs(ahead_s) < CLOCK_SIGMAS * math.hypot(CLOCK_S, CLOCK_S, sigma_s):
+            least_s = _CLOCK_SIGMAS * math.hypot(CLOCK_SIGMA_S, CLOCK_SIGMA_S, sigma_s)
+            if not rate and abs(ahead_s) < least_s:
                 continue
             faster = Text("fast") if rate > 0.0 else Text("slow")
             rate_text = Text(", and runs {:.1%} {}", abs(rate), faster) if rate else ""

@@ -12,7 +12,7 @@ from gis_radar.base import Booleans, Floats, Integers, Text
 from gis_radar.calibration.registration.certainty import z_score
 from gis_radar.calibration.registration.traces import Moving
 from gis_radar.calibration.several.correspondences import (
-    FARTHEST_M,
+    FARTHEST_TRACK_M,
     LEAST_PAIRS,
     MOMENT_S,
     PLANAR,
@@ -29,17 +29,17 @@ from gis_radar.poses import Pose
 GATE_CHI2 = 13.8  # two degrees of freedom: one of 1000 true pairs is lost
 # Step and least reach of the grid of shifts.
 STEP_M = 1.0
-REACH_M = 6.0
+_REACH_M = 6.0
 # Shifts nearer than this, a vehicle's length, are one answer: the adjustment merges them.
-APART_M = 5.0
+_APART_M = 5.0
 CLEAR_Z = 2.5  # least z score of a shift over all others (as for one sensor), and over chance
 # As CLEAR_Z, over shifts with another clock offset: in simulation wrong shifts reached 1.0, right
 # ones with traffic in both directions 1.9 to 4.
 CLOCK_Z = 1.5
 # Time shifts of one sensor that give the score by chance, as its vehicles are then other ones.
 CHANCE_S: tuple[float, ...] = (-15.0, -8.0, 8.0, 15.0)
-# Largest tried clock offset: at 12 m/s a vehicle drives FARTHEST_M in it.
-REACH_S = FARTHEST_M / 12.0
+# Largest tried clock offset: at 12 m/s a vehicle drives FARTHEST_TRACK_M in it.
+REACH_S = FARTHEST_TRACK_M / 12.0
 OFFSET_Z = 2.0  # least z score of another clock offset over the current one
 CONTRADICTION_CHI2 = 16.3  # three degrees of freedom: one of 1000 sites is refused in error
 
@@ -248,7 +248,7 @@ def _different_answers(choices: Sequence[Choice], one: Shift, other: Shift) -> b
     ends = [choices[shift.choice].seen.place[:2] + shift.step[:2] for shift in (one, other)]
     apart_m = float(np.hypot(*(ends[1] - ends[0])))
     if one.choice == other.choice:
-        return apart_m > APART_M
+        return apart_m > _APART_M
     return apart_m > 2.0 * STEP_M or choices[one.choice].differs_in_yaw(choices[other.choice])
 
 
@@ -264,7 +264,7 @@ def _grid(covariance: Floats) -> tuple[Floats, Booleans]:
     """Return steps of easting, northing, yaw, and which are within the confidence region."""
     values, axes = np.linalg.eigh(covariance[:2, :2])
     far_m = math.sqrt(CONTRADICTION_CHI2) * np.sqrt(values)
-    far_m = np.clip(far_m, REACH_M, FARTHEST_M)
+    far_m = np.clip(far_m, _REACH_M, FARTHEST_TRACK_M)
     half = np.ceil(far_m / STEP_M).astype(np.int64)
     major, minor = np.mgrid[-half[0] : half[0] + 1, -half[1] : half[1] + 1] * STEP_M
     along_axes = np.stack([major.ravel(), minor.ravel()], axis=1)
@@ -313,7 +313,7 @@ class _ShiftScorer:
             self.parts[name] = rows, gap, slope, np.asarray(np.linalg.inv(known))
 
     def best(self, choice: int, steps: Floats) -> list[Shift]:
-        """Return the best shift of some steps, and the best of those `APART_M` from it.
+        """Return the best shift of some steps, and the best of those `_APART_M` from it.
 
         Shifts with fewer than `LEAST_PAIRS` are left out.
         """
@@ -322,7 +322,7 @@ class _ShiftScorer:
         bounds = np.array([self._upper_bound(step) for step in steps])
         order = np.argsort(-bounds, kind="stable")
         first = self._best_of(choice, steps[order[:MOST_SCORED]])
-        apart = np.hypot(*(steps[order, :2] - first.step[:2]).T) > APART_M
+        apart = np.hypot(*(steps[order, :2] - first.step[:2]).T) > _APART_M
         shifts = [first]
         if apart.any():
             shifts.append(self._best_of(choice, steps[order[apart][:MOST_SCORED]]))

@@ -16,7 +16,7 @@ from gis_radar.base import NoAnswerError, Text
 from gis_radar.calibration.scan.scan_check_result import CONFIRMS
 from gis_radar.calibration.single.result import Localization
 
-APART_M = 15.0  # guesses lie within it of the truth; nearer ones are of one place
+_APART_M = 15.0  # guesses lie within it of the truth; nearer ones are of one place
 
 
 def swapped_guesses(
@@ -51,7 +51,7 @@ def swapped_guesses(
     found: dict[str, Text] = {}
     for one in (path for path in guesses if path.stem in suspects):
         here = guesses[one]
-        apart = [path for path in guesses if math.dist(here[:2], guesses[path][:2]) > APART_M]
+        apart = [path for path in guesses if math.dist(here[:2], guesses[path][:2]) > _APART_M]
         for other in (path for path in apart if path.stem not in answered):
             if fits(other, here) and any(fits(one, guesses[path]) for path in apart):
                 found[one.stem] = Text(

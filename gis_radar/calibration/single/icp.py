@@ -22,11 +22,11 @@ from gis_radar.calibration.single.result import STAGE, Localization, Problem, co
 PROFILE_M = 2.0
 MAST_M = 5.0  # height of the sensor over the road where the guess has no height
 HEADINGS = 8  # number of start headings where none is given, evenly spaced
-VOXEL_M = 0.5  # edge of the voxels of traces and road (the paper)
+_VOXEL_M = 0.5  # edge of the voxels of traces and road (the paper)
 # Parameters of DBSCAN of the traces' voxels; the lanes of a street are one cluster.
-EPS_M, MIN_POINTS = 2.0, 10
+_EPS_M, _MIN_POINTS = 2.0, 10
 DISTANCES_M = (10.0, 1.0, 0.5)  # largest distance of correspondences, stage by stage (the paper)
-ITERATIONS = 60  # most iterations of each stage
+_ITERATIONS = 60  # most iterations of each stage
 MOST_GUESSES_OFF = 2.0  # largest distance of an accepted pose from the guess, in units of GUESS_M
 
 
@@ -62,8 +62,8 @@ def source_voxels(moving: Moving) -> Floats:
         If Open3D is not installed.
     """
     o3d = _open3d()
-    centres = voxels(moving.points, VOXEL_M)
-    labels = np.asarray(_point_cloud(o3d, centres).cluster_dbscan(EPS_M, MIN_POINTS))
+    centres = voxels(moving.points, _VOXEL_M)
+    labels = np.asarray(_point_cloud(o3d, centres).cluster_dbscan(_EPS_M, _MIN_POINTS))
     if (labels < 0).all():
         raise NoAnswerError("nothing moved on the same place often enough", hint="record longer")
     return np.asarray(centres[labels == np.argmax(np.bincount(labels[labels >= 0]))])
@@ -127,7 +127,7 @@ def _run_icp(o3d: Any, source: Any, target: Any, start: State) -> Any:
             distance_m,
             T_map_sensor,
             pipeline.TransformationEstimationPointToPoint(),
-            pipeline.ICPConvergenceCriteria(max_iteration=ITERATIONS),
+            pipeline.ICPConvergenceCriteria(max_iteration=_ITERATIONS),
         )
         T_map_sensor = np.array(result.transformation)  # noqa: N806
     return result
@@ -153,14 +153,14 @@ def pose_information(source: Floats, road: Floats, state: State) -> Floats:
     tree = cKDTree(road)
     cells = np.floor(source[:, :2] / CROWD_M).astype(np.int64)
     _, number, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    weight = 0.5 / (count[number.ravel()] * VOXEL_M**2)
+    weight = 0.5 / (count[number.ravel()] * _VOXEL_M**2)
 
     def cost(step: Floats) -> float:
         points = state.moved(np.append(step, 0.0)).to_map(source)
         gap = tree.query(points, distance_upper_bound=PROFILE_M)[0]
         return float(weight @ np.minimum(gap, PROFILE_M) ** 2)
 
-    sizes = np.array([PROFILE_M, PROFILE_M] + [VOXEL_M] * 3 + [PROFILE_M])
+    sizes = np.array([PROFILE_M, PROFILE_M] + [_VOXEL_M] * 3 + [PROFILE_M])
     sizes /= [1.0, 1.0, 1.0, *[LEVER_M] * 3]
     steps = np.diag(sizes)
     bend = np.diag([cost(step) + cost(-step) for step in steps])
@@ -200,7 +200,7 @@ def by_icp(problem: Problem, moving: Moving, reporter: Reporter) -> Localization
     reporter.progress(STAGE, 2, 3)
     height = problem.guess[2] if len(problem.guess) == 3 else _mast_top(local, MAST_M)
     starts = start_states(np.array([0.0, 0.0, height]), problem.heading, HEADINGS)
-    state, fitness = register_icp(source, voxels(local, VOXEL_M), starts)
+    state, fitness = register_icp(source, voxels(local, _VOXEL_M), starts)
     away_m = float(np.hypot(*state.position[:2]))
     if away_m > MOST_GUESSES_OFF * GUESS_M:
         raise NoAnswerError(

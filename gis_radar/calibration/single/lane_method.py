@@ -21,7 +21,7 @@ from gis_radar.calibration.registration.hypotheses import (
     widen_by_profile,
 )
 from gis_radar.calibration.registration.lanes import MARGIN_M, Lanes, Scene, sample_lanes
-from gis_radar.calibration.registration.state import POSE, from_arc
+from gis_radar.calibration.registration.state import POSE_PART, from_arc
 from gis_radar.calibration.registration.traces import Moving, Samples, link_tracks, thin
 from gis_radar.calibration.single.result import STAGE, AmbiguousError, Localization, Problem, common
 
@@ -152,7 +152,7 @@ def _least_z_score(
         away_m = float(np.hypot(*other.fit.state.position[:2]))
         if away_m > GUESS_M or other.fit.fitness < LEAST_FITNESS:
             continue  # would not be accepted as an answer
-        x, y, *_, turn = other.fit.state.difference(best.state)[POSE]
+        x, y, *_, turn = other.fit.state.difference(best.state)[POSE_PART]
         gap = np.array([*from_arc(x, y, turn), turn])
         # poses that differ along a direction of large sigma only, as in a bend, are equivalent
         chi2 = gap @ np.linalg.solve(known.covariance[np.ix_(PLANE, PLANE)], gap)

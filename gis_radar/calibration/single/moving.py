@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gis_radar.base import QUIET, InputError, Reporter
-from gis_radar.calibration.registration.traces import FRAMES, MIN_SPEED_MPS, Moving
+from gis_radar.calibration.registration.traces import MIN_SPEED_MPS, WINDOW_FRAMES, Moving
 from gis_radar.calibration.timing.clocks import SensorClock
 from gis_radar.recordings import (
     Recording,
@@ -19,7 +19,7 @@ from gis_radar.recordings import (
     open_recording,
 )
 
-STAGE = "reading traces"
+_STAGE = "reading traces"
 # Two sensors with so many detections have none in common but by chance.
 LEAST_EQUAL, MOST_EQUAL = 100, 0.5
 NO_OFFSET = SensorClock(offset_s=0.0)  # the clock of a sensor without an offset
@@ -29,7 +29,9 @@ class MovingWindow(RollingWindow):
     """Rolling window over the last frames of a stream that stores the moving detections."""
 
     def __init__(self) -> None:
-        super().__init__(frames=FRAMES, keep=lambda batch: np.abs(batch.range_rate) > MIN_SPEED_MPS)
+        super().__init__(
+            frames=WINDOW_FRAMES, keep=lambda batch: np.abs(batch.range_rate) > MIN_SPEED_MPS
+        )
 
     def moving(self) -> Moving:
         """Return the moving detections of the window."""
@@ -64,7 +66,7 @@ def read_moving(path: str | Path, *, reporter: Reporter = QUIET) -> Moving:
     for batch in recording.read():
         window.push(batch)
         done += len(batch)
-        reporter.progress(STAGE, done, recording.rows)
+        reporter.progress(_STAGE, done, recording.rows)
     return window.moving()
 
 

@@ -37,17 +37,17 @@ from gis_radar.scans import Sight, SightTiles
 
 STAGE = "finding the pose"
 
-DPI = 216  # of the picture
-SIZE_IN = (6.6, 6.6)  # inches, of one panel
+_DPI = 216  # of the picture
+_SIZE_IN = (6.6, 6.6)  # inches, of one panel
 WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.8), (7.8, 10.6)  # with one or two more panels: a page's width
-LETTERS_PT = 9.0
+_LETTERS_PT = 9.0
 LARGER = 1.3  # factor on the letters of a panel that is as wide as two
-LINE = 46  # most letters in a line of a title
-MARGIN_M = 12.0  # of the picture around the traces
+_LINE = 46  # most letters in a line of a title
+_MARGIN_M = 12.0  # of the picture around the traces
 ROAD_POINTS = 60_000  # most points of the road that are drawn
 ARROW_EVERY_M = 12.0
 # Colours; AWAY and NEAR of the traces differ in lightness, too.
-ROAD, LANE, AWAY, NEAR, PLAIN = ("#c9c5bd", "#6f7780", "#e8850c", "#1e2f97", "#7c3aed")
+_ROAD, _LANE, _AWAY, _NEAR, _PLAIN = ("#c9c5bd", "#6f7780", "#e8850c", "#1e2f97", "#7c3aed")
 
 Extent = tuple[Floats, Floats]  # south-west and north-east, metres
 
@@ -203,7 +203,7 @@ class Localization:
         if not self.observable:
             parts.append(tr("the scene leaves part of it open"))
         parts[0] = f"{self.pose.sensor}: {parts[0]}"
-        return ";\n".join(fill(each, LINE) for each in parts)
+        return ";\n".join(fill(each, _LINE) for each in parts)
 
     def draw(
         self,
@@ -236,9 +236,9 @@ class Localization:
 
         drawn = {"scan_check": scan_check, "sight": sight}
         beside = [name for name, each in drawn.items() if each is not None]
-        size_in = (SIZE_IN, WITH_ONE_IN, WITH_TWO_IN)[len(beside)]
+        size_in = (_SIZE_IN, WITH_ONE_IN, WITH_TWO_IN)[len(beside)]
         rows = [["traces", *beside]] if len(beside) < 2 else [["traces", "traces"], beside]
-        with picture_file(path, size_in, DPI, tight=True, font_pt=LETTERS_PT) as figure:
+        with picture_file(path, size_in, _DPI, tight=True, font_pt=_LETTERS_PT) as figure:
             panels = figure.subplot_mosaic(rows)
             self.plot(roads, road_points, ax=panels["traces"]).set_anchor("N")
             if len(beside) == 2:  # shown as wide as the others on a phone, it needs larger letters
@@ -302,8 +302,8 @@ class AmbiguousError(NoAnswerError):
 
 def _trace_extent(traces: Floats, place: Floats) -> Extent:
     """Return the extent of a picture: nearly all traces and the sensor, with a margin."""
-    low = np.minimum(np.percentile(traces[:, :2], 0.5, axis=0), place) - MARGIN_M
-    high = np.maximum(np.percentile(traces[:, :2], 99.5, axis=0), place) + MARGIN_M
+    low = np.minimum(np.percentile(traces[:, :2], 0.5, axis=0), place) - _MARGIN_M
+    high = np.maximum(np.percentile(traces[:, :2], 99.5, axis=0), place) + _MARGIN_M
     return low, high
 
 
@@ -312,7 +312,7 @@ def _draw_road(ax: Any, road: Floats, extent: Extent) -> None:
     low, high = extent
     inside = road[((road[:, :2] > low) & (road[:, :2] < high)).all(axis=1)]
     shown = inside[:: max(len(inside) // ROAD_POINTS, 1)]
-    ax.scatter(shown[:, 0], shown[:, 1], s=0.6, color=ROAD, linewidths=0, label=tr("scanned road"))
+    ax.scatter(shown[:, 0], shown[:, 1], s=0.6, color=_ROAD, linewidths=0, label=tr("scanned road"))
 
 
 def _draw_lanes(ax: Any, roads: LaneletMap, extent: Extent) -> None:
@@ -322,7 +322,7 @@ def _draw_lanes(ax: Any, roads: LaneletMap, extent: Extent) -> None:
     low, high = extent
     near = roads.lanelets.cx[low[0] : high[0], low[1] : high[1]]
     bounds = [np.asarray(line.coords)[:, :2] for side in ("left", "right") for line in near[side]]
-    ax.add_collection(LineCollection(bounds, colors=LANE, linewidths=0.5))
+    ax.add_collection(LineCollection(bounds, colors=_LANE, linewidths=0.5))
     centres = near.loc[near["one_way"].to_numpy(bool), "centre"]
     for line in centres:
         for at in np.arange(ARROW_EVERY_M / 2, line.length, ARROW_EVERY_M):
@@ -331,7 +331,7 @@ def _draw_lanes(ax: Any, roads: LaneletMap, extent: Extent) -> None:
                 "",
                 (ahead.x, ahead.y),
                 (here.x, here.y),
-                arrowprops={"arrowstyle": "->", "color": LANE, "linewidth": 0.5},
+                arrowprops={"arrowstyle": "->", "color": _LANE, "linewidth": 0.5},
                 annotation_clip=True,
             )
 
@@ -339,9 +339,9 @@ def _draw_lanes(ax: Any, roads: LaneletMap, extent: Extent) -> None:
 def _draw_traces(ax: Any, traces: Floats, rate: Floats) -> None:
     """Draw traces, receding and approaching ones in different colours."""
     kinds = (
-        (rate > 0.0, AWAY, "recedes"),
-        (rate < 0.0, NEAR, "comes near"),
-        (np.isnan(rate), PLAIN, "moves"),
+        (rate > 0.0, _AWAY, "recedes"),
+        (rate < 0.0, _NEAR, "comes near"),
+        (np.isnan(rate), _PLAIN, "moves"),
     )
     for which, colour, label in kinds:
         if which.any():

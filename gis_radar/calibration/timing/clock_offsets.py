@@ -26,10 +26,10 @@ from gis_radar.calibration.timing.lane_detections import LaneDetections
 # Largest offset that is searched, beyond the difference of the recordings' begins: over an hour,
 # the usual mistake of a time zone.
 MAX_OFFSET_S = 4000.0
-BIN_S = 0.25  # width of the bins of time in which agreement is counted
+_BIN_S = 0.25  # width of the bins of time in which agreement is counted
 # Size of the cells of place and speed in which agreement is counted: a vehicle passes about one in
 # a bin.
-CELL_M = 4.0
+_AGREEMENT_CELL_M = 4.0
 CELL_MPS = 3.0
 # Width of a peak (1.25 s, a vehicle's time in a cell), of its background (40 s, within a cycle of
 # signals), and least distance of another peak (5 s).
@@ -41,19 +41,19 @@ APART_BINS = 20
 ROUGH_SCORE, ROUGH_PAIRS = 8.0, 20
 ROUGH_RATIO = 1.25  # least ratio of the best lag's score to that of the next peak
 # Largest differences of time and speed of a pair: error of the rough offset, and turning vehicles.
-PAIR_S = 0.35
+_PAIR_S = 0.35
 PAIR_MPS = 1.5
 # Fewer pairs or vehicles, or a larger sigma (five steps), are refused.
-LEAST_PAIRS, LEAST_VEHICLES, MAX_SIGMA_S = 50, 8, 0.25
+_LEAST_PAIRS, _LEAST_VEHICLES, _MAX_SIGMA_S = 50, 8, 0.25
 # Largest gap along the lane in each iteration, the last one in all further ones: a car's length and
 # the error of both poses.
-PAIR_M: tuple[float, ...] = (12.0, 9.0, 7.0)
+_PAIR_M: tuple[float, ...] = (12.0, 9.0, 7.0)
 VEHICLE_S = 4.0  # detections of a lanelet within this time count as one vehicle: a short headway
 # Most detections of a pair of sensors in the fit and in the validation; time grows in proportion.
 MOST_FITTED = 15_000
 MOST_CHECKED = 20_000
 # Distance from a vehicle's middle to the reflections of its front or rear, and 1 sigma.
-FACE_M = 1.2
+_FACE_M = 1.2
 FACE_SIGMA_M = 1.0
 # 1 sigma of the bias of a place, by errors of poses, and least 1 sigma of a vehicle's gap, by the
 # scatter of reflections.
@@ -69,19 +69,19 @@ ODD_DRIFT_SIGMA = 0.01
 MOST_DRIFT = 0.012
 HUBER = 1.5  # residuals of more standard deviations have lower weight (Huber 1964)
 # Most rounds of pairing in the fit, and reweightings in each.
-PAIRING_ROUNDS = 12
+_PAIRING_ROUNDS = 12
 WEIGHT_ROUNDS = 8
 CONVERGED_S = 2e-4  # a smaller change of the offset ends the fit
 MAX_CHANGE_S = 2.0  # a fit farther from the rough offset is of another lag
 # In the validation two detections are of one vehicle if place, time and speed differ by less.
-NEAR_M = 8.0
-NEAR_S = 0.2
+_NEAR_M = 8.0
+_NEAR_S = 0.2
 NEAR_MPS = 1.0
 # Differences from the offset at which far fewer detections must agree.
 DECOYS_S: tuple[float, ...] = (-3.0, -2.0, -1.5, 1.5, 2.0, 3.0)
-LEAST_SHARE = 0.45  # least share of detections that agree at the offset
+_LEAST_SHARE = 0.45  # least share of detections that agree at the offset
 LEAST_RATIO = 1.3  # least ratio of that share to the one at any decoy
-LEAST_CHECKED = 50  # least detections of a sensor at places and times that the other one saw
+_LEAST_CHECKED = 50  # least detections of a sensor at places and times that the other one saw
 
 VALUES_AT_ONCE = 1 << 22  # float32 values of a block of cells: 16 MiB
 
@@ -138,11 +138,11 @@ def rough_offset(
         raise NoCommonTrafficError("they see no common traffic")
     begins_apart_s = float(other.time[0] - one.time[0])
     bins_one, bins_other = (
-        ((each.time - each.time[0]) / BIN_S).astype(np.int64) for each in (one, other)
+        ((each.time - each.time[0]) / _BIN_S).astype(np.int64) for each in (one, other)
     )
     agreement = _agreement_by_lag(cells_one, bins_one, cells_other, bins_other, common)
     lag = np.arange(len(agreement)) - bins_one.max()
-    shift_s = lag * BIN_S + begins_apart_s
+    shift_s = lag * _BIN_S + begins_apart_s
     allowed = np.abs(shift_s) <= abs(begins_apart_s) + max_offset_s
     return _best_lag(agreement, shift_s, allowed)
 
@@ -170,7 +170,7 @@ def _best_lag(agreement: Floats, shift_s: Floats, allowed: Booleans) -> float:
 
 def _cell_numbers(seen: LaneDetections) -> Integers:
     """Return the number of each detection's cell of lanelet, place and speed."""
-    place = (seen.s_m / CELL_M).astype(np.int64)
+    place = (seen.s_m / _AGREEMENT_CELL_M).astype(np.int64)
     speed = (seen.speed / CELL_MPS).astype(np.int64)
     return (seen.lanelet * 100_000 + place) * 100 + speed
 
@@ -258,7 +258,7 @@ def fine_offset(one: LaneDetections, other: LaneDetections, rough_s: float) -> C
         if abs(values[1]) > MOST_DRIFT:
             raise NoAnswerError("their clocks run apart by {:.1%}", abs(values[1]))
     vehicles = pairs.vehicles
-    if not sigma[0] <= MAX_SIGMA_S:
+    if not sigma[0] <= _MAX_SIGMA_S:
         raise NoAnswerError("their common traffic gives the offset only to {:.2g} s", sigma[0])
     if abs(values[0] - rough_s) > MAX_CHANGE_S:
         raise NoAnswerError("their common traffic fits no single offset")
@@ -272,10 +272,10 @@ def _fit(
     one: LaneDetections, other: LaneDetections, values: Floats, at: float, drift_sigma: float
 ) -> tuple[Floats, Floats, _Pairs]:
     """Pair detections and solve in turn; return offset and drift, their sigmas, the last pairs."""
-    gaps_m = PAIR_M
-    for turn in range(PAIRING_ROUNDS):
+    gaps_m = _PAIR_M
+    for turn in range(_PAIRING_ROUNDS):
         pairs = _pair_detections(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)])
-        if len(pairs.gap_m) < LEAST_PAIRS or pairs.vehicles < LEAST_VEHICLES:
+        if len(pairs.gap_m) < _LEAST_PAIRS or pairs.vehicles < _LEAST_VEHICLES:
             raise NoAnswerError("only {} vehicles are seen by both", pairs.vehicles)
         change, sigma = _solve(pairs, values[1], drift_sigma)
         values = values + change
@@ -323,7 +323,7 @@ def _pair_detections(
     moment = moment - moment.min() + number * (np.ptp(moment) + 1.0)
     key, keys = moment[: len(one)], moment[len(one) :]
     order = np.argsort(keys, kind="stable")
-    low, high = (np.searchsorted(keys[order], key + side) for side in (-PAIR_S, PAIR_S))
+    low, high = (np.searchsorted(keys[order], key + side) for side in (-_PAIR_S, _PAIR_S))
     first = np.repeat(np.arange(len(one)), high - low)
     second = order[ranges(low, high - low)]
     alike = np.abs(one.speed[first] - other.speed[second]) <= PAIR_MPS
@@ -355,7 +355,7 @@ def _solve(pairs: _Pairs, drift: float, drift_sigma: float) -> tuple[Floats, Flo
     prior = np.full(size, PLACE_SIGMA_M**-2)
     prior[:3] = 0.0, drift_sigma**-2, FACE_SIGMA_M**-2
     mean = np.zeros(size)
-    mean[1:3] = -drift, 2 * FACE_M  # the prior is on the drift, not on its change
+    mean[1:3] = -drift, 2 * _FACE_M  # the prior is on the drift, not on its change
     columns = np.column_stack([-pairs.speed, -pairs.speed * pairs.late_s, pairs.sides])
     scale_m, robust = 2.0, np.ones(len(vehicle_weight))
     for _ in range(WEIGHT_ROUNDS):
@@ -404,7 +404,7 @@ def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float)
     Raises
     ------
     NoAnswerError
-        If the share that agrees is below `LEAST_SHARE`, or `LEAST_RATIO` of that at a decoy.
+        If the share that agrees is below `_LEAST_SHARE`, or `LEAST_RATIO` of that at a decoy.
     """
     lags_s = offset_s + np.array([0.0, *DECOYS_S])
     one_by_other, other_by_one = (
@@ -412,7 +412,7 @@ def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float)
         for pair in ((one, other, lags_s), (other, one, -lags_s))
     )
     share, *decoys = (one_by_other + other_by_one) / 2
-    if not share >= LEAST_SHARE:
+    if not share >= _LEAST_SHARE:
         raise NoAnswerError("at no lag do they see the same vehicles")
     if not share >= LEAST_RATIO * np.nanmax([0.0, *decoys]):
         raise NoAnswerError("their common traffic looks alike at other lags too")
@@ -423,12 +423,12 @@ def _shares_seen_by_both(
 ) -> Iterator[float]:
     """Yield for each lag the share of detections of `one`, where `other` sees, that both see."""
     begin, common = other.time[0], one.take(np.isin(one.places, other.places))
-    scales = {"near_m": NEAR_M, "near_s": NEAR_S, "near_mps": NEAR_MPS}
+    scales = {"near_m": _NEAR_M, "near_s": _NEAR_S, "near_mps": NEAR_MPS}
     tree = scipy.spatial.cKDTree(other.scaled(other.time - begin, **scales))
     for lag_s in lags_s:
         time = common.time + lag_s
-        within = np.flatnonzero((time > begin + NEAR_S) & (time < other.time[-1] - NEAR_S))
+        within = np.flatnonzero((time > begin + _NEAR_S) & (time < other.time[-1] - _NEAR_S))
         rows = within[:: max(-(-len(within) // MOST_CHECKED), 1)]
         points = common.take(rows).scaled(time[rows] - begin, **scales)
         distance, _ = tree.query(points, p=np.inf, distance_upper_bound=1.0)
-        yield float(np.isfinite(distance).mean()) if len(within) >= LEAST_CHECKED else np.nan
+        yield float(np.isfinite(distance).mean()) if len(within) >= _LEAST_CHECKED else np.nan

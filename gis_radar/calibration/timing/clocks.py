@@ -48,7 +48,7 @@ CONTRADICTION_SIGMAS = 4.0  # larger residuals of a pair of sensors give a warni
 DRIFT_SIGMAS = 3.0
 
 MOST_DRIFT_PPM = 12_000.0  # larger drifts are mistakes of units: a bad quartz has 100
-NUMBERS = ("offset_s", "sigma_s", "drift_ppm", "drift_sigma_ppm")  # of a clock in a file of clocks
+_NUMBERS = ("offset_s", "sigma_s", "drift_ppm", "drift_sigma_ppm")  # of a clock in a file of clocks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ class SensorClock:
     def as_dict(self) -> dict[str, Any]:
         """Return the clock's entry in a file of clocks; unknown values are left out."""
         moment = datetime.fromtimestamp(self.at, UTC).isoformat(timespec="milliseconds")
-        numbers = {name: getattr(self, name) for name in NUMBERS}
+        numbers = {name: getattr(self, name) for name in _NUMBERS}
         known = {name: value for name, value in numbers.items() if math.isfinite(value)}
         return known | {"at": moment.replace("+00:00", "Z")}
 
@@ -198,7 +198,7 @@ def read_clocks(path: str | Path) -> dict[str, SensorClock]:
 def _parse_clock(entry: Any, what: str) -> SensorClock:
     if not isinstance(entry, dict) or "offset_s" not in entry:
         raise InputError("{}: lacks offset_s", what)
-    numbers = {name: entry[name] for name in NUMBERS if name in entry}
+    numbers = {name: entry[name] for name in _NUMBERS if name in entry}
     for name, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError("{}: {} is {}, expected a number", what, name, repr(value))

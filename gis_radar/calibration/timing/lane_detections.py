@@ -15,16 +15,16 @@ from gis_radar.hdmap import quads
 from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Detections, Recording
 
-STAGE = "reading traffic"
+_STAGE = "reading traffic"
 LEAST_MPS = 1.5  # least speed along a lane: above walkers and leaves
 # Least cosine between lane and line of sight (60 deg): across the sight the range rate gives no
 # speed. Twice the value leaves no traffic.
-LEAST_COSINE = 0.5
+_LEAST_SPEED_COSINE = 0.5
 # Begin and end of the time that is read, seconds from the begin of the last recording: an hour of
 # traffic, and an hour to either side for clock offsets.
-WINDOW_S = (-4000.0, 7600.0)
-PLACE_M = 10.0  # length of a place, within which the error of a pose is constant
-REACH_M = 300.0  # reach of the lanes around a sensor: the longest range of the sensors
+_WINDOW_S = (-4000.0, 7600.0)
+_PLACE_M = 10.0  # length of a place, within which the error of a pose is constant
+_REACH_M = 300.0  # reach of the lanes around a sensor: the longest range of the sensors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +56,8 @@ class LaneDetections:
 
     @property
     def places(self) -> Integers:
-        """Number of each detection's place: a section of `PLACE_M` of its lanelet."""
-        return self.lanelet * 100_000 + (self.s_m // PLACE_M).astype(np.int64)
+        """Number of each detection's place: a section of `_PLACE_M` of its lanelet."""
+        return self.lanelet * 100_000 + (self.s_m // _PLACE_M).astype(np.int64)
 
     def take(self, keep: Booleans | Integers) -> LaneDetections:
         """Return the detections selected by a mask or by indices."""
@@ -113,7 +113,7 @@ def lane_detections(
     offset = np.nan_to_num(points - sensor)
     reach = np.linalg.norm(offset, axis=1)
     sight = offset[:, :2] / np.maximum(reach, 1.0)[:, None]
-    matches = match_along(lanes, points, sight, rate, reach, least_cosine=LEAST_COSINE)
+    matches = match_along(lanes, points, sight, rate, reach, least_cosine=_LEAST_SPEED_COSINE)
     rows = np.flatnonzero(matches.found)
     sample = matches.lane[rows]
     ahead_m, left_m, _ = lanes.beside(sample, points[rows])
@@ -169,7 +169,7 @@ def read_lane_detections(
     latest_s: float,
     reporter: Reporter,
 ) -> LaneDetections:
-    """Read a recording's detections that move along lanes, within `WINDOW_S` of a time.
+    """Read a recording's detections that move along lanes, within `_WINDOW_S` of a time.
 
     Parameters
     ----------
@@ -184,15 +184,15 @@ def read_lane_detections(
         Receives the progress.
     """
     middle, no_road = track.poses[0].position[:2], np.empty((0, 3))
-    lanes = sample_lanes(lanelets, no_road, place=middle, reach_m=REACH_M)
+    lanes = sample_lanes(lanelets, no_road, place=middle, reach_m=_REACH_M)
     parts: list[LaneDetections] = []
     around: list[LaneDetections] = []
-    before_s, after_s = WINDOW_S
+    before_s, after_s = _WINDOW_S
     done, begin_s = 0, np.nan
     for batch in recording.read():
         begin_s = float(batch.time[0]) if done == 0 else begin_s
         done += len(batch)
-        reporter.progress(Text("{}: {}", STAGE, recording.path.name), done, recording.rows)
+        reporter.progress(Text("{}: {}", _STAGE, recording.path.name), done, recording.rows)
         if batch.time[0] > max(latest_s, begin_s) + after_s:
             break
         keep = np.abs(batch.time - latest_s - (before_s + after_s) / 2) <= (after_s - before_s) / 2
@@ -205,7 +205,7 @@ def read_lane_detections(
 
 def _along_lanes(rows: Detections, track: PoseTrack, lanes: Lanes) -> list[LaneDetections]:
     """Return the detections that move along a lane, for each pose of the track."""
-    rows = rows.take(rows.present & (np.abs(rows.range_rate) >= LEAST_MPS * LEAST_COSINE))
+    rows = rows.take(rows.present & (np.abs(rows.range_rate) >= LEAST_MPS * _LEAST_SPEED_COSINE))
     pose_index = track.at(rows.time)
     by_pose = []
     for index in np.unique(pose_index).tolist():

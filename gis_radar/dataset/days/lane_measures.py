@@ -20,7 +20,7 @@ import pyogrio
 from gis_radar.base import STEPS_PER_HOUR, STEPS_PER_SECOND, InputError, Integers, opened_package
 from gis_radar.dataset.days.tables import QUARTERS, STEPS_PER_QUARTER, DayTables, records_of
 from gis_radar.dataset.days.tile_counts import TileCounts, count_spans
-from gis_radar.dataset.files.manifest import TILES
+from gis_radar.dataset.files.manifest import TILES_FILE
 from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys, days_of, hour_text
 from gis_radar.dataset.files.records import HourRecord, Span, read_hour
 from gis_radar.dataset.files.schema import TableSchema
@@ -49,7 +49,7 @@ from gis_radar.measures import (
     queue_course,
 )
 
-METHOD = 7
+LANES_METHOD = 7
 """Raised whenever the same parts would give other lane measures or turns."""
 
 _TILE_COLUMNS = (
@@ -77,8 +77,8 @@ class LaneTraffic(DayTables):
     @cached_property
     def network(self) -> LaneNetwork:
         """The lanes, read when they are first needed."""
-        tiles, columns = read_tiles(self.folder / TILES), {}
-        with opened_package(self.folder / TILES, what="the tiles of a dataset") as place:
+        tiles, columns = read_tiles(self.folder / TILES_FILE), {}
+        with opened_package(self.folder / TILES_FILE, what="the tiles of a dataset") as place:
             if LANES_LAYER in pyogrio.list_layers(place)[:, 0]:
                 columns = pyogrio.read_dataframe(
                     place, layer=LANES_LAYER, read_geometry=False
@@ -116,10 +116,10 @@ class LaneTraffic(DayTables):
         }
 
     def key(self, record: HourRecord) -> list[str | int]:
-        """Return what the rows of an hour follow from; the first entry is `METHOD`."""
+        """Return what the rows of an hour follow from; the first entry is `LANES_METHOD`."""
         before = self._hour_before(record.hour)
         inputs, method = ("", 0) if before is None else (before.origin.inputs, before.origin.method)
-        return [METHOD, record.origin.method, record.origin.inputs, method, inputs]
+        return [LANES_METHOD, record.origin.method, record.origin.inputs, method, inputs]
 
     def methods(self, records: Mapping[int, HourRecord]) -> set[int]:
         """Return the methods of lane measures of hours: an earlier one where they stay as made."""

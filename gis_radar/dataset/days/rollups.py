@@ -23,7 +23,7 @@ import pyarrow as pa
 
 from gis_radar.base import Booleans, Floats, Integers, zone_of
 from gis_radar.dataset.days.asked_time import QUARTER_S, AskedTime, month_edges
-from gis_radar.dataset.days.lane_measures import METHOD, LaneTraffic
+from gis_radar.dataset.days.lane_measures import LANES_METHOD, LaneTraffic
 from gis_radar.dataset.days.tables import QUARTERS
 from gis_radar.dataset.days.tile_counts import TileCounts, count_keys
 from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys, TableFile, common_metadata, days_of
@@ -389,7 +389,7 @@ class RollUps:
                 hours = {hour: each for hour, each in hours.items() if TRACKS.name in each.parts}
                 keys = {hour: self.traffic.key(each)[1:] for hour, each in hours.items()}
                 is_dropped = all(TRACKS.name in each.dropped for each in hours.values())
-                method = 0 if is_dropped else METHOD
+                method = 0 if is_dropped else LANES_METHOD
             if keys:
                 text = json.dumps({hour: keys[hour] for hour in sorted(keys)})
                 keys_by_day[day] = [hashlib.sha256(text.encode()).hexdigest(), method]

@@ -26,7 +26,7 @@ from gis_radar.dataset.files.tables import HITS, OBSERVED, OCCUPIED, TILE_COUNTS
 
 # Error of a run of occupied steps by the ends of its vehicle, as a share of the run's length (both
 # ends of a car of 4.5 m are known to 0.5 m), and at most (of a vehicle that stops, at 1.5 m/s).
-END_SHARE, END_MOST_S = 0.16, 0.5
+RUN_END_SHARE, RUN_END_MOST_S = 0.16, 0.5
 # Root of the variance of a run by false and missed vehicles, relative to its length: of a seen run
 # (7 % and 13 % of the time in five simulated places), and of an inferred one (25 % each).
 FALSE_SHARE, INFERRED_SHARE = 0.45, 0.7
@@ -34,7 +34,7 @@ FALSE_SHARE, INFERRED_SHARE = 0.45, 0.7
 
 def run_variance(steps: Integers, seen: Booleans) -> Floats:
     """Return the variance of the length of runs of occupied steps, steps squared."""
-    ends = np.minimum(END_SHARE * steps, END_MOST_S * STEPS_PER_SECOND)
+    ends = np.minimum(RUN_END_SHARE * steps, RUN_END_MOST_S * STEPS_PER_SECOND)
     share = np.where(seen, FALSE_SHARE, INFERRED_SHARE)
     return np.asarray(ends**2 + (share * steps) ** 2, np.float64)
 

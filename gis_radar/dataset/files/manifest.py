@@ -33,9 +33,9 @@ from gis_radar.dataset.files.parts import clear_unfinished, replacing, write_sin
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
 from gis_radar.hdmap import fingerprint, read_tiles, write_tiles
 
-MANIFEST, TILES, MAP = "dataset.json", "tiles.gpkg", "map.osm"
-OWNED = (  # begins of the names of files that a killed run may have left
-    MAP, TILES, "recordings.parquet", "poses.parquet", "sights.parquet", ".",
+MANIFEST, TILES_FILE, MAP = "dataset.json", "tiles.gpkg", "map.osm"
+_OWNED = (  # begins of the names of files that a killed run may have left
+    MAP, TILES_FILE, "recordings.parquet", "poses.parquet", "sights.parquet", ".",
 )  # fmt: skip
 BRING_BACK = Text("bring back the file that measure wrote")
 MAKE_ONE = Text("a folder that gis-radar measure wrote is needed")
@@ -209,7 +209,7 @@ def create_dataset(
     if map_file is not None:
         with replacing(folder / MAP) as fresh:
             fresh.write_bytes(Path(map_file).read_bytes())
-    write_tiles(tiles, folder / TILES, problems=problems, lanes=lanes, stop_lines=stop_lines)
+    write_tiles(tiles, folder / TILES_FILE, problems=problems, lanes=lanes, stop_lines=stop_lines)
     for table in (RECORDINGS, POSES, SIGHTS):
         write_single_file(table, folder, table.empty(), manifest.fingerprint)
     manifest.write(folder)
@@ -230,17 +230,19 @@ def tiles_of_dataset(folder: Path, manifest: Manifest) -> gpd.GeoDataFrame:
     InputError
         If they are not those that it was made from.
     """
-    tiles = read_tiles(folder / TILES)
+    tiles = read_tiles(folder / TILES_FILE)
     if (got := fingerprint(tiles)) != manifest.fingerprint:
         raise InputError(
             "{}: has tiles {}, the dataset is of {}",
-            folder / TILES,
+            folder / TILES_FILE,
             got,
             manifest.fingerprint,
             hint=BRING_BACK,
         )
     if manifest.heights not in {"", heights_digest(tiles)}:
-        raise InputError("{}: has road heights of another run", folder / TILES, hint=BRING_BACK)
+        raise InputError(
+            "{}: has road heights of another run", folder / TILES_FILE, hint=BRING_BACK
+        )
     return tiles
 
 
@@ -332,7 +334,7 @@ def locked_for_writing(folder: Path, reporter: Reporter) -> Iterator[None]:
     place = folder.absolute()
     require_folder(place)
     if place.exists() and not Manifest.is_there(place):
-        refuse_foreign(place, OWNED)
+        refuse_foreign(place, _OWNED)
     with output_errors(place), only_writer(place, reporter=reporter):
         clear_unfinished(place)
         yield

@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gis_radar.base import (
+    ROWS_IN_GROUP,
     STEPS_PER_HOUR,
     STEPS_PER_SECOND,
     InputError,
@@ -30,7 +31,6 @@ from gis_radar.dataset.files.schema import TableSchema, column_digest
 from gis_radar.dataset.files.tables import SCHEMA
 
 HOURS_PER_DAY = 24
-ROWS_IN_GROUP = 131_072  # rows of a row group (the contract)
 MEASURE_AGAIN = Text("remove its hour's file in hours/ and measure again; the hour is made anew")
 _DIGESTS = b"digests"  # entry of the metadata: digests of the columns
 Values: TypeAlias = Mapping[str, Any] | pd.DataFrame | pa.Table

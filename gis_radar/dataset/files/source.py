@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyogrio
 
 from gis_radar.base import InputError, UsageError, opened_package, step_at, zone_of
-from gis_radar.dataset.files.manifest import TILES, Manifest, tiles_of_dataset
+from gis_radar.dataset.files.manifest import TILES_FILE, Manifest, tiles_of_dataset
 from gis_radar.dataset.files.parts import MEASURE_AGAIN, hour_of_step, hour_text, single_file
 from gis_radar.dataset.files.pose_book import PoseBook
 from gis_radar.dataset.files.records import HourRecord, Span, read_hours
@@ -120,7 +120,7 @@ class DatasetFiles:
         return self._layers[name].copy()
 
     def _other_layer(self, name: str) -> gpd.GeoDataFrame:
-        with opened_package(self.folder / TILES, what="the tiles of a dataset") as place:
+        with opened_package(self.folder / TILES_FILE, what="the tiles of a dataset") as place:
             return pyogrio.read_dataframe(place, layer=name, use_arrow=True)
 
     def _read(self, table: TableSchema, begin: Moment, end: Moment) -> pd.DataFrame:

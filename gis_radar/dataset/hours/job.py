@@ -42,9 +42,9 @@ from gis_radar.measures import (
 )
 from gis_radar.recordings import keys_in_common
 from gis_radar.scans import SightTiles
-from gis_radar.tracking import MARGIN_STEPS, HourVehicles, vehicles_of_hour
+from gis_radar.tracking import BLOCK_MARGIN_STEPS, HourVehicles, vehicles_of_hour
 
-METHOD = 17
+HOUR_METHOD = 17
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # equal frames of two sensors that may be chance
@@ -70,7 +70,7 @@ class MeasureSettings:
     @property
     def margin(self) -> int:
         """Number of steps on either side of an hour from which its parts follow, too."""
-        return max(LONGEST_VALID_STEPS, 2 * MARGIN_STEPS if self.vehicles else 0)
+        return max(LONGEST_VALID_STEPS, 2 * BLOCK_MARGIN_STEPS if self.vehicles else 0)
 
     def as_dict(self) -> dict[str, Any]:
         """Return all settings as the manifest holds them."""
@@ -182,7 +182,7 @@ def make_hour(
     sight_runs = valid_runs(sensors, valid, window)
     sights = {each.name: each for sensor in sensors for each in sensor.sights}
     origin = Origin(
-        fingerprint=site.target.road.fingerprint, method=METHOD,
+        fingerprint=site.target.road.fingerprint, method=HOUR_METHOD,
         inputs=digest_of_inputs(sensors, site.settings, validity_s),
     )  # fmt: skip
     vehicles, on_lanes = 0, list[pd.DataFrame]()

@@ -49,8 +49,8 @@ from gis_radar.dataset.hours.registered import (
 )
 from gis_radar.measures import HourWindow
 
-STAGE = "measuring"
-REGISTRY_EVERY_S = 2.0  # between writes of the registry, which is large for a year's recordings
+_STAGE = "measuring"
+_REGISTRY_EVERY_S = 2.0  # between writes of the registry, which is large for a year's recordings
 RELINK = Text(
     "gis-radar dataset DATASET --relink FOLDER finds what was moved, --withdraw takes it out"
 )
@@ -175,12 +175,12 @@ def _make_and_record(
     def write_registry() -> None:
         after.with_hours([each.hour for each in made], site.settings.margin).write_recordings()
 
-    reporter.progress(STAGE, 0, len(hours))
+    reporter.progress(_STAGE, 0, len(hours))
     try:
         for each in _make_hours(site, hours, processes):
             made.append(each)
-            reporter.progress(STAGE, len(made), len(hours))
-            if time.monotonic() - written_s > REGISTRY_EVERY_S:
+            reporter.progress(_STAGE, len(made), len(hours))
+            if time.monotonic() - written_s > _REGISTRY_EVERY_S:
                 write_registry()
                 written_s = time.monotonic()
     except InputError:

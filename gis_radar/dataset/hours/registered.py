@@ -18,7 +18,7 @@ from gis_radar.dataset.files.parts import part_path
 from gis_radar.dataset.files.records import HourRecord
 from gis_radar.dataset.files.registry import Registry, source_of, touched_hours, validity_by_sensor
 from gis_radar.dataset.files.tables import TABLES
-from gis_radar.dataset.hours.job import METHOD, HourSite, MadeHour, MeasureSettings, make_hour
+from gis_radar.dataset.hours.job import HOUR_METHOD, HourSite, MadeHour, MeasureSettings, make_hour
 from gis_radar.hdmap import lane_graph
 from gis_radar.tracking import map_of_tiles
 
@@ -97,7 +97,7 @@ def hours_to_make(
     expected = set(registry.hours)
     outdated = {
         hour for hour in expected.intersection(asked, records)
-        if records[hour].origin.method != METHOD and not records[hour].dropped
+        if records[hour].origin.method != HOUR_METHOD and not records[hour].dropped
     }  # fmt: skip
     missing = [each for each in registry.entries if outdated and not Path(each.path).is_file()]
     outdated -= {*touched_hours(outdated, missing, margin)}  # they cannot be made again: they stay

@@ -13,7 +13,7 @@ import pyarrow as pa
 from gis_radar.base import QUIET, Reporter
 from gis_radar.dataset.files.source import DatasetFiles
 
-TIMEOUT_S, MEMORY = 60.0, "2GB"  # default limits of a query
+_TIMEOUT_S, _MEMORY = 60.0, "2GB"  # default limits of a query
 
 
 class SqlQueries:
@@ -24,7 +24,7 @@ class SqlQueries:
         raise NotImplementedError
 
     def query(
-        self, sql: str, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY,
+        self, sql: str, *, timeout_s: float = _TIMEOUT_S, memory: str = _MEMORY,
         reporter: Reporter = QUIET,
     ) -> pd.DataFrame:  # fmt: skip
         """Run an SQL query (DuckDB): one SELECT over the tables of all complete hours.
@@ -59,8 +59,8 @@ class SqlQueries:
         sql: str,
         path: str | Path,
         *,
-        timeout_s: float = TIMEOUT_S,
-        memory: str = MEMORY,
+        timeout_s: float = _TIMEOUT_S,
+        memory: str = _MEMORY,
         reporter: Reporter = QUIET,
     ) -> int:
         """Write the answer of :meth:`query` as `.csv` or `.parquet`, and return its row count.
@@ -76,7 +76,7 @@ class SqlQueries:
             return write_answer(*answer, Path(path))
 
     def first_rows(
-        self, sql: str, most: int, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY,
+        self, sql: str, most: int, *, timeout_s: float = _TIMEOUT_S, memory: str = _MEMORY,
         reporter: Reporter = QUIET,
     ) -> tuple[list[dict[str, Any]], int]:  # fmt: skip
         """Return the first rows of the answer of :meth:`query`, and the number of all its rows.

@@ -21,7 +21,7 @@ _OVER_LANES = (  # columns that lanes add to without a weight: they hold the len
 SUMMED = (
     "quarters", "visible_s", "counted", "volume", "volume_variance", "heavy", *_OVER_LANES,
 )  # fmt: skip
-MOST_LANES = 8  # side by side in one direction
+_MOST_LANES = 8  # side by side in one direction
 
 
 class UnknownStreetError(UsageError):
@@ -104,7 +104,7 @@ def _road_metres(tiles: gpd.GeoDataFrame, network: LaneNetwork, direction: Any) 
     abreast = np.ones(len(ids))
     for side in lanes_beside(tiles):
         neighbour = np.arange(len(ids))
-        for _ in range(MOST_LANES):
+        for _ in range(_MOST_LANES):
             neighbour = np.append(side, -1)[neighbour]
             neighbour[group[neighbour] != group[:-1]] = -1
             abreast += neighbour >= 0

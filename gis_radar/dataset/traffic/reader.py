@@ -41,7 +41,13 @@ from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.files.tables import LANE_MEASURES, TRACKS, TURNS
 from gis_radar.dataset.traffic.shifts import MISSED_ACROSS, OtherLanes, lanes_across, shifts_of
 from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
-from gis_radar.measures import LEAST_SHARE, SPEED_CLASS_KMH, LaneNetwork, lane_names, turn_lines
+from gis_radar.measures import (
+    LEAST_VISIBLE_SHARE,
+    SPEED_CLASS_KMH,
+    LaneNetwork,
+    lane_names,
+    turn_lines,
+)
 
 LEAST_STEPS = 60 * STEPS_PER_SECOND  # least length of an interval: shorter ones have no volume
 _DAY_STEPS = 24 * STEPS_PER_HOUR
@@ -300,7 +306,7 @@ def _rolled_up(rows: pd.DataFrame, part_h: float, network: LaneNetwork) -> pd.Da
     total_per_known = parts / np.maximum(of_known, 1e-9)
     volume = groups["volume"].sum(min_count=1) * scale
     share = sums["visible_share"].to_numpy(np.float64) / parts
-    enough = (sums["known"].to_numpy() > 0) & (share >= LEAST_SHARE)
+    enough = (sums["known"].to_numpy() > 0) & (share >= LEAST_VISIBLE_SHARE)
     error = np.sqrt(
         scale**2 * sums["variance"]
         + (volume / total_per_known + 0.5) * (total_per_known**2 - total_per_known)
@@ -390,7 +396,7 @@ def _speed_and_travel_time(
         speed = np.where(
             measures["density"] > 0.0, measures["flow"] / measures["density"] / 3.6, np.nan
         )
-        enough = ends["visible_km_h"] >= LEAST_SHARE * length / 1000.0 * hours
+        enough = ends["visible_km_h"] >= LEAST_VISIBLE_SHARE * length / 1000.0 * hours
         travel_s = np.where(enough & (speed > 0.0), length / speed, np.nan)
     return {"speed_mean": speed, "travel_time_s": travel_s}
 

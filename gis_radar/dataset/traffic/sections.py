@@ -21,10 +21,10 @@ from gis_radar.dataset.traffic.reader import TrafficReader
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork, bound_name, place_on
 
-NAME_FIELDS = ("name", "section", "id")  # columns that may hold a section's name, in this order
+_NAME_FIELDS = ("name", "section", "id")  # columns that may hold a section's name, in this order
 ALONG = math.sin(math.radians(30.0))  # sine of the angle below which a section runs along a lane
 HALF_LANE_M = 1.75  # half of the usual width of a lane
-SAME_M = 0.01  # distance below which two places are one
+_SAME_M = 0.01  # distance below which two places are one
 _FIGURES = ["visible_share", "counted", "volume", "volume_se", "heavy", "speed_time_mean_kmh"]
 
 
@@ -132,7 +132,7 @@ def _lines(
             "{}: sections are lines across a road", what, hint="each of one part, a row each"
         )
     columns = {str(name).lower(): name for name in reversed(table.columns)}
-    column = next((columns[name] for name in NAME_FIELDS if name in columns), None)
+    column = next((columns[name] for name in _NAME_FIELDS if name in columns), None)
     names = pd.Series(range(1, len(table) + 1)).astype("string")
     if column is not None:  # a column of ids with an empty value is read as float
         given = table[column].convert_dtypes().astype("string").map(one_line, na_action="ignore")
@@ -175,15 +175,15 @@ def _crossings(
             raise InputError("{} runs along lane {}", what, number, hint="draw it across the road")
         along_m = along / lane.length * length_m
         crossings.append(_Crossing(number, along_m, direction, is_left=sine < 0.0, at_m=at_m))
-        if lane.length - along < SAME_M:
+        if lane.length - along < _SAME_M:
             ends.append(lane.coords[-1][:2])
     if not crossings:
         raise InputError("{} crosses no lane", what, hint="draw it across a road of the map")
     # drawn through the end of a lane, as by snapping, it crosses the next ones at their begin
     return [
         each for each in crossings
-        if each.along_m >= SAME_M
-        or all(math.dist(known[each.lane].coords[0][:2], end) >= SAME_M for end in ends)
+        if each.along_m >= _SAME_M
+        or all(math.dist(known[each.lane].coords[0][:2], end) >= _SAME_M for end in ends)
     ]  # fmt: skip
 
 

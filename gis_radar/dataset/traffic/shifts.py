@@ -30,12 +30,12 @@ from gis_radar.poses import Pose, pose_from_dict
 # 1 sigma, along and across, of a pose that states none, and, along, of the map: together 0.3 m.
 POSE_M = 0.14
 MAP_M = float(np.sqrt(0.3**2 - POSE_M**2))
-ALIKE = 0.9  # least cosine between lanes of one direction: 26 degrees
-BESIDE_M = 1.0  # distance beyond a lane's edge of the point that is in the next lane
+_ALIKE = 0.9  # least cosine between lanes of one direction: 26 degrees
+_BESIDE_M = 1.0  # distance beyond a lane's edge of the point that is in the next lane
 MOST_SCALE = 0.01  # largest error of a scale of range that passes a localization
 # Cosine between lane and line of sight up to which a sensor looks straight across: a vehicle that
 # sets off at 1.5 m/s then has a range rate under 0.15 m/s, like one that stands.
-ACROSS = 0.1
+_ACROSS = 0.1
 # Share of the vehicles that are missed where all sensors look straight across: 30 of 90 on three
 # simulated sites.
 MISSED_ACROSS = 0.33
@@ -163,7 +163,7 @@ def lanes_across(
             np.hypot(*arm.T), 1e-9
         )
         largest[in_sight] = np.maximum(largest[in_sight], cosine)
-    return np.asarray((largest >= 0.0) & (largest < ACROSS))
+    return np.asarray((largest >= 0.0) & (largest < _ACROSS))
 
 
 def chance_of_others(shifts: Shifts, tiles: gpd.GeoDataFrame) -> Floats:
@@ -187,12 +187,12 @@ def lanes_beside(tiles: gpd.GeoDataFrame) -> Integers:
     """
     corners, neighbours = quads(tiles), np.full((2, len(tiles)), -1)
     centre, direction = _centres_and_directions(corners)
-    aside_m = tiles["width_m"].to_numpy(float) / 2 + BESIDE_M
+    aside_m = tiles["width_m"].to_numpy(float) / 2 + _BESIDE_M
     left = aside_m[:, None] * np.column_stack([-direction[:, 1], direction[:, 0]])
     grid = TileGrid(corners)
     for side, beside in zip((left, -left), neighbours, strict=True):
         tile, other = grid.assign(*(centre + side).T)
-        alike = (direction[tile] * direction[other]).sum(axis=1) > ALIKE
+        alike = (direction[tile] * direction[other]).sum(axis=1) > _ALIKE
         beside[tile[alike]] = other[alike]
     return neighbours
 

@@ -39,8 +39,8 @@ from gis_radar.live.hours.quarters import QUARTERS_KEPT, QuarterMeasures, read_q
 from gis_radar.live.hours.recordings import (
     HOUR_OFFSET_US,
     HOUR_US,
-    PARTS,
-    RECORDINGS,
+    PARTS_FOLDER,
+    RECORDINGS_FOLDER,
     JoinedRows,
     hour_of_time,
     join_parts,
@@ -167,9 +167,9 @@ class JobResult(Reporter):
 def resume_hours(site: MeasuredSite, spooled: Sequence[Path]) -> JobResult:
     """Return the hours that an earlier run left to be made, and the quarters of the last day."""
     done = make_recordings(site, spooled)
-    clear_unfinished(site.folder / PARTS)
+    clear_unfinished(site.folder / PARTS_FOLDER)
     done.hours = sorted(waiting_hours(site.folder))
-    for path in sorted((site.folder / RECORDINGS).glob("*/*.parquet")):
+    for path in sorted((site.folder / RECORDINGS_FOLDER).glob("*/*.parquet")):
         hour = hour_of_time(time_of_name(path.stem))
         if hour not in done.hours and _is_newer(path, site.dataset, hour):
             done.hours.append(hour)
@@ -293,9 +293,9 @@ def _check_poses(
 
 def _sensors_of(site: MeasuredSite, hour: int) -> list[str]:
     """Return the site's sensors, and former ones with frames of the hour that are not measured."""
-    made = (site.folder / RECORDINGS).glob(f"*/{name_of_hour(hour)}.parquet")
+    made = (site.folder / RECORDINGS_FOLDER).glob(f"*/{name_of_hour(hour)}.parquet")
     waiting = [
-        *(site.folder / PARTS).glob(f"*/{name_of_hour(hour)}.*.parquet"),
+        *(site.folder / PARTS_FOLDER).glob(f"*/{name_of_hour(hour)}.*.parquet"),
         *(path for path in made if _is_newer(path, site.dataset, hour)),
     ]
     return sorted({*site.sensors, *(path.parent.name for path in waiting)})
@@ -345,7 +345,7 @@ def make_quarter(site: MeasuredSite, spooled: Sequence[Path], quarter: int) -> J
             sources += parts_of_hour(site.folder, sensor, hour)
         rows = JoinedRows(sources, *span) if sources else None
         if rows is not None and len(rows.table):
-            place = path / RECORDINGS / sensor / f"{path.name}.parquet"
+            place = path / RECORDINGS_FOLDER / sensor / f"{path.name}.parquet"
             recordings.append((place, rows.write(place)))
     if not recordings:
         shutil.rmtree(path, ignore_errors=True)

@@ -46,8 +46,8 @@ SETTLE_S = 30.0  # longest wait for frames of all sensors, and the time after a 
 RETRY_S = 60.0  # time after which a job that failed is tried again
 NICE = 15  # niceness of the worker: the map has priority
 BACKLOG_S = 900.0  # backlog of hours from which on it is logged, and at each doubling
-POLL_S = 0.1  # between two looks whether the last job has ended
-DOUBTS = "doubts.json"
+_POLL_S = 0.1  # between two looks whether the last job has ended
+DOUBTS_FILE = "doubts.json"
 MOST_LOGGED = 1_000  # most warnings remembered, which are not logged again
 
 Work = Callable[[MeasuredSite, Sequence[Path]], JobResult]
@@ -108,7 +108,7 @@ class HourJobs:
         process: Callable[[], ProcessPoolExecutor] = _process, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.touched: dict[int, float] = {}
-        self.doubts, self._unchecked = _read_doubts(site.folder / DOUBTS, reporter)
+        self.doubts, self._unchecked = _read_doubts(site.folder / DOUBTS_FILE, reporter)
         self.behind_s = self.quarters_left_out = 0.0
         self._site, self._quarters = site, quarters
         self._reporter = reporter
@@ -268,7 +268,7 @@ class HourJobs:
                 again = "{}; since {} too little traffic to check it again"
                 self.doubts[name] = Text(again, doubt, hour_text(hour))
                 self._unchecked.add(name)
-        path = self._site.folder / DOUBTS
+        path = self._site.folder / DOUBTS_FILE
         document = with_texts({"doubts": self.doubts, "unchecked": sorted(self._unchecked)})
         try:
             with atomic_write(path) as part:
@@ -306,7 +306,7 @@ class HourJobs:
         self._hours, self._next = {}, partial(_make_all, touched=list(self.touched))
         self.begin(spooled)
         while self._running is not None:
-            time.sleep(POLL_S)
+            time.sleep(_POLL_S)
             self._take_result()
         self.stop()
 

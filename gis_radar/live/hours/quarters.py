@@ -17,7 +17,7 @@ from gis_radar.dataset import STEPS_PER_QUARTER, TILE_COUNTS, Dataset
 from gis_radar.products import lane_totals, lanes_with_tiles
 
 QUARTERS_KEPT = 96  # a day
-TRAFFIC = (
+TRAFFIC_FIELDS = (
     "visible_share", "counted", "volume", "volume_se", "speed_kmh", "occupancy", "queue_max_m",
 )  # fmt: skip
 """Columns of the traffic of a lane, as in :meth:`gis_radar.Dataset.traffic`."""
@@ -34,7 +34,8 @@ class QuarterMeasures:
     visible, occupied : (n,) int64 arrays
         Steps in which each tile was visible, and occupied while visible, by position.
     lanes : DataFrame
-        `lane, hit_s, observed_s` (means of its tiles); with vehicles also those of `TRAFFIC`.
+        `lane, hit_s, observed_s` (means of its tiles); with vehicles also
+        `TRAFFIC_FIELDS`.
     """
 
     until_step: int
@@ -129,7 +130,7 @@ def _quarter_measures(
         total = lane_totals(steps[name].astype(float), lane_of_tile, len(lanes))
         table[f"{name}_s"] = total / number_of_tiles * STEP_S
     if traffic is not None:
-        table = table.join(traffic.set_index("lane")[[*TRAFFIC]].astype(float), on="lane")
+        table = table.join(traffic.set_index("lane")[[*TRAFFIC_FIELDS]].astype(float), on="lane")
     return QuarterMeasures(
         until_step=begin + STEPS_PER_QUARTER - 1, visible=steps["visible"],
         occupied=steps["occupied"], lanes=table,

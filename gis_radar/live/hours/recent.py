@@ -11,7 +11,7 @@ from gis_radar.base import Booleans, Integers
 
 MINUTE = 1_200  # steps
 MINUTES = 15  # length of a moving sum
-QUARTER, QUARTERS = 15 * MINUTE, 5  # quarters kept until the dataset has them: an hour and more
+QUARTER, _QUARTERS = 15 * MINUTE, 5  # quarters kept until the dataset has them: an hour and more
 EndedInterval: TypeAlias = tuple[int, Integers]
 """Number of an interval, and (2, n) steps in which tiles were hit and observed in it."""
 
@@ -52,7 +52,7 @@ class RecentCounts:
     def __init__(self, tiles: int, *, interval: int = QUARTER, pushed: int = QUARTER) -> None:
         self._kinds = {
             "minutes": _Intervals(tiles, MINUTE, MINUTES),
-            "quarters": _Intervals(tiles, QUARTER, QUARTERS),
+            "quarters": _Intervals(tiles, QUARTER, _QUARTERS),
             "interval": _Intervals(tiles, interval, 1),
             "pushed": _Intervals(tiles, pushed, 1),
         }
@@ -93,6 +93,6 @@ class RecentCounts:
         """Return the last quarters of an hour of which a tile was observed, in order."""
         found = self._kinds["quarters"]
         with self._lock:
-            numbers = range(max(found.number - QUARTERS + 1, 0), found.number + 1)
-            rows = [(each, found.rows[each % QUARTERS].copy()) for each in numbers]
+            numbers = range(max(found.number - _QUARTERS + 1, 0), found.number + 1)
+            rows = [(each, found.rows[each % _QUARTERS].copy()) for each in numbers]
         return [(number, counts) for number, counts in rows if counts[1].any()]

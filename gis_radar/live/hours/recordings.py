@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 
 from gis_radar.base import (
     QUIET,
+    ROWS_IN_GROUP,
     STEP_US,
     InputError,
     Integers,
@@ -30,18 +31,17 @@ from gis_radar.base import (
     step_begin,
 )
 from gis_radar.dataset import replacing
-from gis_radar.live.hours.spool import FRAMES, POSE, SpoolFile
+from gis_radar.live.hours.spool import FRAMES_RECORD, POSE_RECORD, SpoolFile
 from gis_radar.live.wire.detections import FrameDetections, unpack_detections
 from gis_radar.live.wire.payload import PoseContent, key_of_pose, unpack_message
-from gis_radar.measures import MARGIN_STEPS, FrameIndex
+from gis_radar.measures import HOUR_MARGIN_STEPS, FrameIndex
 from gis_radar.poses import PoseTrack, pose_from_dict, read_track
 from gis_radar.recordings import open_recording
 
 HOUR_US = 3_600_000_000
-HOUR_OFFSET_US = MARGIN_STEPS * STEP_US  # from a full hour to begin and end of recordings
-RECORDINGS, PARTS = "recordings", "parts"
+HOUR_OFFSET_US = HOUR_MARGIN_STEPS * STEP_US  # from a full hour to begin and end of recordings
+RECORDINGS_FOLDER, PARTS_FOLDER = "recordings", "parts"
 FRAMES_AT_ONCE = 20_000  # most frames of a sensor in memory: a quarter of an hour
-ROWS_OF_GROUP = 131_072
 REPEATED = ["time", "z", "range_rate", "rcs", "pose"]  # columns with few values, as sent
 _POSES = b"gis_radar.poses"  # key of the file's metadata
 _SCHEMA = pa.schema(
@@ -78,18 +78,18 @@ def name_of_hour(hour: int) -> str:
 
 def recording_path(folder: Path, sensor: str, hour: int) -> Path:
     """Return the path of the recording of an hour."""
-    return folder / RECORDINGS / sensor / f"{name_of_hour(hour)}.parquet"
+    return folder / RECORDINGS_FOLDER / sensor / f"{name_of_hour(hour)}.parquet"
 
 
 def parts_of_hour(folder: Path, sensor: str, hour: int) -> list[Path]:
     """Return the parts that are not joined to a recording yet, in the order of arrival."""
-    return sorted((folder / PARTS / sensor).glob(f"{name_of_hour(hour)}.*.parquet"))
+    return sorted((folder / PARTS_FOLDER / sensor).glob(f"{name_of_hour(hour)}.*.parquet"))
 
 
 def waiting_hours(folder: Path) -> set[int]:
     """Return the hours with waiting parts."""
     found = set()
-    for path in (folder / PARTS).glob("*/*.*.parquet"):
+    for path in (folder / PARTS_FOLDER).glob("*/*.*.parquet"):
         with suppress(ValueError):
             found.add(hour_of_time(time_of_name(path.name.partition(".")[0])))
     return found
@@ -115,7 +115,7 @@ def make_parts(folder: Path, spooled: Path, reporter: Reporter = QUIET) -> None:
                 of_hour = [row for row, of in zip(rows, hours.tolist(), strict=True) if of == hour]
                 numbers[hour] = numbers.get(hour, -1) + 1
                 name = f"{name_of_hour(hour)}.{spooled.stem}-{numbers[hour]:04d}.parquet"
-                path = folder / PARTS / sensor / name
+                path = folder / PARTS_FOLDER / sensor / name
                 table, differing = _table(of_hour)
                 _write(path, table, poses)
                 _warn_of_differing(sensor, differing, path, reporter)
@@ -138,10 +138,10 @@ def _frames(
         record = file.at(begin)
         if record is None:
             continue
-        if record.kind == POSE:
+        if record.kind == POSE_RECORD:
             key = key_of_pose(record.payload).hex()
             poses[key] = PoseContent.unpack(record.payload).pose
-        elif record.kind == FRAMES:
+        elif record.kind == FRAMES_RECORD:
             pose, frames = unpack_detections(unpack_message(record.payload)[1])
             if pose.hex() in poses:
                 rows += [(each, pose.hex()) for each in frames]
@@ -199,7 +199,7 @@ def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
     with output_errors(path), replacing(path) as fresh:
         pq.write_table(
             table.replace_schema_metadata({_POSES: json.dumps(named, sort_keys=True)}),
-            fresh, compression="zstd", row_group_size=ROWS_OF_GROUP,
+            fresh, compression="zstd", row_group_size=ROWS_IN_GROUP,
             use_dictionary=REPEATED, use_byte_stream_split=["x", "y"],
         )  # fmt: skip
 
@@ -314,7 +314,7 @@ def remove_old(
     is_needed: Callable[[Path], bool] = lambda _: False,
 ) -> None:  # fmt: skip
     """Remove recordings that are old and not needed, or exceed the room, the oldest first."""
-    paths = sorted((folder / RECORDINGS).glob("*/*.parquet"), key=lambda each: each.name)
+    paths = sorted((folder / RECORDINGS_FOLDER).glob("*/*.parquet"), key=lambda each: each.name)
     sizes = {each: each.stat().st_size for each in paths}
     before = name_of_time(int((time.time() - keep_s) * 1e6))
     newest = {each.name for each in paths[-1:]}
@@ -334,7 +334,7 @@ def remove_old(
     if removed_early:
         reporter.warn(
             "{}: {} recordings are removed before their time, as they take over {:g} GB",
-            folder / RECORDINGS,
+            folder / RECORDINGS_FOLDER,
             removed_early,
             most_bytes / 1000000000.0,
         )

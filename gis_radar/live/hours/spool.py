@@ -21,7 +21,9 @@ from gis_radar.base import output_errors
 from gis_radar.dataset import sync_folder
 from gis_radar.live.wire.payload import check_of, stream_of, unpack_message
 
-HEAD, POSE, FRAMES, SKIPPED = range(4)  # kinds of records; SKIPPED: a message that is not counted
+HEAD_RECORD, POSE_RECORD, FRAMES_RECORD, SKIPPED_RECORD = range(
+    4
+)  # kinds of records; SKIPPED: a message that is not counted
 ENDING = ".spool"
 _BEGIN = struct.Struct(">II")  # begin of a record: its length, and the CRC-32 of its content
 _MOST_RECORD = 1 << 24  # most bytes of a record: the marks of thousands of sensors
@@ -50,7 +52,7 @@ class Record(NamedTuple):
     Parameters
     ----------
     kind : int
-        `HEAD`, `POSE`, `FRAMES` or `SKIPPED`.
+        `HEAD_RECORD`, `POSE_RECORD`, `FRAMES_RECORD` or `SKIPPED_RECORD`.
     sensor : str
         Name of the sensor; empty for the head.
     payload : bytes
@@ -142,8 +144,8 @@ class Spool:
             named = (each.sensor, each.pose)
             if each.pose and named not in written:
                 written.add(named)
-                parts.append(_packed(Record(POSE, each.sensor, each.pose)))
-            kind = FRAMES if each.pose else SKIPPED
+                parts.append(_packed(Record(POSE_RECORD, each.sensor, each.pose)))
+            kind = FRAMES_RECORD if each.pose else SKIPPED_RECORD
             parts.append(_packed(Record(kind, each.sensor, each.payload)))
         self._append(b"".join(parts))
         self.mark([(each.sensor, each.payload) for each in self._batch])
@@ -197,7 +199,7 @@ class Spool:
             handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         self._handle, self._size, self._written, self._path = handle, 0, set(), path
         try:
-            self._append(_packed(Record(HEAD, "", json.dumps(self.marks).encode())))
+            self._append(_packed(Record(HEAD_RECORD, "", json.dumps(self.marks).encode())))
             sync_folder(self.folder)
         except BaseException:
             os.close(handle)
@@ -263,7 +265,7 @@ class SpoolFile:
     def has_head(self) -> bool:
         """Whether it begins with the marks of all streams; a crash may have torn them."""
         first = self.at(0)
-        return first is not None and first.kind == HEAD
+        return first is not None and first.kind == HEAD_RECORD
 
     def records(self) -> Iterator[tuple[int, Record]]:
         """Yield all records, each with its offset in the file."""

@@ -24,12 +24,12 @@ from gis_radar.tracking import (
 )
 
 HEAVY_M = 7.0  # longer vehicles count as heavy (contract)
-LENGTHS_M, HEAVY_WIDTH_M, WIDTH_M = (4.6, 18.75), 2.5, 1.85
+_LENGTHS_M, _HEAVY_WIDTH_M, _WIDTH_M = (4.6, 18.75), 2.5, 1.85
 SURE_HITS = 6  # least detections of a shown vehicle
 FOLLOWED_S = 60.0  # longest time after its last detection that a vehicle is shown as followed
 STANDING_S = 180.0  # time that a vehicle which stood when the filter lost it is still shown
 LEAVING_MPS = 0.7  # a vehicle that was faster when it was lost has left
-SAME_M = 2.5  # a vehicle found nearer than this to the place of a standing one is the same
+_SAME_M = 2.5  # a vehicle found nearer than this to the place of a standing one is the same
 # Cross sections kept of a vehicle, and vehicles kept to distinguish walkers from.
 RCS_KEPT, VEHICLES_KEPT = 40, 400
 
@@ -69,11 +69,11 @@ class VehiclesNow:
     @classmethod
     def of(cls, time: float, rows: Floats) -> VehiclesNow:
         """Return the vehicles of rows (number, easting, northing, heading, speed, length)."""
-        length = np.clip(rows[:, 5], *LENGTHS_M)
+        length = np.clip(rows[:, 5], *_LENGTHS_M)
         return cls(
             time=time, vehicle=rows[:, 0].astype(np.int64), place=rows[:, 1:3],
             heading=np.degrees(np.angle(np.exp(1j * rows[:, 3]))), speed=rows[:, 4],
-            length_m=length, width_m=np.where(length > HEAVY_M, HEAVY_WIDTH_M, WIDTH_M),
+            length_m=length, width_m=np.where(length > HEAVY_M, _HEAVY_WIDTH_M, _WIDTH_M),
         )  # fmt: skip
 
     @classmethod
@@ -169,8 +169,8 @@ class NowFilter:
     def _show(self) -> None:
         """Update the shown vehicles by the filter's bodies, and hold those that it has lost."""
         bodies = self._filter.bodies
-        recent = bodies[:, columns.LAST] > self._reached - FOLLOWED_S
-        sure = (bodies[:, columns.HITS] >= SURE_HITS) & recent
+        recent = bodies[:, columns.LAST_TIME] > self._reached - FOLLOWED_S
+        sure = (bodies[:, columns.DETECTION_COUNT] >= SURE_HITS) & recent
         persons = self._persons() if len(bodies) else set()
         alive: dict[int, Floats] = {}
         for body in bodies[sure]:
@@ -199,7 +199,7 @@ class NowFilter:
     def _near(self, place: Floats, places: Floats) -> int | None:
         distance_m = np.hypot(*(places - place).T) if len(places) else np.zeros(0)
         nearest = int(distance_m.argmin()) if len(distance_m) else -1
-        return nearest if len(distance_m) and distance_m[nearest] < SAME_M else None
+        return nearest if len(distance_m) and distance_m[nearest] < _SAME_M else None
 
     def now(self) -> VehiclesNow:
         """Return the vehicles of the last moment."""

@@ -22,7 +22,7 @@ from starlette.routing import Route
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, InputError, iso_from_step, seconds_from_iso
 from gis_radar.live.health import ALARMS
-from gis_radar.live.hours.quarters import TRAFFIC
+from gis_radar.live.hours.quarters import TRAFFIC_FIELDS
 from gis_radar.live.now.now_filter import VehiclesNow
 from gis_radar.live.now.vehicles_now import layer_of
 from gis_radar.live.served.snapshot import ShownMap, Snapshot, geometries
@@ -34,8 +34,8 @@ _CONFORMANCE = [
 ]
 JSON, GEOJSON = "application/json", "application/geo+json"
 OPENAPI = "application/vnd.oai.openapi+json;version=3.0"
-IDS = ("lanelet_id", "lane")  # text in JSON: they reach 9e18, exact numbers of readers only 9e15
-LIMIT, MOST = 1_000, 20_000  # features of a page by default, and at most
+_IDS = ("lanelet_id", "lane")  # text in JSON: they reach 9e18, exact numbers of readers only 9e15
+_LIMIT, _MOST = 1_000, 20_000  # features of a page by default, and at most
 COLLECTIONS = {  # title and description; the method of _Layers with this name returns the layer
     "tiles": ("Tiles", "Slices of 0.5 m of a lane that were observed in the last 15 minutes"),
     "vehicles": ("Vehicles", "Those of now: speed in m/s"),
@@ -121,7 +121,7 @@ class _Service:
 
     def items(self, request: Request) -> Response:
         layer = _filtered(self._layer(request), request.query_params)
-        limit = min(_whole_number(request.query_params, "limit", LIMIT, least=1), MOST)
+        limit = min(_whole_number(request.query_params, "limit", _LIMIT, least=1), _MOST)
         offset = _whole_number(request.query_params, "offset", 0, least=0)
         shown = layer.iloc[offset : offset + limit]
         links = [_link(str(request.url), "self", GEOJSON, "these features")]
@@ -152,7 +152,7 @@ class _Service:
 
     def _layer(self, request: Request) -> gpd.GeoDataFrame:
         layer: gpd.GeoDataFrame = getattr(self._layers, _chosen(request))()
-        ids = [name for name in IDS if name in layer]
+        ids = [name for name in _IDS if name in layer]
         return layer.assign(**{name: layer[name].astype(str) for name in ids})
 
 
@@ -190,7 +190,7 @@ class _Layers:
         if now.quarter is None:
             return table
         found = now.quarter.lanes.set_index("lane").reindex(table["lane"])
-        return table.assign(**{f"{name}_15min": found[name].to_numpy() for name in TRAFFIC})
+        return table.assign(**{f"{name}_15min": found[name].to_numpy() for name in TRAFFIC_FIELDS})
 
     def vehicles(self) -> gpd.GeoDataFrame:
         now = self._live.snapshot().vehicles or VehiclesNow.none()
@@ -341,7 +341,7 @@ def _openapi(at: str, title: str) -> dict[str, Any]:
     numbered = path | {"name": "number", "schema": {"type": "integer"}}
     box = {"type": "array", "items": {"type": "number"}, "minItems": 4, "maxItems": 6}
     query = [
-        parameter("limit", "integer", minimum=1, maximum=MOST, default=LIMIT),
+        parameter("limit", "integer", minimum=1, maximum=_MOST, default=_LIMIT),
         parameter("offset", "integer", minimum=0),
         parameter("datetime", "string"),
         {"name": "bbox", "in": "query", "style": "form", "explode": False, "schema": box},

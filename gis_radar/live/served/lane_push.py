@@ -26,12 +26,18 @@ from gis_radar.base import (
 from gis_radar.dataset import STEPS_PER_QUARTER
 from gis_radar.live.background import in_background
 from gis_radar.live.hours.quarters import QUARTERS_KEPT, QuarterMeasures
-from gis_radar.live.served.sensorthings import HITS, MEASURES, LaneMeasure, LaneServer, Service
+from gis_radar.live.served.sensorthings import (
+    HITS_MEASURE,
+    MEASURES,
+    LaneMeasure,
+    LaneServer,
+    Service,
+)
 from gis_radar.live.served.snapshot import Place
 from gis_radar.site import SensorThingsTable
 
-FIRST_RETRY_S, SLOWEST_RETRY_S = 30.0, 900.0
-MOST_WAITING = 50_000  # most waiting measures: two days of 50 lanes by 15 minutes
+_FIRST_RETRY_S, _SLOWEST_RETRY_S = 30.0, 900.0
+_MOST_WAITING = 50_000  # most waiting measures: two days of 50 lanes by 15 minutes
 DIGITS = 3
 
 
@@ -61,7 +67,7 @@ class LanePush:
 
     def __init__(
         self, table: SensorThingsTable, place: Place, *, site: str, path: Path,
-        retry_s: float = FIRST_RETRY_S, reporter: Reporter = QUIET,
+        retry_s: float = _FIRST_RETRY_S, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self._server = LaneServer(Service.of(table), place, site)
         self._place, self._steps = place, interval_steps(table.interval)
@@ -119,7 +125,7 @@ class LanePush:
         """Add measures to those that wait, and return which are new."""
         known = {each[:3] for each in self._waiting} if done else set()
         if added := [each for each in done if each[:3] not in known]:
-            self._waiting = [*self._waiting, *added][-MOST_WAITING:]
+            self._waiting = [*self._waiting, *added][-_MOST_WAITING:]
             self._store()
         return added
 
@@ -130,7 +136,12 @@ class LanePush:
         observed_s = STEP_S * place.means_by_lane(counts[1])
         return [
             LaneMeasure(
-                lane, HITS, begin, begin + self._steps, round(share, DIGITS), round(s, DIGITS)
+                lane,
+                HITS_MEASURE,
+                begin,
+                begin + self._steps,
+                round(share, DIGITS),
+                round(s, DIGITS),
             )
             for lane, share, s in zip(
                 place.lane_numbers, percent.tolist(), observed_s.tolist(), strict=True
@@ -171,7 +182,7 @@ class LanePush:
     def _failed(self, error: Exception) -> None:
         """Plan a retry; log each new reason once."""
         self._compare_first, self._try_at = True, time.monotonic() + self._retry_wait_s
-        self._retry_wait_s = min(2.0 * self._retry_wait_s, SLOWEST_RETRY_S)
+        self._retry_wait_s = min(2.0 * self._retry_wait_s, _SLOWEST_RETRY_S)
         if isinstance(error, GisRadarError):
             message = error.message
         else:
@@ -194,7 +205,7 @@ def _traffic(quarter: QuarterMeasures) -> Iterator[LaneMeasure]:
     """Yield the measures of traffic of a quarter that are known."""
     end = quarter.until_step + 1
     for name, measure in MEASURES.items():
-        if name == HITS:
+        if name == HITS_MEASURE:
             continue
         table = quarter.lanes[["lane", name, measure.parameter]].dropna()
         for lane, result, parameter in table.itertuples(index=False, name=None):

@@ -26,7 +26,7 @@ from gis_radar.live.served.snapshot import Place, geometries
 from gis_radar.live.wire.settings import LOOPBACK, read_secret
 from gis_radar.site import SensorThingsTable
 
-TIMEOUT_S = 30.0
+_TIMEOUT_S = 30.0
 OBSERVATIONS_AT_ONCE = 500  # observations in a request
 COMPARED_INTERVALS = 100  # intervals of a lane that are requested from a server: one page of FROST
 MEASUREMENT = "http://www.opengis.net/def/observationType/OGC-OM/2.0/OM_Measurement"
@@ -57,9 +57,9 @@ class Measure:
 
 
 _PERCENT = ("percent", "%", "PERCENT")
-HITS = "hits"
+HITS_MEASURE = "hits"
 MEASURES = {
-    HITS: Measure(
+    HITS_MEASURE: Measure(
         name="hit share", unit=_PERCENT, parameter="observed_s",
         about="Share of the observed time in which a radar hit something on a tile of the lane, "
         "the mean of its tiles. It is below the share in which vehicles occupy them.",
@@ -84,7 +84,7 @@ MEASURES = {
     ),
 }  # fmt: skip
 """By the last word of the Datastream's name; those of traffic are columns of it."""
-COMPONENTS = ["phenomenonTime", "resultTime", "result", "parameters"]
+_COMPONENTS = ["phenomenonTime", "resultTime", "result", "parameters"]
 _NOT_STORED = "error"  # entry in place of the link of an observation that was not stored
 
 
@@ -186,7 +186,7 @@ class Service:
             f"{self.root}/{path}", data=body, headers=dict(self.headers)
         )
         try:
-            with opener_of(self.root).open(request, timeout=TIMEOUT_S) as answer:
+            with opener_of(self.root).open(request, timeout=_TIMEOUT_S) as answer:
                 text = answer.read()
         except urllib.error.HTTPError as error:
             error.close()
@@ -300,7 +300,7 @@ class LaneServer:
         for stream, group in groupby(measures, lambda each: each.stream):
             values = [_values(each) for each in group]
             arrays.append({
-                "Datastream": {"@iot.id": self._stream(*stream)}, "components": COMPONENTS,
+                "Datastream": {"@iot.id": self._stream(*stream)}, "components": _COMPONENTS,
                 "dataArray@iot.count": len(values), "dataArray": values,
             })  # fmt: skip
         links = self._service.post("CreateObservations", arrays)

@@ -42,11 +42,11 @@ from gis_radar.measures import LaneNetwork, lane_names
 from gis_radar.poses import Pose
 from gis_radar.products import BREAKS, lane_totals, lanes_with_tiles
 
-NOT_OBSERVED = -1  # in place of a class
+NO_CLASS = -1  # in place of a class
 DEGREES = 7  # digits after the point of a degree: a centimetre
 RINGS = 1_000  # most rings of views in the cache: poses of a following sensor change every 5 s
 RATE_S = 10.0  # time over which frames are counted
-GEOGRAPHIC = "OGC:CRS84"  # longitude, latitude: as web maps and OGC API - Features use
+_GEOGRAPHIC = "OGC:CRS84"  # longitude, latitude: as web maps and OGC API - Features use
 
 
 def geometries(shapes: Any) -> list[dict[str, Any] | None]:
@@ -109,7 +109,7 @@ class Place:
 
     def in_degrees(self, layer: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
         """Return a layer of the site in longitude and latitude."""
-        return layer.to_crs(GEOGRAPHIC)
+        return layer.to_crs(_GEOGRAPHIC)
 
     def degrees_of(self, pose: Pose) -> tuple[float, float]:
         """Return longitude and latitude of a sensor."""
@@ -143,7 +143,7 @@ class Place:
 
     @cached_property
     def _to_degrees(self) -> Transformer:
-        return transformer(self.tiles.crs, CRS.from_user_input(GEOGRAPHIC))
+        return transformer(self.tiles.crs, CRS.from_user_input(_GEOGRAPHIC))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,7 +219,7 @@ class Snapshot:
     def occupancy_classes(self) -> Integers:
         """Return each tile's class of occupancy, as `classes` does; -1 where it was not visible."""
         if self.quarter is None:
-            return np.full(len(self.observed), NOT_OBSERVED)
+            return np.full(len(self.observed), NO_CLASS)
         return classes_of(self.quarter.occupancy())
 
     def by_lane(self, place: Place) -> Floats:
@@ -231,7 +231,7 @@ class Snapshot:
 def classes_of(share: Floats) -> Integers:
     """Return the class of each share: 0 for none, then as in the legend; -1 where not known."""
     found = np.searchsorted(BREAKS[:-1], np.nan_to_num(share), side="left")
-    return np.where(np.isnan(share), NOT_OBSERVED, found).astype(np.int64)
+    return np.where(np.isnan(share), NO_CLASS, found).astype(np.int64)
 
 
 class FusedMap(Protocol):

@@ -27,12 +27,12 @@ TOPICS = "v1"  # the version of the tree of topics
 FUSION = "fusion"  # fusion's name in topics, and its user name at the broker
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 KEEP_ALIVE_S = 10  # a cut link is noticed after 1.5 times this
-SLOWEST_RETRY_S = 30
+_SLOWEST_RETRY_S = 30
 IN_FLIGHT = 100  # messages sent before the broker has confirmed the first
 _TAKEN_OVER, _REFUSED = 142, range(128, 256)  # reason codes of MQTT 5
 # Short links in this time that no restart explains: another program has the same name.
 SHORT_LINKS, SHORT_LINKS_WITHIN_S = 3, 120.0
-POLL_S = 0.005  # between two looks at an empty queue
+_POLL_S = 0.005  # between two looks at an empty queue
 SHORT_LINK_S = 10.0  # duration below which a link is short
 
 
@@ -173,7 +173,7 @@ class Link:
         if will is not None:
             client.will_set(will[0], will[1], qos=1, retain=True)
         client.max_inflight_messages_set(IN_FLIGHT)
-        client.reconnect_delay_set(1, SLOWEST_RETRY_S)
+        client.reconnect_delay_set(1, _SLOWEST_RETRY_S)
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
         client.on_connect_fail = self._on_connect_fail
         client.on_message, client.on_publish = self._on_message, self._on_publish
@@ -222,7 +222,7 @@ class Link:
                 left = until - time.monotonic()
                 if left <= 0.0:
                     return None
-                time.sleep(min(left, POLL_S))
+                time.sleep(min(left, _POLL_S))
 
     def _log_once(self, text: str) -> None:
         if text != self._logged:  # log a failure once, however often it is retried
@@ -271,7 +271,7 @@ class Link:
             self._taken.append(now)
         if len(self._taken) == SHORT_LINKS and now - self._taken[0] < SHORT_LINKS_WITHIN_S:
             # reconnect slowly: the other program is served meanwhile, and both report it
-            self._client.reconnect_delay_set(SLOWEST_RETRY_S // 2, SLOWEST_RETRY_S)
+            self._client.reconnect_delay_set(_SLOWEST_RETRY_S // 2, _SLOWEST_RETRY_S)
             self._log_once("the broker ends each link soon: has another program the same name?")
             return
         self._log_once(Text("the link to the broker is lost: {}; trying on", reason))

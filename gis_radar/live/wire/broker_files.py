@@ -19,7 +19,7 @@ from gis_radar.live.wire.settings import LiveSite, read_live_site, webhook_addre
 
 CONFIG, ACCESS, PASSWORDS = "mosquitto.conf", "access", "passwords"
 # Begins of names in the folder; files of TLS, `server.*`, come from elsewhere and stay.
-OWNED = (CONFIG, ACCESS, PASSWORDS, "gis-radar-", "password_of_", "server.")
+_OWNED = (CONFIG, ACCESS, PASSWORDS, "gis-radar-", "password_of_", "server.")
 _ROUNDS, _SALT_BYTES = 101, 12  # as in Mosquitto's own mosquitto_passwd
 _HEADER_BYTES = 1024  # bytes of a message beside its content: topic and properties
 
@@ -51,7 +51,7 @@ def write_broker_files(
     options = ("--webhook", webhook_address(webhook)) if webhook is not None else ()
     users = [FUSION, *(each.name for each in site.sensor)]
     known = {user: _password(place / f"password_of_{user}") for user in users}
-    with atomic_folder(place, owned=OWNED) as part:
+    with atomic_folder(place, owned=_OWNED) as part:
         texts = {
             CONFIG: broker_config(site, place.resolve()),
             ACCESS: broker_access(site.live.site),

@@ -16,7 +16,7 @@ from typing import NamedTuple, Self
 from gis_radar.base import GisRadarError, InputError, OutputError, Text
 from gis_radar.live.wire.payload import STREAM_BYTES, VERSION
 
-LOCK_S = 1.0  # wait for another program to release the file
+_LOCK_S = 1.0  # wait for another program to release the file
 LAST_NUMBER = 1 << 62  # largest number of a message, so that the next ones fit in 64 bits
 CHECK_EVERY = 64  # messages between two checks of the size
 _APPLICATION = b"grbu"  # mark of a buffer in the file's header
@@ -130,7 +130,7 @@ class DiskBuffer:
 
     def _open(self) -> bytes | None:
         """Open the file; return its mark of version and tiles, None where it is damaged."""
-        self._database = sqlite3.connect(self.path, isolation_level=None, timeout=LOCK_S)
+        self._database = sqlite3.connect(self.path, isolation_level=None, timeout=_LOCK_S)
         try:
             if self._database.execute("PRAGMA application_id").fetchone() == (0,):  # a new one
                 number = int.from_bytes(_APPLICATION)

@@ -26,7 +26,7 @@ from gis_radar.recordings import Detections
 from gis_radar.scans import SightTiles
 from gis_radar.tracking import HEIGHT_RAD, HIGH_M, LOW_M, NOISE_S, SLOW_MPS, still_rate
 
-UNITS, RATES = 250, 500  # units in a metre, and in a metre a second
+_UNITS, _RATES = 250, 500  # units in a metre, and in a metre a second
 UNKNOWN_Z, UNKNOWN_DB = -2_500_000, -128  # no elevation, no cross section
 UNKNOWN_RATE = -2_500_000
 FARTHEST = 25_000_000  # largest coordinate: 100 km
@@ -68,11 +68,11 @@ class FrameDetections:
                 time=np.full(1, self.time_us / 1e6), points=np.full((1, 3), np.nan),
                 range_rate=gap, rcs=gap, further=NO_FURTHER,
             )  # fmt: skip
-        points = self.points / UNITS
+        points = self.points / _UNITS
         points[self.points[:, 2] == UNKNOWN_Z, 2] = np.nan
         rcs = np.where(self.rcs_db == UNKNOWN_DB, np.nan, self.rcs_db.astype(np.float64))
         # the middle of the rates that are cut to the same number
-        rates = (self.rates + 0.5 * np.sign(self.rates)) / RATES
+        rates = (self.rates + 0.5 * np.sign(self.rates)) / _RATES
         rates[self.rates == UNKNOWN_RATE] = np.nan
         time = np.full(len(points), self.time_us / 1e6)
         return Detections(
@@ -128,8 +128,10 @@ class DetectionSelector:
         still = np.abs(rate) < self.still_mps
         return FrameDetections(
             time_us=int(np.rint(time * 1e6)),
-            points=_rounded(UNITS * points, UNKNOWN_Z),
-            rates=_rounded(np.where(still, 0.0, np.trunc(np.round(RATES * rate, 3))), UNKNOWN_RATE),
+            points=_rounded(_UNITS * points, UNKNOWN_Z),
+            rates=_rounded(
+                np.where(still, 0.0, np.trunc(np.round(_RATES * rate, 3))), UNKNOWN_RATE
+            ),
             rcs_db=_rounded(rcs, UNKNOWN_DB),
         )
 
@@ -212,7 +214,7 @@ def unpack_detections(content: bytes) -> tuple[bytes, tuple[FrameDetections, ...
 def _frame_of(time_us: int, columns: Integers) -> FrameDetections:
     """Return a frame from its columns; refuse values that no radar measures."""
     if columns.size and (columns.min() < -FARTHEST or columns.max() > FARTHEST):
-        raise InputError("a frame with a detection beyond {:g} km", FARTHEST / (1000 * UNITS))
+        raise InputError("a frame with a detection beyond {:g} km", FARTHEST / (1000 * _UNITS))
     level = columns[2] == UNKNOWN_Z
     if level.any() and not level.all():
         raise InputError("a frame in which some detections have a height and others none")

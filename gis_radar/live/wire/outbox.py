@@ -10,10 +10,10 @@ from gis_radar.base import QUIET, InputError, OutputError, Reporter
 from gis_radar.live.wire.broker import Link, SensorTopics
 from gis_radar.live.wire.buffer import DiskBuffer, Waiting
 from gis_radar.live.wire.payload import (
-    DETECTIONS,
+    DETECTIONS_TOPIC,
     MOST_CONTENT,
-    POSE,
     POSE_BYTES,
+    POSE_TOPIC,
     VERSION,
     Acknowledgement,
     Envelope,
@@ -31,7 +31,7 @@ UNACKNOWLEDGED = 400  # most messages ahead of the acknowledgement: 20 s of a ra
 # time, up to the longest: an outage of a night then costs a few MB of traffic.
 RESEND_S, SLOWEST_RESEND_S = 15.0, 300.0
 STATUS_S = 2.0  # between two reports of a sensor's state
-ONLINE, OFFLINE = "online", "offline"
+ONLINE_STATUS, OFFLINE_STATUS = "online", "offline"
 
 
 def status_message(state: str, **figures: object) -> bytes:
@@ -130,7 +130,9 @@ class Outbox:
         if now - self._reported >= STATUS_S:
             self._reported = now
             self._drop()
-            status = status_message(ONLINE, stream=self._buffer.stream.hex(), **self._figures())
+            status = status_message(
+                ONLINE_STATUS, stream=self._buffer.stream.hex(), **self._figures()
+            )
             self._link.publish(self._topics.of("status"), status, retain=True)
         if self._unacknowledged and now - self._progress > self._resend_wait_s:
             self._resend_wait_s = min(2 * self._resend_wait_s, SLOWEST_RESEND_S)
@@ -153,7 +155,7 @@ class Outbox:
                     live=each.number == self._buffer.last,
                 )  # fmt: skip
                 self._link.publish(
-                    self._topics.of(DETECTIONS), pack_message(envelope, each.content), qos=0
+                    self._topics.of(DETECTIONS_TOPIC), pack_message(envelope, each.content), qos=0
                 )
                 self._sent = each.number
 
@@ -162,7 +164,7 @@ class Outbox:
         key = waiting.content[:POSE_BYTES]
         if key != self._pose_sent:
             pose = self._buffer.pose_of(waiting.number)
-            self._link.publish(self._topics.of(POSE), pose, retain=True)
+            self._link.publish(self._topics.of(POSE_TOPIC), pose, retain=True)
             self._pose_sent = key
 
     def _rewind(self) -> None:

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from gis_radar.base import InputError, Text, parsed_json
 
 VERSION = 2
-DETECTIONS, POSE = "detections", "pose"  # topics
+DETECTIONS_TOPIC, POSE_TOPIC = "detections", "pose"  # topics
 _LIVE, _FIRST = 0x80, 0x40  # flags: sent at once; no earlier message is in the sensor's buffer
 _HEAD = struct.Struct(">BB4s")
 HEAD_BYTES = _HEAD.size  # bytes before the number

@@ -29,7 +29,7 @@ from gis_radar.recordings import (
 
 IDLE_S = 0.02  # between two looks while there is no frame
 SET_BACK_S = 0.5  # a frame earlier by less came out of order; by more, the clock was set back
-WAITING_FRAMES = 1_000  # most frames of a radar that wait to be processed: 50 s
+_WAITING_FRAMES = 1_000  # most frames of a radar that wait to be processed: 50 s
 Frames = Iterator[Detections | None]
 
 
@@ -141,7 +141,7 @@ class Radar:
         """
         frames = self.read or format_of(self.source).frames
         context = ReaderContext(sensor=self.sensor, reporter=self.reporter, counts=self.counts)
-        waiting: Queue[Frame | Exception | None] = Queue(WAITING_FRAMES)
+        waiting: Queue[Frame | Exception | None] = Queue(_WAITING_FRAMES)
 
         def read() -> None:
             try:

@@ -30,8 +30,8 @@ from gis_radar.dataset import Dataset, LaneTraffic, day_numbers, open_dataset
 from gis_radar.products.comparison.result import Comparison, Period
 from gis_radar.products.comparison.rows import AlikeRows, compared_rows
 
-INTERVAL, FINER = "15min", "1min"
-FEW_HOURS = 12  # periods up to so long have too few quarters of an hour: `FINER` is used
+INTERVAL, _FINER = "15min", "1min"
+FEW_HOURS = 12  # periods up to so long have too few quarters of an hour: `_FINER` is used
 
 
 def compare(
@@ -131,7 +131,7 @@ def _require_apart(dataset: Dataset, before: Period, after: Period) -> None:
 def _rows(
     sources: Sequence[tuple[Dataset, Period]], days: set[int], language: str | None
 ) -> list[gpd.GeoDataFrame]:
-    """Read the traffic of both periods, by `FINER` intervals where the periods are short."""
+    """Read the traffic of both periods, by `_FINER` intervals where the periods are short."""
     records = [dataset.records(dataset.span(*period)) for dataset, period in sources]
     methods = [
         (number, dataset.folder)
@@ -146,7 +146,7 @@ def _rows(
         )
     few = max(map(len, records)) <= FEW_HOURS
     exact = not any(hour.dropped for each in records for hour in each.values())
-    interval = FINER if few and exact else INTERVAL
+    interval = _FINER if few and exact else INTERVAL
     return [_rows_of(*source, interval, days, language) for source in sources]
 
 

@@ -40,12 +40,12 @@ from gis_radar.products.results_folder import write_results
 from gis_radar.products.traffic_style import LineClass, class_style
 
 Period = tuple[Any, Any]
-LAYER = "comparison"
+_LAYER = "comparison"
 # Classes of the difference in percent: colours without red and green, grey where none is reported.
-MOST = 999.0  # largest percentage shown, also for what was 0 before
-BREAKS = (-1000.0, -25.0, -10.0, -1e-9, 1e-9, 10.0, 25.0, 1000.0)
+_MOST = 999.0  # largest percentage shown, also for what was 0 before
+_BREAKS = (-1000.0, -25.0, -10.0, -1e-9, 1e-9, 10.0, 25.0, 1000.0)
 COLOURS = ("#7f3b08", "#d08020", "#f0c080", "#9a9a9a", "#b2abd2", "#8073ac", "#2d004b")
-SECTIONS = {
+_SECTIONS = {
     1: Text("Better"), -1: Text("Worse"), 0: Text("Volumes and speeds"),
     None: Text("Cannot be told"),
 }  # fmt: skip
@@ -166,7 +166,7 @@ def wide_table(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
         is_significant = rows["verdict"].notna() & (rows["verdict"] != NOT_TOLD)
         for name in ("before", "after", "se", "verdict"):
             columns[f"{measure}_{name}"] = rows[name]
-        change = rows["percent"].fillna(np.sign(rows["difference"]) * MOST).clip(-MOST, MOST)
+        change = rows["percent"].fillna(np.sign(rows["difference"]) * _MOST).clip(-_MOST, _MOST)
         columns[f"{measure}_change"] = change.where(is_significant, 0.0).where(
             rows["verdict"].notna()
         )
@@ -178,21 +178,21 @@ def _write_layer(table: gpd.GeoDataFrame, path: Path) -> None:
     measure = next(iter(COMPARED))
     # with metadata of a layer, GDAL makes the tables that titles need
     metadata = {"shows": measure}
-    add_layer(wide_table(table), path, LAYER, geometry_type="LineString", layer_metadata=metadata)
+    add_layer(wide_table(table), path, _LAYER, geometry_type="LineString", layer_metadata=metadata)
     notes = LayerNotes(tr("Comparison"), tr("What changed by lane between two periods"), {})
     style = class_style(f"{measure}_change", change_classes())
     style_layers(
-        path, {LAYER: style}, name="change", about="change of the volume", notes={LAYER: notes}
+        path, {_LAYER: style}, name="change", about="change of the volume", notes={_LAYER: notes}
     )
 
 
 def change_classes() -> Iterator[LineClass]:
     """Yield the classes of change, percent."""
-    for (low, high), colour in zip(pairwise(BREAKS), COLOURS, strict=True):
+    for (low, high), colour in zip(pairwise(_BREAKS), COLOURS, strict=True):
         if low < 0.0 < high:
             label = tr("no change is told")
-        elif low == BREAKS[0] or high == BREAKS[-1]:
-            bound = high if low == BREAKS[0] else low
+        elif low == _BREAKS[0] or high == _BREAKS[-1]:
+            bound = high if low == _BREAKS[0] else low
             more = tr("over {percent} % more", percent=f"{bound:g}")
             label = more if bound > 0 else tr("over {percent} % less", percent=f"{-bound:g}")
         else:
@@ -213,7 +213,7 @@ def draw_changes(comparison: Comparison, path: Path) -> None:
         for ax, measure in zip(figure.subplots(1, len(measures)), measures, strict=True):
             known = table[table[f"{measure}_before"].notna()]
             change = known[f"{measure}_change"].to_numpy(np.float64)
-            k = np.clip(np.searchsorted(BREAKS, change, side="right") - 1, 0, len(COLOURS) - 1)
+            k = np.clip(np.searchsorted(_BREAKS, change, side="right") - 1, 0, len(COLOURS) - 1)
             known.plot(ax=ax, color=np.array(COLOURS)[k].tolist(), linewidth=2.6)
             ax.set_title(tr(COMPARED[measure].title))
             ax.set_axis_off()
@@ -252,7 +252,7 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
         picture=f"data:image/png;base64,{base64.b64encode(picture).decode()}",
         sections=[
             (tr(title), [row for row in rows if row["section"] == section])
-            for section, title in SECTIONS.items()
+            for section, title in _SECTIONS.items()
         ],
         left_out=comparison.left_out.to_dict("records"),
     )  # fmt: skip

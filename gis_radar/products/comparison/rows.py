@@ -60,7 +60,7 @@ COMPARED = {
 }
 
 
-LEAST_TOGETHER = 2  # from so many on, stop lines are compared together, too
+_LEAST_TOGETHER = 2  # from so many on, stop lines are compared together, too
 
 
 class AlikeRows(NamedTuple):
@@ -104,7 +104,7 @@ def compared_rows(lanes: Mapping[int, AlikeRows]) -> pd.DataFrame:
         for row in _rows(periods)
     ]
     stops = [n for n, each in values.items() if all("queue_mean_m" in known for known in each)]
-    if len(stops) >= LEAST_TOGETHER:
+    if len(stops) >= _LEAST_TOGETHER:
         watchers = "; ".join(sorted({lanes[n].watchers for n in stops}))
         together = _together([values[n] for n in stops])
         rows_found += [{"lane": None} | row | {"watchers": watchers} for row in _rows(together)]
@@ -167,7 +167,7 @@ def with_verdicts(table: pd.DataFrame) -> pd.DataFrame:
 LONGEST_MIN = 5  # minutes over which a queue's farthest back is taken, several cycles
 # Least number of intervals of a lane that is taken together with others, as a share of the most
 # that any of them has.
-KNOWN_SHARE = 0.9
+_KNOWN_SHARE = 0.9
 LEAST_SEEN = 0.5  # least share of the intervals with traffic in which enough of a lane is visible
 
 
@@ -233,7 +233,7 @@ def _longest(rows: pd.DataFrame) -> pd.Series:
 def often_known(lanes: Sequence[pd.DataFrame | None]) -> Booleans:
     """Return which lanes have values in nearly as many intervals as the lane with most."""
     count = np.array([0 if values is None else len(values) for values in lanes])
-    return np.asarray((count > 0) & (count >= KNOWN_SHARE * count.max()), np.bool_)
+    return np.asarray((count > 0) & (count >= _KNOWN_SHARE * count.max()), np.bool_)
 
 
 def values_together(lanes: Sequence[pd.DataFrame], *, adds: bool) -> pd.DataFrame:

@@ -43,21 +43,25 @@ from gis_radar.products.heatmap.picture import (
     map_picture,
 )
 
-DPI = 200
-FINER = 2  # pixels of the picture for each pixel of the figure, so that edges are smooth
+_DPI = 200
+_FINER = 2  # pixels of the picture for each pixel of the figure, so that edges are smooth
 WIDTH_IN = 10.0  # width of the figure
 MAP_WIDTH_IN = 7.15  # width of the map in it
 MAP_HEIGHT_IN = (5.5, 8.6)  # lowest, which the legend needs, and highest
-EDGE_IN = 0.3  # left of the map
+_EDGE_IN = 0.3  # left of the map
 TITLE_IN = 0.85  # height of the title and two lines below it
-SMALL, LINE = 8.5, 132  # points of small letters, and how many of them fit in a line
+_SMALL, _LINE = 8.5, 132  # points of small letters, and how many of them fit in a line
 BELOW_TITLE = 82  # letters: as far as the scale bar
-TITLE, TITLE_LETTERS, HEAD_LETTERS = 17, 46, 26  # points; letters that fit, beside the north arrow
+TITLE, _TITLE_LETTERS, _HEAD_LETTERS = (
+    17,
+    46,
+    26,
+)  # points; letters that fit, beside the north arrow
 LINE_IN = 0.16  # height of a line of small letters
 FRAME = "#9aa1a8"
 HATCH, UNSURE_HATCH = "////", "\\\\\\"
 APART = {style.NEVER_HIT, style.UNCERTAIN, style.NOT_OBSERVED}  # in the legend
-TITLES = {"hit_share": "Hit share heat map", "occupancy": "Occupancy heat map"}
+_TITLES = {"hit_share": "Hit share heat map", "occupancy": "Occupancy heat map"}
 MEANINGS = {
     "hit_share": (
         "A tile is hit in a step of 50 ms when a radar detection falls in it; overlapping "
@@ -157,11 +161,11 @@ def write_figure(tally: Tally, path: Path, reporter: Reporter) -> None:
     reporter.progress("drawing the picture", 0, 1)
     with mpl.rc_context(FONTS), in_language(tally.labels.language):
         figure = heatmap_figure(tally)
-        named = filter(None, (tally.labels.title, tr(TITLES[tally.measure])))
+        named = filter(None, (tally.labels.title, tr(_TITLES[tally.measure])))
         about = {"Title": ", ".join(named), "Description": time_span(tally)}
         if tally.labels.sources:
             about["Source"] = "; ".join(tally.labels.sources)
-        figure.savefig(path, dpi=DPI, metadata=about)
+        figure.savefig(path, dpi=_DPI, metadata=about)
     reporter.progress("drawing the picture", 1, 1)
 
 
@@ -184,13 +188,13 @@ def heatmap_figure(tally: Tally) -> Figure:
     width_m, height_m = extent[1] - extent[0]
     tall_in = MAP_WIDTH_IN * height_m / width_m
     title_in = TITLE_IN + LINE_IN * (len(_head(tally)) - 2)
-    figure = Figure(figsize=(WIDTH_IN, tall_in + title_in + foot_in), dpi=DPI, facecolor="white")
+    figure = Figure(figsize=(WIDTH_IN, tall_in + title_in + foot_in), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)
-    ax = _axes(figure, EDGE_IN, foot_in, MAP_WIDTH_IN, tall_in)
+    ax = _axes(figure, _EDGE_IN, foot_in, MAP_WIDTH_IN, tall_in)
     _add_map(ax, tally, extent, MAP_WIDTH_IN)
     _add_detail(ax, tally, extent)
     _frame(ax, FRAME)
-    beside = EDGE_IN + MAP_WIDTH_IN
+    beside = _EDGE_IN + MAP_WIDTH_IN
     over_in = float(figure.get_size_inches()[1]) - 0.72  # beside the title, off the tiles
     add_scale_bar(figure, (beside, over_in), MAP_WIDTH_IN / float(width_m))
     _add_titles(figure, tally)
@@ -207,7 +211,7 @@ def _axes(figure: Figure, left: float, bottom: float, width: float, height: floa
 def _add_map(ax: Axes, tally: Tally, extent: Extent, width_in: float) -> None:
     """Draw the whole time on axes of a given width."""
     width_m, height_m = extent[1] - extent[0]
-    most_pixels = (width_in * DPI * FINER) ** 2 * float(height_m / width_m)
+    most_pixels = (width_in * _DPI * _FINER) ** 2 * float(height_m / width_m)
     picture = map_picture(quads(tally.tiles), extent, int(most_pixels))
     box = ax.get_window_extent()
     dots = round(box.width), round(box.height)
@@ -218,24 +222,24 @@ def _add_map(ax: Axes, tally: Tally, extent: Extent, width_in: float) -> None:
 def _add_titles(figure: Figure, tally: Tally) -> None:
     """Write title and time span above the map, and meaning and sources below it."""
     width_in, height_in = figure.get_size_inches()
-    left = EDGE_IN / width_in
+    left = _EDGE_IN / width_in
     line: dict[str, Any] = {"ha": "left", "va": "baseline", "parse_math": False}
     title, *below = _head(tally)
-    size = max(TITLE * min(1.0, TITLE_LETTERS / len(title)), SMALL)
+    size = max(TITLE * min(1.0, _TITLE_LETTERS / len(title)), _SMALL)
     figure.text(
         left, 1 - 0.42 / height_in, title, fontsize=size, fontweight="bold", color=INK, **line
     )
     for number, text in enumerate(below):
         down = 1 - (0.68 + number * LINE_IN) / height_in
-        figure.text(left, down, text, fontsize=SMALL, color=SOFT, **line)
+        figure.text(left, down, text, fontsize=_SMALL, color=SOFT, **line)
     for number, text in enumerate(reversed(_foot(tally))):
         up = (0.2 + number * LINE_IN) / height_in
-        figure.text(left, up, text, fontsize=SMALL, color=SOFT, **line)
+        figure.text(left, up, text, fontsize=_SMALL, color=SOFT, **line)
 
 
 def _head(tally: Tally) -> list[str]:
     """Return the title, and the lines below it, none of which reaches the scale bar."""
-    measure, when = tr(TITLES[tally.measure]), time_span(tally)
+    measure, when = tr(_TITLES[tally.measure]), time_span(tally)
     if not tally.labels.title:
         return [measure, *textwrap.wrap(when, BELOW_TITLE)]
     both = f"{measure}, {when}"
@@ -250,7 +254,7 @@ def _foot(tally: Tally) -> list[str]:
     parts = [tr(MEANINGS[tally.measure]), crs]
     if tally.labels.sources:
         parts.append(tr("Sources: {sources}.", sources="; ".join(tally.labels.sources)))
-    return textwrap.wrap(" ".join(parts), LINE)
+    return textwrap.wrap(" ".join(parts), _LINE)
 
 
 def time_span(tally: Tally, interval: int | slice | None = None) -> str:
@@ -272,13 +276,13 @@ def time_span(tally: Tally, interval: int | slice | None = None) -> str:
 def _add_side(ax: Axes, tally: Tally) -> None:
     """Draw the legend and the figures of the map, in inches from the top left."""
     box = ax.get_window_extent()
-    ax.set_xlim(0, box.width / DPI)
-    ax.set_ylim(box.height / DPI, 0)
+    ax.set_xlim(0, box.width / _DPI)
+    ax.set_ylim(box.height / _DPI, 0)
     ax.axis("off")
     words = style.MAP_WORDS[tally.measure]
-    size = 10 * min(1.0, HEAD_LETTERS / len(tr(words.title)))
+    size = 10 * min(1.0, _HEAD_LETTERS / len(tr(words.title)))
     ax.text(0.25, 0.12, tr(words.title), fontsize=size, fontweight="bold", color=INK)
-    ax.text(0.25, 0.3, tr(words.subtitle), fontsize=SMALL, color=SOFT)
+    ax.text(0.25, 0.3, tr(words.subtitle), fontsize=_SMALL, color=SOFT)
     y = 0.5
     for colour, label in legend_in_words(tally.measure):
         apart = 0.08 if colour in APART else 0.0
@@ -287,10 +291,10 @@ def _add_side(ax: Axes, tally: Tally) -> None:
             deep = Rectangle((0.42, y + apart), 0.17, 0.24, linewidth=0.5, hatch=UNSURE_HATCH)
             deep.set(facecolor=style.RAMP[4], edgecolor=style.HATCH_LIGHT)
             ax.add_patch(deep)
-        ax.text(0.7, y + apart + 0.125, label, fontsize=SMALL, color=INK, va="center")
+        ax.text(0.7, y + apart + 0.125, label, fontsize=_SMALL, color=INK, va="center")
         y += 0.24 + apart
     for number, (name, value) in enumerate(_facts(tally)):
-        ax.text(0.25, y + 0.46 + number * 0.44, name, fontsize=SMALL, color=SOFT)
+        ax.text(0.25, y + 0.46 + number * 0.44, name, fontsize=_SMALL, color=SOFT)
         ax.text(0.25, y + 0.65 + number * 0.44, value, fontsize=10, color=INK, parse_math=False)
 
 
@@ -393,7 +397,7 @@ def _add_detail(ax: Axes, tally: Tally, extent: Extent) -> None:
     )
     inset.text(
         0.03, 0.96, tr("detail, {length} m across", length=figure_text((high - low)[0])),
-        transform=inset.transAxes, fontsize=SMALL, color=INK, va="top",
+        transform=inset.transAxes, fontsize=_SMALL, color=INK, va="top",
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.88, "pad": 1.5},
     )  # fmt: skip
 

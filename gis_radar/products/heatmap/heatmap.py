@@ -45,7 +45,7 @@ from gis_radar.products.results_folder import write_results
 NO_OCCUPANCY = Text("occupancy is missing: no vehicles were measured; the map shows the hit share")
 MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
 # Begins of the names of its files, and of those of a report, which is removed with the heat map.
-OWNED = ("heatmap.", "hits.", *(f"{name}." for name in SHARES), *REPORT_FILES)
+OWNED_BY_HEATMAP = ("heatmap.", "hits.", *(f"{name}." for name in SHARES), *REPORT_FILES)
 
 
 class HeatMap(Tally):
@@ -106,7 +106,9 @@ class HeatMap(Tally):
         for name in self.further:
             writers[f"{name}.tif"] = partial(raster, measure=name)
             writers[f"{name}.qml"] = partial(_write_style, self, measure=name)
-        return write_results(folder, writers, name="heatmap", owned=OWNED, reporter=reporter)
+        return write_results(
+            folder, writers, name="heatmap", owned=OWNED_BY_HEATMAP, reporter=reporter
+        )
 
 
 def make_heatmap(
@@ -226,7 +228,9 @@ def write_joint_layer(maps: Mapping[str, HeatMap], folder: Path, crs: Any = None
     """
     least_s = min(each.least_visible_s() for each in maps.values())
     writer = partial(write_one_layer, joint_layer(maps, crs), least_s=least_s)
-    (path,) = write_results(folder, {"heatmap.gpkg": writer}, name="heatmap", owned=OWNED)
+    (path,) = write_results(
+        folder, {"heatmap.gpkg": writer}, name="heatmap", owned=OWNED_BY_HEATMAP
+    )
     return path
 
 

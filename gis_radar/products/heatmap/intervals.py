@@ -34,7 +34,7 @@ from gis_radar.measures import Runs, union_of_runs
 
 MOST_BANDS = 500  # intervals that become columns and bands (the contract); more are rows only
 MOST_EMPTY = 10  # intervals for each one with a frame; of more, empty ones are left out
-MOST_ROWS = 100_000_000  # most rows of the layer by interval: about 35 GB of GeoPackage
+_MOST_ROWS = 100_000_000  # most rows of the layer by interval: about 35 GB of GeoPackage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,8 +206,8 @@ def _no_interval(timeline: Timeline, zone: ZoneInfo, what: str) -> UsageError:
     return UsageError(what, hint=Text("they go from {} to {} ({})", first, last, zone))
 
 
-QUARTER = 900 * STEPS_PER_SECOND  # of an hour, in steps, as the two below
-HOUR = 4 * QUARTER
+_QUARTER = 900 * STEPS_PER_SECOND  # of an hour, in steps, as the two below
+HOUR = 4 * _QUARTER
 DAY = 24 * HOUR
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _A_MONDAY = date(1970, 1, 5)
@@ -288,7 +288,7 @@ def intervals_of(
     """Return the intervals; where most are empty, or there are many, only those with a frame."""
     steps = interval_steps(interval)
     first, last = int(runs.first[0]), int(runs.last[-1])
-    if zone is None or QUARTER % steps == 0:  # zones differ by whole quarters of an hour
+    if zone is None or _QUARTER % steps == 0:  # zones differ by whole quarters of an hour
         local, every, filled = None, last // steps - first // steps + 1, intervals_with(runs, steps)
     else:
         local = local_intervals(first, last, steps, zone)
@@ -297,7 +297,7 @@ def intervals_of(
     # Empty intervals of an outage are kept, those of a week between two hours are not.
     if every <= MOST_BANDS and every <= MOST_EMPTY * filled:
         return aligned(first, last, steps) if local is None else local
-    if filled * tiles > MOST_ROWS:
+    if filled * tiles > _MOST_ROWS:
         raise UsageError(
             "{} intervals of {} for {} tiles are more than a heat map can hold",
             filled,

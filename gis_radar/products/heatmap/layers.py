@@ -43,7 +43,7 @@ from gis_radar.products.heatmap.package_tables import (
     ERROR,
     LONG,
     STEPS,
-    TILES,
+    TILES_TABLE,
     WIDE,
     interval_columns,
     list_tiles_last,
@@ -54,7 +54,7 @@ from gis_radar.products.heatmap.package_tables import (
     write_wide,
 )
 
-FILE = "heatmap.gpkg"
+HEATMAP_FILE = "heatmap.gpkg"
 Counted = dict[str, NDArray[Any]]
 
 _STEP_MS = 50
@@ -127,7 +127,7 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
         for name, value in tally.metadata.items()
     }
     options = {"geometry_type": "Polygon", "layer_metadata": metadata}
-    add_layer(tally.tiles, path, TILES, use_arrow=True, **options)
+    add_layer(tally.tiles, path, TILES_TABLE, use_arrow=True, **options)
     about = f"fixed classes of {tally.measure}, so that maps compare"
     with closing(sqlite3.connect(path)) as database, database:
         write_wide(database, tally)
@@ -222,7 +222,9 @@ def _notes_of(tally: Tally) -> dict[str, LayerNotes]:
     about = f"{tally.definitions[tally.measure]}. Sensors {', '.join(tally.sensors)}"
     title = tally.labels.title or "Heat map"
     return {
-        TILES: LayerNotes("Tiles", "slices of lanes that the heat map counts on", TILE_FIELDS),
+        TILES_TABLE: LayerNotes(
+            "Tiles", "slices of lanes that the heat map counts on", TILE_FIELDS
+        ),
         WIDE: LayerNotes(
             f"{title}: {tally.measure}", f"{about}, {begin} to {end}", TILE_FIELDS | measured
         ),
@@ -249,7 +251,7 @@ def read_package(path: Path) -> dict[str, Any]:
     InputError
         If there is none, it is damaged, or its tiles were changed since.
     """
-    path = path / FILE if path.is_dir() else path
+    path = path / HEATMAP_FILE if path.is_dir() else path
     with opened_package(path, what="a heat map", hint=_HINT) as place:
         return _fields(place, path)
 

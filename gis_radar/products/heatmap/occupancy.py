@@ -3,8 +3,8 @@
 Occupancy is an estimate of the share of time with a vehicle on a tile. Its error is that of a
 finite number of runs of steps, each of which may be too long, too short, or not there at all:
 
-- the ends of a run are known as well as the ends of a vehicle: to `END_SHARE` of the run's length,
-  and to `END_MOST_S` at most, however long the vehicle stood;
+- the ends of a run are known as well as the ends of a vehicle: to `RUN_END_SHARE` of its length,
+  and to `RUN_END_MOST_S` at most, however long the vehicle stood;
 - a run may be of no vehicle, and one may be missing: the error is `FALSE_SHARE` of the length of a
   run that was seen, and `INFERRED_SHARE` of one that was inferred while nothing was measured;
 - while other vehicles hide a tile nothing is measured there, on empty road as under vehicles: for
@@ -18,8 +18,8 @@ finite number of runs of steps, each of which may be too long, too short, or not
 With T the length of a run, V the visible time, H the hidden part of it, c the occupancy, d its
 change by the shift along the lane, p the probability of another lane, l and r the occupancy of the
 lanes beside it (0 where there is none),
-`se = sqrt(sum(min(END_SHARE T, END_MOST_S)^2 + (FALSE_SHARE T)^2 or (INFERRED_SHARE T)^2) / V^2
-+ (HIDDEN_SHARE H / V)^2 c (1 - c) + d^2 + p ((l - c)^2 + (r - c)^2) / 2)`, and at least
+`se = sqrt(sum(min(RUN_END_SHARE T, RUN_END_MOST_S)^2 + (FALSE_SHARE T)^2 or (INFERRED_SHARE T)^2)
+/ V^2 + (HIDDEN_SHARE H / V)^2 c (1 - c) + d^2 + p ((l - c)^2 + (r - c)^2) / 2)`, and at least
 `LEAST_ERROR_S / V`. Runs are independent, hidden times and shifts are not. The first sum is
 the dataset's `occupied_variance` (:mod:`gis_radar.dataset.days.tile_counts`), the hidden time its
 `inferred_steps`.
@@ -54,7 +54,7 @@ OCCUPANCY_DEFINITIONS = {
 # standard errors without it, 50 and 71 % with it.
 HIDDEN_SHARE = 0.7
 LEAST_ERROR_S = 0.1  # least error of the occupied time: two steps
-LONGEST_M = 1e5  # longer than any lanelet
+_LONGEST_M = 1e5  # longer than any lanelet
 # Tables hold the roots of standard errors by interval in parts of a 32767th, the largest number of
 # two bytes: 0.0001 is kept to 0.3 %, larger ones better.
 ERROR_UNIT = 1.0 / 32767**2
@@ -247,7 +247,7 @@ class _Shifted:
     def of(cls, tiles: gpd.GeoDataFrame, seen: Integers, shifts: Shifts) -> _Shifted:
         lanelet = np.unique(tiles["lanelet_id"].to_numpy(np.int64), return_inverse=True)[1]
         middle = tiles["s_m"].to_numpy(float) + tiles["length_m"].to_numpy(float) / 2
-        at_m = LONGEST_M * lanelet + middle
+        at_m = _LONGEST_M * lanelet + middle
         first, last = np.full((2, lanelet.max() + 1), [[np.inf], [-np.inf]])
         np.minimum.at(first, lanelet, at_m)
         np.maximum.at(last, lanelet, at_m)

@@ -21,7 +21,7 @@ from gis_radar.base import STEPS_PER_SECOND, Floats, Reporter, step_begin
 from gis_radar.products.heatmap.counting import Tally
 from gis_radar.products.heatmap.occupancy import ERROR_UNIT, error_roots
 
-TILES, WIDE = "tiles", "heatmap"
+TILES_TABLE, WIDE = "tiles", "heatmap"
 WHOLE = "whole_time"
 STEPS = "steps_by_interval"
 
@@ -65,7 +65,8 @@ def list_tiles_last(database: sqlite3.Connection) -> None:
     """Move the layer of tiles behind all others: programs open the first one by default."""
     for catalogue in ("gpkg_contents", "gpkg_geometry_columns"):
         last = f"(SELECT max(rowid) + 1 FROM {catalogue})"  # noqa: S608 - our own names
-        database.execute(f"UPDATE {catalogue} SET rowid = {last} WHERE table_name = '{TILES}'")  # noqa: S608
+        is_tiles = f"table_name = '{TILES_TABLE}'"
+        database.execute(f"UPDATE {catalogue} SET rowid = {last} WHERE {is_tiles}")  # noqa: S608
 
 
 def interval_columns(tally: Tally) -> list[str]:
@@ -103,7 +104,7 @@ def write_wide(database: sqlite3.Connection, tally: Tally) -> None:
     """
     whole = measure_columns(tally)
     _write_whole(database, whole)
-    own = [row[1:3] for row in database.execute(f'PRAGMA table_info("{TILES}")')][1:]
+    own = [row[1:3] for row in database.execute(f'PRAGMA table_info("{TILES_TABLE}")')][1:]
     shown = ['t."fid" AS "OGC_FID"', *(f't."{name}" AS "{name}"' for name, _ in own)]
     shown += [f'w."{name}" AS "{name}"' for name in whole]
     shown += [
@@ -115,9 +116,9 @@ def write_wide(database: sqlite3.Connection, tally: Tally) -> None:
     # LEFT, so that SQLite skips a table of which no column is selected.
     joined = f'LEFT JOIN "{WHOLE}" w ON w."fid" = t."fid"'
     database.execute(
-        f'CREATE VIEW "{WIDE}" AS SELECT {", ".join(shown)} FROM "{TILES}" t {joined}'  # noqa: S608
+        f'CREATE VIEW "{WIDE}" AS SELECT {", ".join(shown)} FROM "{TILES_TABLE}" t {joined}'  # noqa: S608
     )
-    database.execute(f'CREATE UNIQUE INDEX "{TILES}_tile_id" ON "{TILES}" ("tile_id")')
+    database.execute(f'CREATE UNIQUE INDEX "{TILES_TABLE}_tile_id" ON "{TILES_TABLE}" ("tile_id")')
     _register(database, WIDE, "features", len(tally.tiles))
 
 
@@ -141,14 +142,14 @@ def _write_whole(database: sqlite3.Connection, columns: dict[str, Floats]) -> No
 
 
 LONG = "by_interval"
-TIMES = "intervals"
+_TIMES_TABLE = "intervals"
 BEGIN, END = "begin", "end"
 ERROR = "occupancy_se"
 ROOT = "occupancy_se_root"  # root of the standard error as a whole number of 2 bytes, not 8
-UNOBSERVED, HIDDEN = "unobserved", "hidden"
+_UNOBSERVED, _HIDDEN = "unobserved", "hidden"
 HIT_COLUMNS = ("hit", "observed")
 OCCUPANCY_COLUMNS = ("occupied", "visible", ERROR)
-_STORED = {"observed": UNOBSERVED, "visible": HIDDEN, ERROR: ROOT}  # in place of what is computed
+_STORED = {"observed": _UNOBSERVED, "visible": _HIDDEN, ERROR: ROOT}  # in place of what is computed
 
 # Seconds and shares are computed on reading: columns with types of their own, unlike expressions of
 # a view, whose types older SQLite does not know.
@@ -158,7 +159,7 @@ _SHARES = """
     "{share}" REAL GENERATED ALWAYS AS ("{part}" * 1.0 / nullif("{whole}", 0)) VIRTUAL
 """
 _TIMES = f"""
-CREATE TABLE "{TIMES}" (
+CREATE TABLE "{_TIMES_TABLE}" (
     "interval" INTEGER PRIMARY KEY NOT NULL,
     "{BEGIN}" DATETIME NOT NULL,
     "{END}" DATETIME NOT NULL,
@@ -183,7 +184,7 @@ def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) 
     columns = [*HIT_COLUMNS, *(() if tally.occupancy is None else OCCUPANCY_COLUMNS)]
     database.execute(_TIMES)
     database.execute(_steps_table(columns, tally))
-    times = f'INSERT INTO "{TIMES}" VALUES (?, ?, ?, ?, ?)'  # noqa: S608 - our own names
+    times = f'INSERT INTO "{_TIMES_TABLE}" VALUES (?, ?, ?, ?, ?)'  # noqa: S608 - our own names
     database.executemany(times, interval_times(tally))
     stored = ["fid", *(("tile_id",) if not _counts_up(tally.tiles["tile_id"]) else ())]
     stored += [_STORED.get(name, name) for name in columns]
@@ -214,8 +215,8 @@ def _steps_table(columns: list[str], tally: Tally) -> str:
         else "INTEGER NOT NULL"
     )
     formulas = {
-        "observed": f'INTEGER GENERATED ALWAYS AS (ifnull({_longest(tally)} - "{UNOBSERVED}", 0))',
-        "visible": f'INTEGER GENERATED ALWAYS AS (ifnull("observed" - "{HIDDEN}", 0))',
+        "observed": f'INTEGER GENERATED ALWAYS AS (ifnull({_longest(tally)} - "{_UNOBSERVED}", 0))',
+        "visible": f'INTEGER GENERATED ALWAYS AS (ifnull("observed" - "{_HIDDEN}", 0))',
         ERROR: f'REAL GENERATED ALWAYS AS ("{ROOT}" * "{ROOT}" * {ERROR_UNIT!r})',
     }
     kinds = ", ".join(
@@ -285,7 +286,7 @@ def _known(values: Any, whole: Any) -> list[Any]:
 def _add_view(database: sqlite3.Connection, tally: Tally, columns: list[str]) -> None:
     """Make the view, and register it and the tables for readers of the GeoPackage."""
     geometry = database.execute(
-        "SELECT column_name FROM gpkg_geometry_columns WHERE table_name = ?", (TILES,)
+        "SELECT column_name FROM gpkg_geometry_columns WHERE table_name = ?", (TILES_TABLE,)
     ).fetchone()[0]
     shown = ["hit_s", "observed_s", "hit_share"]
     if ERROR in columns:
@@ -296,19 +297,19 @@ def _add_view(database: sqlite3.Connection, tally: Tally, columns: list[str]) ->
         CREATE VIEW "{LONG}" AS
         SELECT s."fid" AS "OGC_FID", t."{geometry}" AS "{geometry}", s."tile_id" AS "tile_id",
             t."lanelet_id" AS "lanelet_id", i."{BEGIN}" AS "{BEGIN}", i."{END}" AS "{END}", {values}
-        FROM "{TIMES}" i
+        FROM "{_TIMES_TABLE}" i
         CROSS JOIN "{STEPS}" s ON s."fid" BETWEEN i."first_row" AND i."last_row"
-        CROSS JOIN "{TILES}" t ON t."tile_id" = s."tile_id"
+        CROSS JOIN "{TILES_TABLE}" t ON t."tile_id" = s."tile_id"
     """)  # noqa: S608 - our own names
     every, times = len(tally.timeline) * len(tally.tiles), len(tally.timeline)
     _register(database, LONG, "features", every)
-    _register(database, TIMES, "attributes", times)
+    _register(database, _TIMES_TABLE, "attributes", times)
     _register(database, STEPS, "attributes", every)
 
 
 def read_times(database: sqlite3.Connection) -> list[tuple[str, str]]:
     """Return begin and end of each interval, in order."""
-    query = f'SELECT "{BEGIN}", "{END}" FROM "{TIMES}" ORDER BY "interval"'  # noqa: S608
+    query = f'SELECT "{BEGIN}", "{END}" FROM "{_TIMES_TABLE}" ORDER BY "interval"'  # noqa: S608
     return database.execute(query).fetchall()
 
 

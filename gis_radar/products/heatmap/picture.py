@@ -29,12 +29,12 @@ from gis_radar.poses import Pose
 from gis_radar.products.heatmap import style
 from gis_radar.products.heatmap.raster import Cover, PixelGrid, cover
 
-INK, SOFT, SENSOR = "#1d2126", "#59616a", "#00519e"
+INK, SOFT, _SENSOR = "#1d2126", "#59616a", "#00519e"
 PAPER, STRIPE = "#ffffff", "#5c6268"
 HALO = [withStroke(linewidth=2.6, foreground="white")]  # white outline of letters on the map
 
 LEAST_MARGIN_M = 12.0  # around what was observed: sensors stand beside the road
-MARGIN = 0.05  # margin as a share of the longer side, where that is more
+_MARGIN = 0.05  # margin as a share of the longer side, where that is more
 FINEST_M = 0.04  # finest pixel: finer ones show no more of tiles of 0.5 m
 # Pixels between stripes in a picture of 1000 pixels: of tiles not observed (visible as stripes on a
 # phone, too), and of uncertain ones.
@@ -43,10 +43,10 @@ OVERLAY_IN = 5.2  # width of the figure over a picture: the narrower, the larger
 NOWHERE = np.empty((0, 2))
 NARROW_IN, NARROW_PIXELS = 3.1, 800  # on a phone: a page as wide as this, of so many pixels
 SENSOR_IN = 0.2  # around a sensor's place: its triangle
-BAR_IN, BAR_SHARE = 1.4, 0.27  # the longest scale bar; in the corner of a map, of its width
+_BAR_IN, _BAR_SHARE = 1.4, 0.27  # the longest scale bar; in the corner of a map, of its width
 
 # Places in the palette; the classes of hit share follow.
-NO_TILE, OUTLINE, UNSEEN, STRIPED, HATCH_DARK, HATCH_LIGHT, CLASSES = range(7)
+_NO_TILE, _OUTLINE, _UNSEEN, _STRIPED, _HATCH_DARK, _HATCH_LIGHT, _CLASSES = range(7)
 
 _HATCHES = style.hatches()
 
@@ -83,17 +83,17 @@ class MapPicture:
             Whether each tile is hatched over its colour.
         """
         breaks = [each.upper for each in style.colour_classes()]
-        place = np.where(np.isnan(share), UNSEEN, CLASSES + np.searchsorted(breaks, share))
+        place = np.where(np.isnan(share), _UNSEEN, _CLASSES + np.searchsorted(breaks, share))
         top = self.cover.highest((2 * place + uncertain).astype(np.uint8))
         top, vague = np.divmod(top, 2)
         row, column = np.divmod(self.cover.pixel, self.grid.width)
         apart, close = (max(4, round(n * self.grid.width / 1000)) for n in (STRIPES, HATCHES))
-        striped = (top == UNSEEN) & ((row + column) % apart < max(1, apart // 3))
+        striped = (top == _UNSEEN) & ((row + column) % apart < max(1, apart // 3))
         hatched = (vague > 0) & ((row - column) % close < max(1, close // 4))
-        colours = [HATCH_DARK if each == style.HATCH_DARK else HATCH_LIGHT for each in _HATCHES]
-        lines = np.array([0] * CLASSES + colours, np.uint8)[top]
+        colours = [_HATCH_DARK if each == style.HATCH_DARK else _HATCH_LIGHT for each in _HATCHES]
+        lines = np.array([0] * _CLASSES + colours, np.uint8)[top]
         picture = self.ground.copy()
-        picture[row, column] = np.where(striped, STRIPED, np.where(hatched, lines, top))
+        picture[row, column] = np.where(striped, _STRIPED, np.where(hatched, lines, top))
         return picture
 
     def show(
@@ -160,7 +160,7 @@ def map_extent(corners: Floats, shown: Booleans, aspect: tuple[float, float]) ->
     """
     inside = corners[shown] if shown.any() else corners
     low, high = inside.min(axis=(0, 1)), inside.max(axis=(0, 1))
-    width, height = high - low + 2 * max(LEAST_MARGIN_M, MARGIN * float((high - low).max()))
+    width, height = high - low + 2 * max(LEAST_MARGIN_M, _MARGIN * float((high - low).max()))
     size = np.array([max(width, height / aspect[1]), max(height, width * aspect[0])])
     return (low + high - size) / 2, (low + high + size) / 2
 
@@ -189,7 +189,7 @@ def map_picture(corners: Floats, extent: Extent, most_pixels: int) -> MapPicture
     road = np.zeros((height, width), np.bool_)
     road.ravel()[tiles_of_pixels.pixel] = True
     around = scipy.ndimage.binary_dilation(road, iterations=max(1, round(width / 700)))
-    ground = np.where(around & ~road, OUTLINE, NO_TILE).astype(np.uint8)
+    ground = np.where(around & ~road, _OUTLINE, _NO_TILE).astype(np.uint8)
     return MapPicture(grid=grid, cover=tiles_of_pixels, ground=ground)
 
 
@@ -247,7 +247,7 @@ def round_length(longest_m: float) -> float:
 
 
 def add_scale_bar(
-    figure: Figure, corner_in: tuple[float, float], metre_in: float, longest_in: float = BAR_IN
+    figure: Figure, corner_in: tuple[float, float], metre_in: float, longest_in: float = _BAR_IN
 ) -> None:
     """Draw a scale bar and a north arrow.
 
@@ -295,7 +295,7 @@ def add_corner_scale(
     width_in = float(figure.get_size_inches()[0])
     west, east = ax.get_xlim()
     metre_in = width_in / (east - west)
-    longest_in = min(BAR_IN, BAR_SHARE * width_in)
+    longest_in = min(_BAR_IN, _BAR_SHARE * width_in)
     room_in = round_length(longest_in / metre_in) * metre_in + 0.76
     low = np.array([west, ax.get_ylim()[0]])
     stand = np.array([each.position[:2] for each in poses]).reshape(-1, 2)
@@ -332,17 +332,17 @@ def add_sensor(ax: Axes, pose: Pose, taken: BboxBase) -> None:
     """
     rim = np.asarray(pose.outline().exterior.coords)
     dashed: dict[str, Any] = {"linewidth": 0.8, "linestyle": (0, (4, 3)), "alpha": 0.5}
-    ax.add_patch(Polygon(rim, facecolor="none", edgecolor=SENSOR, **dashed))
+    ax.add_patch(Polygon(rim, facecolor="none", edgecolor=_SENSOR, **dashed))
     place, ahead = pose.position[:2], pose.R_map_sensor[:2, 0]
     west, east = ax.get_xlim()
     size_m, side = 0.017 * (east - west), np.array([-ahead[1], ahead[0]])
     triangle = place + size_m * np.array(
         [ahead, -0.5 * ahead + 0.6 * side, -0.5 * ahead - 0.6 * side]
     )
-    ax.add_patch(Polygon(triangle, facecolor=SENSOR, edgecolor="white", linewidth=1.2, zorder=5))
+    ax.add_patch(Polygon(triangle, facecolor=_SENSOR, edgecolor="white", linewidth=1.2, zorder=5))
     name = ax.annotate(
         pose.sensor, (place[0], place[1]), xytext=(0, -11), textcoords="offset points",
-        ha="center", va="top", fontsize=9, fontweight="bold", color=SENSOR, zorder=9,
+        ha="center", va="top", fontsize=9, fontweight="bold", color=_SENSOR, zorder=9,
         path_effects=HALO, annotation_clip=True, parse_math=False,
     )  # fmt: skip
     _keep_inside(ax, name, taken)

@@ -28,7 +28,7 @@ from gis_radar.measures import Runs, union_of_runs
 from gis_radar.products.heatmap.counting import Tally
 
 PIXEL_M = CELL_M  # side of a pixel: the length of a tile, so that none is skipped
-POINTS_AT_ONCE = 1_000_000  # pixels looked up together: 50 MB
+_POINTS_AT_ONCE = 1_000_000  # pixels looked up together: 50 MB
 MOST_BLOCK_BYTES = 16_000_000  # most bytes of all bands of a block, which GDAL holds at once
 SMALLEST = 512  # pixels: the smallest overview fits in a few blocks
 CACHE_MB = 256  # cache of GDAL, which else takes a share of the machine's memory
@@ -129,8 +129,8 @@ def cover(grid: PixelGrid, corners: Floats) -> Cover:
     engine = TileGrid(corners)
     candidates = grid.touched(corners)
     pixels, tiles = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    for done in range(0, len(candidates), POINTS_AT_ONCE):
-        some = candidates[done : done + POINTS_AT_ONCE]
+    for done in range(0, len(candidates), _POINTS_AT_ONCE):
+        some = candidates[done : done + _POINTS_AT_ONCE]
         point, tile = engine.assign(*grid.centres(some))
         pixels.append(some[point])
         tiles.append(tile)

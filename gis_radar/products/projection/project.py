@@ -125,7 +125,7 @@ def write_projection(
 
 SUFFIX = "_recorded"
 GEOMETRY = "geometry"
-OWN = pa.schema(
+_OWN = pa.schema(
     [
         ("sensor", pa.string()),
         ("time", pa.float64()),
@@ -134,7 +134,7 @@ OWN = pa.schema(
     ]
 )
 # GeoPackages have columns of these names themselves, and do not distinguish upper and lower case.
-TAKEN = (*OWN.names, GEOMETRY, "geom", "fid")
+TAKEN = (*_OWN.names, GEOMETRY, "geom", "fid")
 
 
 def _distinct_names(names: Iterable[str], taken: Iterable[str]) -> dict[str, str]:
@@ -164,7 +164,7 @@ def _value_type(kind: pa.DataType) -> pa.DataType:
     return kind
 
 
-STAGE = "projecting"
+_STAGE = "projecting"
 
 
 class _PointStream:
@@ -181,7 +181,7 @@ class _PointStream:
         further = self._first.further.schema
         self.names = _distinct_names(further.names, TAKEN)
         kept = [pa.field(self.names[field.name], _value_type(field.type)) for field in further]
-        self.schema: pa.Schema = pa.schema([*OWN, *kept, pa.field(GEOMETRY, pa.binary())])
+        self.schema: pa.Schema = pa.schema([*_OWN, *kept, pa.field(GEOMETRY, pa.binary())])
         self.pose: Pose = track.poses[0]
         for pose in track.poses:  # refuse degrees, millimetres, swapped axes
             whose = Text("pose of {}", pose.sensor)
@@ -201,7 +201,7 @@ class _PointStream:
             self.rows += len(batch)
             yield batch
             done += len(rows)
-            self.reporter.progress(STAGE, done, self._recording.rows)
+            self.reporter.progress(_STAGE, done, self._recording.rows)
 
     def _batch(self, detections: Detections) -> pa.RecordBatch:
         micros = np.rint(detections.time * 1e6).astype(np.int64)
@@ -239,13 +239,13 @@ def _floats(values: np.ndarray) -> pa.Array:
         return pa.array(values.astype(np.float32))
 
 
-LAYER = "hits"
-PLACE_M = 1.0 / 128.0  # of places in GeoParquet: a radar resolves decimetres
+_LAYER = "hits"
+_PLACE_M = 1.0 / 128.0  # of places in GeoParquet: a radar resolves decimetres
 # GDAL reads it from 3.9 on, GeoPandas from 1.0; as WKB, points take 1.3 to 1.4 times as much.
 POINT = pa.struct([pa.field(axis, pa.float64(), nullable=False) for axis in "xyz"])
 SPLIT = "BYTE_STREAM_SPLIT"
-LEVEL = 14  # of zstd: split bytes take a sixth less room than at level 9
-NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_boolean)
+_LEVEL = 14  # of zstd: split bytes take a sixth less room than at level 9
+_NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_boolean)
 NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
 
 
@@ -263,7 +263,7 @@ def write_points_geopackage(points: _PointStream, path: Path) -> None:
         (batch.select(storable) for batch in points),
         pa.schema([points.schema.field(name) for name in storable]),
         path,
-        layer=LAYER,
+        layer=_LAYER,
         geometry_name=GEOMETRY,
         geometry_type="Point Z",
         crs=name_of(points.pose.crs),
@@ -280,7 +280,7 @@ def write_points_geoparquet(points: _PointStream, path: Path) -> None:
     split = [f"{GEOMETRY}.{field.name}" for field in POINT]
     split += [field.name for field in schema if pa.types.is_float32(field.type)]
     options: dict[str, Any] = {
-        "compression": "zstd", "compression_level": LEVEL, "write_page_checksum": True,
+        "compression": "zstd", "compression_level": _LEVEL, "write_page_checksum": True,
         "use_dictionary": [name for name in schema.names if name not in {*split, GEOMETRY}],
         "column_encoding": dict.fromkeys(split, SPLIT),
     }  # fmt: skip
@@ -295,7 +295,7 @@ def _in_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
     """Return a batch with points as columns, on a grid whose last digits take no room."""
     points = shapely.from_wkb(batch[GEOMETRY].to_numpy(zero_copy_only=False))
     places = shapely.get_coordinates(points, include_z=True)
-    rounded = (np.rint(places / PLACE_M) * PLACE_M).T
+    rounded = (np.rint(places / _PLACE_M) * _PLACE_M).T
     axes = pa.StructArray.from_arrays([pa.array(axis) for axis in rounded], fields=list(POINT))
     place = schema.get_field_index(GEOMETRY)
     columns = [*batch.columns[:place], axes, *batch.columns[place + 1 :]]
@@ -305,13 +305,13 @@ def _in_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
 SCALE_M = 0.001  # resolution of LAS coordinates; a radar resolves decimetres
 POINT_FORMAT = 6  # the plain one of LAS 1.4, with GPS time
 TIME_OFFSET_S = 1_000_000_000  # adjusted standard GPS time
-LONGEST_NAME = 32  # bytes of an extra dimension in LAS
-MISSING = int(np.iinfo(np.int64).min)
+_LONGEST_NAME = 32  # bytes of an extra dimension in LAS
+_MISSING = int(np.iinfo(np.int64).min)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Dimension:
-    """A column of the points as an extra dimension; `MISSING` stands for null in integers."""
+    """A column of the points as an extra dimension; `_MISSING` stands for null in integers."""
 
     column: str
     name: str
@@ -324,7 +324,7 @@ class _Dimension:
     def values(self, batch: pa.RecordBatch) -> np.ndarray:
         column = batch[self.column]
         if self.kind is np.int64:
-            column = pc.fill_null(pc.cast(column, pa.int64()), MISSING)
+            column = pc.fill_null(pc.cast(column, pa.int64()), _MISSING)
         elif not pa.types.is_floating(column.type):
             column = pc.cast(column, pa.float64(), safe=False)  # 64-bit integers lose digits
         return np.asarray(column.to_numpy(zero_copy_only=False), dtype=self.kind)
@@ -356,8 +356,8 @@ def write_points_las(points: _PointStream, path: Path) -> None:
 
 
 def _dimensions(points: _PointStream, path: Path, standard: list[str]) -> list[_Dimension]:
-    further = [f for f in points.schema if f.name not in {*OWN.names, GEOMETRY}]
-    taken = [*standard, *OWN.names, *(ours.name for ours in _OURS), "xyz"]
+    further = [f for f in points.schema if f.name not in {*_OWN.names, GEOMETRY}]
+    taken = [*standard, *_OWN.names, *(ours.name for ours in _OURS), "xyz"]
     names = _distinct_names([f.name for f in further if _fits_las(f)], taken)
     remarks = []
     if left := [field.name for field in further if field.name not in names]:
@@ -371,14 +371,14 @@ def _dimensions(points: _PointStream, path: Path, standard: list[str]) -> list[_
 
 
 def _fits_las(field: pa.Field) -> bool:
-    longest = LONGEST_NAME - len(SUFFIX)
-    return len(field.name.encode()) <= longest and any(each(field.type) for each in NUMERIC)
+    longest = _LONGEST_NAME - len(SUFFIX)
+    return len(field.name.encode()) <= longest and any(each(field.type) for each in _NUMERIC)
 
 
 def _dimension(field: pa.Field, name: str) -> _Dimension:
     kind, types = field.type, pa.types
     if types.is_boolean(kind) or (types.is_integer(kind) and not types.is_uint64(kind)):
-        about = f"missing: {MISSING}"
+        about = f"missing: {_MISSING}"
         return _Dimension(column=field.name, name=name, kind=np.int64, about=about)
     short = types.is_floating(kind) and kind.bit_width <= 32
     return _Dimension(column=field.name, name=name, kind=np.float32 if short else np.float64)

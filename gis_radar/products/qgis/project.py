@@ -42,7 +42,7 @@ from gis_radar.poses import (
 )
 from gis_radar.products.heatmap import style
 from gis_radar.products.heatmap.counting import Tally
-from gis_radar.products.heatmap.layers import FILE, read_package, styles_of
+from gis_radar.products.heatmap.layers import HEATMAP_FILE, read_package, styles_of
 from gis_radar.products.heatmap.package_tables import LONG, WIDE, interval_times
 from gis_radar.products.qgis.project_xml import LayerSource, ProjectContent, TimeRange, project_xml
 from gis_radar.scans import SIGHT_LAYER, SightTiles, write_sights
@@ -107,7 +107,7 @@ def write_qgis_project(
     if was_edited(path):
         raise OutputError("{}: somebody has edited this project", path, hint="name another output")
     package = Path(heatmap).resolve()
-    package = package / FILE if package.is_dir() else package
+    package = package / HEATMAP_FILE if package.is_dir() else package
     heat = Tally(**read_package(Path(heatmap)))
     timezone, language = timezone or heat.labels.timezone, language or heat.labels.language
     played = _time_range(heat, timezone)

@@ -15,7 +15,7 @@ from gis_radar.measures import FrameTimes
 
 HOUR_S = 3600
 HIGH = 0.7  # share of the seen tiles hit above which a frame is high
-QUARTER_S = 900  # zones differ from UTC by whole quarters of an hour
+_QUARTER_S = 900  # zones differ from UTC by whole quarters of an hour
 
 
 def hour_begins(time_us: Integers, zone: ZoneInfo) -> Integers:
@@ -28,14 +28,14 @@ def hour_begins(time_us: Integers, zone: ZoneInfo) -> Integers:
     zone : ZoneInfo
         Time zone of the hours. Where clocks are set back, the hour that occurs twice is two hours.
     """
-    quarter, place = np.unique(time_us // (QUARTER_S * 1_000_000), return_inverse=True)
-    local = pd.to_datetime(quarter * QUARTER_S, unit="s", utc=True).tz_convert(zone)
+    quarter, place = np.unique(time_us // (_QUARTER_S * 1_000_000), return_inverse=True)
+    local = pd.to_datetime(quarter * _QUARTER_S, unit="s", utc=True).tz_convert(zone)
     into_hour = local.minute.to_numpy(np.int64) * 60 + local.second.to_numpy(np.int64)
-    return np.asarray((quarter * QUARTER_S - into_hour)[place])
+    return np.asarray((quarter * _QUARTER_S - into_hour)[place])
 
 
-STAGE = "data quality"
-COLUMNS = (
+_STAGE = "data quality"
+_COLUMNS = (
     "time_us", "detections", "moving", "wild", "tiles_hit", "tiles_seen", "checksum", "shift_us",
 )  # fmt: skip
 _AGGREGATES = {
@@ -51,8 +51,8 @@ Gap = tuple[str, int, int]  # the sensor, and when the gap begins and ends, us
 def _frames(dataset: Dataset) -> Iterator[pd.DataFrame]:
     """Yield the frames hour by hour, those of a sensor by their time."""
     records = {hour: each for hour, each in dataset.records().items() if each.has(FRAMES)}
-    for rows in read_rows(dataset.folder, FRAMES, records, columns=["sensor", *COLUMNS]):
-        yield rows.to_pandas().astype(dict.fromkeys(COLUMNS, np.int64))
+    for rows in read_rows(dataset.folder, FRAMES, records, columns=["sensor", *_COLUMNS]):
+        yield rows.to_pandas().astype(dict.fromkeys(_COLUMNS, np.int64))
 
 
 def frame_times(dataset: Dataset) -> dict[str, FrameTimes]:
@@ -109,7 +109,7 @@ def count_frames(
         parts.append(marked.groupby(["sensor", "hour"]).agg(_AGGREGATES))
         last = [followed.groupby("sensor").tail(1)]
         done += len(frames)
-        reporter.progress(STAGE, done, None)
+        reporter.progress(_STAGE, done, None)
     for sensor, each in times.items():
         # As if a frame came just beyond both ends, so that frames missing up to there count, too.
         room_us = min(0.55 * each.cycle_us, LONGEST_CYCLE_S * 1e6)

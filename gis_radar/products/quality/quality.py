@@ -38,17 +38,17 @@ from gis_radar.dataset import FRAMES, Dataset, hour_text, open_dataset
 from gis_radar.products.quality.counting import HIGH, HOUR_S, count_frames, frame_times
 
 GOOD = "good"
-DAYS = (
+_DAYS = (
     Text("Monday"), Text("Tuesday"), Text("Wednesday"), Text("Thursday"), Text("Friday"),
     Text("Saturday"), Text("Sunday"),
 )  # fmt: skip
-NO_DATA = "no data"
+_NO_DATA = "no data"
 
 # Limits beyond which the hour of a sensor has a fault, after those of loop detectors (PeMS, Chen et
 # al. 2003), and far from the values of simulated sites. Shares are of the frames, if not stated.
-LEAST_SHARE = 0.6  # share received of the frames expected
+_LEAST_SHARE = 0.6  # share received of the frames expected
 HIGH_SHARE = 0.2  # share with more than `counting.HIGH` of the seen tiles hit
-LEAST_MOVING = 0.001  # moving share of the detections: a street at night has some
+_LEAST_MOVING = 0.001  # moving share of the detections: a street at night has some
 MOST_DOUBLED = 0.05  # share that follows within half a cycle
 MOST_REPEATED = 0.2  # share with the positions of the frame before
 MOST_WILD = 0.02  # share of the detections faster than any vehicle: noise gives some
@@ -64,11 +64,11 @@ def faults_of(count: Any) -> Iterator[str]:
         Counts of its frames in that hour.
     """
     if count.frames == 0:
-        yield NO_DATA
+        yield _NO_DATA
         return
     single = count.frames - count.doubled
     expected = single + count.dropped
-    if single < LEAST_SHARE * expected:
+    if single < _LEAST_SHARE * expected:
         yield Text("{:.0f} % of the frames expected", 100 * single / expected)
     if count.hour < CLOCK_SET_S:
         yield "clock not set"
@@ -98,7 +98,7 @@ def _faults_of_frames(count: Any) -> Iterator[str]:
         )
     elif count.fewest == count.most:
         yield "hit share is constant"
-    if count.hits and count.moving < LEAST_MOVING * count.detections:
+    if count.hits and count.moving < _LEAST_MOVING * count.detections:
         yield "hits without motion"
     if count.wild > MOST_WILD * count.detections:
         yield Text(
@@ -325,7 +325,7 @@ def _row(count: Any, poses: Mapping[str, Poses], zone: ZoneInfo) -> dict[str, An
         "end": pd.Timestamp(count.hour + HOUR_S, unit="s", tz=UTC),
         "date": f"{local:%Y-%m-%d}",
         "hour": local.hour,
-        "weekday": DAYS[local.weekday()],
+        "weekday": _DAYS[local.weekday()],
         "frames_expected": count.frames - count.doubled + count.dropped,
         "frames": count.frames,
         "dropped": count.dropped,

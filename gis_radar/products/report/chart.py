@@ -22,15 +22,15 @@ from gis_radar.base import (
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.report.content import Chart, Strip
 
-STRIPS, MOST_CHARTS = 10, 6  # lanes of a chart; most charts, of which the first is printed
-TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # highest values that the scale may have
+_STRIPS, _MOST_CHARTS = 10, 6  # lanes of a chart; most charts, of which the first is printed
+_TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # highest values that the scale may have
 MOST_TICKS = 7  # times below a chart
 ROUND_S = (
     *(5, 10, 20, 30, 60, 120, 300, 600, 900, 1800),
     *(hours * 3600 for hours in (1, 2, 3, 4, 6, 12, 24)),
 )  # distances between the times below a chart
 STREET_LETTERS = 20  # most letters of a street beside a strip
-ACROSS, UP = 1000, 100  # units of a strip on the page, to the right and upwards
+_ACROSS, _UP = 1000, 100  # units of a strip on the page, to the right and upwards
 
 
 def draw_lanes_over_time(
@@ -51,7 +51,7 @@ def draw_lanes_over_time(
     """
     if len(heat.timeline) < 2:
         return []
-    lanes = table[table["share"].notna()].head(STRIPS * MOST_CHARTS)
+    lanes = table[table["share"].notna()].head(_STRIPS * _MOST_CHARTS)
     share, error = (
         by_interval[name].unstack(sort=False)[lanes["lane"]]  # noqa: PD010 - a value each
         for name in ("share", "share_se")
@@ -59,12 +59,12 @@ def draw_lanes_over_time(
     if not np.isfinite(share).any(axis=None):
         return []
     high = float(np.nanmax(share))
-    top = next((each for each in TOPS if each >= high), 1.0)
+    top = next((each for each in _TOPS if each >= high), 1.0)
     charts = []
-    for first in range(0, len(lanes), STRIPS):
+    for first in range(0, len(lanes), _STRIPS):
         strips = [
             (_strip_name(row), share[row["lane"]].to_numpy(), error[row["lane"]].to_numpy())
-            for _, row in lanes.iloc[first : first + STRIPS].iterrows()
+            for _, row in lanes.iloc[first : first + _STRIPS].iterrows()
         ]
         charts.append(_chart(heat, strips, top, clock))
     return charts
@@ -171,8 +171,8 @@ def _runs(which: Booleans) -> list[slice]:
 
 def _path(place: Floats, share: Floats, run: slice, *, back: bool = False) -> str:
     """Return the steps of a run of intervals as points of a path, from left to right or back."""
-    x = np.repeat(np.rint(place[run.start : run.stop + 1] * ACROSS).astype(int), 2)[1:-1]
-    y = np.repeat(np.round((1.0 - share[run]) * UP, 1), 2)
+    x = np.repeat(np.rint(place[run.start : run.stop + 1] * _ACROSS).astype(int), 2)[1:-1]
+    y = np.repeat(np.round((1.0 - share[run]) * _UP, 1), 2)
     points = [f"{right} {down:g}" for right, down in zip(x.tolist(), y.tolist(), strict=True)]
     return " ".join(points[::-1] if back else points)
 

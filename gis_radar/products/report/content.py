@@ -14,7 +14,7 @@ from gis_radar.base import figure_text, listed, percent, plus_minus, tr
 
 QUEUES = "queues"  # the chapter whose figures may show trajectories of single vehicles
 HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
-LOOKS = {
+_LOOKS = {
     "confirms": "the airborne scan confirms it",
     "doubts": "the airborne scan speaks against it",
     "undecided": "other places may fit the airborne scan alike",
@@ -59,7 +59,7 @@ class ReportWords(NamedTuple):
     unseen_many: str
 
 
-WORDS = {
+REPORT_WORDS = {
     "hit_share": ReportWords(
         "Radar hit report", "radar hits", "Hit share", "of observed time", "hit_share",
         "Observed",
@@ -367,7 +367,7 @@ def how_found(evidence: Mapping[str, Any]) -> str:
     if evidence.get("observable") is False:
         words.append(tr("the scene leaves part of it open"))
     if isinstance(check := evidence.get("scan_check"), dict) and check.get("verdict"):
-        words.append(tr(LOOKS.get(str(check["verdict"]), str(check["verdict"]))))
+        words.append(tr(_LOOKS.get(str(check["verdict"]), str(check["verdict"]))))
     if joint := joint_words(evidence.get("together")):
         words.append(joint)
     return "; ".join(words)

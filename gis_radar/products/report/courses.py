@@ -39,16 +39,16 @@ from gis_radar.products.report.chart import times_below
 from gis_radar.products.report.content import Figure
 
 MOST_COURSES = 3  # lanes, which fill two thirds of a page
-WINDOW_S = 900.0  # time in a diagram: over more, the lines of vehicles merge into grey
+DIAGRAM_S = 900.0  # time in a diagram: over more, the lines of vehicles merge into grey
 COURSE_IN, COURSE_DPI = (7.2, 1.9), 150  # of one lane
 NARROW_COURSE_IN = 1.7  # its height on a phone
 BEYOND_M, LEAST_M, MOST_M = 12.0, 45.0, 250.0  # shown beyond the line; least and most before it
 LEAST_ABOVE_M = 2.0  # shown beyond a stop line at the end of its lane
-AROUND = 1.5  # shown before the line, as a multiple of the longest queue
+_AROUND = 1.5  # shown before the line, as a multiple of the longest queue
 BROKEN_STEPS = 3 * TRACK_EVERY_STEPS  # without a state, after which a line ends
-QUEUE, UNSEEN = "#ba1c4d", "#d5dade"
-LETTERS_PT, NARROW_PT = 8.0, 6.5  # size of letters; on a phone
-TITLE_LETTERS = 95.0  # letters in a title x points of a letter / inches of width
+_QUEUE, _UNSEEN = "#ba1c4d", "#d5dade"
+_LETTERS_PT, _NARROW_PT = 8.0, 6.5  # size of letters; on a phone
+_TITLE_LETTERS = 95.0  # letters in a title x points of a letter / inches of width
 
 
 class LongQueue(NamedTuple):
@@ -91,7 +91,7 @@ def draw_courses(
     wide, narrow = (
         _diagrams(courses, (width_in, height_in), letters_pt, clock, paths=paths)
         for width_in, height_in, letters_pt in (
-            (*COURSE_IN, LETTERS_PT), (NARROW_IN, NARROW_COURSE_IN, NARROW_PT),
+            (*COURSE_IN, _LETTERS_PT), (NARROW_IN, NARROW_COURSE_IN, _NARROW_PT),
         )
     )  # fmt: skip
     named = "; ".join(
@@ -117,8 +117,8 @@ _WAYS = Text(
 
 
 def _window(moment: datetime, begin: datetime, end: datetime) -> tuple[datetime, datetime]:
-    """Return the time that a diagram shows: `WINDOW_S` around a moment, within the report's."""
-    length = min(timedelta(seconds=WINDOW_S), end - begin)
+    """Return the time that a diagram shows: `DIAGRAM_S` around a moment, within the report's."""
+    length = min(timedelta(seconds=DIAGRAM_S), end - begin)
     first = min(max(moment - length / 2, begin), end - length)
     return first, first + length
 
@@ -147,7 +147,7 @@ def _diagrams(
                 _draw(ax, part, begin, paths=paths)
             near, far = np.concatenate([each.seen[:, 2:] for each in parts]).T
             shown_m = (min(far.max(initial=0.0), MOST_M), max(near.min(initial=0.0), -BEYOND_M))
-            letters = round(TITLE_LETTERS * width_in / letters_pt)
+            letters = round(_TITLE_LETTERS * width_in / letters_pt)
             named = queue._replace(name=fill(queue.name, letters))
             _lay_out(ax, named, begin, end, shown_m, clock)
         figure.supylabel(tr("metres before the stop line"), fontsize=letters_pt, color=SOFT)
@@ -171,10 +171,10 @@ def _draw(ax: Axes, course: QueueCourse, begin: datetime, *, paths: bool) -> Non
     ax.add_collection(PolyCollection(list(boxes), facecolors="white", edgecolors="white", lw=0.3))
     back = np.nan_to_num(course.back_m)
     ax.fill_between(
-        to_s(course.back_step), 0.0, back, step="post", color=QUEUE, alpha=0.3, lw=0.0, zorder=3
+        to_s(course.back_step), 0.0, back, step="post", color=_QUEUE, alpha=0.3, lw=0.0, zorder=3
     )
     shown = np.where(course.back_m > 0.0, course.back_m, np.nan)
-    ax.step(to_s(course.back_step), shown, where="post", color=QUEUE, lw=1.1, zorder=4)
+    ax.step(to_s(course.back_step), shown, where="post", color=_QUEUE, lw=1.1, zorder=4)
     if not paths:
         return
     new = np.diff(course.vehicle, prepend=-1) != 0
@@ -190,11 +190,11 @@ def _lay_out(
 ) -> None:  # fmt: skip
     """Give axes their scale, times and title: vehicles drive upwards, to the line."""
     seconds = (end - begin).total_seconds()
-    reach = min(max(queue.longest_m * AROUND, LEAST_M), shown_m[0])
+    reach = min(max(queue.longest_m * _AROUND, LEAST_M), shown_m[0])
     above = min(shown_m[1], -LEAST_ABOVE_M)
-    ax.set(xlim=(0.0, seconds), ylim=(reach, above), facecolor=UNSEEN)
+    ax.set(xlim=(0.0, seconds), ylim=(reach, above), facecolor=_UNSEEN)
     ax.axhline(0.0, color=INK, lw=1.2, zorder=6)
-    step_s = 10.0 if seconds <= WINDOW_S / 3.0 else 60.0
+    step_s = 10.0 if seconds <= DIAGRAM_S / 3.0 else 60.0
     first = begin - timedelta(seconds=begin.timestamp() % step_s)
     edges = [first + timedelta(seconds=step_s * k) for k in range(int(seconds / step_s) + 2)]
     edges = [each for each in edges if begin <= each <= end]

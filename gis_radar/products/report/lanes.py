@@ -20,7 +20,7 @@ from gis_radar.products.report.content import utc
 
 BUSY = 0.2  # least share of a busy tile; a class break of all heat maps
 # Compared with each other are lanes that are known well enough.
-LEAST_TRACKS = 10  # of vehicles that followed it: of ten, chance alone moves a share by a third
+LEAST_FOLLOWED = 10  # of vehicles that followed it: of ten, chance alone moves a share by a third
 LEAST_SEEN = 0.5  # share of its length: less may be its queue alone, or all but its queue
 MOST_ERROR = 0.5  # standard error, as a share of the occupancy: beyond, 0 is within two of them
 FAR_M = 100.0  # distance from every sensor, beyond which the accuracy of volumes is not measured
@@ -179,7 +179,7 @@ def _why_not(row: pd.Series, measure: str) -> str:
     reasons = {
         "unseen": np.isnan(row["share"]),
         "length": row["base_m"] < LEAST_SEEN * row["length_m"],
-        "tracks": row["tracks"] < LEAST_TRACKS,
+        "tracks": row["tracks"] < LEAST_FOLLOWED,
         "error": not row["share_se"] <= MOST_ERROR * row["share"],
     }
     return next((name for name, applies in reasons.items() if applies), "")

@@ -27,7 +27,7 @@ from gis_radar.products.heatmap.picture import (
     map_picture,
     png,
 )
-from gis_radar.products.report.content import WORDS, Figure, MapSeries
+from gis_radar.products.report.content import REPORT_WORDS, Figure, MapSeries
 from gis_radar.products.report.lanes import part_and_base
 from gis_radar.products.report.results import Results
 from gis_radar.scans import (
@@ -43,10 +43,10 @@ from gis_radar.scans import (
 
 ASPECT = (0.55, 1.25)  # height over width: least, which the scale bar needs, and greatest
 SCALE_SHARE = (0.4, 0.13)  # width and height of the scale bar's corner, of the map's width
-MOST_FRAMES = 96  # pictures in time: a day of quarter hours
+_MOST_FRAMES = 96  # pictures in time: a day of quarter hours
 MOST_PIXELS = 2_200_000  # of a picture
 ALL_PIXELS = 70_000_000  # of all together: a browser holds four bytes of each
-STAGE = "drawing the maps"
+_STAGE = "drawing the maps"
 
 SIGHT_IN = 3.4  # width of a sensor's picture: alone on a phone's page its words can be read
 MOST_SIGHTS = 6  # sensors whose sight is drawn
@@ -93,7 +93,7 @@ def draw_maps(results: Results, picture: MapPicture, clock: Clock, reporter: Rep
         if len(heat.timeline) > 1:
             label = clock.span(begin, end)
             frames.append(_map(picture, heat, label, group))
-        reporter.progress(STAGE, done, len(groups))
+        reporter.progress(_STAGE, done, len(groups))
     size, note = groups[0].stop, ""
     if size > 1:
         text = "The heat map has {n} intervals; each picture shows {size} of them together."
@@ -122,7 +122,7 @@ def draw_maps(results: Results, picture: MapPicture, clock: Clock, reporter: Rep
 def _groups(heat: HeatMap) -> list[slice]:
     """Return the intervals as pictures show them: singly, or several at a time where many."""
     total = len(heat.timeline)
-    size = -(-total // MOST_FRAMES)
+    size = -(-total // _MOST_FRAMES)
     return [slice(first, min(first + size, total)) for first in range(0, total, size)]
 
 
@@ -143,7 +143,7 @@ def _map(picture: MapPicture, heat: HeatMap, label: str, group: slice | None = N
 
 def _sentence(heat: HeatMap, group: slice | None) -> str:
     """Describe a map: the mean of what was seen, and how much was seen and hit or occupied."""
-    words = WORDS[heat.measure]
+    words = REPORT_WORDS[heat.measure]
     part_s, base_s = part_and_base(heat, group)
     seen, hit = int((base_s > 0).sum()), int((part_s > 0).sum())
     if not seen:

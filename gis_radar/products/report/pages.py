@@ -28,7 +28,7 @@ from gis_radar.base import (
 )
 from gis_radar.products.heatmap import style
 from gis_radar.products.heatmap.picture import legend_in_words
-from gis_radar.products.report.content import WORDS, Content, MapSeries
+from gis_radar.products.report.content import REPORT_WORDS, Content, MapSeries
 from gis_radar.products.report.printing import MISSING
 
 
@@ -53,7 +53,7 @@ def page_of(content: Content) -> str:
         legend=legend,
         legend_title=tr(map_words.title),
         legend_subtitle=tr(map_words.subtitle),
-        words=WORDS[content.measure],
+        words=REPORT_WORDS[content.measure],
     )
 
 

@@ -40,7 +40,7 @@ GLYPH = (0.68, 1.25)  # width of a bold figure and height of its line, of the si
 # Places to try for the number of a lane: on it, as shares of its length;
 TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)
 ASIDE_PT = (14.0, 22.0, 32.0, 46.0, 64.0, 90.0)  # beside it, at the end of a line, points;
-AROUND_PT, AROUND = (46.0, 64.0, 90.0, 125.0, 175.0), 24  # around its middle, in 24 directions.
+_AROUND_PT, _AROUND = (46.0, 64.0, 90.0, 125.0, 175.0), 24  # around its middle, in 24 directions.
 SCALE_IN = (2.2, 0.75)  # size of the corner with the scale bar
 # Tints that lanes take in turn; where two look alike, their numbers distinguish them.
 TINTS = ("#cfe3f5", "#f7dfb2", "#d8ead0", "#ead6ea")
@@ -185,8 +185,8 @@ def _candidates(middles: Floats, text: str, point_m: float) -> Iterator[PlacedNu
                 middle = middles[k] + side * aside * point_m
                 yield PlacedNumber(middle, 0.0, _box(middle, half, 0.0), middles[k])
     foot = middles[len(middles) // 2]
-    for aside in AROUND_PT:
-        for angle in np.arange(AROUND) * (2.0 * np.pi / AROUND):
+    for aside in _AROUND_PT:
+        for angle in np.arange(_AROUND) * (2.0 * np.pi / _AROUND):
             middle = foot + aside * point_m * np.array([np.cos(angle), np.sin(angle)])
             yield PlacedNumber(middle, 0.0, _box(middle, half, 0.0), foot)
 

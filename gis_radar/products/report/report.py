@@ -54,7 +54,7 @@ from gis_radar.products.report.basis import (
 from gis_radar.products.report.chart import draw_lanes_over_time
 from gis_radar.products.report.content import (
     QUEUES,
-    WORDS,
+    REPORT_WORDS,
     Chapter,
     Column,
     Content,
@@ -65,8 +65,8 @@ from gis_radar.products.report.content import (
     utc,
 )
 from gis_radar.products.report.lanes import (
+    LEAST_FOLLOWED,
     LEAST_SEEN,
-    LEAST_TRACKS,
     WHY_NOT,
     lane_table,
     sums_of,
@@ -82,7 +82,7 @@ from gis_radar.products.report.sources import made_by, settings_of, sources_of
 from gis_radar.products.report.traffic import traffic_chapters, traffic_of
 from gis_radar.products.traffic import write_table
 
-MOST_LANES = 150  # rows of the table as read; the CSV file holds all
+_MOST_LANES = 150  # rows of the table as read; the CSV file holds all
 LEAST_PRINTED = 10  # lanes on paper; more where more are ranked
 
 
@@ -254,14 +254,14 @@ def _writers(data: ReportData, content: Content) -> dict[str, Callable[[Path], o
     writers: dict[str, Callable[[Path], object]] = {
         names.PAGE: lambda path: path.write_text(page_of(content), encoding="utf-8", newline="\n"),
         names.PDF: lambda path: write_pdf(content, path),
-        names.LANES: lambda path: write_lanes(path, data.table, clock, heat.measure),
+        names.LANES_FILE: lambda path: write_lanes(path, data.table, clock, heat.measure),
         names.LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, data.lanes, clock),
     }
     if quality is not None:
         writers[names.QUALITY] = quality.write_rows
     if (traffic := data.traffic) is not None:
-        writers[names.TRAFFIC] = lambda path: write_table(traffic.lanes, path)
-        writers[names.TURNS] = lambda path: write_table(traffic.turns, path)
+        writers[names.TRAFFIC_FILE] = lambda path: write_table(traffic.lanes, path)
+        writers[names.TURNS_FILE] = lambda path: write_table(traffic.turns, path)
     return writers
 
 
@@ -303,7 +303,7 @@ def _content(data: ReportData, reporter: Reporter, *, paths: bool) -> Content:
         subtitle=clock.long_span(begin, end),
         zone=clock.name,
         until=end,
-        intro=tr(WORDS[results.heat.measure].intro),
+        intro=tr(REPORT_WORDS[results.heat.measure].intro),
         facts=facts_of(data),
         remarks=remarks_of(data),
         basis=basis_of(data),
@@ -351,8 +351,8 @@ def _terms(data: ReportData) -> Terms:
 def _lanes(data: ReportData, *, intervals: bool) -> Table:
     """Return the table of the lanes with a share, from the rows of `lane_table`."""
     table, measure = data.table, data.results.heat.measure
-    known, words = table[table["share"].notna()], WORDS[measure]
-    shown, ranks = known.head(MOST_LANES), measure == "occupancy"
+    known, words = table[table["share"].notna()], REPORT_WORDS[measure]
+    shown, ranks = known.head(_MOST_LANES), measure == "occupancy"
     columns = lane_columns(data.clock, measure)
     columns = columns if intervals else columns[:-1]
     notes = [_ranking(table)] if ranks else []
@@ -367,7 +367,7 @@ def _lanes(data: ReportData, *, intervals: bool) -> Table:
             text = "A highest interval is named where it lies over the mean by more than its error."
             notes.append(tr(text))
     notes.append(tr("Where lanes cross, their tiles overlap, and a vehicle there counts on each."))
-    csv_files = [(names.LANES, tr("all lanes"))]
+    csv_files = [(names.LANES_FILE, tr("all lanes"))]
     if intervals:
         csv_files.append((names.LANES_BY_INTERVAL, tr("each lane in each interval")))
     return Table(
@@ -390,7 +390,7 @@ def _ranking(table: pd.DataFrame) -> str:
     rule = tr(
         "Ranked are lanes with {tracks} tracks or more and {share} of their length visible or "
         "more, whose standard error is at most half their occupancy; the others say why not.",
-        tracks=LEAST_TRACKS, share=percent(LEAST_SEEN, 0),
+        tracks=LEAST_FOLLOWED, share=percent(LEAST_SEEN, 0),
     )  # fmt: skip
     if not near:
         return rule
@@ -415,7 +415,7 @@ def lane_columns(clock: Clock, measure: str) -> list[Column]:
     list of Column
         Columns with titles in the current language.
     """
-    words = WORDS[measure]
+    words = REPORT_WORDS[measure]
 
     def rank(row: pd.Series) -> str:
         return str(row["rank"]) if row["rank"] else tr(WHY_NOT[row["why"]])

@@ -33,7 +33,7 @@ from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.poses import Pose, View, pose_from_dict, read_track
 from gis_radar.products.heatmap.heatmap import HeatMap, read_heatmap
-from gis_radar.products.heatmap.layers import FILE as PACKAGE
+from gis_radar.products.heatmap.layers import HEATMAP_FILE as PACKAGE
 from gis_radar.products.report.content import Column, Table, how_found, text_rows
 
 DATASET = "dataset"

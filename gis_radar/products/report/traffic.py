@@ -32,14 +32,14 @@ from gis_radar.base import (
     with_error,
 )
 from gis_radar.dataset import Dataset, LaneTraffic
-from gis_radar.measures import JOINED_M, LEAST_SHARE, TURN_WORDS, LaneNetwork
+from gis_radar.measures import JOINED_M, LEAST_VISIBLE_SHARE, TURN_WORDS, LaneNetwork
 from gis_radar.products import report_files as names
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.picture import NARROW_IN, for_a_phone, image_of_figure, png
 from gis_radar.products.report.chart import chart_over
 from gis_radar.products.report.content import (
     QUEUES,
-    WORDS,
+    REPORT_WORDS,
     Chapter,
     Chart,
     Column,
@@ -47,21 +47,21 @@ from gis_radar.products.report.content import (
     Table,
     text_rows,
 )
-from gis_radar.products.report.courses import MOST_COURSES, WINDOW_S, LongQueue, draw_courses
+from gis_radar.products.report.courses import DIAGRAM_S, MOST_COURSES, LongQueue, draw_courses
 from gis_radar.products.report.lanes import FAR_M, far_lanes
 from gis_radar.products.traffic import service_levels
 from gis_radar.products.traffic_picture import draw_turning_diagram
 
 # Lengths of intervals, each with the longest time (s) that it is used for: some 30 points a strip,
 # then 96 a day.
-INTERVALS = (("1min", 1800.0), ("5min", 10_800.0), ("15min", np.inf))
-STRIPS, MOST_CHARTS = 12, 2  # lanes of a chart, which fills a page; most charts
+_INTERVALS = (("1min", 1800.0), ("5min", 10_800.0), ("15min", np.inf))
+_STRIPS, _MOST_CHARTS = 12, 2  # lanes of a chart, which fills a page; most charts
 LEAST_INTERVALS = 3  # for a chart over time: of two values the table has the mean
-MOST_LANES = 60  # rows of the table as read; the CSV file holds all
+_MOST_LANES = 60  # rows of the table as read; the CSV file holds all
 MOST_QUEUES = 6  # lanes of the table of queues
 LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it
 TURNS_IN, TURNS_DPI = 7.2, 150  # width of the turning diagram
-LEVEL = Text("Level of service")
+_LEVEL = Text("Level of service")
 NOT_SEEN, TOO_LITTLE = "not seen", "too little seen"
 
 
@@ -128,8 +128,8 @@ def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None
     begin, end = heat.whole.span()
     seconds = (end - begin).total_seconds()
     exact = not any(each.dropped for each in dataset.records(dataset.span(begin, end)).values())
-    interval = next(name for name, most_s in INTERVALS if seconds <= most_s)
-    interval = interval if exact else INTERVALS[-1][0]
+    interval = next(name for name, most_s in _INTERVALS if seconds <= most_s)
+    interval = interval if exact else _INTERVALS[-1][0]
     length_s = interval_steps(interval) / STEPS_PER_SECOND
     first = datetime.fromtimestamp(begin.timestamp() // length_s * length_s, begin.tzinfo)
     lanes, by_lane = (
@@ -205,13 +205,13 @@ def volume_text(row: pd.Series) -> str:
 
 def _volume_table(traffic: ReportedTraffic) -> Table:
     """Return volumes, speeds and queues, a row a lane."""
-    shown = (rows := _lanes_by_name(traffic)).head(MOST_LANES)
+    shown = (rows := _lanes_by_name(traffic)).head(_MOST_LANES)
     columns = _volume_columns(_lanes_with_stop_lines(traffic))
     return Table(
         name="volumes", caption=tr("Traffic of lanes over the whole time"), columns=columns,
         rows=text_rows((row for _, row in shown.iterrows()), columns),
         note=" ".join(_volume_notes(traffic, rows, len(shown))),
-        files=[(names.TRAFFIC, tr("each lane in each interval, with further measures"))],
+        files=[(names.TRAFFIC_FILE, tr("each lane in each interval, with further measures"))],
     )  # fmt: skip
 
 
@@ -262,7 +262,7 @@ def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> l
            "no known error. From {time} nothing follows about other hours or days.",
            time=seconds_text(seconds)),
     ]  # fmt: skip
-    share = percent(LEAST_SHARE, 0)
+    share = percent(LEAST_VISIBLE_SHARE, 0)
     if rows["volume"].isna().any():
         notes.append(
             tr("Not seen: the place of counting was not visible, which is not 0; too little seen: "
@@ -276,7 +276,11 @@ def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> l
                "{lanes}.", far=int(FAR_M), lanes=listed([*map(str, far)]))
         )  # fmt: skip
     if missing := len(traffic.network.lane) - len(traffic.by_lane):
-        notes.append(plural(missing, WORDS["occupancy"].unseen_one, WORDS["occupancy"].unseen_many))
+        notes.append(
+            plural(
+                missing, REPORT_WORDS["occupancy"].unseen_one, REPORT_WORDS["occupancy"].unseen_many
+            )
+        )
     if len(rows) > shown:
         notes.append(tr("Here are {part} of {all} lanes.", part=shown, all=len(rows)))
     return notes
@@ -314,10 +318,10 @@ _LONGEST_QUEUES = _Profile(
 def _charts(
     traffic: ReportedTraffic, lanes: pd.DataFrame, profile: _Profile, clock: Clock
 ) -> list[Chart]:
-    """Draw a strip for each lane, up to `MOST_CHARTS` charts; none of too few intervals."""
+    """Draw a strip for each lane, up to `_MOST_CHARTS` charts; none of too few intervals."""
     if len(set(traffic.lanes["begin"])) < LEAST_INTERVALS or lanes.empty:
         return []
-    lanes = lanes.head(STRIPS * MOST_CHARTS)
+    lanes = lanes.head(_STRIPS * _MOST_CHARTS)
     table = traffic.lanes.assign(unknown=np.nan).set_index(["lane", "begin"])
     table = table[[*profile.columns]].astype(float)
     table = table / (traffic.length_s / 3600.0) if profile.an_hour else table
@@ -326,8 +330,8 @@ def _charts(
     top = next((each for each in profile.tops if each >= high), float(np.ceil(high / step) * step))
     strips = [(str(row["name"]), table.loc[row["lane"]] / top) for _, row in lanes.iterrows()]
     return [
-        _chart(strips[first : first + STRIPS], top, traffic, profile, clock)
-        for first in range(0, len(strips), STRIPS)
+        _chart(strips[first : first + _STRIPS], top, traffic, profile, clock)
+        for first in range(0, len(strips), _STRIPS)
     ]
 
 
@@ -415,7 +419,7 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
             for lane, name in numbers.items() if lane in known
         ],
         note=note,
-        files=[(names.TURNS, tr("each turn in each interval"))],
+        files=[(names.TURNS_FILE, tr("each turn in each interval"))],
     )  # fmt: skip
 
 
@@ -435,7 +439,7 @@ def _queues(traffic: ReportedTraffic, clock: Clock, *, paths: bool) -> list[Tabl
         for _, row in queues.head(MOST_COURSES).iterrows()
     ]  # fmt: skip
     span = (traffic.begin, traffic.end)
-    long = int((traffic.end - traffic.begin).total_seconds() > WINDOW_S)  # diagrams show a part
+    long = int((traffic.end - traffic.begin).total_seconds() > DIAGRAM_S)  # diagrams show a part
     return [
         *draw_courses(traffic.dataset, longest, span, replace(clock, to_seconds=True), paths=paths),
         _queue_table(traffic, queues, longest_by_lane, clock),
@@ -473,7 +477,7 @@ def _queue_table(
     if levels.notna().any():
         level_note = " " + tr("Levels of service are those of signals, by the delay on the lane.")
         queues = queues.assign(los=levels.fillna(NO_FIGURE))
-        columns.append(Column(tr(LEVEL), "HCM", lambda row: str(row["los"])))
+        columns.append(Column(tr(_LEVEL), "HCM", lambda row: str(row["los"])))
     rows = [row for _, row in queues.head(MOST_QUEUES).iterrows()]
     return Table(
         name="queues", caption=tr("The longest queues"), columns=columns,

@@ -15,7 +15,7 @@ from gis_radar.base import InputError, Text, UsageError, first_line
 from gis_radar.recordings import ars430
 from gis_radar.recordings.columns import Layout, find_layout, message_rows, values_of
 from gis_radar.recordings.frames import DamagedError, Format, Frame, NothingHereError, ReaderContext
-from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
+from gis_radar.recordings.readers.udp import LIST_METHOD, method_of, read_detections
 from gis_radar.recordings.unpacking import limit_rosbags
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -37,7 +37,7 @@ PACKETS = (
 )
 KNOWN = (CLOUD, *LISTS, ars430.PACKET, *PACKETS)
 # ROS 2 bags up to Humble do not hold the definitions of their messages.
-DEFINITIONS = {
+MESSAGE_DEFINITIONS = {
     "radar_msgs/msg/RadarReturn": "float32 range\nfloat32 azimuth\nfloat32 elevation\n"
     "float32 doppler_velocity\nfloat32 amplitude",
     "radar_msgs/msg/RadarScan": "std_msgs/Header header\nradar_msgs/RadarReturn[] returns",
@@ -59,7 +59,7 @@ DEFINITIONS = {
     "float32 ambiguity_free_velocity_min\nfloat32 ambiguity_free_velocity_max\n"
     "float32 alignment_azimuth_correction\nfloat32 alignment_elevation_correction\n"
     "uint8 alignment_status\ncontinental_msgs/ContinentalArs548Detection[] detections",
-    **ars430.DEFINITIONS,
+    **ars430.ARS430_DEFINITIONS,
 }
 
 
@@ -82,7 +82,7 @@ def typestore(connection: Any) -> Any:
     definition = connection.msgdef
     if definition.format == DefinitionFormat.NONE:
         store = get_typestore(Stores.ROS2_HUMBLE)
-        for name, text in DEFINITIONS.items():
+        for name, text in MESSAGE_DEFINITIONS.items():
             store.register(get_types_from_msg(text, name))
         return store
     store = get_typestore(Stores.EMPTY)
@@ -93,7 +93,7 @@ def typestore(connection: Any) -> Any:
     return store
 
 
-ENDINGS = (".bag", ".db3", ".mcap")
+_ENDINGS = (".bag", ".db3", ".mcap")
 REPAIR_COMMANDS = {
     ".bag": "rosbag reindex",
     ".mcap": "mcap recover",
@@ -107,7 +107,7 @@ def _accepts(source: str) -> bool:
     path = Path(source)
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
-    return path.is_file() and path.suffix.lower() in ENDINGS
+    return path.is_file() and path.suffix.lower() in _ENDINGS
 
 
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
@@ -270,7 +270,7 @@ class _Topic:
         for packet in getattr(message, "packets", [message]):
             data = packet.payload if hasattr(packet, "payload") else packet.data
             payload = np.asarray(data, dtype=np.uint8).tobytes()
-            if method_of(payload) != METHOD:
+            if method_of(payload) != LIST_METHOD:
                 continue
             time = _packet_time(packet, recorded)
             frame = read_detections(payload, sensor=self._name, recorder_time=time)
@@ -300,7 +300,7 @@ def _decoder(source: str, connection: Any, reader: Any) -> Decode:
 def _rows(message: Any, kind: str) -> Any:
     """Return the detections that a message lists, as a structured array."""
     where, item_kind = LISTS[kind]
-    names = [line.split()[1] for line in DEFINITIONS[item_kind].splitlines()]
+    names = [line.split()[1] for line in MESSAGE_DEFINITIONS[item_kind].splitlines()]
     return np.array(
         [tuple(getattr(item, name) for name in names) for item in getattr(message, where)],
         dtype=[(name, np.float32) for name in names],
@@ -333,6 +333,6 @@ FORMAT = Format(
     takes=".bag (ROS 1), a folder with metadata.yaml, .db3 or .mcap (ROS 2)",
     accepts=_accepts,
     frames=_frames,
-    endings=ENDINGS,
+    endings=_ENDINGS,
     rank=1,
 )

@@ -27,7 +27,7 @@ from gis_radar.recordings.frames import (
     ReaderContext,
     counts_text,
 )
-from gis_radar.recordings.readers.udp import METHOD, OTHER_METHODS, method_of, read_detections
+from gis_radar.recordings.readers.udp import LIST_METHOD, OTHER_METHODS, method_of, read_detections
 from gis_radar.recordings.unpacking import ExplodingError, LimitedStream
 
 GZIP = b"\x1f\x8b"
@@ -409,7 +409,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     datagrams, messages, sensors = Datagrams(), Counter[str](), Counter[str]()
     for datagram, time in _datagrams(Path(source), datagrams, context):
         method = method_of(datagram.payload)
-        if method != METHOD:
+        if method != LIST_METHOD:
             messages[OTHER_METHODS.get(method or 0, "")] += 1
             continue
         sensors[datagram.source] += 1

@@ -14,19 +14,19 @@ import pyarrow.parquet as pq
 
 from gis_radar.base import Floats, InputError, Text, UsageError
 from gis_radar.recordings import settings
-from gis_radar.recordings.columns import NAMES, Layout, find_layout
+from gis_radar.recordings.columns import COLUMN_NAMES, Layout, find_layout
 from gis_radar.recordings.csv_table import open_csv_table, refuse_many_columns
 from gis_radar.recordings.frames import Column, Format, Frame, NothingHereError, ReaderContext
 from gis_radar.recordings.parquet_table import parquet_batches
 from gis_radar.recordings.recording import open_table
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-ENDINGS = (".parquet", ".csv")
-SENSOR = "table"  # of all tables: several are parts of one sensor's recording
+_ENDINGS = (".parquet", ".csv")
+_SENSOR = "table"  # of all tables: several are parts of one sensor's recording
 
 
 def _accepts(source: str) -> bool:
-    return Path(source).is_file() and Path(source).suffix.lower() in ENDINGS
+    return Path(source).is_file() and Path(source).suffix.lower() in _ENDINGS
 
 
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
@@ -49,7 +49,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
                 f"{', '.join(names):.90}",
             ),
         )
-    if not context.wants(SENSOR):
+    if not context.wants(_SENSOR):
         raise NothingHereError(
             "{}: a table has no sensors", path, hint=Text("leave {} away", "--sensor")
         )
@@ -76,7 +76,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
 
 def _names(path: Path, columns: Mapping[str, str]) -> tuple[str, ...]:
     """Return the columns of a table; refuse a name that is there twice."""
-    expected = (*(name for known in NAMES.values() for name in known), *columns.values())
+    expected = (*(name for known in COLUMN_NAMES.values() for name in known), *columns.values())
     try:
         if path.suffix.lower() == ".csv":
             names = open_csv_table(path, numbers=expected).names
@@ -124,7 +124,7 @@ def _frames_of_batch(
     for target, field in layout.sources.items():
         if target != "time" and columns[field.removeprefix("-")].dtype == object:
             raise InputError("{}: column {} is text, expected numbers for {}", path, field, target)
-    all_rows = layout.frame(columns.__getitem__, sensor=SENSOR, stamp="time column")
+    all_rows = layout.frame(columns.__getitem__, sensor=_SENSOR, stamp="time column")
     starts = np.flatnonzero(np.diff(time, prepend=np.nan) != 0)
     for begin, end in zip(starts, [*starts[1:], len(time)], strict=True):
         yield _frame_of(all_rows, slice(begin, end), float(time[begin]))
@@ -190,7 +190,7 @@ FORMAT = Format(
     takes=".csv or .parquet with columns of any name (--columns)",
     accepts=_accepts,
     frames=_frames,
-    endings=ENDINGS,
+    endings=_ENDINGS,
     rank=2,
     opens=open_table,
 )

@@ -33,8 +33,8 @@ from gis_radar.recordings.frames import (
 PORT = 42102  # the sensor's default, like GROUP
 GROUP = "224.0.2.2"
 SLOTS = 800  # detections in a list
-SIZE = 35_336  # bytes of a datagram with a detection list
-METHOD = 336  # SOME/IP method of a detection list
+_SIZE = 35_336  # bytes of a datagram with a detection list
+LIST_METHOD = 336  # SOME/IP method of a detection list
 OTHER_METHODS = {329: "object list", 380: "sensor status", 396: "filter status"}
 
 _HEAD = struct.Struct(">HHI")
@@ -44,7 +44,7 @@ _SYNCHRONISED = 1
 _INVALID_POSITION = 0x01 | 0x04 | 0x10  # distance, azimuth, elevation
 _INVALID_RATE = 0x40
 
-DETECTION = np.dtype(
+_DETECTION = np.dtype(
     [
         ("azimuth", ">f4"),
         ("azimuth_std", ">f4"),
@@ -76,7 +76,7 @@ def method_of(payload: bytes) -> int | None:
     if len(payload) < _HEAD.size:
         return None
     service, method, length = _HEAD.unpack_from(payload)
-    known = method == METHOD or method in OTHER_METHODS
+    known = method == LIST_METHOD or method in OTHER_METHODS
     return method if known and service == 0 and length + _HEAD.size == len(payload) else None
 
 
@@ -86,7 +86,7 @@ def read_detections(payload: bytes, *, sensor: str, recorder_time: float | None)
     Parameters
     ----------
     payload : bytes
-        A datagram for which :func:`method_of` returns `METHOD`.
+        A datagram for which :func:`method_of` returns `LIST_METHOD`.
     sensor : str
         Address of the sender.
     recorder_time : float or None
@@ -100,17 +100,17 @@ def read_detections(payload: bytes, *, sensor: str, recorder_time: float | None)
         the right one of several), then `classification` and `object_id`.
     """
     (count,) = struct.unpack_from(">I", payload, _COUNT_AT)
-    if len(payload) != SIZE or count > SLOTS:
+    if len(payload) != _SIZE or count > SLOTS:
         return None
     nanoseconds, seconds, status = _STAMP.unpack_from(payload, _STAMP_AT)
-    rows = np.frombuffer(payload, DETECTION, count, _LIST_AT)
+    rows = np.frombuffer(payload, _DETECTION, count, _LIST_AT)
     points = cartesian(_native(rows, "range"), _native(rows, "azimuth"), _native(rows, "elevation"))
     rate = _native(rows, "range_rate")
     flags = rows["invalid"]
     if flags.any():
         points[(flags & _INVALID_POSITION) != 0] = np.nan
         rate = np.where(flags & _INVALID_RATE, np.float32(np.nan), rate)
-    used = payload[: _LIST_AT + count * DETECTION.itemsize]
+    used = payload[: _LIST_AT + count * _DETECTION.itemsize]
     return Frame(
         sensor=sensor,
         points=points,
@@ -131,14 +131,14 @@ def _native(rows: Column, name: str) -> Column:
 SCHEME = "udp://"
 # A second of frames, in case writing to disk blocks.
 RECEIVE_BUFFER_BYTES = 1 << 23
-POLL_S = 0.2  # between two checks of the clock and of Ctrl-C
+_POLL_S = 0.2  # between two checks of the clock and of Ctrl-C
 
 
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     seen = Counter[str]()
     for payload, sensor, now in _received(source, context):
         seen[sensor] += 1
-        if method_of(payload) != METHOD or not context.wants(sensor):
+        if method_of(payload) != LIST_METHOD or not context.wants(sensor):
             continue
         frame = read_detections(payload, sensor=sensor, recorder_time=now)
         if frame is None:
@@ -167,7 +167,7 @@ def _received(source: str, context: ReaderContext) -> Iterator[tuple[bytes, str,
         try:
             while not stop.is_set() and time.monotonic() < end:
                 with suppress(Empty):
-                    yield queue.get(timeout=POLL_S)
+                    yield queue.get(timeout=_POLL_S)
         finally:
             stop.set()
             receiver.join()
@@ -176,10 +176,10 @@ def _received(source: str, context: ReaderContext) -> Iterator[tuple[bytes, str,
 
 
 def _receive(listener: socket.socket, queue: Queue[tuple[bytes, str, float]], stop: Event) -> None:
-    listener.settimeout(POLL_S)
+    listener.settimeout(_POLL_S)
     while not stop.is_set():
         with suppress(TimeoutError):
-            payload, (sender, _) = listener.recvfrom(2 * SIZE)
+            payload, (sender, _) = listener.recvfrom(2 * _SIZE)
             queue.put((payload, sender, time.time()))
 
 

@@ -24,13 +24,12 @@ from gis_radar.scans.sight.tiles import SightTiles
 PIECE_M = 5.0
 # A piece is empty below this share of the expected movement. It must be small: vehicles that queue
 # on one side and pass the piece freely are detected ten times less often on it.
-EMPTY_SHARE = 0.01
+_EMPTY_SHARE = 0.01
 # Least sum over the stretch of expected frames with movement on a tile: some fifty vehicles on a
 # car's length.
-LEAST_FRAMES = 100.0
-SHARED_AREA = (
-    0.05  # share of a tile under another lanelet's from which on its movement may be of either
-)
+_LEAST_FRAMES = 100.0
+# share of a tile under another lanelet's from which on its movement may be of either
+SHARED_AREA = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +89,7 @@ def find_gaps(hits: Sequence[MovingHits], tiles: SightTiles) -> list[Gap]:
     return [
         Gap(lanelet_id=ref, tiles=size, expected=expected)
         for ref, size, expected in zip(*(each.tolist() for each in columns), strict=True)
-        if expected >= LEAST_FRAMES
+        if expected >= _LEAST_FRAMES
     ]
 
 
@@ -147,7 +146,7 @@ def _most_earlier(rate: pd.Series, stretch: pd.Series) -> pd.Series:
 
 def _empty_pieces(pieces: pd.DataFrame, moved: pd.Series) -> pd.Series:
     expected = _expected(pieces, moved)
-    return (expected > 0) & (pieces["count"] <= EMPTY_SHARE * expected)
+    return (expected > 0) & (pieces["count"] <= _EMPTY_SHARE * expected)
 
 
 def _shared_tiles(tiles: SightTiles, asked: Integers) -> Integers:

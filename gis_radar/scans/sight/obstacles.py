@@ -12,15 +12,15 @@ import scipy
 from gis_radar.base import Booleans, Floats, Grid, compiled
 from gis_radar.scans.columns import Heights, ScanColumns, ground_under, nearest_known
 
-CELL_M = 1.0  # of the cells in which the scan is gathered
-TALL_M = 2.5  # things up to this height over the ground do not hide: parked cars, hedges, rails
+OBSTACLE_CELL_M = 1.0  # of the cells in which the scan is gathered
+_TALL_M = 2.5  # things up to this height over the ground do not hide: parked cars, hedges, rails
 # A body is solid where no return from below it lies in a square of this side: crowns let pulses
 # through, roofs do not.
 CROWN_M = 3.0
 GROUND_M = 12.0  # narrower surfaces are not ground: cars, hedges
 # Width of the opening that removes roofs from the ground in scans without classes, and side, in
 # cells, of the squares on which it runs.
-WIDEST_ROOF_M, GROUND_CELLS = 40.0, 2
+WIDEST_ROOF_M, _GROUND_CELLS = 40.0, 2
 # Depth under the ground's surface down to which a ray is free: noise of scan and map. With 0.4,
 # rays from below reach the far side of ramps: 13 % of two levels wrongly seen, not 4 %.
 SUNK_M = 0.1
@@ -29,10 +29,10 @@ LEVELS_APART_M = 3.0  # tiles at one place farther apart in height are on two le
 SHOULDER_M = 4.0  # width of kerbs, shoulders and parapets beside an upper level's tiles
 OPENING_M = 8.0  # width beside the lower level's tiles in which rays under a deck are free
 DECK_M = 1.5  # thickness of a deck
-GAP_M = 3.0  # cells without points take the heights of the nearest cell within this distance
+_GAP_M = 3.0  # cells without points take the heights of the nearest cell within this distance
 # Length inside obstacles from which on a ray is blocked (1 or 1.5 change the shares wrongly seen by
 # 0.4 %), and distance of samples along it.
-BLOCKED_M, STEP_M = 0.5, 0.5
+_BLOCKED_M, _STEP_M = 0.5, 0.5
 # Ends of a ray that are not sampled: the sensor's mast may stand at a wall or in a crown.
 SKIP_NEAR_M, SKIP_FAR_M = 2.0, 0.5
 
@@ -138,19 +138,22 @@ def find_obstacles(columns: ScanColumns, roads: RoadHeights, *, classified: bool
         Whether the scan's classes distinguish ground.
     """
     distance, index = nearest_known(np.isfinite(columns.low))
-    known = distance * CELL_M <= GAP_M
+    known = distance * OBSTACLE_CELL_M <= _GAP_M
     low, top = (
         np.where(known, side[index].astype(np.float64), np.nan)
         for side in (columns.low, columns.top)
     )
-    surface = _opened(low, CROWN_M / CELL_M)
+    surface = _opened(low, CROWN_M / OBSTACLE_CELL_M)
     terrain_under = partial(
-        ground_under, cell_m=CELL_M, coarse_cells=GROUND_CELLS, widest_roof_m=WIDEST_ROOF_M
+        ground_under,
+        cell_m=OBSTACLE_CELL_M,
+        coarse_cells=_GROUND_CELLS,
+        widest_roof_m=WIDEST_ROOF_M,
     )
     terrain = terrain_under(columns.ground if classified else columns.low, classified=classified)
     terrain = np.fmin(terrain, surface)
-    ground = _opened(low, GROUND_M / CELL_M)
-    is_solid = surface - terrain > TALL_M
+    ground = _opened(low, GROUND_M / OBSTACLE_CELL_M)
+    is_solid = surface - terrain > _TALL_M
     by_class = np.isfinite(columns.deck)
     # Banks and the decks between them may have the class of ground. For decks the ground must lie
     # below them, so it is found without classes, too.
@@ -208,13 +211,13 @@ def _decks(
     """
     crossing = roads.highest - roads.lowest > LEVELS_APART_M
     known = np.isfinite(by_class)
-    upper = roads.highest - np.fmin(terrain, roads.lowest) > TALL_M
+    upper = roads.highest - np.fmin(terrain, roads.lowest) > _TALL_M
     top = np.where(upper, roads.highest, by_class)
     distance, index = nearest_known(np.isfinite(top))
-    level = np.where(distance * CELL_M <= SHOULDER_M, top[index], np.nan)
-    near = np.abs(highest - level) < TALL_M
-    deck = (near & (level - terrain > TALL_M) & ~(roads.road & ~upper)) | crossing
-    cells = round(OPENING_M / CELL_M)
+    level = np.where(distance * OBSTACLE_CELL_M <= SHOULDER_M, top[index], np.nan)
+    near = np.abs(highest - level) < _TALL_M
+    deck = (near & (level - terrain > _TALL_M) & ~(roads.road & ~upper)) | crossing
+    cells = round(OPENING_M / OBSTACLE_CELL_M)
     opened = scipy.ndimage.binary_dilation(crossing, iterations=cells, mask=deck)
     distance, index = nearest_known(crossing)
     below = np.where(distance <= 2 * cells, roads.lowest[index], np.nan)
@@ -244,12 +247,12 @@ def follow_rays(
         dx, dy, dz = targets[i] - eye
         flat_m = np.hypot(dx, dy)
         blocked, first, by = 0.0, np.nan, 0
-        for k in range(int(SKIP_NEAR_M / STEP_M), int((flat_m - SKIP_FAR_M) / STEP_M) + 1):
-            share = k * STEP_M / flat_m
+        for k in range(int(SKIP_NEAR_M / _STEP_M), int((flat_m - SKIP_FAR_M) / _STEP_M) + 1):
+            share = k * _STEP_M / flat_m
             u = int(np.floor((eye[0] + share * dx) / cell_m))
             v = int(np.floor((eye[1] + share * dy) / cell_m))
             if u < 0 or v < 0 or u >= columns or v >= rows or not known[u, v]:
-                unknown_m[i] += STEP_M
+                unknown_m[i] += _STEP_M
                 continue
             z = eye[2] + share * dz
             kind = 0
@@ -262,9 +265,9 @@ def follow_rays(
             if kind == 0:
                 continue
             if blocked == 0.0:
-                first, by = k * STEP_M, kind
-            blocked += STEP_M
-            if blocked >= BLOCKED_M:
+                first, by = k * _STEP_M, kind
+            blocked += _STEP_M
+            if blocked >= _BLOCKED_M:
                 begin_m[i], hider[i] = first, by
                 break
     return begin_m, hider, unknown_m

@@ -14,7 +14,7 @@ from gis_radar.scans.sight.tiles import SightTiles
 # From the palette of Okabe and Ito; the style of the layer `sight` has the same.
 SIGHT_COLOURS = {OUT_OF_VIEW: "#d8dade", HIDDEN: "#753d28", IN_SIGHT: "#56b4e9"}
 SIGHT_NAMES = {IN_SIGHT: "in sight", HIDDEN: "hidden", OUT_OF_VIEW: "outside the view"}
-MARGIN_M = 15.0
+_MARGIN_M = 15.0
 
 
 def draw_sight(ax: Any, sight: Sight, tiles: SightTiles) -> None:
@@ -54,4 +54,4 @@ def _extent(sight: Sight, tiles: SightTiles) -> tuple[Floats, Floats]:
     in_view = sight.state != OUT_OF_VIEW
     shown = tiles.quads[in_view if in_view.any() else slice(None)].reshape(-1, 2)
     places = np.vstack([shown, sight.pose.position[:2]])
-    return places.min(axis=0) - MARGIN_M, places.max(axis=0) + MARGIN_M
+    return places.min(axis=0) - _MARGIN_M, places.max(axis=0) + _MARGIN_M

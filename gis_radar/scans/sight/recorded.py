@@ -23,9 +23,9 @@ from gis_radar.scans.sight.tiles import SightTiles
 
 NO_MOVEMENT, MOVEMENT = "nothing moves in sight", "moves where hidden"
 Table: TypeAlias = Floats  # sums by direction and distance from a sensor
-REFLECTION_M = 1.0  # over the road: between the sills and the roof of a car
+CAR_REFLECTION_M = 1.0  # over the road: between the sills and the roof of a car
 # Least absolute range rate of movement, over that of leaves and most walkers; and farthest height
-# from REFLECTION_M over a tile's road: detections beyond are of another level.
+# from CAR_REFLECTION_M over a tile's road: detections beyond are of another level.
 MOVEMENT_MPS, MOVEMENT_LEVEL_M = 1.0, 2.5
 # Size of the cells in which recorded movement is compared with sight: a sector is wider than a
 # radar's bearing error and narrower than a house, a ring is as long as the least driveway.
@@ -33,17 +33,17 @@ SECTOR_DEG, RING_M = 1.0, 10.0
 SECTORS_IN_ROW = 3  # least width of a contradiction: a single one is an edge with bearing errors
 # A cell is empty below this share of the expected movement (ghosts of facades are a tenth at most),
 # if so many frames with movement are expected in it and beyond.
-EMPTY_SHARE, LEAST_IN_SECTOR = 0.1, 2.0
+_EMPTY_SHARE, _LEAST_IN_SECTOR = 0.1, 2.0
 # Least frames with movement that are missing, or seen though hidden, in a run of sectors: half a
 # dozen vehicles, each seen in several frames of several sectors.
-LEAST_FRAMES = 100.0
+_LEAST_FRAMES = 100.0
 # Least frames from one place for a comparison: five minutes at 20 Hz, three cycles of a signal. In
 # less time lanes stay empty by chance.
 JUDGED_FRAMES = 6000
 # Least share of the expected movement that contradicts `hidden`: ghosts, and lorries visible over a
 # wall, give less.
 MOVING_SHARE = 0.3
-ROUNDS = 8  # of the fit of profiles and flows; four give the same tiles
+_ROUNDS = 8  # of the fit of profiles and flows; four give the same tiles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,7 +183,7 @@ def _expected(
     lanelets = int(lanelet.max(initial=-1)) + 1
     flow = np.ones(lanelets)
     profiles = [np.ones(place.shape[1]) for place in polar]
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         counted, modelled = np.zeros(lanelets), np.zeros(lanelets)
         for k, (each, place, rows) in enumerate(zip(hits, polar, fitted, strict=True)):
             ring, lane, count = place.ring[rows], lanelet[rows], each.count[rows]
@@ -226,8 +226,8 @@ def _compare(hits: MovingHits, polar: _Polar, expected: Floats) -> Contradiction
 def _empty_beyond(counted: Table, wanted: Table) -> Booleans:
     """Return the cells from which outwards the expected movement is missing."""
     left, missed = _from_far(counted), _from_far(wanted)
-    empty = (counted <= EMPTY_SHARE * wanted) & (wanted > 0)
-    empty &= (left <= EMPTY_SHARE * missed) & (missed >= LEAST_IN_SECTOR)
+    empty = (counted <= _EMPTY_SHARE * wanted) & (wanted > 0)
+    empty &= (left <= _EMPTY_SHARE * missed) & (missed >= _LEAST_IN_SECTOR)
     return _in_wide_runs(np.logical_or.accumulate(empty, axis=1), wanted)
 
 
@@ -237,7 +237,7 @@ def _from_far(table: Table) -> Table:
 
 
 def _in_wide_runs(cells: Booleans, weight: Table) -> Booleans:
-    """Return the cells in runs of `SECTORS_IN_ROW` or more sectors and `LEAST_FRAMES` of weight."""
+    """Return the cells in runs of `SECTORS_IN_ROW` or more sectors and `_LEAST_FRAMES` weight."""
     with_cells: Booleans = np.any(cells, axis=1)
     turns = len(with_cells)
     first = int(np.argmin(with_cells))  # begin outside a run, which may go on past the last sector
@@ -245,7 +245,7 @@ def _in_wide_runs(cells: Booleans, weight: Table) -> Booleans:
     run = np.cumsum(~with_cells[order])
     weight_of_sector = np.where(cells, weight, 0.0).sum(axis=1)[order]
     width = np.bincount(run, with_cells[order])
-    heavy = np.bincount(run, weight_of_sector * with_cells[order]) >= LEAST_FRAMES
+    heavy = np.bincount(run, weight_of_sector * with_cells[order]) >= _LEAST_FRAMES
     kept = np.zeros_like(with_cells)
     kept[order] = with_cells[order] & (heavy & (width >= SECTORS_IN_ROW))[run]
     return cells & kept[:, None]

@@ -37,11 +37,11 @@ from gis_radar.base import (
     paths_of,
 )
 from gis_radar.poses import Pose, View, as_pose
-from gis_radar.scans.columns import ScanColumns, read_columns
+from gis_radar.scans.columns import LEAST_GROUND, ScanColumns, read_columns
 from gis_radar.scans.scan import Scan, box_with_margin, open_scan
 from gis_radar.scans.shift import warn_shifted
 from gis_radar.scans.sight.obstacles import (
-    CELL_M,
+    OBSTACLE_CELL_M,
     WIDEST_ROOF_M,
     Obstacles,
     RoadHeights,
@@ -53,22 +53,21 @@ from gis_radar.scans.sight.tiles import SightTiles
 
 OUT_OF_VIEW, IN_SIGHT, HIDDEN = 0, 1, 2
 STATES = ("out of view", "in sight", "hidden")
-NOTHING, STANDING, GROUND, DECK = 0, 1, 2, 3
+_NOTHING, _STANDING, _GROUND, _DECK = 0, 1, 2, 3
 HIDERS = ("", "something that stands", "the ground", "a deck")
 VIEW_ONLY = "view only"
 
-METHOD = 1  # raised whenever the same scan, tiles and pose would give another sight
+SIGHT_METHOD = 1  # raised whenever the same scan, tiles and pose would give another sight
 TARGET_M = 0.6  # height over the road of the point of a tile that must be seen (the contract)
-# Windows of the scan begin at multiples of WINDOW_M, so that poses of a track share them;
+# Windows of the scan begin at multiples of _WINDOW_M, so that poses of a track share them;
 # WINDOWS_KEPT of them stay in memory, 10 MB each.
-WINDOW_M, WINDOWS_KEPT = 64.0, 8
-LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
+_WINDOW_M, WINDOWS_KEPT = 64.0, 8
 # Length over places without scan from which on a ray that is not blocked is uncertain: the tile is
 # in sight, but not covered.
 UNKNOWN_M = 10.0
 # Warn where the scan decides less than this share of the tiles in the view: the rim of a view
 # reaches beyond most scans, and a tenth of it hardly changes a map.
-LEAST_COVERED = 0.9
+_LEAST_COVERED = 0.9
 # Median difference of road heights, scan against tiles, above which their vertical systems differ.
 OFFSET_M = 2.0
 _ARRAYS = ("state", "hider", "hidden_at_m", "uncovered")  # of a sight, in a file of the cache
@@ -88,7 +87,7 @@ class Sight:
     state : (n,) uint8 array
         `OUT_OF_VIEW`, `IN_SIGHT` or `HIDDEN` for each.
     hider : (n,) uint8 array
-        Obstacle that hides a tile: `NOTHING`, `STANDING`, `GROUND` or `DECK`.
+        Obstacle that hides a tile: `_NOTHING`, `_STANDING`, `_GROUND` or `_DECK`.
     hidden_at_m : (n,) array
         Horizontal distance from the sensor to the obstacle's begin, metres; NaN without one.
     uncovered : (n,) bool array
@@ -239,7 +238,7 @@ class SightScan:
     @cached_property
     def _inputs_digest(self) -> bytes:
         """Digest of scan, tiles and method."""
-        found = hashlib.blake2b(f"{self.digest} {METHOD}".encode())
+        found = hashlib.blake2b(f"{self.digest} {SIGHT_METHOD}".encode())
         found.update(self.tiles.fingerprint.encode() + self.tiles.height.tobytes())
         return found.digest()
 
@@ -248,18 +247,18 @@ class SightScan:
         return {
             "scan": self.digest,
             "files": sorted(each.path.name for each in self.scans),
-            "method": METHOD,
+            "method": SIGHT_METHOD,
         }
 
     def _window(self, pose: Pose) -> Grid:
         """Return the grid of the cells that a pose's view may reach."""
-        view, side = pose.view or View(), WINDOW_M
+        view, side = pose.view or View(), _WINDOW_M
         east, north = pose.position[:2]
         reach_m = view.max_range_m + WIDEST_ROOF_M
         low = (np.floor(np.array([east, north]) - reach_m) // side * side).tolist()
-        count = int(np.ceil(2.0 * (reach_m + side) / side) * side / CELL_M)
-        west, south = (round(edge / CELL_M) for edge in low)
-        return Grid(cell_m=CELL_M, west=west, south=south, columns=count, rows=count)
+        count = int(np.ceil(2.0 * (reach_m + side) / side) * side / OBSTACLE_CELL_M)
+        west, south = (round(edge / OBSTACLE_CELL_M) for edge in low)
+        return Grid(cell_m=OBSTACLE_CELL_M, west=west, south=south, columns=count, rows=count)
 
     def _read(self, grids: Sequence[Grid], poses: Sequence[Pose]) -> None:
         """Read the scans into windows around poses, and keep the obstacles found in each."""
@@ -437,7 +436,7 @@ def report_uncovered(sights: Iterable[Sight], reporter: Reporter) -> None:
                 math.floor(100.0 * covered),
                 sensor,
             ),
-            "info" if covered >= LEAST_COVERED else "warning",
+            "info" if covered >= _LEAST_COVERED else "warning",
         )
 
 
@@ -455,7 +454,7 @@ def _mark_hidden(sight: Sight, rows: Integers, place: Floats, obstacles: Obstacl
         obstacles.slab_high,
         obstacles.known,
     )
-    hidden = hider != NOTHING
+    hidden = hider != _NOTHING
     sight.state[rows[hidden]] = HIDDEN
     sight.hider[rows] = hider
     sight.hidden_at_m[rows] = begin_m

@@ -9,20 +9,20 @@ import numpy as np
 from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.posterior.frames import Frames
-from gis_radar.tracking.posterior.likelihood import CELL_M, RATE_MPS
+from gis_radar.tracking.posterior.likelihood import _BODY_RATE_SIGMA_MPS, RATE_CELL_M
 
-SPOT_M = 0.5  # side of the spots in which the rate of fixed objects is learned
-STILL_MPS = 0.3  # largest absolute range rate of a detection of a fixed object
+_SPOT_M = 0.5  # side of the spots in which the rate of fixed objects is learned
+_FIXED_MPS = 0.3  # largest absolute range rate of a detection of a fixed object
 # Density of such a range rate, s/m: that of a vehicle at rest, too, so that it does not decide.
-STILL_DENSITY = 1.0 / (math.sqrt(2.0 * math.pi) * RATE_MPS)
+STILL_DENSITY = 1.0 / (math.sqrt(2.0 * math.pi) * _BODY_RATE_SIGMA_MPS)
 AFTER_S = 1.5  # time after a vehicle drove over a spot in which hardly another one stands there
 DRIVES_MPS = 2.0
-BESIDE_M = 0.5  # no fixed objects are counted on a body and so far around it: its own detections
-FEW = 20.0  # weight of the usual rate of fixed objects, frames
+_BESIDE_M = 0.5  # no fixed objects are counted on a body and so far around it: its own detections
+_FEW = 20.0  # weight of the usual rate of fixed objects, frames
 SPEEDS = (3.0, 8.0)  # bounds between slow, middling and fast clutter, m/s
 # Widths of these bins of range rates of both signs, m/s; fast ones end at 30 m/s.
 WIDTHS = np.array([2.0 * SPEEDS[0], 2.0 * (SPEEDS[1] - SPEEDS[0]), 44.0])
-LEAST_RATE = 1e-7  # least rate, per frame, m2 and m/s: a hundredth of faint clutter, over 0
+_LEAST_RATE = 1e-7  # least rate, per frame, m2 and m/s: a hundredth of faint clutter, over 0
 
 
 class Background:
@@ -42,8 +42,8 @@ class Background:
 
     def __init__(self, detections: MapDetections, frames: Frames) -> None:
         self._frames, self._points = frames, detections.points
-        self._still = np.abs(detections.range_rate) < STILL_MPS
-        cell = ((detections.points - detections.points.min(axis=0)) / CELL_M).astype(np.int64)
+        self._still = np.abs(detections.range_rate) < _FIXED_MPS
+        cell = ((detections.points - detections.points.min(axis=0)) / RATE_CELL_M).astype(np.int64)
         rows, columns = cell.max(axis=0) + 1
         speed = np.digitize(np.abs(detections.range_rate), SPEEDS)
         self._clutter = ((detections.sensor * rows + cell[:, 0]) * columns + cell[:, 1]) * 3 + speed
@@ -71,8 +71,8 @@ class Background:
     ) -> Floats:
         """Return the rate of fixed objects at each detection of a sensor with a span of frames."""
         frames, points = self._frames, self._points[rows]
-        corner = points.min(axis=0) - SPOT_M
-        spot = ((points - corner) / SPOT_M).astype(np.int64)
+        corner = points.min(axis=0) - _SPOT_M
+        spot = ((points - corner) / _SPOT_M).astype(np.int64)
         size = tuple((spot.max(axis=0) + 2).tolist())
         bare, (counted, after, counted_after) = (
             np.full(size, float(span[1] - span[0])),
@@ -82,11 +82,11 @@ class Background:
             order, frame, shape, frames.time, frames.first, span, self._still, spot, corner, bare,
             counted, after, counted_after,
         )  # fmt: skip
-        known = bare > 5.0 * FEW
+        known = bare > 5.0 * _FEW
         mean_rate = counted[known].sum() / max(bare[known].sum(), 1.0)
-        rate = (counted + FEW * mean_rate) / (np.maximum(bare, 0.0) + FEW)
-        rate = (counted_after + 0.5 * FEW * rate) / (after + 0.5 * FEW)
-        return np.asarray(self._still[rows] * rate[tuple(spot.T)] / SPOT_M**2 * STILL_DENSITY)
+        rate = (counted + _FEW * mean_rate) / (np.maximum(bare, 0.0) + _FEW)
+        rate = (counted_after + 0.5 * _FEW * rate) / (after + 0.5 * _FEW)
+        return np.asarray(self._still[rows] * rate[tuple(spot.T)] / _SPOT_M**2 * STILL_DENSITY)
 
     def rates(self, unexplained: Floats) -> Floats:
         """Return the background rate at each detection: fixed objects, clutter, least rate.
@@ -100,8 +100,8 @@ class Background:
         cells = np.bincount(self._clutter, unexplained * ~self._still, size).reshape(-1, 3)
         used = np.bincount(self._clutter // 3, minlength=len(cells)) > 0
         frames = len(self._frames.time) / len(self._frames.sensor_xy)
-        each = 0.5 * (cells + cells[used].mean(axis=0)) / (frames * CELL_M**2 * WIDTHS)
-        return np.asarray(self._still_rate + each.ravel()[self._clutter] + LEAST_RATE)
+        each = 0.5 * (cells + cells[used].mean(axis=0)) / (frames * RATE_CELL_M**2 * WIDTHS)
+        return np.asarray(self._still_rate + each.ravel()[self._clutter] + _LEAST_RATE)
 
 
 @compiled
@@ -141,13 +141,13 @@ def _cover(
 ) -> None:  # fmt: skip
     """Subtract a frame of a vehicle from `bare` at the spots under it; note when it drove there."""
     x, y, c, s, speed = shape[0], shape[1], shape[2], shape[3], shape[4]
-    a, b = 0.5 * shape[5] + BESIDE_M, 0.5 * shape[6] + BESIDE_M
+    a, b = 0.5 * shape[5] + _BESIDE_M, 0.5 * shape[6] + _BESIDE_M
     east, north = a * abs(c) + b * abs(s), a * abs(s) + b * abs(c)
-    low_i, low_j = int((x - east - corner[0]) / SPOT_M), int((y - north - corner[1]) / SPOT_M)
-    high_i, high_j = int((x + east - corner[0]) / SPOT_M), int((y + north - corner[1]) / SPOT_M)
+    low_i, low_j = int((x - east - corner[0]) / _SPOT_M), int((y - north - corner[1]) / _SPOT_M)
+    high_i, high_j = int((x + east - corner[0]) / _SPOT_M), int((y + north - corner[1]) / _SPOT_M)
     for i in range(max(low_i, 0), min(high_i + 1, bare.shape[0])):
         for j in range(max(low_j, 0), min(high_j + 1, bare.shape[1])):
-            dx, dy = corner[0] + (i + 0.5) * SPOT_M - x, corner[1] + (j + 0.5) * SPOT_M - y
+            dx, dy = corner[0] + (i + 0.5) * _SPOT_M - x, corner[1] + (j + 0.5) * _SPOT_M - y
             if abs(dx * c + dy * s) > a or abs(dy * c - dx * s) > b or last[i, j] == now:
                 continue
             bare[i, j] -= 1.0

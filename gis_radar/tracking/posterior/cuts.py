@@ -13,7 +13,7 @@ from gis_radar.tracking.posterior.likelihood import overlap
 VEHICLE_COST = 4.0  # cost of a vehicle: prior log odds against one more, nats
 # Cost of a begin or an end in plain view: so many nats for each detection expected in so many half
 # seconds beyond, and at most so many nats.
-END_SHARE, END_WINDOWS, MOST_END_COST = 0.5, 4, 8.0
+_END_SHARE, _END_WINDOWS, MOST_END_COST = 0.5, 4, 8.0
 # Shares of a body on another one: over the first a half second costs PARTLY_COST nats, over the
 # second, for so many half seconds on end, MOSTLY_COST: two bodies cannot be in one place.
 PARTLY, MOSTLY, LEAST_WINDOWS = 0.25, 0.5, 3
@@ -66,12 +66,12 @@ def _windows_to_keep(posterior: Posterior, vehicle: int) -> Booleans:
     share = _overlapped_share(posterior, vehicle)
     value = value - np.where(share > PARTLY, PARTLY_COST, 0.0)
     value -= np.where(_lasting(share > MOSTLY), MOSTLY_COST, 0.0)
-    beyond = np.pad(expected, END_WINDOWS, mode="edge")
+    beyond = np.pad(expected, _END_WINDOWS, mode="edge")
     total = np.concatenate([[0.0], np.cumsum(beyond)])
-    before = total[END_WINDOWS : END_WINDOWS + n] - total[:n]
-    after = total[2 * END_WINDOWS + 1 :] - total[END_WINDOWS + 1 : END_WINDOWS + 1 + n]
-    begin = VEHICLE_COST + np.minimum(END_SHARE * before, MOST_END_COST)
-    return best_stretches(value, begin, np.minimum(END_SHARE * after, MOST_END_COST))
+    before = total[_END_WINDOWS : _END_WINDOWS + n] - total[:n]
+    after = total[2 * _END_WINDOWS + 1 :] - total[_END_WINDOWS + 1 : _END_WINDOWS + 1 + n]
+    begin = VEHICLE_COST + np.minimum(_END_SHARE * before, MOST_END_COST)
+    return best_stretches(value, begin, np.minimum(_END_SHARE * after, MOST_END_COST))
 
 
 def _overlapped_share(posterior: Posterior, vehicle: int) -> Floats:

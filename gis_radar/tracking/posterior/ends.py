@@ -26,16 +26,16 @@ from gis_radar.tracking.posterior.likelihood import (
 )
 
 # Lines along lanes on which a track may continue: length, most lines, most lanes to begin with.
-LINE_M, MOST_LINES, MOST_LANES = 120.0, 6, 2
+_LINE_M, MOST_LINES, _MOST_LANES = 120.0, 6, 2
 MOST_TURN = 0.6  # largest angle between a vehicle and its lane, radians
 METRES_PER_RAD = 3.0  # distance beside a lane that is as unlikely as a radian of turn
-MOST_WINDOWS, BEAM = 40, 6  # half seconds of the beam search, and hypotheses that it keeps
+_MOST_WINDOWS, _BEAM = 40, 6  # half seconds of the beam search, and hypotheses that it keeps
 ACCELERATIONS = np.array([-4.0, -2.0, -1.0, 0.0, 1.0, 2.0])  # that are tried, m/s2
 ACCELERATION_MPS2 = 2.0  # sigma of the acceleration, whose prior counts half in a half second
 # A hypothesis so much worse than the best is dropped; least gain of a longer track; both nats.
-PRUNED, LEAST_GAIN = 12.0, 3.0
+_PRUNED, _LEAST_GAIN = 12.0, 3.0
 MOST_GAINLESS = 8  # half seconds in a row without a gain after which the search ends
-SAME_M, SAME_MPS = 0.4, 0.9  # hypotheses that differ by less are one
+_SAME_M, _SAME_MPS = 0.4, 0.9  # hypotheses that differ by less are one
 VARIANCE_M2, MOST_VARIANCE_M2 = 0.05, 1.0  # growth of the variance of a place per second; its limit
 UNDETECTED_WINDOWS = 20  # half seconds of an extension: then a hidden place is not visible any more
 FORK_POINTS = 40  # points of a line, a metre apart, whose turn decides at forks
@@ -195,12 +195,12 @@ def _lengthened(posterior: Posterior, motion: Motion, graph: LaneGraph, directio
     """Return a motion lengthened by the beam search at its end (direction 1) or begin (-1)."""
     middle, heading = motion.places
     at, step = (-1, motion.last_step) if direction > 0 else (0, motion.first_step)
-    best, longer = LEAST_GAIN, motion
+    best, longer = _LEAST_GAIN, motion
     towards = float(heading[at]) + (0.0 if direction > 0 else math.pi)
     for line in _lines_from(graph, middle[at], towards):
         path = Path(line)
         turn = np.append(path.heading, path.heading[-1])
-        states = np.zeros((MOST_WINDOWS + 1, 2))
+        states = np.zeros((_MOST_WINDOWS + 1, 2))
         gain, count = _search(
             line, path.s_m, turn, direction, (step + 0.5 * direction) * STEP_S,
             float(motion.speed[at]), motion.length_m, motion.width_m, posterior.frames.begin,
@@ -219,11 +219,11 @@ def _lines_from(graph: LaneGraph, place: Floats, heading: float) -> list[Floats]
     rank = np.abs(lanes[:, 2]) + METRES_PER_RAD * turn
     good = np.flatnonzero(turn < MOST_TURN)
     found: list[Floats] = []
-    likeliest = good[np.argsort(rank[good], kind="stable")][:MOST_LANES]
+    likeliest = good[np.argsort(rank[good], kind="stable")][:_MOST_LANES]
     for lane, s_m, d_m, _ in lanes[likeliest].tolist():
         found += [
             _line(graph, chain, s_m, d_m, place)
-            for chain in _chains(graph, int(lane), LINE_M + s_m)
+            for chain in _chains(graph, int(lane), _LINE_M + s_m)
         ]
     return [line for line in found[:MOST_LINES] if len(line) > 1]
 
@@ -268,16 +268,16 @@ def _search(  # noqa: PLR0917 - numba takes plain arrays
     continued with each acceleration, and the best are kept. Places and speeds of the best one are
     written to `states` (windows + 1, 2).
     """
-    beam = np.zeros((MOST_WINDOWS + 1, BEAM, 4))  # place, speed, gain, parent
-    trial = np.empty((BEAM * len(accelerations), 4))
+    beam = np.zeros((_MOST_WINDOWS + 1, _BEAM, 4))  # place, speed, gain, parent
+    trial = np.empty((_BEAM * len(accelerations), 4))
     work, row = np.empty((2048, 2)), np.empty(2048, np.int64)
     beam[0, 0, 1] = speed
     count, best, best_k = 1, 0.0, 0
-    for k in range(MOST_WINDOWS):
+    for k in range(_MOST_WINDOWS):
         tried, start = 0, time + direction * k * WINDOW_S
         spans = _spans(begin, frame_time, min(start, start + direction * WINDOW_S))
         for b in range(count):
-            if beam[k, b, 2] < best - PRUNED:
+            if beam[k, b, 2] < best - _PRUNED:
                 continue
             for accel in accelerations:
                 after = max(beam[k, b, 1] + accel * WINDOW_S, 0.0)
@@ -292,7 +292,7 @@ def _search(  # noqa: PLR0917 - numba takes plain arrays
                 trial[tried, 2], trial[tried, 3] = beam[k, b, 2] + gain, b
                 tried += 1
         count = _best_distinct(trial[:tried], beam[k + 1])
-        if count == 0 or beam[k + 1, 0, 2] < best - PRUNED or k - best_k >= MOST_GAINLESS:
+        if count == 0 or beam[k + 1, 0, 2] < best - _PRUNED or k - best_k >= MOST_GAINLESS:
             break
         if beam[k + 1, 0, 2] > best:
             best, best_k = beam[k + 1, 0, 2], k + 1
@@ -367,7 +367,7 @@ def _best_distinct(trial: Floats, kept: Floats) -> int:
         same = False
         for b in range(count):
             place, speed = abs(kept[b, 0] - trial[q, 0]), abs(kept[b, 1] - trial[q, 1])
-            same = same or (place < SAME_M and speed < SAME_MPS)
+            same = same or (place < _SAME_M and speed < _SAME_MPS)
         if same or count == len(kept):
             continue
         kept[count] = trial[q]

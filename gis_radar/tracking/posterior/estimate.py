@@ -16,10 +16,10 @@ from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, give_ba
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.background import Background
-from gis_radar.tracking.posterior.frames import SPEED, Frames, States, motion_shapes
+from gis_radar.tracking.posterior.frames import SHAPE_SPEED, Frames, States, motion_shapes
 from gis_radar.tracking.posterior.likelihood import (
-    CELL_M,
     CLASSES,
+    RATE_CELL_M,
     STANDS_MPS,
     DetectionArrays,
     RateModel,
@@ -31,7 +31,7 @@ from gis_radar.tracking.posterior.likelihood import (
     window_gains,
 )
 
-ROUNDS = 4  # rounds of expectation and maximization
+_ROUNDS = 4  # rounds of expectation and maximization
 FIRST_GUESS = 0.5  # expected detections of a vehicle in a frame, before any are learned
 # Weights of the priors in detections: the mean of all classes of one range for the rate of a class,
 # 1 for the factor of a cell; and for that factor as all other vehicles alone show it.
@@ -87,9 +87,9 @@ class Posterior:
         d = detections.take(self.frames.row)
         self._background = Background(d, self.frames)
         self._arrays = (self.frames.first, d.points, d.sight, d.range_m, d.range_rate, d.height_m)
-        self._corner = d.points.min(axis=0) - 2.0 * CELL_M
-        span = d.points.max(axis=0) + 2.0 * CELL_M - self._corner
-        self._size = np.ceil(span / CELL_M).astype(np.int64) + 1
+        self._corner = d.points.min(axis=0) - 2.0 * RATE_CELL_M
+        span = d.points.max(axis=0) + 2.0 * RATE_CELL_M - self._corner
+        self._size = np.ceil(span / RATE_CELL_M).astype(np.int64) + 1
         self._class_rate = np.full(int(np.prod(CLASSES)), FIRST_GUESS)
         self._cell_factor = np.ones(len(self.frames.sensor_xy) * int(self._size.prod()))
         self.alpha = np.array([2.0, 1.0])
@@ -116,7 +116,7 @@ class Posterior:
         n, share = len(self.states.frame), np.zeros(len(self.total_rate))
         share[self._pair_row] = 0.5
         expected, bright = FIRST_GUESS * self.visible_share, np.ones(n)
-        for _ in range(ROUNDS):
+        for _ in range(_ROUNDS):
             responsibility = self._responsibilities(
                 expected * bright, self._background.rates(1.0 - share)
             )
@@ -279,7 +279,7 @@ class Posterior:
         group = self.states.group
         n, m = np.bincount(group, explained), np.bincount(group, expected)
         first = np.flatnonzero(np.diff(group, prepend=-1))
-        stands = (self.states.shape[first, SPEED] < STANDS_MPS).astype(np.int64)
+        stands = (self.states.shape[first, SHAPE_SPEED] < STANDS_MPS).astype(np.int64)
         for standing in (0, 1):
             used = (stands == standing) & (m > 0.5)
             if used.sum() > LEAST_GROUPS:
@@ -345,7 +345,7 @@ class Posterior:
             factor = (got + OTHERS_PRIOR) / (want + OTHERS_PRIOR)
             expected = by_class[rows] * np.minimum(factor, MOST_FACTOR)
             group = self.states.group[rows] - self.states.group[rows][:1]
-            slow = self.states.shape[rows, SPEED] < STANDS_MPS
+            slow = self.states.shape[rows, SHAPE_SPEED] < STANDS_MPS
             of_group, alpha = np.bincount(group, expected)[group], self.alpha[slow.astype(np.int64)]
             yield alpha * np.log1p(of_group / alpha) * expected / np.maximum(of_group, 1e-12)
 

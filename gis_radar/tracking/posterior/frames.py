@@ -12,9 +12,9 @@ from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 
 WINDOW_S = 0.5  # time in which the brightness of a vehicle, and whether it exists, are constant
-SILENT_S = 10.0  # a sensor without a detection on any lane for longer may be off
+_SILENT_S = 10.0  # a sensor without a detection on any lane for longer may be off
 # Columns of a shape; BEHIND and AHEAD are curvatures of the path there.
-X, Y, COS, SIN, SPEED, LENGTH, WIDTH, BEHIND, AHEAD = COLUMNS = range(9)
+X, Y, COS, SIN, SHAPE_SPEED, LENGTH, WIDTH, BEHIND, AHEAD = SHAPE_COLUMNS = range(9)
 BEND_M = 9.0  # distance over which curvatures are taken: half of the longest body
 
 
@@ -83,7 +83,7 @@ def _without_gaps(known: Floats) -> Floats:
     gaps = np.diff(known)
     cadence = float(np.median(gaps)) if len(gaps) else STEP_S
     missing = np.maximum(np.round(gaps / cadence).astype(np.int64) - 1, 0)
-    missing[gaps > SILENT_S] = 0
+    missing[gaps > _SILENT_S] = 0
     between = [
         np.linspace(known[k], known[k + 1], missing[k] + 2)[1:-1]
         for k in np.flatnonzero(missing).tolist()
@@ -121,7 +121,7 @@ class States:
         frame = np.concatenate([np.zeros(0, np.int64), *frame_of])
         vehicle = np.repeat(np.arange(len(frame_of)), np.diff(first))
         return cls(
-            frame=frame, shape=np.empty((len(frame), len(COLUMNS))), first=first,
+            frame=frame, shape=np.empty((len(frame), len(SHAPE_COLUMNS))), first=first,
             group=groups_of(vehicle, frames.group[frame]),
         )  # fmt: skip
 
@@ -153,9 +153,9 @@ def motion_shapes(motion: Motion, time: Floats) -> Floats:
     """Return the shapes of a motion at times (n,), UNIX seconds, as of :class:`States`."""
     s_m, speed = motion.at(time)
     rear, front = (motion.path.heading_at(s_m + way * BEND_M) for way in (-1.0, 1.0))
-    shape = np.empty((len(time), len(COLUMNS)))
+    shape = np.empty((len(time), len(SHAPE_COLUMNS)))
     shape[:, :COS], heading = motion.path.at(s_m)
-    shape[:, COS], shape[:, SIN], shape[:, SPEED] = np.cos(heading), np.sin(heading), speed
+    shape[:, COS], shape[:, SIN], shape[:, SHAPE_SPEED] = np.cos(heading), np.sin(heading), speed
     shape[:, LENGTH], shape[:, WIDTH] = motion.length_m, motion.width_m
     shape[:, BEHIND], shape[:, AHEAD] = (heading - rear) / BEND_M, (front - heading) / BEND_M
     return shape

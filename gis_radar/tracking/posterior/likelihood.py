@@ -8,23 +8,30 @@ from typing import TypeAlias
 import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers, compiled
+from gis_radar.tracking.detections import AZIMUTH_RAD
 from gis_radar.tracking.size import LONG_M
 
 ON_FACES = 0.75  # share of detections of the faces that the sensor sees; others: of all the body
-FACE_M, AZIMUTH_RAD = 0.35, 0.004  # sigma across a face: of its depth, and of the azimuth
-RATE_MPS, RATE_SHARE = 0.25, 0.02  # sigma of the range rate of a body, and per m/s of it
+_FACE_M = 0.35  # sigma of the depth of a face
+_BODY_RATE_SIGMA_MPS, _RATE_SHARE = (
+    0.25,
+    0.02,
+)  # sigma of the range rate of a body, and per m/s of it
 # Share of detections of wheels, and their largest range rate as a multiple of the body's: the rim
 # of a wheel moves at up to twice its speed.
 WHEELS, MOST_TURNS = 0.13, 2.1
 REACH_M = 2.0  # largest distance of a vehicle's detections from its body
-ABREAST_M = 0.3  # least distance between the sides of two vehicles abreast
+_ABREAST_M = 0.3  # least distance between the sides of two vehicles abreast
 SHARE_BEHIND = 0.3  # share of its detections that a vehicle gives where another one hides it
-SENSOR_M, TARGET_M = 6.0, 0.6  # heights over the road: of a sensor, and of a vehicle's scatterers
-CAR_M, LORRY_M, BOTTOM_M = 1.5, 3.2, 0.2  # heights over the road: of tops, and of undersides
-HEIGHT_M, HEIGHT_RAD = 0.2, 0.0185  # sigma of a height over the road: fixed, and of the elevation
+_SENSOR_M, _SCATTERER_M = (
+    6.0,
+    0.6,
+)  # heights over the road: of a sensor, and of a vehicle's scatterers
+_CAR_M, _LORRY_M, _BOTTOM_M = 1.5, 3.2, 0.2  # heights over the road: of tops, and of undersides
+_HEIGHT_M, _HEIGHT_RAD = 0.2, 0.0185  # sigma of a height over the road: fixed, and of the elevation
 STANDS_MPS = 0.5  # slower vehicles count as standing
 STRAIGHT = 0.003  # curvature, 1/m, below which a body counts as straight: a lorry is 0.1 m off
-CELL_M = 4.0  # side of the map cells in which factors on the detection rate are learned
+RATE_CELL_M = 4.0  # side of the map cells in which factors on the detection rate are learned
 # Classes of states: width of a bin of range, bounds of the cosine of the aspect; and the numbers of
 # ranges, aspects, lengths (up to LONG_M, over it) and motions (moving, standing).
 RANGE_BIN_M, ASPECTS = 10.0, (0.5, 0.87)
@@ -82,11 +89,11 @@ def density_across(
     by_width, of_flank : float
         Density across the whole body, and across the flank that is seen, 1 / m.
     """
-    left_sigma = math.hypot(FACE_M, AZIMUTH_RAD * range_m * cos)
+    left_sigma = math.hypot(_FACE_M, AZIMUTH_RAD * range_m * cos)
     side = 0.5 * width
     flank = -side if sin > 0.0 else side
     by_width = _blurred(left, side, left_sigma)
-    sigma = math.hypot(FACE_M, AZIMUTH_RAD * range_m * sin)
+    sigma = math.hypot(_FACE_M, AZIMUTH_RAD * range_m * sin)
     return sigma, by_width, _normal(left - flank, left_sigma)
 
 
@@ -109,11 +116,13 @@ def density_along(
 @compiled
 def rate_density(rate: float, radial: float) -> float:
     """Return the density of a range rate, s/m, of a body with the radial speed `radial`, m/s."""
-    density = (1.0 - WHEELS) * _normal(rate - radial, RATE_MPS + RATE_SHARE * abs(radial))
-    top = max(MOST_TURNS * abs(radial), 2.0 * RATE_MPS)
+    density = (1.0 - WHEELS) * _normal(
+        rate - radial, _BODY_RATE_SIGMA_MPS + _RATE_SHARE * abs(radial)
+    )
+    top = max(MOST_TURNS * abs(radial), 2.0 * _BODY_RATE_SIGMA_MPS)
     turned = rate if radial >= 0.0 else -rate
-    if -RATE_MPS < turned < top:
-        density += WHEELS / (top + RATE_MPS)
+    if -_BODY_RATE_SIGMA_MPS < turned < top:
+        density += WHEELS / (top + _BODY_RATE_SIGMA_MPS)
     return density
 
 
@@ -122,10 +131,10 @@ def height_ratio(height: float, range_m: float) -> float:
     """Return the likelihood ratio of a height for a lorry or bus over a car; 1 where unknown."""
     if not math.isfinite(height):
         return 1.0
-    sigma = HEIGHT_M + HEIGHT_RAD * range_m
-    tall, low = 0.5 * (LORRY_M - BOTTOM_M), 0.5 * (CAR_M - BOTTOM_M)
-    of_lorry = _blurred(height - BOTTOM_M - tall, tall, sigma)
-    of_car = _blurred(height - BOTTOM_M - low, low, sigma)
+    sigma = _HEIGHT_M + _HEIGHT_RAD * range_m
+    tall, low = 0.5 * (_LORRY_M - _BOTTOM_M), 0.5 * (_CAR_M - _BOTTOM_M)
+    of_lorry = _blurred(height - _BOTTOM_M - tall, tall, sigma)
+    of_car = _blurred(height - _BOTTOM_M - low, low, sigma)
     # bounded, as the errors of one body's heights are correlated
     return min(max(of_lorry / max(of_car, 1e-9), 0.2), 5.0)
 
@@ -141,8 +150,8 @@ def class_and_cell(shape: Floats, sensor: int, model: RateModel) -> tuple[int, i
     aspect = 0 if facing < ASPECTS[0] else (1 if facing < ASPECTS[1] else 2)
     rate_class = (min(int(range_m / RANGE_BIN_M), CLASSES[0] - 1) * CLASSES[1] + aspect) * 2
     rate_class = (rate_class + (1 if length > LONG_M else 0)) * 2 + (1 if speed < STANDS_MPS else 0)
-    i = min(max(int((x - corner[0]) / CELL_M), 0), size[0] - 1)
-    j = min(max(int((y - corner[1]) / CELL_M), 0), size[1] - 1)
+    i = min(max(int((x - corner[0]) / RATE_CELL_M), 0), size[0] - 1)
+    j = min(max(int((y - corner[1]) / RATE_CELL_M), 0), size[1] - 1)
     return rate_class, (sensor * size[0] + i) * size[1] + j
 
 
@@ -366,8 +375,8 @@ def fill_visible_share(
                     continue
                 near, aside = ahead / far, aside / far
                 # height over the road of the line of sight
-                over = TARGET_M + (SENSOR_M - TARGET_M) * (1.0 - near / far)
-                if over > (LORRY_M if shape[states[b], 5] > LONG_M else CAR_M):
+                over = _SCATTERER_M + (_SENSOR_M - _SCATTERER_M) * (1.0 - near / far)
+                if over > (_LORRY_M if shape[states[b], 5] > LONG_M else _CAR_M):
                     continue
                 own, other = half * near / far, _half_across(shape[states[b]], x, y, far)
                 both = min(own, aside + other) - max(-own, aside - other)
@@ -392,13 +401,13 @@ def overlap(
         for a in range(first[frame[e]], first[frame[e] + 1]):
             o = order[a]
             dx, dy = shape[o, 0] - x, shape[o, 1] - y
-            apart = 0.5 * (length + shape[o, 5] + width + shape[o, 6]) + ABREAST_M
+            apart = 0.5 * (length + shape[o, 5] + width + shape[o, 6]) + _ABREAST_M
             if (abs(dx) > apart) | (abs(dy) > apart):  # one jump: few are near
                 continue
             if rows[0] <= o <= rows[-1] or not alive[o]:
                 continue
             along, aside, turn = body_coordinates(shape[e], dx, dy)
-            if abs(aside) > 0.5 * (width + shape[o, 6]) + ABREAST_M:
+            if abs(aside) > 0.5 * (width + shape[o, 6]) + _ABREAST_M:
                 continue
             if abs(aspect(c, s, turn, shape[o, 2:4])[0]) < 0.8:
                 continue

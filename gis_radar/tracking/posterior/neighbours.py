@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, Floats, Integers, compiled
-from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.motion import GAP_S, GAP_SPREAD, Motion
 from gis_radar.tracking.posterior.cuts import VEHICLE_COST
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.frames import AHEAD, BEHIND, COS, LENGTH, SIN, WIDTH, X, Y
@@ -16,27 +16,25 @@ from gis_radar.tracking.posterior.likelihood import aspect, body_coordinates
 from gis_radar.tracking.posterior.sizes import gains_of_sizes, log_prior, sample, with_size
 from gis_radar.tracking.size import LONG_M, LONGEST_M, length_prior, width_of
 
-LEAST_GAIN = 1.0  # least log odds of a merge or a split
+_LEAST_GAIN = 1.0  # least log odds of a merge or a split
 # Share of the log likelihood ratio that counts for a change: detections of one scatterer repeat
 # each other.
 EVIDENCE_SHARE = 0.1
 # Two vehicles may be one if their lateral distance and the cosine of their headings allow, and for
 # this share of the time of the shorter track.
-ASIDE_M, SAME_COS, LEAST_TOGETHER = 1.7, 0.9, 0.6
-SHORTEST_M = 4.0  # least length of a merged vehicle
-CAR_M, QUEUE_GAP_M = 4.5, 2.0  # usual length of a car, and gap in a queue
-# The gap that a driver keeps is log-normal about QUEUE_GAP_M + GAP_S x speed (time gaps: Treiber
-# and Kesting, Traffic Flow Dynamics, ch. 4): s; sigma of the logarithm; speed, m/s, below which a
-# vehicle stands in a queue.
-GAP_S, GAP_SPREAD, DRIVES_MPS = 1.8, 0.6, 2.0
+_ASIDE_M, _SAME_COS, _LEAST_TOGETHER = 1.7, 0.9, 0.6
+_SHORTEST_M = 4.0  # least length of a merged vehicle
+_CAR_M, _QUEUE_GAP_M = 4.5, 2.0  # usual length of a car, and gap in a queue
+# The gap that a driver keeps is log-normal about _QUEUE_GAP_M + GAP_S x speed.
+_QUEUE_MPS = 2.0  # slower vehicles stand in a queue
 GAP_LASTS_S = 5.0  # time after which a gap counts as chosen anew
 LEAST_GAP_M = 0.5  # a shorter gap, or an overlap, is within the error of two lengths
 LENGTH_CHANGES_M = (2.0, 1.0, 0.5)  # steps of the search for a merged length, coarse to fine
 # Log odds by coarse lengths, nats, below which no pair was merged by finer ones (of 1,326 pairs).
 HOPELESS = -300.0
-# Sigma of the distance of parts of one body. Above FLOWING_MPS two drivers' speeds differ by
-# DRIFT_MPS, but a follower lets the gap vary by this share of it at most. Least time of both so.
-RIGID_M, FLOWING_MPS, DRIFT_MPS, GAP_VARIES, LEAST_S = 0.4, 5.0, 1.0, 0.25, 1.0
+# Sigma of the distance of parts of one body. Above _FLOWING_MPS two drivers' speeds differ by
+# _DRIFT_MPS, but a follower lets the gap vary by this share of it at most. Least time of both so.
+_RIGID_M, _FLOWING_MPS, _DRIFT_MPS, _GAP_VARIES, _LEAST_S = 0.4, 5.0, 1.0, 0.25, 1.0
 SIGMA_OF_MEDIAN = 1.4826  # sigma of a normal variable over the median of its absolute value
 
 
@@ -54,10 +52,10 @@ def join_neighbours(posterior: Posterior) -> list[Motion]:
         if len(posterior.motions[first].s_m) < len(posterior.motions[second].s_m):
             first, second = second, first  # noqa: PLW2901 - the longer track is kept
         driven = _driven_as_one_odds(posterior.motions[first], posterior.motions[second])
-        least = HOPELESS if driven <= LEAST_GAIN else -np.inf
+        least = HOPELESS if driven <= _LEAST_GAIN else -np.inf
         length, ahead, gain = _merged(posterior, first, second, least)
         gain = max(gain, driven)
-        if gain > LEAST_GAIN and length > 0.0:
+        if gain > _LEAST_GAIN and length > 0.0:
             candidates.append((-gain, first, second, length, ahead))
     used: set[int] = set()
     for _, first, second, length, ahead in sorted(candidates):
@@ -93,7 +91,7 @@ def _neighbours(posterior: Posterior) -> list[tuple[int, int]]:
         pairs.append(np.minimum(one, other) * count + np.maximum(one, other))
     keys, times = np.unique(np.concatenate([np.zeros(0, np.int64), *pairs]), return_counts=True)
     shorter = np.minimum(windows_of[keys // count], windows_of[keys % count])
-    enough = times >= LEAST_TOGETHER * shorter
+    enough = times >= _LEAST_TOGETHER * shorter
     return [(int(key) // count, int(key) % count) for key in keys[enough]]
 
 
@@ -105,7 +103,7 @@ def _may_be_one(shape: Floats) -> tuple[Integers, Integers]:
     one, other = one[close], other[close]
     along, aside, turn = _relative(shape[one], shape[other])
     span = np.abs(along) + 0.5 * (shape[one, LENGTH] + shape[other, LENGTH])
-    near = (np.abs(aside) < ASIDE_M) & (np.cos(turn) > SAME_COS) & (span < LONGEST_M)
+    near = (np.abs(aside) < _ASIDE_M) & (np.cos(turn) > _SAME_COS) & (span < LONGEST_M)
     return one[near], other[near]
 
 
@@ -154,7 +152,7 @@ def _merged(
     best, gain, extra = (front - rear, 0.5 * (front + rear)), -np.inf, [(lengths[0], 0.0)]
     for change in LENGTH_CHANGES_M:
         tried = [
-            (min(max(best[0] + longer * change, SHORTEST_M), LONGEST_M), best[1] + ahead * change)
+            (min(max(best[0] + longer * change, _SHORTEST_M), LONGEST_M), best[1] + ahead * change)
             for longer in (-1.0, 0.0, 1.0) for ahead in (-0.5, 0.0, 0.5)
         ] + extra  # fmt: skip
         gains = _tempered(gains_of_sizes(posterior, a, tried) - gain_of_two)
@@ -179,24 +177,24 @@ def _driven_as_one_odds(first: Motion, second: Motion) -> float:
     if low > high:  # both are in one half second, but one begins after the other ends
         return -np.inf
     a, b = (slice(low - each.first_step, high + 1 - each.first_step) for each in (first, second))
-    flowing = np.minimum(first.speed[a], second.speed[b]) > FLOWING_MPS
+    flowing = np.minimum(first.speed[a], second.speed[b]) > _FLOWING_MPS
     time = float(flowing.sum()) * STEP_S
     # halves of one that was just split drive alike, step by step
-    if time < LEAST_S or np.array_equal(first.speed[a], second.speed[b]):
+    if time < _LEAST_S or np.array_equal(first.speed[a], second.speed[b]):
         return -np.inf
     distances = np.hypot(*(first.places[0][a] - second.places[0][b])[flowing].T)
     distance, bodies = float(np.median(distances)), first.length_m + second.length_m
     gap = max(distance - 0.5 * bodies, LEAST_GAP_M)
-    drift = max(min(DRIFT_MPS * time / math.sqrt(12.0), GAP_VARIES * gap), RIGID_M)
+    drift = max(min(_DRIFT_MPS * time / math.sqrt(12.0), _GAP_VARIES * gap), _RIGID_M)
     # robust, as the ends of a track are extrapolated and may be metres off
     half_variance = 0.5 * (SIGMA_OF_MEDIAN * float(np.median(np.abs(distances - distance)))) ** 2
-    odds = 2.0 * (math.log(drift / RIGID_M) - half_variance * (RIGID_M**-2 - drift**-2))
+    odds = 2.0 * (math.log(drift / _RIGID_M) - half_variance * (_RIGID_M**-2 - drift**-2))
     speed = np.maximum(first.speed[a], second.speed[b])[flowing]
     merged_m = min(distance + 0.5 * bodies, LONGEST_M)
     odds += log_prior(merged_m) - 2.0 * math.log(merged_m)
     odds -= log_prior(first.length_m) + log_prior(second.length_m)
     odds -= _log_gap_prior(gap, speed)
-    mode_m = QUEUE_GAP_M + GAP_S * float(np.mean(speed))  # whose density is 1 / (spread x gap)
+    mode_m = _QUEUE_GAP_M + GAP_S * float(np.mean(speed))  # whose density is 1 / (spread x gap)
     return odds + math.log(math.sqrt(2.0 * math.pi) * GAP_SPREAD * mode_m)
 
 
@@ -223,18 +221,18 @@ def _split(posterior: Posterior, vehicle: int) -> list[tuple[float, float]]:
     if len(rows) == 0:
         return []
     shape, length = posterior.states.shape[rows], motion.length_m
-    rest = length - CAR_M - QUEUE_GAP_M
+    rest = length - _CAR_M - _QUEUE_GAP_M
     best_sizes: list[tuple[float, float]] = []
-    pairs = [(CAR_M, min(CAR_M, rest))]
-    pairs += [(CAR_M, rest), (rest, CAR_M)] if rest > CAR_M else []
+    pairs = [(_CAR_M, min(_CAR_M, rest))]
+    pairs += [(_CAR_M, rest), (rest, _CAR_M)] if rest > _CAR_M else []
     posterior.exclude(vehicle)
     detected = posterior.rows_in_frames_of(rows)
     rates_without = posterior.total_rate[detected]
     gain_of_one = _add(posterior, rows, shape)
     posterior.total_rate[detected] = rates_without
-    best = LEAST_GAIN
+    best = _LEAST_GAIN
     for front, rear in pairs:
-        if rear < SHORTEST_M - QUEUE_GAP_M:
+        if rear < _SHORTEST_M - _QUEUE_GAP_M:
             continue
         sizes = [(front, 0.5 * (length - front)), (rear, 0.5 * (rear - length))]
         new = sum(_add(posterior, rows, _resized(shape, *size)) for size in sizes)
@@ -264,8 +262,8 @@ def _log_gap_prior(gap_m: float, speed: Floats) -> float:
 
     Only gaps shorter than usual have a cost: once, and once more for each `GAP_LASTS_S` of driving.
     """
-    drives = speed > DRIVES_MPS
-    usual_m = QUEUE_GAP_M + GAP_S * (speed[drives] if drives.any() else np.zeros(1))
+    drives = speed > _QUEUE_MPS
+    usual_m = _QUEUE_GAP_M + GAP_S * (speed[drives] if drives.any() else np.zeros(1))
     shortfall = np.minimum(np.log(max(gap_m, LEAST_GAP_M) / usual_m), 0.0) / GAP_SPREAD
     times = 1.0 + float(drives.sum()) * STEP_S / GAP_LASTS_S
     return -0.5 * times * float(np.mean(shortfall**2))

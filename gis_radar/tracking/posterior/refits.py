@@ -11,9 +11,9 @@ from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.sizes import with_size
 
-LEAST_ROWS = 8  # least detections of a vehicle whose motion is fitted anew
+_LEAST_ROWS = 8  # least detections of a vehicle whose motion is fitted anew
 MOVES_MPS = 1.0  # least largest speed of such a vehicle
-LEAST_GAIN = 2.0  # least gain of a new motion over the old one, nats
+_LEAST_GAIN = 2.0  # least gain of a new motion over the old one, nats
 SHORTER_STEPS = 10  # steps by which the new motion may be shorter at either end
 
 
@@ -35,7 +35,7 @@ def _refitted(posterior: Posterior, vehicle: int, states: Floats) -> Motion:
     """Return a vehicle's motion smoothed over its detections, or as it is if that is better."""
     motion, detections = posterior.motions[vehicle], posterior.detections
     rows = posterior.associated_rows(vehicle)
-    if len(rows) < LEAST_ROWS or motion.speed.max() < MOVES_MPS:
+    if len(rows) < _LEAST_ROWS or motion.speed.max() < MOVES_MPS:
         return motion
     s_m, speed = motion.at(detections.time[rows])
     states[rows, :2], states[rows, 2] = motion.path.at(s_m)
@@ -46,7 +46,7 @@ def _refitted(posterior: Posterior, vehicle: int, states: Floats) -> Motion:
         return motion
     span = ((new.first_step - 0.5) * STEP_S, (new.last_step + 0.5) * STEP_S)
     posterior.exclude(vehicle)
-    best, gain = motion, posterior.gain(motion, within=span) + LEAST_GAIN
+    best, gain = motion, posterior.gain(motion, within=span) + _LEAST_GAIN
     for each in (new, with_size(new, motion.length_m, 0.0)):
         found = posterior.gain(each, within=span)
         if found > gain:

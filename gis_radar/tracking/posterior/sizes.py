@@ -10,7 +10,7 @@ import numpy as np
 from gis_radar.base import Floats, Integers, compiled
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.estimate import Posterior
-from gis_radar.tracking.posterior.frames import SPEED
+from gis_radar.tracking.posterior.frames import SHAPE_SPEED
 from gis_radar.tracking.posterior.likelihood import (
     REACH_M,
     STANDS_MPS,
@@ -29,12 +29,12 @@ from gis_radar.tracking.size import LONG_M, length_prior, width_of
 
 # Lengths that are tried, metres. Shorter ones come from the start only: one scatterer looks like a
 # motorcycle.
-LENGTHS_M = (4.0, 4.5, 5.0, 6.0, 7.5, 9.0, 10.5, 12.0, 14.0, 16.5, 18.5)
+_LENGTHS_M = (4.0, 4.5, 5.0, 6.0, 7.5, 9.0, 10.5, 12.0, 14.0, 16.5, 18.5)
 FIXED_POINTS = (-1.0, 0.0, 1.0)  # what keeps its place in another length: rear, middle, front
 # Most half seconds of a vehicle that are evaluated, while it drives and while it stands, spread
 # over its time: more show the same scatterers again.
 MOST_WINDOWS = 20
-LEAST_GAIN = 2.0  # least gain of another length, nats
+_LEAST_GAIN = 2.0  # least gain of another length, nats
 
 
 def log_prior(length: float) -> float:
@@ -42,7 +42,7 @@ def log_prior(length: float) -> float:
     return float(length_prior(np.array([length]))[0])
 
 
-_LOG_PRIORS = [log_prior(length) for length in LENGTHS_M]
+_LOG_PRIORS = [log_prior(length) for length in _LENGTHS_M]
 
 
 def with_size(motion: Motion, length: float, ahead: float) -> Motion:
@@ -67,7 +67,7 @@ def resize(posterior: Posterior) -> list[Motion]:
     found = []
     for vehicle, motion in enumerate(posterior.motions):
         length, ahead, gain = _best_size(posterior, vehicle)
-        found.append(with_size(motion, length, ahead) if gain > LEAST_GAIN else motion)
+        found.append(with_size(motion, length, ahead) if gain > _LEAST_GAIN else motion)
     return found
 
 
@@ -78,7 +78,7 @@ def _best_size(posterior: Posterior, vehicle: int) -> tuple[float, float, float]
     if len(rows) == 0:
         return motion.length_m, 0.0, 0.0
     tried = [(motion.length_m, 0.0)]
-    for length in LENGTHS_M:
+    for length in _LENGTHS_M:
         tried += [(length, 0.5 * fixed * (motion.length_m - length)) for fixed in FIXED_POINTS]
     posterior.exclude(vehicle)
     found = gains_of_sizes(posterior, rows, tried)
@@ -211,7 +211,7 @@ def sample(posterior: Posterior, vehicles: Sequence[int]) -> list[Integers]:
     states = posterior.states
     parts = [states.rows(each) for each in vehicles]
     windows_of = [posterior.windows(each) for each in parts]
-    slow = windows_of[0][states.shape[parts[0], SPEED] < STANDS_MPS]
+    slow = windows_of[0][states.shape[parts[0], SHAPE_SPEED] < STANDS_MPS]
     windows = np.unique(np.concatenate(windows_of))
     standing = np.isin(windows, slow)
     parts_of_time = (windows[~standing], windows[standing])

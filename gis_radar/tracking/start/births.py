@@ -11,13 +11,13 @@ from gis_radar.tracking.columns import (  # fmt: skip
     BEGUN,
     BRANCH,
     BRANCHES,
+    DETECTION_COUNT,
     FOLLOWED,
     FRONT,
     HALF,
     HEADING,
-    HITS,
     LANE,
-    LAST,
+    LAST_TIME,
     LEFT,
     MISFIT,
     NUMBER,
@@ -38,12 +38,13 @@ from gis_radar.tracking.columns import (  # fmt: skip
     Y,
 )
 
-FASTEST_MPS = 60.0  # largest speed of a new track, 216 km/h
+_FASTEST_MPS = 60.0  # largest speed of a new track, 216 km/h
 # Least number of detections within this time whose places and range rates agree that begin a track:
 # beyond 150 m a car gives one in half a second, and clutter at most one moving detection a frame.
 BIRTHS, BIRTH_S = 3, 1.5
-LEAST_COS = 0.3  # least cosine between line of sight and lane at which a range rate gives the speed
-CAR_M = 4.6  # first guess of the length of a vehicle: a car
+# least cosine between line of sight and lane at which a range rate gives the speed
+_LEAST_LANE_COS = 0.3
+_CAR_M = 4.6  # first guess of the length of a vehicle: a car
 
 
 @compiled
@@ -71,8 +72,8 @@ def begin(  # pragma: no cover - compiled
     first = counts[ALIVE]
     for k in range(lane_count):
         cos = np.cos(lanes[k, TOWARDS]) * detection[3] + np.sin(lanes[k, TOWARDS]) * detection[4]
-        speed = detection[2] / cos if abs(cos) >= LEAST_COS else -1.0
-        if not 0.3 <= speed <= FASTEST_MPS or abs(lanes[k, LEFT]) > lanes[k, HALF] + 0.5:
+        speed = detection[2] / cos if abs(cos) >= _LEAST_LANE_COS else -1.0
+        if not 0.3 <= speed <= _FASTEST_MPS or abs(lanes[k, LEFT]) > lanes[k, HALF] + 0.5:
             continue
         matches, frames = _agreeing(detection, speed, lanes[k, TOWARDS], waiting, counts[WAITS])
         if matches >= BIRTHS and frames >= 2 and counts[ALIVE] < len(bodies):
@@ -84,10 +85,14 @@ def begin(  # pragma: no cover - compiled
                 lanes[k, TOWARDS],
                 speed,
             )
-            body[FRONT] = body[REAR] = 0.5 * CAR_M
+            body[FRONT] = body[REAR] = 0.5 * _CAR_M
             body[VAR_S], body[VAR_V], body[VAR_D] = 2.0, 1.0, 0.5
-            body[LAST] = body[TIME] = detection[6]
-            body[NUMBER], body[HITS], body[FOLLOWED] = counts[BEGUN], matches, lanes[k, LANE]
+            body[LAST_TIME] = body[TIME] = detection[6]
+            body[NUMBER], body[DETECTION_COUNT], body[FOLLOWED] = (
+                counts[BEGUN],
+                matches,
+                lanes[k, LANE],
+            )
             body[MISFIT] = (lanes[k, LEFT] / lanes[k, HALF]) ** 2 - matches
             body[BRANCH] = counts[BRANCHES]
             counts[BRANCHES] += 1
@@ -97,8 +102,8 @@ def begin(  # pragma: no cover - compiled
         return _gather(row, detection, bodies[first : counts[ALIVE]], waiting, counts, members)
     for k in range(lane_count):
         cos = np.cos(lanes[k, TOWARDS]) * detection[3] + np.sin(lanes[k, TOWARDS]) * detection[4]
-        speed = detection[2] / cos if abs(cos) >= LEAST_COS else -1.0
-        if 0.3 <= speed <= FASTEST_MPS and counts[WAITS] < len(waiting):
+        speed = detection[2] / cos if abs(cos) >= _LEAST_LANE_COS else -1.0
+        if 0.3 <= speed <= _FASTEST_MPS and counts[WAITS] < len(waiting):
             wait = waiting[counts[WAITS]]
             wait[X], wait[Y], wait[WAIT_SPEED] = detection[0], detection[1], speed
             wait[WAIT_HEADING], wait[WAIT_TIME] = lanes[k, TOWARDS], detection[6]

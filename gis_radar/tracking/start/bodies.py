@@ -16,7 +16,7 @@ import numpy as np
 from gis_radar.base import Booleans, Floats, Integers, nearest
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detections import MOVING_MPS, MapDetections
-from gis_radar.tracking.motion import Motion, fit_motion
+from gis_radar.tracking.motion import GAP_S, GAP_SPREAD, Motion, fit_motion
 from gis_radar.tracking.start.tall import one_tall_odds, tall_odds
 
 LEAST_SPREAD_M = 0.1  # two detections of one scatterer
@@ -24,17 +24,16 @@ UNKNOWN_SIZE = -1.0  # log odds of a person of unknown size: on lanes persons ar
 # A track is split, into MOST_SPLIT parts at most, while a smaller share of its detections keeps its
 # place in the moving frame; parts of fewer detections are dropped.
 LEAST_PURE, MOST_SPLIT, LEAST_ROWS = 0.95, 3, 5
-SEEN_S = 0.35  # time before and after a detection in which the state of its vehicle is known
-LEFT_M, BEARING_RAD = 1.7, 0.006  # tolerance sideways: half a truck, error of a bearing
+_SEEN_S = 0.35  # time before and after a detection in which the state of its vehicle is known
+_LEFT_M, _BEARING_RAD = 1.7, 0.006  # tolerance sideways: half a truck, error of a bearing
 # Tolerance of a range rate: noise, share of the speed for wheels, and factor on the speed at which
 # the ends of a turning body swing.
-RATE_MPS, WHEEL_SHARE, SWING = 0.8, 0.08, 0.6
+_RATE_TOLERANCE_MPS, _WHEEL_SHARE, _SWING = 0.8, 0.08, 0.6
 LEAST_FIT = 0.7  # share of detections whose places and range rates fit
 SCATTER_M = 2.5  # largest median residual of places on a body: scatterers change along it
-PLACE_M = 0.4  # sigma of the mean place of a body's detections over half a second
-REACH_M = 16.5  # from the middle of its detections to any part of a truck with trailer
-CAR_M = 4.7  # length of a car
-GAP_S, GAP_SPREAD = 1.8, 0.6  # median time gap between drivers, and sigma of its logarithm
+_PLACE_M = 0.4  # sigma of the mean place of a body's detections over half a second
+_REACH_M = 16.5  # from the middle of its detections to any part of a truck with trailer
+_CAR_M = 4.7  # length of a car
 LONG_SHARE = 0.12  # share of vehicles over 7 m in traffic
 LEAST_ODDS = 0.5  # log odds above which two parts are joined
 DRIVEN_MPS = 8.0  # vehicles above this speed certainly drive
@@ -43,7 +42,7 @@ CYCLIST_MPS = 7.5  # largest speed of cyclists
 # of detections, metres: most people return 4 to 10 dB less; a cyclist of 1.8 x 0.6 m spreads by
 # 0.55 m, a car by 1.4 m, bearing and smoothing add 0.5 m. The sigma of vehicles' cross sections is
 # that of the recordings where enough of them drive fast.
-PERSON, VEHICLE = (-7.0, 3.0, -0.3, 0.45), (0.0, 4.0, 0.4, 0.5)
+_PERSON, _VEHICLE = (-7.0, 3.0, -0.3, 0.45), (0.0, 4.0, 0.4, 0.5)
 LEAST_DRIVEN, LEAST_DB = 5, 3.0  # fast vehicles to estimate the sigma, and its least value, dB
 FAINT_DB = 9.0  # detections weaker by this are faint: persons, also next to a passing vehicle
 FAINT_SIGMAS = 3.0  # a track weaker by so many may be a person at any speed
@@ -196,11 +195,11 @@ def log_odds(detections: MapDetections, body: Motion, other: Motion) -> float:
         return -np.inf
     # the moving frame is known only while the first part is detected, too
     near = nearest(own, detections.time[rows])
-    rows = rows[np.abs(own[near] - detections.time[rows]) < SEEN_S]
+    rows = rows[np.abs(own[near] - detections.time[rows]) < _SEEN_S]
     if len(rows) < 3 or np.ptp(detections.time[rows]) < 0.1:
         return -np.inf
     along, left, rate, speed = body.frame(detections, rows)
-    beside = LEFT_M + BEARING_RAD * detections.range_m[rows]
+    beside = _LEFT_M + _BEARING_RAD * detections.range_m[rows]
     fits = (np.abs(left) < beside) & (np.abs(rate) < _rate_tolerance(body, along, speed))
     if fits.mean() < LEAST_FIT or fits.sum() < 3:
         return -np.inf
@@ -214,8 +213,8 @@ def log_odds(detections: MapDetections, body: Motion, other: Motion) -> float:
 
 def _rate_tolerance(body: Motion, along: Floats, speed: Floats) -> Floats:
     """Return the tolerance of range rates at places on a body, m/s: in a bend its ends swing."""
-    swing = SWING * min(body.path.most_bend, 0.1) * speed * np.abs(along)
-    return np.asarray(RATE_MPS + WHEEL_SHARE * speed + swing)
+    swing = _SWING * min(body.path.most_bend, 0.1) * speed * np.abs(along)
+    return np.asarray(_RATE_TOLERANCE_MPS + _WHEEL_SHARE * speed + swing)
 
 
 def purified(detections: MapDetections, rows: Integers, states: Floats) -> list[Motion]:
@@ -224,8 +223,8 @@ def purified(detections: MapDetections, rows: Integers, states: Floats) -> list[
     while len(rows) >= LEAST_ROWS and len(motions) < MOST_SPLIT:
         body = fit_motion(detections, rows, states)
         along, left, rate, speed = body.frame(detections, body.rows)
-        fits = np.abs(along) < 0.5 * REACH_M + 1.0
-        fits &= np.abs(left) < 2.0 * LEFT_M
+        fits = np.abs(along) < 0.5 * _REACH_M + 1.0
+        fits &= np.abs(left) < 2.0 * _LEFT_M
         fits &= np.abs(rate) < 2.0 * _rate_tolerance(body, along, speed) + speed
         if fits.mean() >= LEAST_PURE or fits.sum() < LEAST_ROWS:
             return [*motions, body]
@@ -244,7 +243,7 @@ def _odds_by_places(time: Floats, along: Floats, speed: Floats, body: Motion, lo
     """
     span = float(np.ptp(time))
     distance = abs(float(np.median(along)))
-    if distance > REACH_M:
+    if distance > _REACH_M:
         return -np.inf
     no_drift = 0.0
     if span > 0.3:
@@ -254,14 +253,14 @@ def _odds_by_places(time: Floats, along: Floats, speed: Floats, body: Motion, lo
         if np.median(residual) > SCATTER_M:
             return -np.inf
         # sigma of the slope of places that are independent every half second
-        sigma = np.hypot(PLACE_M * np.sqrt(12.0) / (span * np.sqrt(max(2 * span, 1))), 0.1)
+        sigma = np.hypot(_PLACE_M * np.sqrt(12.0) / (span * np.sqrt(max(2 * span, 1))), 0.1)
         wide = np.hypot(1.0, sigma)  # 1 m/s: sigma of the difference of drivers' speeds
         no_drift = 0.5 * (drift / wide) ** 2 - 0.5 * (drift / sigma) ** 2 + np.log(wide / sigma)
     inside = np.abs(along) < 0.5 * max(body.length_m, 3.0) + 1.0
     if inside.mean() > 0.6:
         return 5.0 + min(no_drift, 0.0)
     fast_mps = max(float(np.quantile(speed, 0.8)), 2.0)
-    gap_s = max(distance - CAR_M, 0.05) / fast_mps
+    gap_s = max(distance - _CAR_M, 0.05) / fast_mps
     z = np.log(gap_s / GAP_S) / GAP_SPREAD
     log_follows = -0.5 * z * z - np.log(gap_s * GAP_SPREAD * 2.5066 * fast_mps)
     return float(no_drift + long + np.log(LONG_SHARE / 12.0) - log_follows)
@@ -309,8 +308,8 @@ def are_persons(
         return np.asarray(faint)
     size = np.log(np.maximum(spread_m, LEAST_SPREAD_M))
     weak = np.maximum(rcs - usual, _least_rcs(sigma))
-    odds = _log_density(weak, PERSON[:2]) - _log_density(weak, (VEHICLE[0], sigma))
-    by_size = _log_density(size, PERSON[2:]) - _log_density(size, VEHICLE[2:])
+    odds = _log_density(weak, _PERSON[:2]) - _log_density(weak, (_VEHICLE[0], sigma))
+    by_size = _log_density(size, _PERSON[2:]) - _log_density(size, _VEHICLE[2:])
     odds += np.where(np.isnan(by_size), UNKNOWN_SIZE, by_size)
     may_be = steady & (fast < CYCLIST_MPS) | (rcs < usual - FAINT_SIGMAS * sigma)
     return np.asarray(may_be & (odds > 0.0))
@@ -322,8 +321,8 @@ def _least_rcs(sigma: float) -> float:
     Here the odds of a person are highest. The density of vehicles is the wider one: below this
     value the odds would fall again.
     """
-    wide, narrow = sigma**2, PERSON[1] ** 2
-    return PERSON[0] * wide / (wide - narrow) if wide > narrow else -np.inf
+    wide, narrow = sigma**2, _PERSON[1] ** 2
+    return _PERSON[0] * wide / (wide - narrow) if wide > narrow else -np.inf
 
 
 def _log_density(value: Floats, usual: Sequence[float]) -> Floats:
@@ -342,7 +341,7 @@ def _driven_rcs(rcs: Floats, fast: Floats, faint: Booleans) -> tuple[float, floa
     driven = rcs[(fast > DRIVEN_MPS) & ~faint & np.isfinite(rcs)]
     usual = usual_rcs(driven)
     if len(driven) < LEAST_DRIVEN:
-        return usual, VEHICLE[1]
+        return usual, _VEHICLE[1]
     # the median of absolute deviations, in sigmas of a normal distribution
     return usual, max(float(np.median(np.abs(driven - usual))) / 0.6745, LEAST_DB)
 

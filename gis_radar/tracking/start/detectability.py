@@ -17,12 +17,13 @@ from gis_radar.base import STEPS_PER_SECOND, Floats, Integers, compiled
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import HALF_STEPS, Motion
 
-HALF_WIDTH_M = 1.5  # half the width of an occluder: half a lorry and an error of place
+_HALF_WIDTH_M = 1.5  # half the width of an occluder: half a lorry and an error of place
 NEAREST_M = 1.0  # a body nearer to a place does not hide it; a sensor nearer to it does not see it
 # Side of the map cells in which the detection rate is learned, each with its eight neighbours.
-CELL_M = 6.0
-DRIVING_MPS = 3.0  # least speed of the vehicles from which it is learned
-LEAST_S = 1.0  # least time of vehicles in a cell and its neighbours; with less, the rate is unknown
+_RATE_CELL_M = 6.0
+_DRIVING_MPS = 3.0  # least speed of the vehicles from which it is learned
+# least time of vehicles in a cell and its neighbours; with less, the rate is unknown
+_LEAST_S = 1.0
 SILENT_S = 2.0  # shorter gaps between detections are no evidence
 
 
@@ -143,11 +144,11 @@ class Detectability:
         """
         sensor_xy = detections.sensor_positions()
         count = len(sensor_xy)
-        corner = detections.points.min(axis=0) - CELL_M
-        size = np.ceil((detections.points.max(axis=0) - corner) / CELL_M).astype(np.int64) + 1
+        corner = detections.points.min(axis=0) - _RATE_CELL_M
+        size = np.ceil((detections.points.max(axis=0) - corner) / _RATE_CELL_M).astype(np.int64) + 1
         detected, present_s = np.zeros((count, *size)), np.zeros(tuple(size))
         for motion in motions:
-            drives = motion.speed > DRIVING_MPS
+            drives = motion.speed > _DRIVING_MPS
             if not drives.any():
                 continue
             cell = _cells(motion.places[0][drives], corner, size)
@@ -159,7 +160,7 @@ class Detectability:
             np.add.at(detected, (detections.sensor[rows], *cell.T), 1.0)
         present_near_s = uniform_filter(present_s, 3, mode="constant") * 9.0
         sums = [uniform_filter(each, 3, mode="constant") * 9.0 for each in detected]
-        known = present_near_s > LEAST_S
+        known = present_near_s > _LEAST_S
         rate = np.where(known, np.stack(sums) / np.maximum(present_near_s, 1e-9), 0.0)
         half = (detections.time * 2.0).astype(np.int64)
         first = int(half.min())
@@ -214,7 +215,7 @@ class Detectability:
 
 def _cells(points: Floats, corner: Floats, size: Integers) -> Integers:
     """Return the cell of each point, row and column."""
-    return np.clip(((points - corner) / CELL_M).astype(np.int64), 0, size - 1)
+    return np.clip(((points - corner) / _RATE_CELL_M).astype(np.int64), 0, size - 1)
 
 
 @compiled
@@ -235,7 +236,10 @@ def _expected(  # noqa: PLR0917 - numba takes plain arrays
     total = 0.0
     for i in range(len(places)):
         h = halves[i] - first_half
-        a, b = int((places[i, 0] - corner[0]) / CELL_M), int((places[i, 1] - corner[1]) / CELL_M)
+        a, b = (
+            int((places[i, 0] - corner[0]) / _RATE_CELL_M),
+            int((places[i, 1] - corner[1]) / _RATE_CELL_M),
+        )
         if h < 0 or h >= is_active.shape[1] or a < 0 or b < 0:
             continue
         if a >= rate.shape[1] or b >= rate.shape[2]:
@@ -263,7 +267,7 @@ def _is_hidden(offset: Floats, xy: Floats, shape: Floats) -> bool:  # pragma: no
     for j in range(len(shape)):
         x, y = shape[j, 0] - xy[0], shape[j, 1] - xy[1]
         ahead, aside = x * c + y * s, y * c - x * s
-        across = abs(shape[j, 3] * c - shape[j, 2] * s) * shape[j, 4] + HALF_WIDTH_M
+        across = abs(shape[j, 3] * c - shape[j, 2] * s) * shape[j, 4] + _HALF_WIDTH_M
         if abs(aside) < across and 0.0 < ahead < range_m - NEAREST_M:
             return True
     return False

@@ -21,19 +21,19 @@ from gis_radar.tracking.columns import (  # fmt: skip
     ALONG_LANE,
     BASE,
     BEGUN,
+    BODY_COLUMNS,
     BRANCH,
     BRANCHES,
-    COLUMNS,
-    COUNTS,
+    COUNT_ENTRIES,
     COV_SV,
+    DETECTION_COUNT,
     FOLLOWED,
     FRONT,
     HALF,
     HEADING,
-    HITS,
     KEPT,
     LANE,
-    LAST,
+    LAST_TIME,
     LEFT,
     MISFIT,
     NONE,
@@ -53,22 +53,22 @@ from gis_radar.tracking.columns import (  # fmt: skip
 )
 from gis_radar.tracking.detections import AZIMUTH_RAD, MOVING_MPS, MapDetections
 from gis_radar.tracking.size import LONGEST_M
-from gis_radar.tracking.start.births import BIRTH_S, LEAST_COS, begin
+from gis_radar.tracking.start.births import _LEAST_LANE_COS, BIRTH_S, begin
 
 CAPACITY = 1024  # most vehicles at a time
 WAITING = 2048  # most detections at a time that are of no vehicle yet
 SPARE = 1024  # room for branches beyond the number of detections
-REACH_M = 30.0  # largest distance from the point of a body to its detections
-HALF_WIDTH_M = 1.0  # half the width of a vehicle
+_REACH_M = 30.0  # largest distance from the point of a body to its detections
+_HALF_WIDTH_M = 1.0  # half the width of a vehicle
 FORK_M = 3.0  # lanes that begin within this of a place are branches of one fork
-SINCE_FORK_M, NEAR_M = 30.0, 1.0  # branches so near each other so far beyond the fork are one
+_SINCE_FORK_M, _NEAR_M = 30.0, 1.0  # branches so near each other so far beyond the fork are one
 # Largest difference of the misfits of two branches of a vehicle, and largest misfit by one
 # detection, both in squared sigmas: so six outliers do not end a branch.
 MOST_MISFIT, MOST_COST = 24.0, 4.0
 ACCEL_MPS2 = 1.5  # sigma of the acceleration that drivers choose
 SIDEWAYS_MPS = 0.3  # sigma of the drift across the lane
-RATE_MPS = 0.25  # sigma of a range rate, including what a turning body adds
-ALONG_M, ACROSS_M = 1.2, 0.7  # how far outside of the body a detection may lie
+_RATE_SIGMA_MPS = 0.25  # sigma of a range rate, including what a turning body adds
+_ALONG_M, _ACROSS_M = 1.2, 0.7  # how far outside of the body a detection may lie
 # Longest time without a detection that a track is continued, after which it may be 3 m off; and at
 # rest, as still detections are not used. With under six detections it is dropped after BIRTH_S.
 COAST_S, STAND_S = 2.0, 20.0
@@ -91,9 +91,9 @@ class ForwardFilter:
 
     def __init__(self, graph: LaneGraph) -> None:
         self._field = graph.field.arrays
-        self._bodies = np.zeros((CAPACITY, COLUMNS))
+        self._bodies = np.zeros((CAPACITY, BODY_COLUMNS))
         self._waiting = np.zeros((WAITING, WAIT_COLUMNS))
-        self._counts = np.zeros(COUNTS, np.int64)
+        self._counts = np.zeros(COUNT_ENTRIES, np.int64)
 
     def push(self, detections: MapDetections) -> tuple[Integers, Floats]:
         """Process the next detections; return the vehicle of each and its state.
@@ -226,7 +226,7 @@ def _predict_all(
     while k < counts[ALIVE]:
         body = bodies[k]
         longest_s = STAND_S if body[SPEED] < STANDING_MPS else COAST_S
-        if now - body[LAST] > (BIRTH_S if body[HITS] < 6.0 else longest_s):
+        if now - body[LAST_TIME] > (BIRTH_S if body[DETECTION_COUNT] < 6.0 else longest_s):
             counts[ALIVE] -= 1
             bodies[k] = bodies[counts[ALIVE]]
             continue
@@ -293,7 +293,7 @@ def _prune_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no cov
 def _have_rejoined(one: Floats, other: Floats) -> bool:  # pragma: no cover - compiled
     """Return whether two branches are at the same place again, far beyond their fork."""
     apart = np.hypot(one[X] - other[X], one[Y] - other[Y])
-    return bool(min(one[SINCE_M], other[SINCE_M]) > SINCE_FORK_M and apart < NEAR_M)
+    return bool(min(one[SINCE_M], other[SINCE_M]) > _SINCE_FORK_M and apart < _NEAR_M)
 
 
 @compiled
@@ -362,24 +362,24 @@ def _associate(detection: Floats, bodies: Floats, alive: int) -> int:  # pragma:
 def _association_cost(detection: Floats, body: Floats) -> float:  # pragma: no cover - compiled
     """Return the cost of associating a detection with a body; infinite outside of the gate."""
     dx, dy = detection[0] - body[X], detection[1] - body[Y]
-    if abs(dx) + abs(dy) > REACH_M:
+    if abs(dx) + abs(dy) > _REACH_M:
         return np.inf
     rate = detection[2]
     c, s = np.cos(body[HEADING]), np.sin(body[HEADING])
     along, left = dx * c + dy * s, dy * c - dx * s
     beyond = max(along - body[FRONT], -body[REAR] - along, 0.0)
-    beside = max(abs(left) - HALF_WIDTH_M, 0.0)
+    beside = max(abs(left) - _HALF_WIDTH_M, 0.0)
     cos = c * detection[3] + s * detection[4]
     expected = body[SPEED] * cos
     innovation = abs(rate - expected)
-    noise = np.sqrt(RATE_MPS**2 + body[VAR_V] * cos * cos)
-    side = ACROSS_M + AZIMUTH_RAD * detection[5] + np.sqrt(min(body[VAR_D], 1.0))
-    ahead = min(ALONG_M, 0.5 + 0.2 * abs(body[SPEED]))
+    noise = np.sqrt(_RATE_SIGMA_MPS**2 + body[VAR_V] * cos * cos)
+    side = _ACROSS_M + AZIMUTH_RAD * detection[5] + np.sqrt(min(body[VAR_D], 1.0))
+    ahead = min(_ALONG_M, 0.5 + 0.2 * abs(body[SPEED]))
     ahead += 2.0 * np.sqrt(min(body[VAR_S], 1.0))
     if innovation < 3.0 * noise:
         # a detection so near at the same speed is of this body: drivers keep a second apart
         ahead += 0.5 * min(body[SPEED], 6.0)
-    elif beyond > ALONG_M:
+    elif beyond > _ALONG_M:
         return np.inf
     # the rim of a wheel moves at 0 to 2 v
     if beyond > ahead or beside > side or innovation > abs(expected) + 1.0 + 2.0 * noise:
@@ -445,9 +445,9 @@ def _correct(body: Floats, detection: Floats) -> None:  # pragma: no cover - com
     ahead, left = dx * c + dy * s, dy * c - dx * s
     cos = c * detection[3] + s * detection[4]
     innovation = detection[2] - body[SPEED] * cos
-    noise = RATE_MPS**2 + body[VAR_V] * cos * cos
+    noise = _RATE_SIGMA_MPS**2 + body[VAR_V] * cos * cos
     rate_fits = innovation * innovation < 9.0 * noise
-    if rate_fits and abs(cos) >= LEAST_COS:
+    if rate_fits and abs(cos) >= _LEAST_LANE_COS:
         gain_v, gain_s = body[VAR_V] * cos / noise, body[COV_SV] * cos / noise
         body[SPEED] += gain_v * innovation
         body[X] += gain_s * innovation * c
@@ -478,5 +478,5 @@ def _correct(body: Floats, detection: Floats) -> None:  # pragma: no cover - com
     body[VAR_D] *= 1.0 - gain
     if body[SPEED] > 1.0:
         body[HEADING] += 0.02 * gain * left
-    body[LAST] = body[TIME]
-    body[HITS] += 1.0
+    body[LAST_TIME] = body[TIME]
+    body[DETECTION_COUNT] += 1.0

@@ -28,7 +28,7 @@ OVERLAP_S = 2.0  # largest overlap in time of the second part with the first
 # Largest speed at both ends, largest distance and turn of a vehicle that waits between its parts.
 WAITING_MPS, WAITING_M, WAITING_RAD = 5.0, 9.0, 0.6
 BRAKING_MPS2 = 3.0  # usual braking and acceleration, which give the way to and from a stop
-PLACE_M = 1.0  # error of the ends of two parts of one vehicle: half a car
+_PLACE_M = 1.0  # error of the ends of two parts of one vehicle: half a car
 # Cost of a stop, and of each second of it: two minutes cost half as much as an end.
 STOP_COST, WAIT_COST = 0.5, 0.03
 # Longest time without detections and largest turn of a moving vehicle.
@@ -42,10 +42,10 @@ BRIEF_S, BRAKED_MPS2 = 3.0, 1.2
 # undetected second, and of each metre.
 CHANGE_MPS2, UNDETECTED_COST, METRE_COST = 0.7, 0.15, 0.03
 # Sigma of the speed at an end; parts that differ by more sigmas are of different vehicles.
-SPEED_MPS, MOST_SIGMA = 0.5, 3.0
+_SPEED_MPS, _MOST_SIGMA = 0.5, 3.0
 # How far the next part may begin behind the expected place, and beside the straight continuation;
 # the latter grows by so much a metre.
-BACK_M, BESIDE_M, DRIFT = 3.0, 1.6, 0.15
+_BACK_M, _BESIDE_M, _DRIFT = 3.0, 1.6, 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,13 +195,13 @@ def _costs(a: int, parts: Sequence[Part], passes: Passes) -> Iterator[tuple[int,
     speed = float(part.speed[1])
     slow = (speed < WAITING_MPS) & (gaps.speed < WAITING_MPS)
     waits = gaps.later & slow & (gaps.lapse > -OVERLAP_S) & (gaps.apart < WAITING_M)
-    waits &= (gaps.turn < WAITING_RAD) & (gaps.left < BESIDE_M)
+    waits &= (gaps.turn < WAITING_RAD) & (gaps.left < _BESIDE_M)
     drives_on = gaps.later & ~gaps.stationary & (gaps.lapse > -OVERLAP_S)
     drives_on &= (gaps.lapse < UNDETECTED_S) & (gaps.turn < TURNING_RAD)
     excess = gaps.along - 0.5 * (speed + gaps.speed) * gaps.lapse
-    drives_on &= (excess > -BACK_M) & ((gaps.lapse >= 0.0) | (excess < BACK_M))
+    drives_on &= (excess > -_BACK_M) & ((gaps.lapse >= 0.0) | (excess < _BACK_M))
     bend = 0.5 * np.maximum(gaps.along, 0.0) * np.sin(np.minimum(gaps.turn, 0.5 * np.pi))
-    drives_on &= gaps.left < BESIDE_M + bend + DRIFT * gaps.apart
+    drives_on &= gaps.left < _BESIDE_M + bend + _DRIFT * gaps.apart
     if part.stationary:
         drives_on[:] = False
     free_until = passes.after(part.place[1], float(part.time[1])) if waits.any() else np.inf
@@ -218,7 +218,7 @@ def _costs(a: int, parts: Sequence[Part], passes: Passes) -> Iterator[tuple[int,
 def _cost_of_waiting(speed: float, gaps: _Gaps, b: int) -> float:
     """Return the cost of a stop between two parts, by its duration and their distance."""
     creep = (speed**2 + gaps.speed[b] ** 2) / (2.0 * BRAKING_MPS2)
-    off = max(abs(gaps.along[b] - creep) - PLACE_M, 0.0) / (1.5 * PLACE_M)
+    off = max(abs(gaps.along[b] - creep) - _PLACE_M, 0.0) / (1.5 * _PLACE_M)
     return float(off**2 + STOP_COST + WAIT_COST * max(gaps.lapse[b], 0.05))
 
 
@@ -231,10 +231,10 @@ def _cost_of_driving(speed: float, gaps: _Gaps, b: int) -> float:
         slowest = max(min(speed, gaps.speed[b]) - BRAKED_MPS2 * lapse, 0.0)
     low = min(slowest, max(middle - SLOWING_MPS2 * lapse, 0.0))
     high = max(speed, gaps.speed[b]) + GAINING_MPS2 * lapse
-    place = PLACE_M / lapse
-    miss = max(low - mean, mean - high, 0.0) / (SPEED_MPS + place)
-    if miss >= MOST_SIGMA:
+    place = _PLACE_M / lapse
+    miss = max(low - mean, mean - high, 0.0) / (_SPEED_MPS + place)
+    if miss >= _MOST_SIGMA:
         return np.inf
-    sigma = CHANGE_MPS2 * lapse + 2.0 * SPEED_MPS + place
+    sigma = CHANGE_MPS2 * lapse + 2.0 * _SPEED_MPS + place
     undetected = UNDETECTED_COST * np.sqrt(lapse) + METRE_COST * gaps.apart[b]
     return float(miss**2 + 0.5 * ((mean - middle) / sigma) ** 2 + undetected)

@@ -13,8 +13,8 @@ from gis_radar.tracking.start.forward import STANDING_MPS
 from gis_radar.tracking.start.passes import Passes
 from gis_radar.tracking.start.stationary import RATE_SHARE, SILENCE_S
 
-END_M = 1.0  # error of the place of an end of a vehicle
-LEFT_M = 1.1  # half the width of a vehicle, with the error of its place
+_END_M = 1.0  # error of the place of an end of a vehicle
+_LEFT_M = 1.1  # half the width of a vehicle, with the error of its place
 # Still detections are of a vehicle that comes to rest or sets off if its place gives fewer of them
 # while it is empty: in the nearest EMPTY_S of the SEARCH_S before or after it, in which it is more
 # than its length and AWAY_M away. At least OWN_SHARE of the detections must be the vehicle's.
@@ -103,7 +103,7 @@ def _axis(motion: Motion, end: int) -> Floats:
     They lie a metre inside its ends, where errors of its length do not matter.
     """
     place, heading = (each[end] for each in motion.places)
-    half = max(0.5 * motion.length_m - END_M, 0.0)
+    half = max(0.5 * motion.length_m - _END_M, 0.0)
     way = np.array([np.cos(heading), np.sin(heading)])
     return np.asarray(place + np.linspace(-half, half, 2 * int(half) + 1)[:, None] * way)
 
@@ -129,7 +129,7 @@ def _on_body(
     if len(rows) == 0:
         return np.zeros(0, np.bool_)
     along, left = motion.path.project(detections.points[rows], s_m, 25.0)
-    beside = LEFT_M + AZIMUTH_RAD * detections.range_m[rows]
+    beside = _LEFT_M + AZIMUTH_RAD * detections.range_m[rows]
     return np.asarray((np.abs(along - s_m) < _half_m(motion)) & (np.abs(left) < beside))
 
 

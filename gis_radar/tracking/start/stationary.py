@@ -24,36 +24,36 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.size import LONGEST_M, length_prior
 from gis_radar.tracking.start.passes import MOST_CELLS, PAIR_M, Passes
 
-FRONT, REAR, SIDE = range(3)  # the end of a vehicle that a sensor sees, or its side
+FRONT_SEEN, REAR_SEEN, SIDE_SEEN = range(3)  # the end of a vehicle that a sensor sees, or its side
 SQUARE_COS = 0.5  # least cosine of the aspect at which an end is seen: 60 degrees
-BIN_S = 0.5  # time bin of the counts by which fixed objects are found
+_BIN_S = 0.5  # time bin of the counts by which fixed objects are found
 CHANGE_M = 1.5  # largest apparent move of a vehicle's ends from second to second
 INSIDE_M = 0.5  # least distance from the lane's edge: kerbs, signs and parked cars lie nearer to it
-HIGH_M = 3.2  # a scatterer whose median height over the road is larger hangs above the lane
-CELL_M = 0.5 * PAIR_M  # length of a cell of a strip: the spread of a scatterer's detections
+_HIGH_M = 3.2  # a scatterer whose median height over the road is larger hangs above the lane
+STRIP_CELL_M = 0.5 * PAIR_M  # length of a cell of a strip: the spread of a scatterer's detections
 # Longest gap between the detections of a scatterer; after a longer one it counts as a new one. (A
 # stationary vehicle is undetected for 9 to 25 s in one case of ten.) One first detected within this
 # time of the first of all detections stood there from the begin, likewise at the end.
 SILENCE_S = 10.0
 SLICE_S = 1.0  # step of time in which stationary vehicles are found and associated
 # Between these times before and after a vehicle drives over a place fast, no vehicle stands there.
-NEAR_S, FAR_S = 0.7, 2.5
-# Where detections occur in these times at LEAST_FIXED passes or more, and at FIXED_SHARE of them,
-# they are of fixed objects; except while their count over CAR_M of the lane exceeds that at passes
-# by MORE_SIGMAS.
-LEAST_FIXED, FIXED_SHARE, MORE_SIGMAS, CAR_M = 2, 0.5, 3.0, 4.5
+_NEAR_S, _FAR_S = 0.7, 2.5
+# Where detections occur in these times at _LEAST_FIXED passes or more, and at FIXED_SHARE of them,
+# they are of fixed objects; except while their count over _CAR_M of the lane exceeds that at passes
+# by _MORE_SIGMAS.
+_LEAST_FIXED, FIXED_SHARE, _MORE_SIGMAS, _CAR_M = 2, 0.5, 3.0, 4.5
 # Least gap in a queue; gap below which there is a cost, as drivers keep more; that cost, nats/m2.
-GAP_M, EASY_GAP_M, TIGHT_COST = 1.0, 2.0, 8.0
-SHORTEST_M = 3.4  # anything shorter cannot be distinguished from a sign
+_GAP_M, _EASY_GAP_M, _TIGHT_COST = 1.0, 2.0, 8.0
+_SHORTEST_M = 3.4  # anything shorter cannot be distinguished from a sign
 POWER = 0.5  # weight of a scatterer: its number of detections to this power
-WINDOW_M, MOST_WEIGHT = 5.0, 24.0  # length of a window of the lane, and the most weight in it
-VEHICLE_COST = 7.0  # cost of a vehicle: prior log odds against one
+_WINDOW_M, _MOST_WEIGHT = 5.0, 24.0  # length of a window of the lane, and the most weight in it
+_VEHICLE_COST = 7.0  # cost of a vehicle: prior log odds against one
 STAY_GAIN = 12.0  # gain of a vehicle that stood in the same place one SLICE_S before, nats
 LOG_CLUTTER = math.log(0.02)  # log density of detections of no vehicle, 1/m
-END_M, END_SHARE = 0.35, 0.6  # sigma of an end's detections, and their share if seen squarely
+_END_M, _END_SHARE = 0.35, 0.6  # sigma of an end's detections, and their share if seen squarely
 # Least detections and duration of a vehicle, and its least rate of detections as a share of that of
 # vehicles in the same recordings at that range.
-LEAST_DETECTIONS, LEAST_S, RATE_SHARE = 6, 2.0, 0.1
+_LEAST_DETECTIONS, _LEAST_S, RATE_SHARE = 6, 2.0, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +121,7 @@ def find_stationary(
     np.minimum.at(begin, still.episode, still.time)
     np.maximum.at(end, still.episode, still.time)
     # detections of one sensor in one cell and episode are of one scatterer
-    cell = (still.s_m / CELL_M).astype(np.int64)
+    cell = (still.s_m / STRIP_CELL_M).astype(np.int64)
     sensor = detections.sensor[still.row]
     key = np.column_stack([still.episode, cell, still.end_seen, sensor])
     groups, first, numbers = np.unique(key, axis=0, return_index=True, return_counts=True)
@@ -153,10 +153,10 @@ def _still_inside(detections: MapDetections, free: Booleans, passes: Passes) -> 
     cos = np.cos(heading) * detections.sight[row, 0] + np.sin(heading) * detections.sight[row, 1]
     square = np.abs(cos) >= SQUARE_COS
     strip, s_m = at.strip[inside][order], at.s_m[inside][order]
-    place = strip * MOST_CELLS + ((s_m / CELL_M).astype(np.int64) // 2)
+    place = strip * MOST_CELLS + ((s_m / STRIP_CELL_M).astype(np.int64) // 2)
     still = _StillDetections(
         row=row, strip=strip, s_m=s_m, time=detections.time[row],
-        end_seen=np.where(square, np.where(cos < 0.0, FRONT, REAR), SIDE),
+        end_seen=np.where(square, np.where(cos < 0.0, FRONT_SEEN, REAR_SEEN), SIDE_SEEN),
         episode=_episodes(place, detections.time[row], passes.times),
     )  # fmt: skip
     if len(row) == 0:
@@ -166,7 +166,7 @@ def _still_inside(detections: MapDetections, free: Booleans, passes: Passes) -> 
     rank = np.lexsort((height, still.episode))
     bounds = np.searchsorted(still.episode[rank], np.arange(still.episode.max() + 2))
     median = height[rank][(bounds[:-1] + bounds[1:]) // 2]
-    return still.take(median[still.episode] < HIGH_M)
+    return still.take(median[still.episode] < _HIGH_M)
 
 
 def without_fixed(detections: MapDetections, free: Booleans, passes: Passes) -> Booleans:
@@ -184,7 +184,7 @@ def without_fixed(detections: MapDetections, free: Booleans, passes: Passes) -> 
     rows = np.flatnonzero(free)
     on_strips = passes.strips.project(detections.points[rows])
     row = rows[on_strips.row]
-    place = on_strips.strip * MOST_CELLS + ((on_strips.s_m / CELL_M).astype(np.int64) // 2)
+    place = on_strips.strip * MOST_CELLS + ((on_strips.s_m / STRIP_CELL_M).astype(np.int64) // 2)
     order = np.argsort(detections.time[row], kind="stable")
     row, place = row[order], place[order]
     fixed = _is_fixed(place, detections.sensor[row], detections.time[row], passes.fast)
@@ -202,8 +202,8 @@ def _is_fixed(place: Integers, sensor: Integers, time: Floats, fast: dict[int, F
     fixed = np.zeros(len(place), np.bool_)
     if len(place) == 0:
         return fixed
-    half = 0.5 * (FAR_S - NEAR_S)
-    time_bin = ((time - time.min()) / BIN_S).astype(np.int64)
+    half = 0.5 * (_FAR_S - _NEAR_S)
+    time_bin = ((time - time.min()) / _BIN_S).astype(np.int64)
     line = place // MOST_CELLS * 64 + sensor
     order = np.lexsort((time, place, line))
     for rows in np.split(order, np.flatnonzero(np.diff(line[order])) + 1):
@@ -213,17 +213,17 @@ def _is_fixed(place: Integers, sensor: Integers, time: Floats, fast: dict[int, F
             passed = fast.get(int(place[part[0]]))
             if passed is None:
                 continue
-            passed = passed[np.concatenate([[True], np.diff(passed) > FAR_S])]
-            windows = np.stack([passed - half - NEAR_S, passed + half + NEAR_S])
+            passed = passed[np.concatenate([[True], np.diff(passed) > _FAR_S])]
+            windows = np.stack([passed - half - _NEAR_S, passed + half + _NEAR_S])
             low, high = (np.searchsorted(time[part], windows + way * half) for way in (-1.0, 1.0))
             seen = (high > low).any(axis=0)
-            if seen.sum() >= LEAST_FIXED and seen.mean() >= FIXED_SHARE:
+            if seen.sum() >= _LEAST_FIXED and seen.mean() >= FIXED_SHARE:
                 counts = count[place[part[0]] - lowest]
-                when = np.floor((windows - time.min()) / BIN_S).astype(np.int64)
+                when = np.floor((windows - time.min()) / _BIN_S).astype(np.int64)
                 counts_then = counts[when[(when >= 0) & (when < len(counts))]]
                 at_passes = float(np.median(counts_then)) if len(counts_then) else 0.0
                 # the sigma of small counts is at least that of one
-                tolerance = MORE_SIGMAS * np.sqrt(max(at_passes, 1.0))
+                tolerance = _MORE_SIGMAS * np.sqrt(max(at_passes, 1.0))
                 fixed[part] = counts[time_bin[part]] <= at_passes + tolerance
     return fixed
 
@@ -233,7 +233,7 @@ def _counts(place: Integers, time_bin: Integers, bins: int) -> Floats:
     cells = place - place.min()
     count = np.zeros((int(cells.max()) + 1, bins))
     np.add.at(count, (cells, time_bin), 1.0)
-    size = (int(CAR_M / CELL_M) // 2, 5)
+    size = (int(_CAR_M / STRIP_CELL_M) // 2, 5)
     # not by a running sum, which accumulates rounding errors
     counted = size[0] * size[1] * uniform_filter(count, size, mode="constant")
     return np.asarray(np.maximum(np.round(counted), 0.0))
@@ -268,7 +268,7 @@ def _on_strip(
     """
     half, low = 0.5 * SLICE_S, int(cell.min()) - 8
     count = int(cell.max()) + 9 - low
-    window = int(WINDOW_M / CELL_M)
+    window = int(_WINDOW_M / STRIP_CELL_M)
     rear_before = np.full(count + 1, NONE, np.int64)
     vehicles: Floats = np.zeros((0, 2))
     previous = np.zeros(0, np.bool_)
@@ -279,9 +279,9 @@ def _on_strip(
             weights = np.zeros((3, count))
             np.add.at(weights, (end_seen[active], cell[active] - low), weight[active])
             local = window * uniform_filter1d(weights.sum(axis=0), window, mode="constant")
-            share = np.minimum(1.0, MOST_WEIGHT / np.maximum(local, 1e-9))
+            share = np.minimum(1.0, _MOST_WEIGHT / np.maximum(local, 1e-9))
             cells = pack(weights * share, rear_before)
-            vehicles = np.asarray((cells + low) * CELL_M, np.float64)
+            vehicles = np.asarray((cells + low) * STRIP_CELL_M, np.float64)
             previous = active
             rear_before[:] = NONE
             rear_before[cells[:, 1]] = cells[:, 0]
@@ -352,8 +352,8 @@ def pack(weights: Floats, rear_before: Integers) -> Integers:
     rear_before : (n + 1,) int64 array
         By front, the rear of a vehicle that stood there one slice before, or `NONE`.
     """
-    metres = np.arange(int(LONGEST_M / CELL_M) + 1, dtype=np.float64) * CELL_M
-    prior = np.where(metres < SHORTEST_M, -np.inf, length_prior(metres))
+    metres = np.arange(int(LONGEST_M / STRIP_CELL_M) + 1, dtype=np.float64) * STRIP_CELL_M
+    prior = np.where(metres < _SHORTEST_M, -np.inf, length_prior(metres))
     return _pack(weights, _gains(weights), prior, rear_before)
 
 
@@ -361,13 +361,13 @@ def pack(weights: Floats, rear_before: Integers) -> Integers:
 def _gains(weights: Floats) -> Floats:  # pragma: no cover - compiled
     """Return the gain, nats, of a front and of a rear at each boundary of cells, (2, n + 1)."""
     count = weights.shape[1]
-    reach = int(4.0 * END_M / CELL_M)
-    body = np.log((1.0 - END_SHARE) / 5.0)
+    reach = int(4.0 * _END_M / STRIP_CELL_M)
+    body = np.log((1.0 - _END_SHARE) / 5.0)
     inside, outside = np.empty(2 * reach), np.empty(2 * reach)  # by cell, from -reach on
     for j in range(2 * reach):
-        off = (j - reach + 0.5) * CELL_M
-        peak = END_SHARE * np.exp(-0.5 * (off / END_M) ** 2) / (END_M * 2.5066)
-        inside[j] = np.log(peak + (1.0 - END_SHARE) / 5.0) - body
+        off = (j - reach + 0.5) * STRIP_CELL_M
+        peak = _END_SHARE * np.exp(-0.5 * (off / _END_M) ** 2) / (_END_M * 2.5066)
+        inside[j] = np.log(peak + (1.0 - _END_SHARE) / 5.0) - body
         outside[j] = max(np.log(peak + 1e-9) - LOG_CLUTTER, 0.0)
     gains = np.zeros((2, count + 1))
     for k in range(count + 1):
@@ -384,12 +384,13 @@ def _pack(
 ) -> Integers:  # pragma: no cover - compiled
     """Return what `pack` does, with the gains of ends and the log priors of lengths in cells."""
     count = weights.shape[1]
-    end_gain, side_gain = np.log((1.0 - END_SHARE) / 5.0) - LOG_CLUTTER, np.log(0.2) - LOG_CLUTTER
+    end_gain, side_gain = np.log((1.0 - _END_SHARE) / 5.0) - LOG_CLUTTER, np.log(0.2) - LOG_CLUTTER
     ends, sides = np.zeros(count + 1), np.zeros(count + 1)
     for k in range(count):
         ends[k + 1] = ends[k] + weights[0, k] + weights[1, k]
         sides[k + 1] = sides[k] + weights[2, k]
-    least_gap, easy_gap = int(np.ceil(GAP_M / CELL_M)), int(np.ceil(EASY_GAP_M / CELL_M))
+    least_gap = int(np.ceil(_GAP_M / STRIP_CELL_M))
+    easy_gap = int(np.ceil(_EASY_GAP_M / STRIP_CELL_M))
     best, rear_of = np.zeros(count + 1), np.full(count + 1, -1)
     behind, front_behind = np.zeros(count + 1), np.zeros(count + 1, np.int64)
     for f in range(1, count + 1):
@@ -402,7 +403,7 @@ def _pack(
             if score <= 0.0:
                 continue
             stays = STAY_GAIN if rear_before[f] == r else 0.0
-            score += prior[f - r] - VEHICLE_COST + behind[r] + stays
+            score += prior[f - r] - _VEHICLE_COST + behind[r] + stays
             if score > best[f] + 1e-9:
                 best[f], rear_of[f] = score, r
         behind[f], front_behind[f] = _best_behind(best, f, least_gap, easy_gap)
@@ -418,7 +419,7 @@ def _best_behind(
     for gap in range(least_gap, easy_gap + 1):
         value = 0.0
         if rear > gap:
-            value = best[rear - gap] - TIGHT_COST * ((easy_gap - gap) * CELL_M) ** 2
+            value = best[rear - gap] - _TIGHT_COST * ((easy_gap - gap) * STRIP_CELL_M) ** 2
         if value > top:
             top, place = value, max(rear - gap, 0)
     return top, place
@@ -489,10 +490,10 @@ def detected_parts(
     cuts = np.flatnonzero(np.diff(detections.time[target.rows]) > SILENCE_S) + 1
     found = []
     for rows in np.split(target.rows, cuts):
-        if len(rows) < LEAST_DETECTIONS:
+        if len(rows) < _LEAST_DETECTIONS:
             continue
         begin, end = (float(detections.time[rows[k]]) for k in (0, -1))
         expected = typical / float(np.median(detections.range_m[rows])) ** 2 * (end - begin)
-        if end - begin >= LEAST_S and len(rows) >= RATE_SHARE * expected:
+        if end - begin >= _LEAST_S and len(rows) >= RATE_SHARE * expected:
             found.append(replace(target, begin=begin, end=end, rows=rows))
     return found

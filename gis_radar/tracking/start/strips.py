@@ -10,7 +10,7 @@ from gis_radar.base import Floats, Integers
 from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.columns import NONE
 
-POINTS_AT_ONCE = 100_000  # points processed at once: with the lanes near them, 20 MB
+_POINTS_AT_ONCE = 100_000  # points processed at once: with the lanes near them, 20 MB
 WELL_INSIDE_M = 0.6  # distance inside a lane's edge beyond which the longer strip is preferred
 
 
@@ -86,8 +86,8 @@ class Strips:
         near_m : float, optional
             If given, each is projected onto every strip whose middle is that near, metres.
         """
-        pieces = range(0, max(len(points), 1), POINTS_AT_ONCE)
-        parts = [self._projected(points[k : k + POINTS_AT_ONCE], near_m) for k in pieces]
+        pieces = range(0, max(len(points), 1), _POINTS_AT_ONCE)
+        parts = [self._projected(points[k : k + _POINTS_AT_ONCE], near_m) for k in pieces]
         begins = np.repeat(pieces, [len(part.row) for part in parts])
         columns = {
             each.name: np.concatenate([getattr(part, each.name) for part in parts])

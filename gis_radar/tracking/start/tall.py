@@ -13,10 +13,10 @@ from gis_radar.base import Floats
 
 # Mean height of the detections of a car, and of a lorry or bus, with its standard deviation between
 # vehicles, metres: the middle of their bodies.
-CAR_M, LORRY_M = (0.75, 0.3), (1.6, 0.5)
+_CAR_M, _LORRY_M = (0.75, 0.3), (1.6, 0.5)
 # Sigma of the elevation, radians: common to all detections of a vehicle, and of each.
 BIAS_RAD, ELEVATION_RAD = 0.006, 0.0175
-LEAST_ROWS = 10  # least number of heights; fewer are no evidence
+_LEAST_ROWS = 10  # least number of heights; fewer are no evidence
 MOST_ODDS = 4.0  # largest log odds by heights
 LORRY_SHARE = 0.12  # share of lorries and buses in traffic
 
@@ -32,13 +32,13 @@ def tall_odds(height_m: Floats, range_m: Floats) -> float:
         Distances from the sensor, metres.
     """
     known = np.isfinite(height_m)
-    if known.sum() < LEAST_ROWS:
+    if known.sum() < _LEAST_ROWS:
         return 0.0
     range_ = float(np.median(range_m[known]))
     mean = float(height_m[known].mean())
     noise = BIAS_RAD**2 + ELEVATION_RAD**2 / known.sum()
     odds = 0.0
-    for sign, (middle, spread) in ((1.0, LORRY_M), (-1.0, CAR_M)):
+    for sign, (middle, spread) in ((1.0, _LORRY_M), (-1.0, _CAR_M)):
         variance = spread**2 + noise * range_**2
         odds += sign * (-0.5 * (mean - middle) ** 2 / variance - 0.5 * np.log(variance))
     return float(np.clip(odds, -MOST_ODDS, MOST_ODDS))

@@ -32,9 +32,9 @@ from gis_radar.tracking.start.strips import Strips
 
 APART_S = 1.0  # least time between two vehicles at one place
 # Least number of moving detections and least distance of a vehicle; with less, a track is false.
-LEAST_MOVING, LEAST_WAY_M = 6, 4.0
+_LEAST_MOVING, _LEAST_WAY_M = 6, 4.0
 ALONE_S, ALONE_ROWS = 3.0, 10  # least duration and detections of a vehicle that only stands
-PLACE_M = 0.5  # sigma of the place of a stationary vehicle
+_PLACE_M = 0.5  # sigma of the place of a stationary vehicle
 
 
 def complete_tracks(
@@ -113,7 +113,7 @@ def _drove(motion: Motion, detections: MapDetections) -> bool:
     """Return whether a motion has enough moving detections and distance to be of a vehicle."""
     moving = np.abs(detections.range_rate[motion.rows]) > MOVING_MPS
     way = float(motion.s_m[-1] - motion.s_m[0])
-    return int(moving.sum()) >= LEAST_MOVING and way > LEAST_WAY_M
+    return int(moving.sum()) >= _LEAST_MOVING and way > _LEAST_WAY_M
 
 
 def _stood(motion: Motion, detections: MapDetections) -> bool:
@@ -201,7 +201,7 @@ def _stationary_only(
     heavy = length > LONG_M
     return Motion(
         rows=rows, path=path, first_step=step, s_m=np.full(count, 20.0), speed=np.zeros(count),
-        var_s=np.full(count, PLACE_M**2), length_m=length,
+        var_s=np.full(count, _PLACE_M**2), length_m=length,
         width_m=width_of(length), length_sigma_m=0.6, p_heavy=float(heavy),
         along_m=along - 20.0, left_m=left,
     )  # fmt: skip
