@@ -1,94 +1,57 @@
-from .base import (
-    CrsError,
-    GisRadarError,
-    InputError,
-    NoAnswerError,
-    OutputError,
-    UsageError,
-    yaw_from_compass,
-)
-from .calibration import check_against_scan, localize, measure_clocks, read_clocks, track
-from .city import City, CityRun, fleet_health, open_city, run_city, write_month_page
-from .dataset import Dataset, match_lanes, measure, open_dataset
-from .demo import run_demo
-from .hdmap import LaneletMap, make_tiles, read_map, read_tiles, write_tiles
-from .live import run_edge, run_fusion
-from .measures import Filters
-from .poses import Pose, PoseTrack, View, read_pose, read_track
-from .products import (
-    MapLabels,
-    compare,
-    make_heatmap,
-    make_traffic,
-    measure_quality,
-    project,
-    publish,
-    publish_city,
-    read_heatmap,
-    write_qgis_project,
-    write_report,
-)
-from .recordings import convert, open_recording
-from .sample import sample_folder
-from .scans import find_sight, mask_road, read_road
-from .site import Site, check_site, read_site, run_site
-
-__all__ = [
-    "City",
-    "CityRun",
-    "CrsError",
-    "Dataset",
-    "Filters",
-    "GisRadarError",
-    "InputError",
-    "LaneletMap",
-    "MapLabels",
-    "NoAnswerError",
-    "OutputError",
-    "Pose",
-    "PoseTrack",
-    "Site",
-    "UsageError",
-    "View",
-    "check_against_scan",
-    "check_site",
-    "compare",
-    "convert",
-    "find_sight",
-    "fleet_health",
-    "localize",
-    "make_heatmap",
-    "make_tiles",
-    "make_traffic",
-    "mask_road",
-    "match_lanes",
-    "measure",
-    "measure_clocks",
-    "measure_quality",
-    "open_city",
-    "open_dataset",
-    "open_recording",
-    "project",
-    "publish",
-    "publish_city",
-    "read_clocks",
-    "read_heatmap",
-    "read_map",
-    "read_pose",
-    "read_road",
-    "read_site",
-    "read_tiles",
-    "read_track",
-    "run_city",
-    "run_demo",
-    "run_edge",
-    "run_fusion",
-    "run_site",
-    "sample_folder",
-    "track",
-    "write_month_page",
-    "write_qgis_project",
-    "write_report",
-    "write_tiles",
-    "yaw_from_compass",
-]
+from .base import CrsError as CrsError
+from .base import GisRadarError as GisRadarError
+from .base import InputError as InputError
+from .base import NoAnswerError as NoAnswerError
+from .base import OutputError as OutputError
+from .base import UsageError as UsageError
+from .base import yaw_from_compass as yaw_from_compass
+from .calibration import check_against_scan as check_against_scan
+from .calibration import localize as localize
+from .calibration import measure_clocks as measure_clocks
+from .calibration import read_clocks as read_clocks
+from .calibration import track as track
+from .city import City as City
+from .city import CityRun as CityRun
+from .city import fleet_health as fleet_health
+from .city import open_city as open_city
+from .city import run_city as run_city
+from .city import write_month_page as write_month_page
+from .dataset import Dataset as Dataset
+from .dataset import match_lanes as match_lanes
+from .dataset import measure as measure
+from .dataset import open_dataset as open_dataset
+from .demo import run_demo as run_demo
+from .hdmap import LaneletMap as LaneletMap
+from .hdmap import make_tiles as make_tiles
+from .hdmap import read_map as read_map
+from .hdmap import read_tiles as read_tiles
+from .hdmap import write_tiles as write_tiles
+from .live import run_edge as run_edge
+from .live import run_fusion as run_fusion
+from .measures import Filters as Filters
+from .poses import Pose as Pose
+from .poses import PoseTrack as PoseTrack
+from .poses import View as View
+from .poses import read_pose as read_pose
+from .poses import read_track as read_track
+from .products import MapLabels as MapLabels
+from .products import compare as compare
+from .products import make_heatmap as make_heatmap
+from .products import make_traffic as make_traffic
+from .products import measure_quality as measure_quality
+from .products import project as project
+from .products import publish as publish
+from .products import publish_city as publish_city
+from .products import read_heatmap as read_heatmap
+from .products import write_qgis_project as write_qgis_project
+from .products import write_report as write_report
+from .recordings import convert as convert
+from .recordings import open_recording as open_recording
+from .sample import sample_folder as sample_folder
+from .scans import find_sight as find_sight
+from .scans import mask_road as mask_road
+from .scans import read_road as read_road
+from .site import Site as Site
+from .site import check_site as check_site
+from .site import read_site as read_site
+from .site import run_site as run_site

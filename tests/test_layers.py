@@ -137,11 +137,10 @@ def test_no_cycle_between_folders_of_a_room():
 
 
 def offered_by(room):
-    """Return the names that a room offers: those in `__all__` of its stub, or of its front."""
+    """Return the names that a room offers: those that its stub imports."""
     stub = PACKAGE / room / "__init__.pyi"
-    text = (stub if stub.exists() else stub.with_suffix(".py")).read_text(encoding="utf-8")
-    lists = [each.value for each in ast.parse(text).body if isinstance(each, ast.Assign)]
-    return {name for each in lists if isinstance(each, ast.List) for name in ast.literal_eval(each)}
+    text = stub.read_text(encoding="utf-8") if stub.exists() else ""
+    return {alias.asname for node in imports_in(text) for alias in node.names}
 
 
 def past_the_front(text, offered=None, *, room=""):

@@ -50,7 +50,7 @@ def other_names(target: str) -> Iterator[str]:
         if thing is None:
             return
         rest = parts[cut + 1 :]
-        for public in gis_radar.__all__:
+        for public in dir(gis_radar):
             if inspect.unwrap(getattr(gis_radar, public)) is thing:  # functions are checked there
                 yield ".".join(["gis_radar", public, *rest])
         if hasattr(thing, "__qualname__"):

@@ -1,316 +1,158 @@
-from .arguments import as_points, checked, require_kinds
-from .arrays import (
-    Booleans,
-    Floats,
-    Integers,
-    compiled,
-    contiguous,
-    give_back_memory,
-    heading_difference,
-    nearest,
-    quotient,
-    ranges,
-)
-from .crs import (
-    Box,
-    bearing_of,
-    looks_like_degrees,
-    metric_crs,
-    name_of,
-    reprojected_box,
-    reprojected_position,
-    require_on_earth,
-    require_same,
-    require_true_scale,
-    same_coordinates,
-    transformer,
-    utm_zone,
-    yaw_from_compass,
-)
-from .csv_rows import csv_rows, stated_moment, text_in
-from .errors import (
-    INSTALL_LOCALIZE,
-    INSTALL_TRAJECTORIES,
-    CrsError,
-    GisRadarError,
-    InputError,
-    NoAnswerError,
-    OutputError,
-    UsageError,
-    first_line,
-    placed,
-)
-from .files import (
-    FILE_DATE,
-    atomic_folder,
-    atomic_write,
-    atomic_writes,
-    folder_to_fill,
-    is_folder_name,
-    only_writer,
-    output_errors,
-    paths_of,
-    refuse_foreign,
-    refuse_inputs,
-    require_folder,
-    scratch_folder,
-    writing_errors,
-)
-from .geopackage import (
-    LayerNotes,
-    add_layer,
-    add_styles,
-    content_digest,
-    copy_saved_styles,
-    describe_layers,
-    opened_package,
-    read_only,
-    style_layers,
-    write_stream,
-)
-from .grid import CELL_M, Grid
-from .json_documents import json_text, parsed_json, read_json
-from .languages import LANGUAGES, class_label, column_title, translated, users_language
-from .notebooks import (
-    FONTS,
-    axes_or_new,
-    card,
-    label_map,
-    label_times,
-    legend_below,
-    picture_file,
-    small_picture,
-    table_card,
-)
-from .parquet import ROWS_IN_GROUP, column_statistics
-from .processes import (
-    OFFLINE,
-    free_address_space,
-    go_offline,
-    interrupt_main_thread,
-    run_child,
-    stop_pool,
-    stop_workers,
-    stopped_by_signals,
-    watch_input,
-    watch_parent,
-    worker_pool,
-    workers_here,
-)
-from .progress import MOST_ERROR_CHARACTERS, QUIET, SILENT, Level, Reporter, one_line, warnings_once
-from .spreadsheets import csv_for, write_csv
-from .steps import (
-    CLOCK_SET_S,
-    CYCLE_HINT,
-    FIRST_YEAR,
-    LAST_YEAR,
-    LONGEST_CYCLE_S,
-    SHORTEST_CYCLE_S,
-    STEP_S,
-    STEP_US,
-    STEPS_PER_HOUR,
-    STEPS_PER_SECOND,
-    TRACK_EVERY_STEPS,
-    UNIX_SECONDS_HINT,
-    Clock,
-    duration_s,
-    gps_seconds,
-    in_known_years,
-    interval_steps,
-    iso_from_step,
-    iso_from_time,
-    localised,
-    long_span,
-    moment_in,
-    seconds_from_iso,
-    step_at,
-    step_begin,
-    step_of,
-    utc_offsets,
-    zone_of,
-)
-from .texts import Text, restored, with_texts
-from .vector_files import read_vector
-from .words import (
-    NO_FIGURE,
-    THIN_SPACE,
-    WINDS,
-    by_number,
-    current_language,
-    decimal,
-    direction,
-    figure_text,
-    in_language,
-    known_language,
-    listed,
-    percent,
-    plural,
-    plus_minus,
-    seconds_text,
-    set_language,
-    street_label,
-    tr,
-    wind_of,
-    with_error,
-)
-
-__all__ = [
-    "CELL_M",
-    "CLOCK_SET_S",
-    "CYCLE_HINT",
-    "FILE_DATE",
-    "FIRST_YEAR",
-    "FONTS",
-    "INSTALL_LOCALIZE",
-    "INSTALL_TRAJECTORIES",
-    "LANGUAGES",
-    "LAST_YEAR",
-    "LONGEST_CYCLE_S",
-    "MOST_ERROR_CHARACTERS",
-    "NO_FIGURE",
-    "OFFLINE",
-    "QUIET",
-    "ROWS_IN_GROUP",
-    "SHORTEST_CYCLE_S",
-    "SILENT",
-    "STEPS_PER_HOUR",
-    "STEPS_PER_SECOND",
-    "STEP_S",
-    "STEP_US",
-    "THIN_SPACE",
-    "TRACK_EVERY_STEPS",
-    "UNIX_SECONDS_HINT",
-    "WINDS",
-    "Booleans",
-    "Box",
-    "Clock",
-    "CrsError",
-    "Floats",
-    "GisRadarError",
-    "Grid",
-    "InputError",
-    "Integers",
-    "LayerNotes",
-    "Level",
-    "NoAnswerError",
-    "OutputError",
-    "Reporter",
-    "Text",
-    "UsageError",
-    "add_layer",
-    "add_styles",
-    "as_points",
-    "atomic_folder",
-    "atomic_write",
-    "atomic_writes",
-    "axes_or_new",
-    "bearing_of",
-    "by_number",
-    "card",
-    "checked",
-    "class_label",
-    "column_statistics",
-    "column_title",
-    "compiled",
-    "content_digest",
-    "contiguous",
-    "copy_saved_styles",
-    "csv_for",
-    "csv_rows",
-    "current_language",
-    "decimal",
-    "describe_layers",
-    "direction",
-    "duration_s",
-    "figure_text",
-    "first_line",
-    "folder_to_fill",
-    "free_address_space",
-    "give_back_memory",
-    "go_offline",
-    "gps_seconds",
-    "heading_difference",
-    "in_known_years",
-    "in_language",
-    "interrupt_main_thread",
-    "interval_steps",
-    "is_folder_name",
-    "iso_from_step",
-    "iso_from_time",
-    "json_text",
-    "known_language",
-    "label_map",
-    "label_times",
-    "legend_below",
-    "listed",
-    "localised",
-    "long_span",
-    "looks_like_degrees",
-    "metric_crs",
-    "moment_in",
-    "name_of",
-    "nearest",
-    "one_line",
-    "only_writer",
-    "opened_package",
-    "output_errors",
-    "parsed_json",
-    "paths_of",
-    "percent",
-    "picture_file",
-    "placed",
-    "plural",
-    "plus_minus",
-    "quotient",
-    "ranges",
-    "read_json",
-    "read_only",
-    "read_vector",
-    "refuse_foreign",
-    "refuse_inputs",
-    "reprojected_box",
-    "reprojected_position",
-    "require_folder",
-    "require_kinds",
-    "require_on_earth",
-    "require_same",
-    "require_true_scale",
-    "restored",
-    "run_child",
-    "same_coordinates",
-    "scratch_folder",
-    "seconds_from_iso",
-    "seconds_text",
-    "set_language",
-    "small_picture",
-    "stated_moment",
-    "step_at",
-    "step_begin",
-    "step_of",
-    "stop_pool",
-    "stop_workers",
-    "stopped_by_signals",
-    "street_label",
-    "style_layers",
-    "table_card",
-    "text_in",
-    "tr",
-    "transformer",
-    "translated",
-    "users_language",
-    "utc_offsets",
-    "utm_zone",
-    "warnings_once",
-    "watch_input",
-    "watch_parent",
-    "wind_of",
-    "with_error",
-    "with_texts",
-    "worker_pool",
-    "workers_here",
-    "write_csv",
-    "write_stream",
-    "writing_errors",
-    "yaw_from_compass",
-    "zone_of",
-]
+from .arguments import as_points as as_points
+from .arguments import checked as checked
+from .arguments import require_kinds as require_kinds
+from .arrays import Booleans as Booleans
+from .arrays import Floats as Floats
+from .arrays import Integers as Integers
+from .arrays import compiled as compiled
+from .arrays import contiguous as contiguous
+from .arrays import give_back_memory as give_back_memory
+from .arrays import heading_difference as heading_difference
+from .arrays import nearest as nearest
+from .arrays import quotient as quotient
+from .arrays import ranges as ranges
+from .crs import Box as Box
+from .crs import bearing_of as bearing_of
+from .crs import looks_like_degrees as looks_like_degrees
+from .crs import metric_crs as metric_crs
+from .crs import name_of as name_of
+from .crs import reprojected_box as reprojected_box
+from .crs import reprojected_position as reprojected_position
+from .crs import require_on_earth as require_on_earth
+from .crs import require_same as require_same
+from .crs import require_true_scale as require_true_scale
+from .crs import same_coordinates as same_coordinates
+from .crs import transformer as transformer
+from .crs import utm_zone as utm_zone
+from .crs import yaw_from_compass as yaw_from_compass
+from .csv_rows import csv_rows as csv_rows
+from .csv_rows import stated_moment as stated_moment
+from .csv_rows import text_in as text_in
+from .errors import INSTALL_LOCALIZE as INSTALL_LOCALIZE
+from .errors import INSTALL_TRAJECTORIES as INSTALL_TRAJECTORIES
+from .errors import CrsError as CrsError
+from .errors import GisRadarError as GisRadarError
+from .errors import InputError as InputError
+from .errors import NoAnswerError as NoAnswerError
+from .errors import OutputError as OutputError
+from .errors import UsageError as UsageError
+from .errors import first_line as first_line
+from .errors import placed as placed
+from .files import FILE_DATE as FILE_DATE
+from .files import atomic_folder as atomic_folder
+from .files import atomic_write as atomic_write
+from .files import atomic_writes as atomic_writes
+from .files import folder_to_fill as folder_to_fill
+from .files import is_folder_name as is_folder_name
+from .files import only_writer as only_writer
+from .files import output_errors as output_errors
+from .files import paths_of as paths_of
+from .files import refuse_foreign as refuse_foreign
+from .files import refuse_inputs as refuse_inputs
+from .files import require_folder as require_folder
+from .files import scratch_folder as scratch_folder
+from .files import writing_errors as writing_errors
+from .geopackage import LayerNotes as LayerNotes
+from .geopackage import add_layer as add_layer
+from .geopackage import add_styles as add_styles
+from .geopackage import content_digest as content_digest
+from .geopackage import copy_saved_styles as copy_saved_styles
+from .geopackage import describe_layers as describe_layers
+from .geopackage import opened_package as opened_package
+from .geopackage import read_only as read_only
+from .geopackage import style_layers as style_layers
+from .geopackage import write_stream as write_stream
+from .grid import CELL_M as CELL_M
+from .grid import Grid as Grid
+from .json_documents import json_text as json_text
+from .json_documents import parsed_json as parsed_json
+from .json_documents import read_json as read_json
+from .languages import LANGUAGES as LANGUAGES
+from .languages import class_label as class_label
+from .languages import column_title as column_title
+from .languages import translated as translated
+from .languages import users_language as users_language
+from .notebooks import FONTS as FONTS
+from .notebooks import axes_or_new as axes_or_new
+from .notebooks import card as card
+from .notebooks import label_map as label_map
+from .notebooks import label_times as label_times
+from .notebooks import legend_below as legend_below
+from .notebooks import picture_file as picture_file
+from .notebooks import small_picture as small_picture
+from .notebooks import table_card as table_card
+from .parquet import ROWS_IN_GROUP as ROWS_IN_GROUP
+from .parquet import column_statistics as column_statistics
+from .processes import OFFLINE as OFFLINE
+from .processes import free_address_space as free_address_space
+from .processes import go_offline as go_offline
+from .processes import interrupt_main_thread as interrupt_main_thread
+from .processes import run_child as run_child
+from .processes import stop_pool as stop_pool
+from .processes import stop_workers as stop_workers
+from .processes import stopped_by_signals as stopped_by_signals
+from .processes import watch_input as watch_input
+from .processes import watch_parent as watch_parent
+from .processes import worker_pool as worker_pool
+from .processes import workers_here as workers_here
+from .progress import MOST_ERROR_CHARACTERS as MOST_ERROR_CHARACTERS
+from .progress import QUIET as QUIET
+from .progress import SILENT as SILENT
+from .progress import Level as Level
+from .progress import Reporter as Reporter
+from .progress import one_line as one_line
+from .progress import warnings_once as warnings_once
+from .spreadsheets import csv_for as csv_for
+from .spreadsheets import write_csv as write_csv
+from .steps import CLOCK_SET_S as CLOCK_SET_S
+from .steps import CYCLE_HINT as CYCLE_HINT
+from .steps import FIRST_YEAR as FIRST_YEAR
+from .steps import LAST_YEAR as LAST_YEAR
+from .steps import LONGEST_CYCLE_S as LONGEST_CYCLE_S
+from .steps import SHORTEST_CYCLE_S as SHORTEST_CYCLE_S
+from .steps import STEP_S as STEP_S
+from .steps import STEP_US as STEP_US
+from .steps import STEPS_PER_HOUR as STEPS_PER_HOUR
+from .steps import STEPS_PER_SECOND as STEPS_PER_SECOND
+from .steps import TRACK_EVERY_STEPS as TRACK_EVERY_STEPS
+from .steps import UNIX_SECONDS_HINT as UNIX_SECONDS_HINT
+from .steps import Clock as Clock
+from .steps import duration_s as duration_s
+from .steps import gps_seconds as gps_seconds
+from .steps import in_known_years as in_known_years
+from .steps import interval_steps as interval_steps
+from .steps import iso_from_step as iso_from_step
+from .steps import iso_from_time as iso_from_time
+from .steps import localised as localised
+from .steps import long_span as long_span
+from .steps import moment_in as moment_in
+from .steps import seconds_from_iso as seconds_from_iso
+from .steps import step_at as step_at
+from .steps import step_begin as step_begin
+from .steps import step_of as step_of
+from .steps import utc_offsets as utc_offsets
+from .steps import zone_of as zone_of
+from .texts import Text as Text
+from .texts import restored as restored
+from .texts import with_texts as with_texts
+from .vector_files import read_vector as read_vector
+from .words import NO_FIGURE as NO_FIGURE
+from .words import THIN_SPACE as THIN_SPACE
+from .words import WINDS as WINDS
+from .words import by_number as by_number
+from .words import current_language as current_language
+from .words import decimal as decimal
+from .words import direction as direction
+from .words import figure_text as figure_text
+from .words import in_language as in_language
+from .words import known_language as known_language
+from .words import listed as listed
+from .words import percent as percent
+from .words import plural as plural
+from .words import plus_minus as plus_minus
+from .words import seconds_text as seconds_text
+from .words import set_language as set_language
+from .words import street_label as street_label
+from .words import tr as tr
+from .words import wind_of as wind_of
+from .words import with_error as with_error

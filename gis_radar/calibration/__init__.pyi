@@ -1,77 +1,45 @@
-from .check.evidence import LaneMap
-from .check.plausibility import RecordedSensor, check_plausibility, check_recordings
-from .findings import (
-    FITS,
-    HEADS,
-    SENSOR_STATES,
-    UNKNOWN,
-    WRONG,
-    Finding,
-    HealthState,
-    ImplausibleError,
-    concerns_clocks,
-    is_record,
-    refuse_implausible,
-)
-from .monitoring.kalman_filter import CYCLE_S, DRIFT
-from .monitoring.monitor import LOST_S, Follower, start_estimate, track
-from .monitoring.pose_track import MOVED, Track, track_of
-from .monitoring.windows import WindowFitter
-from .range_scale import measure_range_scale
-from .scan.scan_check import check_against_scan, require_scans_near
-from .scan.scan_check_result import ScanCheck
-from .several.joint import JointCalibration, adjust_poses, gain_line, localize_together
-from .several.network import CLASH_HINT, Solved
-from .single.localization import localize
-from .single.result import AmbiguousError, Localization, Problem
-from .timing.clocks import Clocks, SensorClock, measure_clocks, read_clocks
-from .timing.lane_detections import lanelets_of
-from .unit_mistakes import RangeScale
-
-__all__ = [
-    "CLASH_HINT",
-    "CYCLE_S",
-    "DRIFT",
-    "FITS",
-    "HEADS",
-    "LOST_S",
-    "MOVED",
-    "SENSOR_STATES",
-    "UNKNOWN",
-    "WRONG",
-    "AmbiguousError",
-    "Clocks",
-    "Finding",
-    "Follower",
-    "HealthState",
-    "ImplausibleError",
-    "JointCalibration",
-    "LaneMap",
-    "Localization",
-    "Problem",
-    "RangeScale",
-    "RecordedSensor",
-    "ScanCheck",
-    "SensorClock",
-    "Solved",
-    "Track",
-    "WindowFitter",
-    "adjust_poses",
-    "check_against_scan",
-    "check_plausibility",
-    "check_recordings",
-    "concerns_clocks",
-    "gain_line",
-    "is_record",
-    "lanelets_of",
-    "localize",
-    "localize_together",
-    "measure_clocks",
-    "measure_range_scale",
-    "read_clocks",
-    "refuse_implausible",
-    "require_scans_near",
-    "start_estimate",
-    "track",
-    "track_of",
-]
+from .check.evidence import LaneMap as LaneMap
+from .check.plausibility import RecordedSensor as RecordedSensor
+from .check.plausibility import check_plausibility as check_plausibility
+from .check.plausibility import check_recordings as check_recordings
+from .findings import FITS as FITS
+from .findings import HEADS as HEADS
+from .findings import SENSOR_STATES as SENSOR_STATES
+from .findings import UNKNOWN as UNKNOWN
+from .findings import WRONG as WRONG
+from .findings import Finding as Finding
+from .findings import HealthState as HealthState
+from .findings import ImplausibleError as ImplausibleError
+from .findings import concerns_clocks as concerns_clocks
+from .findings import is_record as is_record
+from .findings import refuse_implausible as refuse_implausible
+from .monitoring.kalman_filter import CYCLE_S as CYCLE_S
+from .monitoring.kalman_filter import DRIFT as DRIFT
+from .monitoring.monitor import LOST_S as LOST_S
+from .monitoring.monitor import Follower as Follower
+from .monitoring.monitor import start_estimate as start_estimate
+from .monitoring.monitor import track as track
+from .monitoring.pose_track import MOVED as MOVED
+from .monitoring.pose_track import Track as Track
+from .monitoring.pose_track import track_of as track_of
+from .monitoring.windows import WindowFitter as WindowFitter
+from .range_scale import measure_range_scale as measure_range_scale
+from .scan.scan_check import check_against_scan as check_against_scan
+from .scan.scan_check import require_scans_near as require_scans_near
+from .scan.scan_check_result import ScanCheck as ScanCheck
+from .several.joint import JointCalibration as JointCalibration
+from .several.joint import adjust_poses as adjust_poses
+from .several.joint import gain_line as gain_line
+from .several.joint import localize_together as localize_together
+from .several.network import CLASH_HINT as CLASH_HINT
+from .several.network import Solved as Solved
+from .single.localization import localize as localize
+from .single.result import AmbiguousError as AmbiguousError
+from .single.result import Localization as Localization
+from .single.result import Problem as Problem
+from .timing.clocks import Clocks as Clocks
+from .timing.clocks import SensorClock as SensorClock
+from .timing.clocks import measure_clocks as measure_clocks
+from .timing.clocks import read_clocks as read_clocks
+from .timing.lane_detections import lanelets_of as lanelets_of
+from .unit_mistakes import RangeScale as RangeScale

@@ -1,114 +1,66 @@
-from .dataset import Dataset, open_dataset
-from .days.asked_time import Holidays, day_numbers
-from .days.lane_measures import LaneTraffic
-from .days.rollups import RollUps
-from .days.tables import STEPS_PER_QUARTER
-from .days.tile_counts import TileCounts, count_spans, run_variance
-from .files.manifest import Manifest, create_dataset, require_same_settings, require_same_site
-from .files.parts import (
-    Origin,
-    clear_unfinished,
-    hour_begin,
-    hour_of_step,
-    hour_text,
-    part_path,
-    replacing,
-    sync_folder,
-    write_single_file,
-)
-from .files.records import (
-    HourRecord,
-    HourWriter,
-    listed_hours,
-    read_hour,
-    read_hours,
-    read_rows,
-    record_path,
-    write_record,
-)
-from .files.schema import TableSchema
-from .files.sites import site_folder, site_folders, warn_of_copies
-from .files.source import Moment, NoVehiclesError
-from .files.tables import FRAMES, PASSAGES, POSES, RECORDINGS, TILE_COUNTS
-from .hours.job import MeasureSettings
-from .hours.making import OpenHours, open_hours, update_days
-from .hours.registered import make_registered
-from .lane_matching import match_lanes, write_lane_matches
-from .measuring import manifest_of, measure
-from .questions.profiles import NotMeasuredError, measured_span
-from .questions.sql import SqlQueries
-from .questions.street_profile import By, UnknownStreetError
-from .questions.views import catalogue_of
-from .traffic.reader import stated_lanes
-from .traffic.shifts import Shifts, chance_of_others, lanes_beside, shifts_of
-from .vehicles.footprints import FOOTPRINTS, SHOWN_S, footprint_style
-from .vehicles.states import states_of
-
-__all__ = [
-    "FOOTPRINTS",
-    "FRAMES",
-    "PASSAGES",
-    "POSES",
-    "RECORDINGS",
-    "SHOWN_S",
-    "STEPS_PER_QUARTER",
-    "TILE_COUNTS",
-    "By",
-    "Dataset",
-    "Holidays",
-    "HourRecord",
-    "HourWriter",
-    "LaneTraffic",
-    "Manifest",
-    "MeasureSettings",
-    "Moment",
-    "NoVehiclesError",
-    "NotMeasuredError",
-    "OpenHours",
-    "Origin",
-    "RollUps",
-    "Shifts",
-    "SqlQueries",
-    "TableSchema",
-    "TileCounts",
-    "UnknownStreetError",
-    "catalogue_of",
-    "chance_of_others",
-    "clear_unfinished",
-    "count_spans",
-    "create_dataset",
-    "day_numbers",
-    "footprint_style",
-    "hour_begin",
-    "hour_of_step",
-    "hour_text",
-    "lanes_beside",
-    "listed_hours",
-    "make_registered",
-    "manifest_of",
-    "match_lanes",
-    "measure",
-    "measured_span",
-    "open_dataset",
-    "open_hours",
-    "part_path",
-    "read_hour",
-    "read_hours",
-    "read_rows",
-    "record_path",
-    "replacing",
-    "require_same_settings",
-    "require_same_site",
-    "run_variance",
-    "shifts_of",
-    "site_folder",
-    "site_folders",
-    "stated_lanes",
-    "states_of",
-    "sync_folder",
-    "update_days",
-    "warn_of_copies",
-    "write_lane_matches",
-    "write_record",
-    "write_single_file",
-]
+from .dataset import Dataset as Dataset
+from .dataset import open_dataset as open_dataset
+from .days.asked_time import Holidays as Holidays
+from .days.asked_time import day_numbers as day_numbers
+from .days.lane_measures import LaneTraffic as LaneTraffic
+from .days.rollups import RollUps as RollUps
+from .days.tables import STEPS_PER_QUARTER as STEPS_PER_QUARTER
+from .days.tile_counts import TileCounts as TileCounts
+from .days.tile_counts import count_spans as count_spans
+from .days.tile_counts import run_variance as run_variance
+from .files.manifest import Manifest as Manifest
+from .files.manifest import create_dataset as create_dataset
+from .files.manifest import require_same_settings as require_same_settings
+from .files.manifest import require_same_site as require_same_site
+from .files.parts import Origin as Origin
+from .files.parts import clear_unfinished as clear_unfinished
+from .files.parts import hour_begin as hour_begin
+from .files.parts import hour_of_step as hour_of_step
+from .files.parts import hour_text as hour_text
+from .files.parts import part_path as part_path
+from .files.parts import replacing as replacing
+from .files.parts import sync_folder as sync_folder
+from .files.parts import write_single_file as write_single_file
+from .files.records import HourRecord as HourRecord
+from .files.records import HourWriter as HourWriter
+from .files.records import listed_hours as listed_hours
+from .files.records import read_hour as read_hour
+from .files.records import read_hours as read_hours
+from .files.records import read_rows as read_rows
+from .files.records import record_path as record_path
+from .files.records import write_record as write_record
+from .files.schema import TableSchema as TableSchema
+from .files.sites import site_folder as site_folder
+from .files.sites import site_folders as site_folders
+from .files.sites import warn_of_copies as warn_of_copies
+from .files.source import Moment as Moment
+from .files.source import NoVehiclesError as NoVehiclesError
+from .files.tables import FRAMES as FRAMES
+from .files.tables import PASSAGES as PASSAGES
+from .files.tables import POSES as POSES
+from .files.tables import RECORDINGS as RECORDINGS
+from .files.tables import TILE_COUNTS as TILE_COUNTS
+from .hours.job import MeasureSettings as MeasureSettings
+from .hours.making import OpenHours as OpenHours
+from .hours.making import open_hours as open_hours
+from .hours.making import update_days as update_days
+from .hours.registered import make_registered as make_registered
+from .lane_matching import match_lanes as match_lanes
+from .lane_matching import write_lane_matches as write_lane_matches
+from .measuring import manifest_of as manifest_of
+from .measuring import measure as measure
+from .questions.profiles import NotMeasuredError as NotMeasuredError
+from .questions.profiles import measured_span as measured_span
+from .questions.sql import SqlQueries as SqlQueries
+from .questions.street_profile import By as By
+from .questions.street_profile import UnknownStreetError as UnknownStreetError
+from .questions.views import catalogue_of as catalogue_of
+from .traffic.reader import stated_lanes as stated_lanes
+from .traffic.shifts import Shifts as Shifts
+from .traffic.shifts import chance_of_others as chance_of_others
+from .traffic.shifts import lanes_beside as lanes_beside
+from .traffic.shifts import shifts_of as shifts_of
+from .vehicles.footprints import FOOTPRINTS as FOOTPRINTS
+from .vehicles.footprints import SHOWN_S as SHOWN_S
+from .vehicles.footprints import footprint_style as footprint_style
+from .vehicles.states import states_of as states_of

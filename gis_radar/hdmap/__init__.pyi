@@ -1,81 +1,45 @@
-from .bounds import CannotMendError, at_fractions, bound_length, rungs, slices, sound, sound_rungs
-from .graph import LANE_MARGIN_M, FieldArrays, LaneGraph, lane_graph, lanes_at
-from .lanelet_map import LaneletMap
-from .lanes import (
-    LANE_EXIT_M,
-    LANES_LAYER,
-    STOP_LINES_LAYER,
-    chain_lanelets,
-    joining,
-    lane_style,
-    turn_word,
-)
-from .mending import outline
-from .osm import read_osm
-from .reader import read_map
-from .tagging import ON_FOOT_OR_BICYCLE, is_driven
-from .tile_lanes import Lane, lanes_of
-from .tile_lookup import Numbers, TileCells, TileGrid, cell_at, is_inside
-from .tiles import (
-    LANE_COLUMN,
-    SAME_LEVEL_M,
-    TILE_COLUMNS,
-    TILE_FIELDS,
-    TILES_LAYER,
-    fingerprint,
-    make_tiles,
-    own_columns,
-    polygons,
-    quads,
-    read_tiles,
-    require_tiles,
-    write_tiles,
-)
-
-__all__ = [
-    "LANES_LAYER",
-    "LANE_COLUMN",
-    "LANE_EXIT_M",
-    "LANE_MARGIN_M",
-    "ON_FOOT_OR_BICYCLE",
-    "SAME_LEVEL_M",
-    "STOP_LINES_LAYER",
-    "TILES_LAYER",
-    "TILE_COLUMNS",
-    "TILE_FIELDS",
-    "CannotMendError",
-    "FieldArrays",
-    "Lane",
-    "LaneGraph",
-    "LaneletMap",
-    "Numbers",
-    "TileCells",
-    "TileGrid",
-    "at_fractions",
-    "bound_length",
-    "cell_at",
-    "chain_lanelets",
-    "fingerprint",
-    "is_driven",
-    "is_inside",
-    "joining",
-    "lane_graph",
-    "lane_style",
-    "lanes_at",
-    "lanes_of",
-    "make_tiles",
-    "outline",
-    "own_columns",
-    "polygons",
-    "quads",
-    "read_map",
-    "read_osm",
-    "read_tiles",
-    "require_tiles",
-    "rungs",
-    "slices",
-    "sound",
-    "sound_rungs",
-    "turn_word",
-    "write_tiles",
-]
+from .bounds import CannotMendError as CannotMendError
+from .bounds import at_fractions as at_fractions
+from .bounds import bound_length as bound_length
+from .bounds import rungs as rungs
+from .bounds import slices as slices
+from .bounds import sound as sound
+from .bounds import sound_rungs as sound_rungs
+from .graph import LANE_MARGIN_M as LANE_MARGIN_M
+from .graph import FieldArrays as FieldArrays
+from .graph import LaneGraph as LaneGraph
+from .graph import lane_graph as lane_graph
+from .graph import lanes_at as lanes_at
+from .lanelet_map import LaneletMap as LaneletMap
+from .lanes import LANE_EXIT_M as LANE_EXIT_M
+from .lanes import LANES_LAYER as LANES_LAYER
+from .lanes import STOP_LINES_LAYER as STOP_LINES_LAYER
+from .lanes import chain_lanelets as chain_lanelets
+from .lanes import joining as joining
+from .lanes import lane_style as lane_style
+from .lanes import turn_word as turn_word
+from .mending import outline as outline
+from .osm import read_osm as read_osm
+from .reader import read_map as read_map
+from .tagging import ON_FOOT_OR_BICYCLE as ON_FOOT_OR_BICYCLE
+from .tagging import is_driven as is_driven
+from .tile_lanes import Lane as Lane
+from .tile_lanes import lanes_of as lanes_of
+from .tile_lookup import Numbers as Numbers
+from .tile_lookup import TileCells as TileCells
+from .tile_lookup import TileGrid as TileGrid
+from .tile_lookup import cell_at as cell_at
+from .tile_lookup import is_inside as is_inside
+from .tiles import LANE_COLUMN as LANE_COLUMN
+from .tiles import SAME_LEVEL_M as SAME_LEVEL_M
+from .tiles import TILE_COLUMNS as TILE_COLUMNS
+from .tiles import TILE_FIELDS as TILE_FIELDS
+from .tiles import TILES_LAYER as TILES_LAYER
+from .tiles import fingerprint as fingerprint
+from .tiles import make_tiles as make_tiles
+from .tiles import own_columns as own_columns
+from .tiles import polygons as polygons
+from .tiles import quads as quads
+from .tiles import read_tiles as read_tiles
+from .tiles import require_tiles as require_tiles
+from .tiles import write_tiles as write_tiles

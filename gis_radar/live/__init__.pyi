@@ -1,86 +1,48 @@
-from .edge import Edge, run_edge
-from .fusion import Fusion, run_fusion
-from .health import SensorHealth, prometheus_text
-from .hours.quarters import QuarterMeasures
-from .hours.recent import RecentCounts
-from .hours.recordings import (
-    HOUR_OFFSET_US,
-    HOUR_US,
-    join_parts,
-    make_parts,
-    recording_path,
-    waiting_hours,
-)
-from .hours.spool import Spool, SpooledFrames, SpoolFile, spool_files
-from .intake import Intake
-from .now.map_of_now import MapOfNow, Windows
-from .served.page import make_app
-from .served.snapshot import Place, Snapshot
-from .web_server import WebServer
-from .wire.broker import BrokerAddress, Link, Received, SensorTopics
-from .wire.broker_files import write_broker_files
-from .wire.buffer import DiskBuffer
-from .wire.detections import DetectionSelector, FrameDetections, pack_detections, unpack_detections
-from .wire.outbox import Outbox
-from .wire.payload import (
-    Acknowledgement,
-    Envelope,
-    PoseContent,
-    check_of,
-    key_of_pose,
-    pack_message,
-    unpack_message,
-)
-from .wire.settings import edge_template, read_edge_file, read_live_site
-from .wire.sources import Radar, frames_of_recording
-
-__all__ = [
-    "HOUR_OFFSET_US",
-    "HOUR_US",
-    "Acknowledgement",
-    "BrokerAddress",
-    "DetectionSelector",
-    "DiskBuffer",
-    "Edge",
-    "Envelope",
-    "FrameDetections",
-    "Fusion",
-    "Intake",
-    "Link",
-    "MapOfNow",
-    "Outbox",
-    "Place",
-    "PoseContent",
-    "QuarterMeasures",
-    "Radar",
-    "Received",
-    "RecentCounts",
-    "SensorHealth",
-    "SensorTopics",
-    "Snapshot",
-    "Spool",
-    "SpoolFile",
-    "SpooledFrames",
-    "WebServer",
-    "Windows",
-    "check_of",
-    "edge_template",
-    "frames_of_recording",
-    "join_parts",
-    "key_of_pose",
-    "make_app",
-    "make_parts",
-    "pack_detections",
-    "pack_message",
-    "prometheus_text",
-    "read_edge_file",
-    "read_live_site",
-    "recording_path",
-    "run_edge",
-    "run_fusion",
-    "spool_files",
-    "unpack_detections",
-    "unpack_message",
-    "waiting_hours",
-    "write_broker_files",
-]
+from .edge import Edge as Edge
+from .edge import run_edge as run_edge
+from .fusion import Fusion as Fusion
+from .fusion import run_fusion as run_fusion
+from .health import SensorHealth as SensorHealth
+from .health import prometheus_text as prometheus_text
+from .hours.quarters import QuarterMeasures as QuarterMeasures
+from .hours.recent import RecentCounts as RecentCounts
+from .hours.recordings import HOUR_OFFSET_US as HOUR_OFFSET_US
+from .hours.recordings import HOUR_US as HOUR_US
+from .hours.recordings import join_parts as join_parts
+from .hours.recordings import make_parts as make_parts
+from .hours.recordings import recording_path as recording_path
+from .hours.recordings import waiting_hours as waiting_hours
+from .hours.spool import Spool as Spool
+from .hours.spool import SpooledFrames as SpooledFrames
+from .hours.spool import SpoolFile as SpoolFile
+from .hours.spool import spool_files as spool_files
+from .intake import Intake as Intake
+from .now.map_of_now import MapOfNow as MapOfNow
+from .now.map_of_now import Windows as Windows
+from .served.page import make_app as make_app
+from .served.snapshot import Place as Place
+from .served.snapshot import Snapshot as Snapshot
+from .web_server import WebServer as WebServer
+from .wire.broker import BrokerAddress as BrokerAddress
+from .wire.broker import Link as Link
+from .wire.broker import Received as Received
+from .wire.broker import SensorTopics as SensorTopics
+from .wire.broker_files import write_broker_files as write_broker_files
+from .wire.buffer import DiskBuffer as DiskBuffer
+from .wire.detections import DetectionSelector as DetectionSelector
+from .wire.detections import FrameDetections as FrameDetections
+from .wire.detections import pack_detections as pack_detections
+from .wire.detections import unpack_detections as unpack_detections
+from .wire.outbox import Outbox as Outbox
+from .wire.payload import Acknowledgement as Acknowledgement
+from .wire.payload import Envelope as Envelope
+from .wire.payload import PoseContent as PoseContent
+from .wire.payload import check_of as check_of
+from .wire.payload import key_of_pose as key_of_pose
+from .wire.payload import pack_message as pack_message
+from .wire.payload import unpack_message as unpack_message
+from .wire.settings import edge_template as edge_template
+from .wire.settings import read_edge_file as read_edge_file
+from .wire.settings import read_live_site as read_live_site
+from .wire.sources import Radar as Radar
+from .wire.sources import frames_of_recording as frames_of_recording

@@ -1,110 +1,65 @@
-from .cycles import Cycle, Greens, cycles
-from .differences import INTERVALS, LEVEL, compare_values, holm_corrected
-from .filters import Filters
-from .frame_hash import HashedFrames
-from .frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
-from .headways import Headways, headways
-from .hit_counter import FrameCounter
-from .hour import HOUR_MARGIN_STEPS, LONGEST_VALID_STEPS, HourWindow
-from .hour_hits import ValidFrames, frame_columns, observed_runs, sorted_hits, valid_runs
-from .lane_fronts import FrontStates, StepGrid, TrackedLanes, VehicleTable, VisibleRuns
-from .lane_measures import (
-    LEAST_VISIBLE_SHARE,
-    SPEED_CLASS_KMH,
-    SPEED_CLASSES,
-    Measured,
-    TileSteps,
-    measure_lanes,
-)
-from .lane_names import TURN_WORDS, bound_name, lane_directions, lane_names, place_on, turn_lines
-from .lane_network import LaneNetwork
-from .placing import PoseNumbers
-from .pose_sights import (
-    PlacedRecording,
-    PoseSight,
-    SightBook,
-    digest_of_sights,
-    pose_names,
-    road_near,
-    sight_of_tiles,
-    sight_owners,
-)
-from .queues import JOINED_M, QueueCourse, queue_course
-from .sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
-from .validity import (
-    CYCLES_VALID,
-    VALIDITY_S,
-    FrameTimes,
-    Runs,
-    union_of_runs,
-    valid_steps,
-    validity_of,
-)
-
-__all__ = [
-    "CYCLES_VALID",
-    "HOUR_MARGIN_STEPS",
-    "INTERVALS",
-    "JOINED_M",
-    "LEAST_VISIBLE_SHARE",
-    "LEVEL",
-    "LONGEST_VALID_STEPS",
-    "NO_FURTHER",
-    "SPEED_CLASSES",
-    "SPEED_CLASS_KMH",
-    "TURN_WORDS",
-    "VALIDITY_S",
-    "Cycle",
-    "Filters",
-    "FrameCounter",
-    "FrameIndex",
-    "FrameTimes",
-    "FrontStates",
-    "Greens",
-    "HashedFrames",
-    "Headways",
-    "HitTarget",
-    "HourWindow",
-    "LaneNetwork",
-    "Measured",
-    "PlacedRecording",
-    "PoseNumbers",
-    "PoseSight",
-    "QueueCourse",
-    "RecordingCounts",
-    "Runs",
-    "SensorHour",
-    "SightBook",
-    "StepGrid",
-    "TileSteps",
-    "TrackedLanes",
-    "ValidFrames",
-    "VehicleTable",
-    "VisibleRuns",
-    "bound_name",
-    "compare_values",
-    "cycles",
-    "digest_of_sights",
-    "frame_columns",
-    "headways",
-    "holm_corrected",
-    "lane_directions",
-    "lane_names",
-    "measure_lanes",
-    "observed_runs",
-    "place_on",
-    "pose_names",
-    "queue_course",
-    "read_sensor",
-    "road_near",
-    "rows_of",
-    "sight_of_tiles",
-    "sight_owners",
-    "sorted_hits",
-    "turn_lines",
-    "union_of_runs",
-    "valid_runs",
-    "valid_steps",
-    "validity_of",
-    "whole_frames",
-]
+from .cycles import Cycle as Cycle
+from .cycles import Greens as Greens
+from .cycles import cycles as cycles
+from .differences import INTERVALS as INTERVALS
+from .differences import LEVEL as LEVEL
+from .differences import compare_values as compare_values
+from .differences import holm_corrected as holm_corrected
+from .filters import Filters as Filters
+from .frame_hash import HashedFrames as HashedFrames
+from .frames import NO_FURTHER as NO_FURTHER
+from .frames import FrameIndex as FrameIndex
+from .frames import rows_of as rows_of
+from .frames import whole_frames as whole_frames
+from .headways import Headways as Headways
+from .headways import headways as headways
+from .hit_counter import FrameCounter as FrameCounter
+from .hour import HOUR_MARGIN_STEPS as HOUR_MARGIN_STEPS
+from .hour import LONGEST_VALID_STEPS as LONGEST_VALID_STEPS
+from .hour import HourWindow as HourWindow
+from .hour_hits import ValidFrames as ValidFrames
+from .hour_hits import frame_columns as frame_columns
+from .hour_hits import observed_runs as observed_runs
+from .hour_hits import sorted_hits as sorted_hits
+from .hour_hits import valid_runs as valid_runs
+from .lane_fronts import FrontStates as FrontStates
+from .lane_fronts import StepGrid as StepGrid
+from .lane_fronts import TrackedLanes as TrackedLanes
+from .lane_fronts import VehicleTable as VehicleTable
+from .lane_fronts import VisibleRuns as VisibleRuns
+from .lane_measures import LEAST_VISIBLE_SHARE as LEAST_VISIBLE_SHARE
+from .lane_measures import SPEED_CLASS_KMH as SPEED_CLASS_KMH
+from .lane_measures import SPEED_CLASSES as SPEED_CLASSES
+from .lane_measures import Measured as Measured
+from .lane_measures import TileSteps as TileSteps
+from .lane_measures import measure_lanes as measure_lanes
+from .lane_names import TURN_WORDS as TURN_WORDS
+from .lane_names import bound_name as bound_name
+from .lane_names import lane_directions as lane_directions
+from .lane_names import lane_names as lane_names
+from .lane_names import place_on as place_on
+from .lane_names import turn_lines as turn_lines
+from .lane_network import LaneNetwork as LaneNetwork
+from .placing import PoseNumbers as PoseNumbers
+from .pose_sights import PlacedRecording as PlacedRecording
+from .pose_sights import PoseSight as PoseSight
+from .pose_sights import SightBook as SightBook
+from .pose_sights import digest_of_sights as digest_of_sights
+from .pose_sights import pose_names as pose_names
+from .pose_sights import road_near as road_near
+from .pose_sights import sight_of_tiles as sight_of_tiles
+from .pose_sights import sight_owners as sight_owners
+from .queues import JOINED_M as JOINED_M
+from .queues import QueueCourse as QueueCourse
+from .queues import queue_course as queue_course
+from .sensor_reading import HitTarget as HitTarget
+from .sensor_reading import RecordingCounts as RecordingCounts
+from .sensor_reading import SensorHour as SensorHour
+from .sensor_reading import read_sensor as read_sensor
+from .validity import CYCLES_VALID as CYCLES_VALID
+from .validity import VALIDITY_S as VALIDITY_S
+from .validity import FrameTimes as FrameTimes
+from .validity import Runs as Runs
+from .validity import union_of_runs as union_of_runs
+from .validity import valid_steps as valid_steps
+from .validity import validity_of as validity_of

@@ -1,28 +1,21 @@
-from .evidence import COMPONENTS, Evidence
-from .files import DECIMALS, PoseTrack, as_pose, as_track, as_tracks, read_pose, read_track
-from .layers import SENSORS, UNCERTAINTY, VIEWS, read_style, write_sensors
-from .pose import ANGLES, POSITION, Pose, View, draw_sensor, ellipse, pose_from_dict
-
-__all__ = [
-    "ANGLES",
-    "COMPONENTS",
-    "DECIMALS",
-    "POSITION",
-    "SENSORS",
-    "UNCERTAINTY",
-    "VIEWS",
-    "Evidence",
-    "Pose",
-    "PoseTrack",
-    "View",
-    "as_pose",
-    "as_track",
-    "as_tracks",
-    "draw_sensor",
-    "ellipse",
-    "pose_from_dict",
-    "read_pose",
-    "read_style",
-    "read_track",
-    "write_sensors",
-]
+from .evidence import COMPONENTS as COMPONENTS
+from .evidence import Evidence as Evidence
+from .files import DECIMALS as DECIMALS
+from .files import PoseTrack as PoseTrack
+from .files import as_pose as as_pose
+from .files import as_track as as_track
+from .files import as_tracks as as_tracks
+from .files import read_pose as read_pose
+from .files import read_track as read_track
+from .layers import SENSORS as SENSORS
+from .layers import UNCERTAINTY as UNCERTAINTY
+from .layers import VIEWS as VIEWS
+from .layers import read_style as read_style
+from .layers import write_sensors as write_sensors
+from .pose import ANGLES as ANGLES
+from .pose import POSITION as POSITION
+from .pose import Pose as Pose
+from .pose import View as View
+from .pose import draw_sensor as draw_sensor
+from .pose import ellipse as ellipse
+from .pose import pose_from_dict as pose_from_dict

@@ -1,77 +1,52 @@
-from .comparison.comparison import compare
-from .comparison.result import Comparison, change_rows
-from .comparison.rows import NOT_TOLD, with_verdicts
-from .heatmap.by_lane import lane_totals, lanes_with_tiles
-from .heatmap.heatmap import HeatMap, joint_layer, make_heatmap, read_heatmap, write_joint_layer
-from .heatmap.intervals import MapLabels
-from .heatmap.style import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_classes
-from .postgis import Publication, publish
-from .postgis_city import CityPublication, is_city, publish_city
-from .projection.project import project, write_projection
-from .qgis.project import was_edited, write_qgis_project, write_site_project
-from .quality.quality import Quality, measure_quality, require_table_name
-from .report.chart import strip_of
-from .report.content import Column, Fact, Strip, Table, text_rows
-from .report.pages import render_page
-from .report.report import Report, write_report
-from .report.results import as_stated, lost_sensors, read_run
-from .report.sources import made_by
-from .report.traffic import LEAST_QUEUE_M, longest_queue_text
-from .report_files import PAGE, REPORT_FILES
-from .traffic import Traffic, make_traffic, service_levels
-from .traffic_exchange import publisher_of
-
-__all__ = [
-    "BREAKS",
-    "LEAST_QUEUE_M",
-    "MAP_WORDS",
-    "NEVER_HIT",
-    "NOT_OBSERVED",
-    "NOT_TOLD",
-    "PAGE",
-    "REPORT_FILES",
-    "CityPublication",
-    "Column",
-    "Comparison",
-    "Fact",
-    "HeatMap",
-    "MapLabels",
-    "Publication",
-    "Quality",
-    "Report",
-    "Strip",
-    "Table",
-    "Traffic",
-    "as_stated",
-    "change_rows",
-    "colour_classes",
-    "compare",
-    "is_city",
-    "joint_layer",
-    "lane_totals",
-    "lanes_with_tiles",
-    "longest_queue_text",
-    "lost_sensors",
-    "made_by",
-    "make_heatmap",
-    "make_traffic",
-    "measure_quality",
-    "project",
-    "publish",
-    "publish_city",
-    "publisher_of",
-    "read_heatmap",
-    "read_run",
-    "render_page",
-    "require_table_name",
-    "service_levels",
-    "strip_of",
-    "text_rows",
-    "was_edited",
-    "with_verdicts",
-    "write_joint_layer",
-    "write_projection",
-    "write_qgis_project",
-    "write_report",
-    "write_site_project",
-]
+from .comparison.comparison import compare as compare
+from .comparison.result import Comparison as Comparison
+from .comparison.result import change_rows as change_rows
+from .comparison.rows import NOT_TOLD as NOT_TOLD
+from .comparison.rows import with_verdicts as with_verdicts
+from .heatmap.by_lane import lane_totals as lane_totals
+from .heatmap.by_lane import lanes_with_tiles as lanes_with_tiles
+from .heatmap.heatmap import HeatMap as HeatMap
+from .heatmap.heatmap import joint_layer as joint_layer
+from .heatmap.heatmap import make_heatmap as make_heatmap
+from .heatmap.heatmap import read_heatmap as read_heatmap
+from .heatmap.heatmap import write_joint_layer as write_joint_layer
+from .heatmap.intervals import MapLabels as MapLabels
+from .heatmap.style import BREAKS as BREAKS
+from .heatmap.style import MAP_WORDS as MAP_WORDS
+from .heatmap.style import NEVER_HIT as NEVER_HIT
+from .heatmap.style import NOT_OBSERVED as NOT_OBSERVED
+from .heatmap.style import colour_classes as colour_classes
+from .postgis import Publication as Publication
+from .postgis import publish as publish
+from .postgis_city import CityPublication as CityPublication
+from .postgis_city import is_city as is_city
+from .postgis_city import publish_city as publish_city
+from .projection.project import project as project
+from .projection.project import write_projection as write_projection
+from .qgis.project import was_edited as was_edited
+from .qgis.project import write_qgis_project as write_qgis_project
+from .qgis.project import write_site_project as write_site_project
+from .quality.quality import Quality as Quality
+from .quality.quality import measure_quality as measure_quality
+from .quality.quality import require_table_name as require_table_name
+from .report.chart import strip_of as strip_of
+from .report.content import Column as Column
+from .report.content import Fact as Fact
+from .report.content import Strip as Strip
+from .report.content import Table as Table
+from .report.content import text_rows as text_rows
+from .report.pages import render_page as render_page
+from .report.report import Report as Report
+from .report.report import write_report as write_report
+from .report.results import as_stated as as_stated
+from .report.results import lost_sensors as lost_sensors
+from .report.results import read_run as read_run
+from .report.sources import made_by as made_by
+from .report.traffic import LEAST_QUEUE_M as LEAST_QUEUE_M
+from .report.traffic import longest_queue_text as longest_queue_text
+from .report_files import PAGE as PAGE
+from .report_files import REPORT_FILES as REPORT_FILES
+from .traffic import Traffic as Traffic
+from .traffic import make_traffic as make_traffic
+from .traffic import service_levels as service_levels
+from .traffic_exchange import publisher_of as publisher_of

@@ -1,35 +1,23 @@
-from .conversion import Conversion, convert
-from .formats import as_recording, as_recordings, format_of, is_recording, open_recording
-from .frame_clock import AGREEING_S
-from .frames import DamagedError, Frame, ReaderContext
-from .overlaps import detection_keys, keys_in_common, time_warnings
-from .raw_rows import RawRows, read_raw
-from .recording import Detections, RangeCounts, Recording, constant_value, has_height
-from .units import FARTHEST_RADAR_M
-from .window import RollingWindow
-
-__all__ = [
-    "AGREEING_S",
-    "FARTHEST_RADAR_M",
-    "Conversion",
-    "DamagedError",
-    "Detections",
-    "Frame",
-    "RangeCounts",
-    "RawRows",
-    "ReaderContext",
-    "Recording",
-    "RollingWindow",
-    "as_recording",
-    "as_recordings",
-    "constant_value",
-    "convert",
-    "detection_keys",
-    "format_of",
-    "has_height",
-    "is_recording",
-    "keys_in_common",
-    "open_recording",
-    "read_raw",
-    "time_warnings",
-]
+from .conversion import Conversion as Conversion
+from .conversion import convert as convert
+from .formats import as_recording as as_recording
+from .formats import as_recordings as as_recordings
+from .formats import format_of as format_of
+from .formats import is_recording as is_recording
+from .formats import open_recording as open_recording
+from .frame_clock import AGREEING_S as AGREEING_S
+from .frames import DamagedError as DamagedError
+from .frames import Frame as Frame
+from .frames import ReaderContext as ReaderContext
+from .overlaps import detection_keys as detection_keys
+from .overlaps import keys_in_common as keys_in_common
+from .overlaps import time_warnings as time_warnings
+from .raw_rows import RawRows as RawRows
+from .raw_rows import read_raw as read_raw
+from .recording import Detections as Detections
+from .recording import RangeCounts as RangeCounts
+from .recording import Recording as Recording
+from .recording import constant_value as constant_value
+from .recording import has_height as has_height
+from .units import FARTHEST_RADAR_M as FARTHEST_RADAR_M
+from .window import RollingWindow as RollingWindow

@@ -1,78 +1,43 @@
-from .columns import LEAST_GROUND, ScanColumns, ground_under, nearest_known, read_columns
-from .mask import RoadMask, mask_road, require_road_name
-from .pdal import find_pdal
-from .roads import Roads, read_roads
-from .scan import box_with_margin, open_scan, read_road, road_crs
-from .shift import read_shifted
-from .sight.gaps import find_gaps, gap_warning
-from .sight.layers import SIGHT_LAYER, open_sight, write_sights
-from .sight.obstacles import WIDEST_ROOF_M
-from .sight.picture import SIGHT_COLOURS, SIGHT_NAMES, draw_sight
-from .sight.recorded import (
-    CAR_REFLECTION_M,
-    JUDGED_FRAMES,
-    MOVEMENT_LEVEL_M,
-    MOVEMENT_MPS,
-    MovingHits,
-    find_contradictions,
-    report_contradictions,
-)
-from .sight.sight import (
-    HIDDEN,
-    IN_SIGHT,
-    OUT_OF_VIEW,
-    TARGET_M,
-    VIEW_ONLY,
-    WINDOWS_KEPT,
-    Sight,
-    SightScan,
-    find_sight,
-    report_uncovered,
-)
-from .sight.tiles import SightTiles
-
-__all__ = [
-    "CAR_REFLECTION_M",
-    "HIDDEN",
-    "IN_SIGHT",
-    "JUDGED_FRAMES",
-    "LEAST_GROUND",
-    "MOVEMENT_LEVEL_M",
-    "MOVEMENT_MPS",
-    "OUT_OF_VIEW",
-    "SIGHT_COLOURS",
-    "SIGHT_LAYER",
-    "SIGHT_NAMES",
-    "TARGET_M",
-    "VIEW_ONLY",
-    "WIDEST_ROOF_M",
-    "WINDOWS_KEPT",
-    "MovingHits",
-    "RoadMask",
-    "Roads",
-    "ScanColumns",
-    "Sight",
-    "SightScan",
-    "SightTiles",
-    "box_with_margin",
-    "draw_sight",
-    "find_contradictions",
-    "find_gaps",
-    "find_pdal",
-    "find_sight",
-    "gap_warning",
-    "ground_under",
-    "mask_road",
-    "nearest_known",
-    "open_scan",
-    "open_sight",
-    "read_columns",
-    "read_road",
-    "read_roads",
-    "read_shifted",
-    "report_contradictions",
-    "report_uncovered",
-    "require_road_name",
-    "road_crs",
-    "write_sights",
-]
+from .columns import LEAST_GROUND as LEAST_GROUND
+from .columns import ScanColumns as ScanColumns
+from .columns import ground_under as ground_under
+from .columns import nearest_known as nearest_known
+from .columns import read_columns as read_columns
+from .mask import RoadMask as RoadMask
+from .mask import mask_road as mask_road
+from .mask import require_road_name as require_road_name
+from .pdal import find_pdal as find_pdal
+from .roads import Roads as Roads
+from .roads import read_roads as read_roads
+from .scan import box_with_margin as box_with_margin
+from .scan import open_scan as open_scan
+from .scan import read_road as read_road
+from .scan import road_crs as road_crs
+from .shift import read_shifted as read_shifted
+from .sight.gaps import find_gaps as find_gaps
+from .sight.gaps import gap_warning as gap_warning
+from .sight.layers import SIGHT_LAYER as SIGHT_LAYER
+from .sight.layers import open_sight as open_sight
+from .sight.layers import write_sights as write_sights
+from .sight.obstacles import WIDEST_ROOF_M as WIDEST_ROOF_M
+from .sight.picture import SIGHT_COLOURS as SIGHT_COLOURS
+from .sight.picture import SIGHT_NAMES as SIGHT_NAMES
+from .sight.picture import draw_sight as draw_sight
+from .sight.recorded import CAR_REFLECTION_M as CAR_REFLECTION_M
+from .sight.recorded import JUDGED_FRAMES as JUDGED_FRAMES
+from .sight.recorded import MOVEMENT_LEVEL_M as MOVEMENT_LEVEL_M
+from .sight.recorded import MOVEMENT_MPS as MOVEMENT_MPS
+from .sight.recorded import MovingHits as MovingHits
+from .sight.recorded import find_contradictions as find_contradictions
+from .sight.recorded import report_contradictions as report_contradictions
+from .sight.sight import HIDDEN as HIDDEN
+from .sight.sight import IN_SIGHT as IN_SIGHT
+from .sight.sight import OUT_OF_VIEW as OUT_OF_VIEW
+from .sight.sight import TARGET_M as TARGET_M
+from .sight.sight import VIEW_ONLY as VIEW_ONLY
+from .sight.sight import WINDOWS_KEPT as WINDOWS_KEPT
+from .sight.sight import Sight as Sight
+from .sight.sight import SightScan as SightScan
+from .sight.sight import find_sight as find_sight
+from .sight.sight import report_uncovered as report_uncovered
+from .sight.tiles import SightTiles as SightTiles

@@ -1,77 +1,49 @@
-from .check import SiteCheck, check_site
-from .execution import RunState
-from .live_table import BrokerTable, Duration, LiveTable, PageTable, SensorThingsTable, TopicWord
-from .plan import Stage, stages_of
-from .recipes import mask_scans, measure_recordings, paths_named_by, split_map, write_sights_of
-from .run import SiteRun, prepare_site, run_site
-from .settings import MapTable, Sensor, Site, ViewTable, read_site, site_template
-from .stages import STATE, convert_stage, heatmap_stage, measure_stage, refusals_of
-from .toml_file import LARGEST_FILE, read_toml, toml_template
-from .values import (
-    File,
-    Meaning,
-    Name,
-    Place,
-    Recordings,
-    Switch,
-    TextValue,
-    TomlTable,
-    Unfit,
-    Zone,
-    key,
-    within,
-)
-from .versions import software
-from .worker import Pool, WorkerContext, process_pool
-
-__all__ = [
-    "LARGEST_FILE",
-    "STATE",
-    "BrokerTable",
-    "Duration",
-    "File",
-    "LiveTable",
-    "MapTable",
-    "Meaning",
-    "Name",
-    "PageTable",
-    "Place",
-    "Pool",
-    "Recordings",
-    "RunState",
-    "Sensor",
-    "SensorThingsTable",
-    "Site",
-    "SiteCheck",
-    "SiteRun",
-    "Stage",
-    "Switch",
-    "TextValue",
-    "TomlTable",
-    "TopicWord",
-    "Unfit",
-    "ViewTable",
-    "WorkerContext",
-    "Zone",
-    "check_site",
-    "convert_stage",
-    "heatmap_stage",
-    "key",
-    "mask_scans",
-    "measure_recordings",
-    "measure_stage",
-    "paths_named_by",
-    "prepare_site",
-    "process_pool",
-    "read_site",
-    "read_toml",
-    "refusals_of",
-    "run_site",
-    "site_template",
-    "software",
-    "split_map",
-    "stages_of",
-    "toml_template",
-    "within",
-    "write_sights_of",
-]
+from .check import SiteCheck as SiteCheck
+from .check import check_site as check_site
+from .execution import RunState as RunState
+from .live_table import BrokerTable as BrokerTable
+from .live_table import Duration as Duration
+from .live_table import LiveTable as LiveTable
+from .live_table import PageTable as PageTable
+from .live_table import SensorThingsTable as SensorThingsTable
+from .live_table import TopicWord as TopicWord
+from .plan import Stage as Stage
+from .plan import stages_of as stages_of
+from .recipes import mask_scans as mask_scans
+from .recipes import measure_recordings as measure_recordings
+from .recipes import paths_named_by as paths_named_by
+from .recipes import split_map as split_map
+from .recipes import write_sights_of as write_sights_of
+from .run import SiteRun as SiteRun
+from .run import prepare_site as prepare_site
+from .run import run_site as run_site
+from .settings import MapTable as MapTable
+from .settings import Sensor as Sensor
+from .settings import Site as Site
+from .settings import ViewTable as ViewTable
+from .settings import read_site as read_site
+from .settings import site_template as site_template
+from .stages import STATE as STATE
+from .stages import convert_stage as convert_stage
+from .stages import heatmap_stage as heatmap_stage
+from .stages import measure_stage as measure_stage
+from .stages import refusals_of as refusals_of
+from .toml_file import LARGEST_FILE as LARGEST_FILE
+from .toml_file import read_toml as read_toml
+from .toml_file import toml_template as toml_template
+from .values import File as File
+from .values import Meaning as Meaning
+from .values import Name as Name
+from .values import Place as Place
+from .values import Recordings as Recordings
+from .values import Switch as Switch
+from .values import TextValue as TextValue
+from .values import TomlTable as TomlTable
+from .values import Unfit as Unfit
+from .values import Zone as Zone
+from .values import key as key
+from .values import within as within
+from .versions import software as software
+from .worker import Pool as Pool
+from .worker import WorkerContext as WorkerContext
+from .worker import process_pool as process_pool

@@ -1,46 +1,23 @@
-from . import columns
-from .batches import warn_of_poses
-from .detections import (
-    HEIGHT_RAD,
-    HIGH_M,
-    LOW_M,
-    MOVING_MPS,
-    NOISE_S,
-    SLOW_MPS,
-    MapDetections,
-    map_detections,
-    still_rate,
-)
-from .footprints import Footprints, PathBook, footprints_of
-from .hour_blocks import BLOCK_MARGIN_STEPS
-from .hour_vehicles import HourVehicles, vehicles_of_hour
-from .map_check import map_of_tiles
-from .passages import HEAVY
-from .start.bodies import are_persons, usual_rcs
-from .start.forward import STAND_S, ForwardFilter
-
-__all__ = [
-    "BLOCK_MARGIN_STEPS",
-    "HEAVY",
-    "HEIGHT_RAD",
-    "HIGH_M",
-    "LOW_M",
-    "MOVING_MPS",
-    "NOISE_S",
-    "SLOW_MPS",
-    "STAND_S",
-    "Footprints",
-    "ForwardFilter",
-    "HourVehicles",
-    "MapDetections",
-    "PathBook",
-    "are_persons",
-    "columns",
-    "footprints_of",
-    "map_detections",
-    "map_of_tiles",
-    "still_rate",
-    "usual_rcs",
-    "vehicles_of_hour",
-    "warn_of_poses",
-]
+from . import columns as columns
+from .batches import warn_of_poses as warn_of_poses
+from .detections import HEIGHT_RAD as HEIGHT_RAD
+from .detections import HIGH_M as HIGH_M
+from .detections import LOW_M as LOW_M
+from .detections import MOVING_MPS as MOVING_MPS
+from .detections import NOISE_S as NOISE_S
+from .detections import SLOW_MPS as SLOW_MPS
+from .detections import MapDetections as MapDetections
+from .detections import map_detections as map_detections
+from .detections import still_rate as still_rate
+from .footprints import Footprints as Footprints
+from .footprints import PathBook as PathBook
+from .footprints import footprints_of as footprints_of
+from .hour_blocks import BLOCK_MARGIN_STEPS as BLOCK_MARGIN_STEPS
+from .hour_vehicles import HourVehicles as HourVehicles
+from .hour_vehicles import vehicles_of_hour as vehicles_of_hour
+from .map_check import map_of_tiles as map_of_tiles
+from .passages import HEAVY as HEAVY
+from .start.bodies import are_persons as are_persons
+from .start.bodies import usual_rcs as usual_rcs
+from .start.forward import STAND_S as STAND_S
+from .start.forward import ForwardFilter as ForwardFilter
