@@ -13,13 +13,13 @@ from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.size import size_of
 from gis_radar.tracking.start import stationary
+from gis_radar.tracking.start.bodies import one_tall_odds, tall_odds
 from gis_radar.tracking.start.detectability import Detectability, Occluders
 from gis_radar.tracking.start.links import Part, chains
 from gis_radar.tracking.start.passes import Passes
 from gis_radar.tracking.start.resting import rate_without, with_rest, without_gaps
 from gis_radar.tracking.start.stationary import without_fixed
 from gis_radar.tracking.start.strips import Strips
-from gis_radar.tracking.start.tall import one_tall_odds, tall_odds
 
 BEGIN = 1_700_000_000.0
 RATE = 20

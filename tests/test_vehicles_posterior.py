@@ -14,10 +14,9 @@ from gis_radar.hdmap import lane_graph
 from gis_radar.tracking import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
-from gis_radar.tracking.posterior import Posterior, improve
+from gis_radar.tracking.posterior import Posterior, improve, with_existence
 from gis_radar.tracking.posterior.cuts import best_stretches
 from gis_radar.tracking.posterior.ends import with_undetected_ends
-from gis_radar.tracking.posterior.existence import with_existence
 from gis_radar.tracking.posterior.likelihood import body_coordinates, log_likelihood_ratio, overlap
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
 

@@ -12,8 +12,8 @@ from scipy.optimize import linear_sum_assignment
 
 from gis_radar.base import STEP_S, Booleans, Floats, Integers, Text, nearest
 from gis_radar.hdmap import LaneGraph
-from gis_radar.tracking.blocks import Block
 from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.hour_blocks import Block
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.routes import route_of
 from gis_radar.tracking.tables import TRACKS_KIND, VEHICLES_KIND

@@ -16,13 +16,30 @@ from gis_radar.base import STEP_S, STEP_US, STEPS_PER_SECOND, Integers, give_bac
 from gis_radar.hdmap import LaneGraph
 from gis_radar.measures import HourWindow, PlacedRecording, SensorHour, rows_of, whole_frames
 from gis_radar.recordings import Detections
-from gis_radar.tracking.blocks import Block
 from gis_radar.tracking.detections import NOISE_S, MapDetections, map_detections, still_rate
 
 BLOCK_STEPS = 6000  # length of a block, which begins at a multiple of it: five minutes
 # Steps before and after a block whose detections are used, too: a stationary vehicle is undetected
 # for 25 s on end in one case of ten.
 BLOCK_MARGIN_STEPS = 1200
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """The detections around a span of steps.
+
+    Parameters
+    ----------
+    first_step, last_step : int
+        The span, inclusive. The first block begins at the first frame and the last one ends at the
+        last frame, where there are no frames on the other side of the edge.
+    detections : MapDetections
+        Detections of the span and of the margins before and after it.
+    """
+
+    first_step: int
+    last_step: int
+    detections: MapDetections
 
 
 @dataclass(frozen=True, kw_only=True)

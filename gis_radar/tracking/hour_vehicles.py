@@ -21,9 +21,8 @@ from gis_radar.base import TRACK_EVERY_STEPS, Integers, watch_parent, worker_poo
 from gis_radar.hdmap import LaneGraph
 from gis_radar.measures import HourWindow, PoseSight, SensorHour
 from gis_radar.tracking.batches import BatchMaker, joined_rows
-from gis_radar.tracking.blocks import Block
 from gis_radar.tracking.detections import MapDetections
-from gis_radar.tracking.hour_blocks import blocks_of
+from gis_radar.tracking.hour_blocks import Block, blocks_of
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.occupancy import OccupancyEngine
 from gis_radar.tracking.tables import PASSAGES_KIND, TRACKS_KIND, VEHICLES_KIND

@@ -17,7 +17,6 @@ from gis_radar.base import Booleans, Floats, Integers, nearest
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detections import MOVING_MPS, MapDetections
 from gis_radar.tracking.motion import GAP_S, GAP_SPREAD, Motion, fit_motion
-from gis_radar.tracking.start.tall import one_tall_odds, tall_odds
 
 LEAST_SPREAD_M = 0.1  # two detections of one scatterer
 UNKNOWN_SIZE = -1.0  # log odds of a person of unknown size: on lanes persons are fewer
@@ -34,7 +33,7 @@ SCATTER_M = 2.5  # largest median residual of places on a body: scatterers chang
 _PLACE_M = 0.4  # sigma of the mean place of a body's detections over half a second
 _REACH_M = 16.5  # from the middle of its detections to any part of a truck with trailer
 _CAR_M = 4.7  # length of a car
-LONG_SHARE = 0.12  # share of vehicles over 7 m in traffic
+LONG_SHARE = 0.12  # share of vehicles over 7 m, lorries and buses, in traffic
 LEAST_ODDS = 0.5  # log odds above which two parts are joined
 DRIVEN_MPS = 8.0  # vehicles above this speed certainly drive
 CYCLIST_MPS = 7.5  # largest speed of cyclists
@@ -51,6 +50,13 @@ FAINT_SIGMAS = 3.0  # a track weaker by so many may be a person at any speed
 FAINT_SHARE = 0.2
 FAINT_ODDS = 10.0  # log odds above which an end of a track is of a person: eight in a row
 STEADY = 0.5  # share of the 90 % quantile of its speed that a person exceeds half of the time
+# Mean height of the detections of a car, and of a lorry or bus, with its standard deviation between
+# vehicles, metres: cars scatter from below 1.5 m, lorries and buses from all of their 3 to 4 m.
+_CAR_HEIGHT_M, _LORRY_HEIGHT_M = (0.75, 0.3), (1.6, 0.5)
+# Sigma of the elevation, radians: common to all detections of a vehicle, and of each.
+BIAS_RAD, ELEVATION_RAD = 0.006, 0.0175
+_LEAST_HEIGHTS = 10  # least number of heights; fewer are no evidence
+MOST_ODDS = 4.0  # largest log odds by heights
 
 
 def rows_by_number(number: Integers) -> list[Integers]:
@@ -394,3 +400,37 @@ def _fast(motion: Motion) -> float:
     """Return the speed (m/s) that a vehicle exceeds in a tenth of the time in which it moves."""
     moving = motion.speed[motion.speed > 0.2]
     return float(np.quantile(moving, 0.9)) if len(moving) else 0.0
+
+
+def tall_odds(height_m: Floats, range_m: Floats) -> float:
+    """Return the log odds of a lorry or bus over a car by heights.
+
+    Parameters
+    ----------
+    height_m : (n,) array
+        Heights of the detections over the road, metres; NaN where unknown.
+    range_m : (n,) array
+        Distances from the sensor, metres.
+    """
+    known = np.isfinite(height_m)
+    if known.sum() < _LEAST_HEIGHTS:
+        return 0.0
+    range_ = float(np.median(range_m[known]))
+    mean = float(height_m[known].mean())
+    noise = BIAS_RAD**2 + ELEVATION_RAD**2 / known.sum()
+    odds = 0.0
+    for sign, (middle, spread) in ((1.0, _LORRY_HEIGHT_M), (-1.0, _CAR_HEIGHT_M)):
+        variance = spread**2 + noise * range_**2
+        odds += sign * (-0.5 * (mean - middle) ** 2 / variance - 0.5 * np.log(variance))
+    return float(np.clip(odds, -MOST_ODDS, MOST_ODDS))
+
+
+def one_tall_odds(odds: tuple[float, float]) -> float:
+    """Return the log odds of one lorry or bus over two vehicles, by the heights of two parts.
+
+    Parameters
+    ----------
+    odds : (float, float)
+        Log odds of each part, from :func:`tall_odds`.
+    """
+    return float(-np.log((1.0 - LONG_SHARE) * np.exp(-np.array(odds)) + LONG_SHARE).sum())
