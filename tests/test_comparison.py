@@ -419,7 +419,7 @@ def test_lanes_measured_by_an_earlier_method_do_not_compare(dataset, tmp_path, m
         write_record(old.folder, replace(record, dropped=(TRACKS.name,)))
     periods = {"before": BEFORE, "after": AFTER}
     assert len(gr.compare(old, dataset, **periods).table)
-    monkeypatch.setattr("gis_radar.dataset.days.lane_measures.METHOD", 99)
+    monkeypatch.setattr("gis_radar.dataset.days.lane_measures.LANES_METHOD", 99)
     assert len(gr.compare(dataset, **periods).table)
     for pair in ((old, dataset), (dataset, old)):
         with pytest.raises(InputError, match="old: lanes were measured by another"):

@@ -22,7 +22,7 @@ from gis_radar.base import InputError
 from gis_radar.live import Fusion, Place, QuarterMeasures, RecentCounts, read_live_site
 from gis_radar.live.served.lane_push import LanePush
 from gis_radar.live.served.sensorthings import (
-    HITS_MEASURE,
+    HITS_KEY,
     LaneMeasure,
     LaneServer,
     ServerError,
@@ -282,7 +282,7 @@ def test_a_server_that_fails_gets_all_of_it_later_and_nothing_twice(server, plac
 
 
 def test_what_waited_when_fusion_was_killed_is_sent_after_a_new_start(server, place, tmp_path):
-    rows = [LaneMeasure(place.lane_numbers[0], HITS_MEASURE, BEGIN, BEGIN + 1200, 12.5, 60.0)]
+    rows = [LaneMeasure(place.lane_numbers[0], HITS_KEY, BEGIN, BEGIN + 1200, 12.5, 60.0)]
     (tmp_path / "waiting.json").write_text(json.dumps({"quarters": [], "waiting": rows}))
     push = push_of(server, place, tmp_path)
     until_sent(push)
@@ -351,7 +351,7 @@ OK = b"HTTP/1.0 200 OK\r\n\r\n"
      ("GET", OK + b'{"value": [{"@iot.id": {}}]}'), ("POST", OK + b"5")],
 )  # fmt: skip
 def test_what_is_no_answer_of_such_a_server_is_an_error_of_it(server, place, method, answer):
-    rows = [LaneMeasure(place.lane_numbers[0], HITS_MEASURE, BEGIN, BEGIN + 1200, 1.0, 60.0)]
+    rows = [LaneMeasure(place.lane_numbers[0], HITS_KEY, BEGIN, BEGIN + 1200, 1.0, 60.0)]
     lanes, begun = (LaneServer(Service.of(table(server)), place, "junction") for _ in range(2))
     lanes.push(rows)
     server.raw[method] = answer
@@ -375,7 +375,7 @@ def test_whatever_the_push_meets_fusion_goes_on_and_says_it_once(server, place, 
 def test_measures_of_lanes_that_the_map_no_longer_has_do_not_hold_up_others(
     server, place, tmp_path
 ):
-    rows = [LaneMeasure(max(place.lane_numbers) + 1, HITS_MEASURE, BEGIN, BEGIN + 1200, 1.0, 60.0)]
+    rows = [LaneMeasure(max(place.lane_numbers) + 1, HITS_KEY, BEGIN, BEGIN + 1200, 1.0, 60.0)]
     (tmp_path / "waiting.json").write_text(json.dumps({"quarters": [], "waiting": rows}))
     assert push_of(server, place, tmp_path).waiting == 0
 
@@ -403,7 +403,7 @@ def test_what_is_counted_again_arrives_once(server, place, tmp_path):
 @pytest.mark.parametrize("code", [301, 302, 303, 307, 308])
 def test_a_server_that_sends_on_gets_nothing_sent_on(server, place, code):
     other = Server()
-    rows = [LaneMeasure(place.lane_numbers[0], HITS_MEASURE, BEGIN, BEGIN + 1200, 1.0, 60.0)]
+    rows = [LaneMeasure(place.lane_numbers[0], HITS_KEY, BEGIN, BEGIN + 1200, 1.0, 60.0)]
     lanes = LaneServer(Service.of(table(server)), place, "junction")
     lanes.push(rows)
     server.moved = code, other.address

@@ -33,10 +33,8 @@ BOTH_SIGNS = 0.2
 
 _LEAVES_MPS = 0.5  # slower detections are of leaves
 DRIVE_MPS = 4.0  # least mean range rate of a track: slower ones may be limbs of walkers
-_LEAST_POINTS, _LEAST_TRAVEL_M = (
-    6,
-    5.0,
-)  # least detections of a track, and its least change of range
+# Least detections of a track, and its least change of range.
+_LEAST_POINTS, _LEAST_TRAVEL_M = 6, 5.0
 # Least cosine between path and line of sight: of vehicles seen from the side, the visible faces
 # change fast.
 _LEAST_PATH_COSINE = 0.8

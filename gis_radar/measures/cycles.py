@@ -35,11 +35,8 @@ MOST_CHANCE = 0.05  # most probability that begins at random lie so well on cycl
 # Least share of the cycles with a seen begin whose first is at the fitted time; signals that follow
 # demand have fewer.
 LEAST_ON = 0.6
-_FINE, _TRIED, _FITS = (
-    32,
-    20,
-    3,
-)  # trial rates per resolved one; how many are fitted; rounds of a fit
+# Trial rates per resolved one; how many are fitted; rounds of a fit.
+_FINE, _TRIED, _FITS = 32, 20, 3
 FEW = Text("fewer than {} begins of green seen", LEAST_GREENS)
 UNEVEN = Text("vehicles do not leave periodically")
 UNSTATED = Text("no two begins of green stated")

@@ -27,7 +27,7 @@ from gis_radar.dataset import STEPS_PER_QUARTER
 from gis_radar.live.background import in_background
 from gis_radar.live.hours.quarters import QUARTERS_KEPT, QuarterMeasures
 from gis_radar.live.served.sensorthings import (
-    HITS_MEASURE,
+    HITS_KEY,
     MEASURES,
     LaneMeasure,
     LaneServer,
@@ -137,7 +137,7 @@ class LanePush:
         return [
             LaneMeasure(
                 lane,
-                HITS_MEASURE,
+                HITS_KEY,
                 begin,
                 begin + self._steps,
                 round(share, DIGITS),
@@ -205,7 +205,7 @@ def _traffic(quarter: QuarterMeasures) -> Iterator[LaneMeasure]:
     """Yield the measures of traffic of a quarter that are known."""
     end = quarter.until_step + 1
     for name, measure in MEASURES.items():
-        if name == HITS_MEASURE:
+        if name == HITS_KEY:
             continue
         table = quarter.lanes[["lane", name, measure.parameter]].dropna()
         for lane, result, parameter in table.itertuples(index=False, name=None):

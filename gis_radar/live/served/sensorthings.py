@@ -57,9 +57,9 @@ class Measure:
 
 
 _PERCENT = ("percent", "%", "PERCENT")
-HITS_MEASURE = "hits"
+HITS_KEY = "hits"
 MEASURES = {
-    HITS_MEASURE: Measure(
+    HITS_KEY: Measure(
         name="hit share", unit=_PERCENT, parameter="observed_s",
         about="Share of the observed time in which a radar hit something on a tile of the lane, "
         "the mean of its tiles. It is below the share in which vehicles occupy them.",

@@ -52,11 +52,8 @@ _EDGE_IN = 0.3  # left of the map
 TITLE_IN = 0.85  # height of the title and two lines below it
 _SMALL, _LINE = 8.5, 132  # points of small letters, and how many of them fit in a line
 BELOW_TITLE = 82  # letters: as far as the scale bar
-TITLE, _TITLE_LETTERS, _HEAD_LETTERS = (
-    17,
-    46,
-    26,
-)  # points; letters that fit, beside the north arrow
+# Points; letters that fit, beside the north arrow.
+TITLE, _TITLE_LETTERS, _HEAD_LETTERS = 17, 46, 26
 LINE_IN = 0.16  # height of a line of small letters
 FRAME = "#9aa1a8"
 HATCH, UNSURE_HATCH = "////", "\\\\\\"

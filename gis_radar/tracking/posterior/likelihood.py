@@ -13,20 +13,16 @@ from gis_radar.tracking.size import LONG_M
 
 ON_FACES = 0.75  # share of detections of the faces that the sensor sees; others: of all the body
 _FACE_M = 0.35  # sigma of the depth of a face
-_BODY_RATE_SIGMA_MPS, _RATE_SHARE = (
-    0.25,
-    0.02,
-)  # sigma of the range rate of a body, and per m/s of it
+# Sigma of the range rate of a body, and per m/s of it.
+_BODY_RATE_SIGMA_MPS, _RATE_SHARE = 0.25, 0.02
 # Share of detections of wheels, and their largest range rate as a multiple of the body's: the rim
 # of a wheel moves at up to twice its speed.
 WHEELS, MOST_TURNS = 0.13, 2.1
 REACH_M = 2.0  # largest distance of a vehicle's detections from its body
 _ABREAST_M = 0.3  # least distance between the sides of two vehicles abreast
 SHARE_BEHIND = 0.3  # share of its detections that a vehicle gives where another one hides it
-_SENSOR_M, _SCATTERER_M = (
-    6.0,
-    0.6,
-)  # heights over the road: of a sensor, and of a vehicle's scatterers
+# Heights over the road: of a sensor, and of a vehicle's scatterers.
+_SENSOR_M, _SCATTERER_M = 6.0, 0.6
 _CAR_M, _LORRY_M, _BOTTOM_M = 1.5, 3.2, 0.2  # heights over the road: of tops, and of undersides
 _HEIGHT_M, _HEIGHT_RAD = 0.2, 0.0185  # sigma of a height over the road: fixed, and of the elevation
 STANDS_MPS = 0.5  # slower vehicles count as standing
