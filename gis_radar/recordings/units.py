@@ -110,9 +110,8 @@ def refuse_degrees(angles: Floats, field: str, name: str) -> None:
     """
     known = np.abs(angles[np.isfinite(angles)])
     if name == "azimuth_deg":
-        if (
-            len(known) >= LEAST_CHECKED and 0.0 < known.max() <= _TURN_RAD / 4.0
-        ):  # radars look ahead
+        # radars look ahead
+        if len(known) >= LEAST_CHECKED and 0.0 < known.max() <= _TURN_RAD / 4.0:
             raise InputError(
                 "{}: no value is over {:.3g}, expected degrees: it looks like radians",
                 field,

@@ -119,9 +119,8 @@ def check_plausibility(
 
 def _told_correction(finding: Finding, clock: SensorClock | None) -> Finding:
     """Return a finding on a clock with the correction that was given for it, which may be wrong."""
-    if (
-        clock is None or abs(clock.offset_s) < CONTRADICTION_S / 2.0
-    ):  # a wrong sign errs by twice as much
+    # a wrong sign errs by twice as much
+    if clock is None or abs(clock.offset_s) < CONTRADICTION_S / 2.0:
         return finding
     corrected = Text("its times were corrected by {:+.2f} s: is the sign right?", -clock.offset_s)
     return replace(finding, advice=Text("{}; {}", corrected, finding.advice))

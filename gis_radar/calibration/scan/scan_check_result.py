@@ -275,13 +275,8 @@ def _draw_standing(ax: Any, check: ScanCheck) -> list[Any]:
     kinds: tuple[tuple[Booleans, str, str, float, str], ...] = (
         (~off & ~leaves, _ON, "o", 3.0, "stands"),
         (leaves, _LEAVES, "o", 3.0, "moves in place, as leaves do"),
-        (
-            off,
-            _OFF,
-            "x",
-            9.0,
-            "stands where the scan shows nothing",
-        ),  # a shape for the colour-blind
+        # another shape, for the colour-blind
+        (off, _OFF, "x", 9.0, "stands where the scan shows nothing"),
     )
     handles = []
     for which, colour, marker, size, label in kinds:

@@ -21,9 +21,8 @@ from gis_radar.base import output_errors
 from gis_radar.dataset import sync_folder
 from gis_radar.live.wire.payload import check_of, stream_of, unpack_message
 
-HEAD_RECORD, POSE_RECORD, FRAMES_RECORD, SKIPPED_RECORD = range(
-    4
-)  # kinds of records; SKIPPED: a message that is not counted
+# Kinds of records; a skipped one is a message that is not counted.
+HEAD_RECORD, POSE_RECORD, FRAMES_RECORD, SKIPPED_RECORD = range(4)
 ENDING = ".spool"
 _BEGIN = struct.Struct(">II")  # begin of a record: its length, and the CRC-32 of its content
 _MOST_RECORD = 1 << 24  # most bytes of a record: the marks of thousands of sensors

@@ -26,13 +26,7 @@ from gis_radar.base import (
 from gis_radar.dataset import STEPS_PER_QUARTER
 from gis_radar.live.background import in_background
 from gis_radar.live.hours.quarters import QUARTERS_KEPT, QuarterMeasures
-from gis_radar.live.served.sensorthings import (
-    HITS_KEY,
-    MEASURES,
-    LaneMeasure,
-    LaneServer,
-    Service,
-)
+from gis_radar.live.served.sensorthings import HITS_KEY, MEASURES, LaneMeasure, LaneServer, Service
 from gis_radar.live.served.snapshot import Place
 from gis_radar.site import SensorThingsTable
 
@@ -136,12 +130,7 @@ class LanePush:
         observed_s = STEP_S * place.means_by_lane(counts[1])
         return [
             LaneMeasure(
-                lane,
-                HITS_KEY,
-                begin,
-                begin + self._steps,
-                round(share, DIGITS),
-                round(s, DIGITS),
+                lane, HITS_KEY, begin, begin + self._steps, round(share, DIGITS), round(s, DIGITS)
             )
             for lane, share, s in zip(
                 place.lane_numbers, percent.tolist(), observed_s.tolist(), strict=True

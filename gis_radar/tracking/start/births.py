@@ -88,11 +88,8 @@ def begin(  # pragma: no cover - compiled
             body[FRONT] = body[REAR] = 0.5 * _CAR_M
             body[VAR_S], body[VAR_V], body[VAR_D] = 2.0, 1.0, 0.5
             body[LAST_TIME] = body[TIME] = detection[6]
-            body[NUMBER], body[DETECTION_COUNT], body[FOLLOWED] = (
-                counts[BEGUN],
-                matches,
-                lanes[k, LANE],
-            )
+            body[NUMBER], body[DETECTION_COUNT] = counts[BEGUN], matches
+            body[FOLLOWED] = lanes[k, LANE]
             body[MISFIT] = (lanes[k, LEFT] / lanes[k, HALF]) ** 2 - matches
             body[BRANCH] = counts[BRANCHES]
             counts[BRANCHES] += 1

@@ -236,10 +236,8 @@ def _expected(  # noqa: PLR0917 - numba takes plain arrays
     total = 0.0
     for i in range(len(places)):
         h = halves[i] - first_half
-        a, b = (
-            int((places[i, 0] - corner[0]) / _RATE_CELL_M),
-            int((places[i, 1] - corner[1]) / _RATE_CELL_M),
-        )
+        a = int((places[i, 0] - corner[0]) / _RATE_CELL_M)
+        b = int((places[i, 1] - corner[1]) / _RATE_CELL_M)
         if h < 0 or h >= is_active.shape[1] or a < 0 or b < 0:
             continue
         if a >= rate.shape[1] or b >= rate.shape[2]:
