@@ -471,7 +471,7 @@ def _merged_registry(before: Registry, given: _Inputs, *, only: bool) -> Registr
             kept.append(replace(entry, path=given_entry.path))
         elif only or given_entry is not None or entry.path in paths:
             replaced.append(entry)
-        else:  # another version may find other sights of the same pose, which replace its own
+        else:  # sights of the same pose that differ replace its own
             kept.append(replace(entry, sights=sights.get(entry.pose, entry.sights)))
     entries = tuple(sorted([*kept, *added], key=lambda each: each.key))
     poses = before.poses.joined(given.poses).of(each.pose for each in entries)

@@ -65,7 +65,7 @@ class Manifest:
     schema : int
         Number of the schema of the tables.
     heights : str
-        Digest of the tiles' road heights; empty where an earlier version has made it.
+        Digest of the tiles' road heights; where it is empty, they are not compared.
     """
 
     map: str
@@ -309,7 +309,7 @@ def require_same_settings(folder: Path, present: Manifest, wanted: Manifest) -> 
 
 def _difference(name: str, was: Any, now: Any) -> str:
     """Return the first setting that differs, with both values, as text; empty where none does."""
-    if isinstance(was, Mapping) or isinstance(now, Mapping):  # one is None if a version lacks it
+    if isinstance(was, Mapping) or isinstance(now, Mapping):  # one is None where the other lacks it
         was, now = (each if isinstance(each, Mapping) else {} for each in (was, now))
         keys = sorted(was.keys() | now.keys())
         found = (_difference(f"{name}.{key}", was.get(key), now.get(key)) for key in keys)

@@ -323,7 +323,7 @@ class TableFile:
                     name,
                     hint=_remedy(self.table),
                 )
-        if self.table.period == "dataset":  # no run adds the columns of a later version
+        if self.table.period == "dataset":  # no run adds missing columns
             for each in self.table.columns:
                 if each.name in {*wanted} - {*rows.column_names}:
                     rows = rows.append_column(each.name, pa.nulls(len(rows), each.type))

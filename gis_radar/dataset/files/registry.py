@@ -69,7 +69,7 @@ class RecordingEntry:
     hours : frozenset of int
         Hours since 1970 that were made with it.
     sights : str, optional
-        Digest of the sights of its poses; None where an earlier version has registered it.
+        Digest of the sights of its poses; None while they are being replaced.
     """
 
     path: str
