@@ -21,7 +21,8 @@ from .scan.scan_check import check_against_scan, require_scans_near
 from .scan.scan_check_result import ScanCheck
 from .several.joint import JointCalibration, adjust_poses, gain_line, localize_together
 from .several.network import CLASH_HINT, Solved
-from .single.localization import localize
+from .several.swapped_guesses import swapped_guesses
+from .single.localization import localize, localize_one
 from .single.result import AmbiguousError, Localization, Problem
 from .timing.clocks import Clocks, SensorClock, measure_clocks, read_clocks
 from .timing.lane_detections import lanelets_of
@@ -63,6 +64,7 @@ __all__ = [
     "is_record",
     "lanelets_of",
     "localize",
+    "localize_one",
     "localize_together",
     "measure_clocks",
     "measure_range_scale",
@@ -70,6 +72,7 @@ __all__ = [
     "refuse_implausible",
     "require_scans_near",
     "start_estimate",
+    "swapped_guesses",
     "track",
     "track_of",
 ]

@@ -265,6 +265,7 @@ def _together(site: Site, folder: Path) -> Iterator[Stage]:
         options={
             **_map_options(site),
             "sensors": {name: len(paths) for name, paths in readable.items()},
+            "guesses": {each.name: each.guess for each in tied},
         },
         outputs=(folder / "together.json",),
         phases=2,
