@@ -14,6 +14,7 @@ from .arrays import (
 from .crs import (
     Box,
     bearing_of,
+    inexact_change,
     looks_like_degrees,
     metric_crs,
     name_of,
@@ -231,6 +232,7 @@ __all__ = [
     "heading_difference",
     "in_known_years",
     "in_language",
+    "inexact_change",
     "interrupt_main_thread",
     "interval_steps",
     "is_folder_name",
