@@ -426,6 +426,18 @@ def test_lanes_measured_by_an_earlier_method_do_not_compare(dataset, tmp_path, m
             gr.compare(*pair, **periods)
 
 
+def test_traffic_that_is_compared_with_itself_is_told(run, dataset, tmp_path):
+    later, shared = tmp_path / "later", "R1.parquet: is in both periods"
+    shutil.copytree(dataset.folder, later)
+    words = ["compare", dataset.folder, later, "-o", tmp_path / "out"]
+    code, _, said = run(*words, "--before", "/".join(BEFORE))
+    assert code == 0, said
+    assert f"warning: {shared}" in said
+    assert shared in (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
+    assert gr.compare(dataset, later, before=BEFORE, after=AFTER).doubts == []
+    assert gr.compare(dataset, before=BEFORE, after=AFTER).doubts == []
+
+
 def test_the_command_writes_page_table_layer_and_maps(run, dataset, tmp_path):
     words = ["compare", dataset.folder, "--before", "/".join(BEFORE), "--after", "/".join(AFTER)]
     code, out, _ = run(*words, "-o", tmp_path / "out", "--json", "--language", "de")

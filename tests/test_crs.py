@@ -3,6 +3,7 @@ from pyproj import CRS
 
 from gis_radar.base import (
     CrsError,
+    inexact_change,
     metric_crs,
     name_of,
     require_same,
@@ -138,3 +139,22 @@ def test_a_place_that_is_none_has_no_scale(easting):
 def place(crs, longitude, latitude):
     system = CRS(crs)
     return transformer(system.geodetic_crs, system).transform(longitude, latitude)
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "place", "error"),
+    [
+        (3003, 25832, (1_514_000.0, 5_034_000.0), "4 m"),  # Milan: Monte Mario has no grid in PROJ
+        (30169, 32654, (-10_000.0, -10_000.0), "9 m"),  # Tokyo
+        (25833, 25832, (236_000.0, 5_406_000.0), ""),
+        (32632, 25832, (677_900.0, 5_403_700.0), ""),
+        (2154, 25831, (652_000.0, 6_862_000.0), ""),
+        (4326, 25832, (11.42, 48.76), ""),
+        (25832, 25832, (677_900.0, 5_403_700.0), ""),
+        (3003, 25832, (float("inf"), 0.0), ""),
+    ],
+)
+def test_a_change_between_datums_states_its_error(source, target, place, error):
+    remark = inexact_change(CRS.from_epsg(source), CRS.from_epsg(target), *place)
+    assert (remark or "").endswith(error)
+    assert bool(remark) is bool(error)

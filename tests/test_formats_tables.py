@@ -63,6 +63,15 @@ def test_times_of_pandas_are_finer_than_ours(tmp_path):
         np.testing.assert_allclose(table["time"], [START + 0.00589, START + 0.05589], atol=1e-6)
 
 
+@pytest.mark.parametrize(("mark", "told"), [("", True), ("Z", False), ("+01:00", False)])
+def test_times_without_a_zone_are_told(tmp_path, mark, told):
+    rows = [f"2023-11-14 22:13:20.{k:03d}{mark},1,2,3,4,5" for k in range(0, 200, 50)]
+    rows = "\n".join(["time,x,y,z,range_rate,rcs", *rows, ""])
+    _, table, heard = convert(write(tmp_path / "r.csv", rows))
+    assert ("r.csv: its times name no time zone: they count as UTC" in heard) is told
+    assert table["time"].iloc[0] == START - 3600.0 * (mark == "+01:00")
+
+
 def test_what_the_user_says_wins_over_names(tmp_path):
     path = write(tmp_path / "r.csv", f"time,range,azimuth,az2,v\n{START},10,1.0,90,1\n")
     table = convert(path, columns={"azimuth_deg": "az2"})[1]

@@ -230,6 +230,15 @@ def test_a_layer_without_names_is_told_in_one_sentence(junction):
         junction.lanes(streets=points)
 
 
+@pytest.mark.parametrize("name", [7, "", None])
+def test_streets_whose_names_are_no_texts_are_told(junction, name):
+    streets = streets_of(junction, l83="Weststraße").assign(Name=name)
+    lanes, warned = told(junction, streets=streets)
+    assert lanes["street"].isna().all()
+    assert len(warned) == 1
+    assert warned[0].startswith("streets: its column 'Name' holds no text beside a line")
+
+
 def test_two_streets_of_one_name_are_told(tmp_path):
     """And so is that no lanelet follows another."""
     roads = two_lanes(tmp_path, apart_m=2000.0)

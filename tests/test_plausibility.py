@@ -98,6 +98,10 @@ def faster(table):
     return table.assign(range_rate=table["range_rate"] + np.float32(0.6))
 
 
+def shorter(factor):
+    return lambda table: table.assign(**{name: table[name] * np.float32(factor) for name in "xyz"})
+
+
 def joined(table):
     """Join the frames of R1 and R2 in one table."""
     other = pd.read_parquet(SAMPLE / "R2.parquet")
@@ -126,6 +130,8 @@ MISTAKES = {
     "ellipsoid": (turned("height", POSES["R1"].height + 45.0), None, "ellipsoid", "to 520"),
     "km/h": (POSES["R1"], times("range_rate", 3.6), "range rates look like km/h", "by 3.6"),
     "cm/s": (POSES["R1"], times("range_rate", 100.0), "cm/s or mm/s", "m/s"),
+    "km": (POSES["R1"], shorter(1e-3), "look like kilometres", "are metres"),
+    "divided by 100": (POSES["R1"], shorter(1e-2), "divided by 100", "are metres"),
     "infinite": (POSES["R1"], some_infinite, "damaged, or was converted wrongly", "has NaN"),
     "sign": (POSES["R1"], times("range_rate", -1.0), "positive where targets", "change the sign"),
     "absolute": (POSES["R1"], signless, "absolute values", "positive"),

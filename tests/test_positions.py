@@ -239,6 +239,12 @@ def test_a_grid_of_the_place_is_taken(tmp_path, crs):
     assert first[0, 1] > 5_000_000.0
 
 
+@pytest.mark.parametrize(("crs", "told"), [("EPSG:31468", True), ("EPSG:25833", False)])
+def test_a_grid_of_an_old_datum_is_told(tmp_path, crs, told):
+    heard = read_map(write_road(tmp_path / "a.osm"), crs=crs).remarks
+    assert any("positions change from WGS 84" in each for each in heard) is told
+
+
 def test_local_metres_keep_their_scale_whatever_the_crs_and_say_so(tmp_path):
     road = read_map(local_map(tmp_path / "a.osm", local_nodes(50.0)), crs="EPSG:3857")
     line = metres(road.lanelets["left"][0])

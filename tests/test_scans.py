@@ -2,6 +2,7 @@
 
 import shutil
 import struct
+from contextlib import suppress
 
 import geopandas as gpd
 import laspy
@@ -107,6 +108,24 @@ def test_national_systems(tmp_path, epsg):
     back = transformer(zone, national).transform(*moved.points[:, :2].T)
     assert shapely.contains_xy(shape.buffer(0.01), *back).all()
     assert np.median(moved.points[:, 2]) == pytest.approx(100.0, abs=0.01)
+
+
+def test_a_scan_in_a_datum_of_metres_is_told(tmp_path):
+    """Monte Mario: PROJ has one shift for northern Italy, which is right to 4 m."""
+    italian = CRS.from_epsg(3003)
+    west, south = transformer(italian, UTM).transform(1_514_000.0, 5_034_000.0)
+    box = shapely.box(west - 40.0, south - 40.0, west + 40.0, south + 40.0)
+    gpd.GeoDataFrame(geometry=[box], crs=UTM).to_file(tmp_path / "roads.gpkg")
+    points = ground(AROUND, level) + [1_514_000.0 - EAST, 5_034_000.0 - NORTH, 0.0]
+    heard = {}
+    for crs in (italian, UTM):
+        path = write_points(tmp_path / "s.laz", points, crs=crs)
+        heard[crs] = Listener()
+        with suppress(InputError):
+            mask(path, read_roads(tmp_path / "roads.gpkg"), reporter=heard[crs])
+    told = "Monte Mario / Italy zone 1 (EPSG:3003) to ETRS89 / UTM zone 32N (EPSG:25832) with an"
+    assert told in str(heard[italian].messages)
+    assert "with an error of" not in str(heard[UTM].messages)
 
 
 def test_degrees_become_utm(tmp_path, scan):

@@ -26,7 +26,8 @@ POSES = (
     work.tied_pose_stage,
 )  # fmt: skip
 R2 = 'recordings = "R2.parquet"'
-SENSOR = '\n[[sensor]]\nname = "{0}"\nrecordings = "{0}.parquet"\nguess = [690000, 5336000]\n{1}\n'
+GUESS = "guess = [690000, 5336000]"
+SENSOR = f'\n[[sensor]]\nname = "{{0}}"\nrecordings = "{{0}}.parquet"\n{GUESS}\n{{1}}\n'
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +61,9 @@ def run(site, tmp_path, monkeypatch):
         path = site.folder / f"{tmp_path.name}.toml"
         sensors = "".join(SENSOR.format(name, options.get(name, "")) for name in alone)
         sensors = sensors.replace(R2, options.get("recordings", R2))
+        for name, line in options.get("guess", {}).items():
+            head, own = sensors.split(f'"{name}.parquet"\n')
+            sensors = f'{head}"{name}.parquet"\n{own.replace(GUESS, line, 1)}'
         path.write_text(
             'title = "Street"\n[map]\nfile = "map.osm"\ncrs = "EPSG:25832"\n'
             f'[scan]\nroad = "road.laz"\n{options.get("more", "")}{sensors}'
@@ -117,6 +121,24 @@ def test_a_sensor_that_alone_is_refused_is_placed_by_its_neighbour(site, run):
     made = {path.name for path in found.done.outputs}
     assert {"candidates.json", "together.json"} <= made
     assert not (found.folder / "sensors" / "R2" / "localization.json").exists()
+
+
+def test_swapped_guesses_leave_no_wrong_pose(site, run, traffic, monkeypatch):
+    """The recording of R3 fits a wrong place by chance, that of R1 fits the place of R3's guess."""
+
+    def localize_one(path, *_, guess, **__):
+        if (path.stem, guess[0]) not in {("R1", 690400.0), ("R3", 690000.0)}:
+            raise gr.NoAnswerError("no place fits")
+
+    monkeypatch.setattr("gis_radar.calibration.localize_one", localize_one)
+    alone = {"R1": gr.NoAnswerError("R1: nothing fits"), "R3": stated(site.true["R2"])}
+    far = {"R3": "guess = [690400, 5336000]"}
+    found = run(alone, guess=far)
+    assert found.done.missing.keys() == {"R1", "R3"}
+    assert "R3: no pose, as the traffic of R1 fits its guess: are guesses swapped?" in found.told
+    monkeypatch.setattr("gis_radar.calibration.localize_one", several)  # none is asked for
+    near = run(alone, more="")
+    assert near.done.missing.keys() == {"R1"}
 
 
 def test_one_that_nobody_places_keeps_its_reason_and_stops_no_other(site, run, traffic):

@@ -13,6 +13,7 @@ from .arrays import quotient as quotient
 from .arrays import ranges as ranges
 from .crs import Box as Box
 from .crs import bearing_of as bearing_of
+from .crs import inexact_change as inexact_change
 from .crs import looks_like_degrees as looks_like_degrees
 from .crs import metric_crs as metric_crs
 from .crs import name_of as name_of

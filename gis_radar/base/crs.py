@@ -16,6 +16,7 @@ from gis_radar.base.words import WINDS
 
 _SCALE_TOLERANCE = 0.002  # UTM stays within 0.001 in its zone; web Mercator is off by 0.5 at 48 N
 _OUTSIDE_DEG = 10.0  # outside the area of use: sites at its edge pass, other continents do not
+_EXACT_M = 1.0  # UTM on WGS84 and on ETRS89, by PROJ; a lane is three times as wide
 _SHORT_M = 100.0  # a scale is measured along it: rounding is far smaller, the scale constant
 _FITTING_CRS_HINT = Text("use the UTM zone or the national grid of the site")
 
@@ -259,6 +260,31 @@ def _on_eurasian_plate(longitude_deg: float, latitude_deg: float) -> bool:
 def transformer(source: CRS, target: CRS) -> Transformer:
     """Return a transformer that takes and gives x before y (east before north)."""
     return Transformer.from_crs(source, target, always_xy=True)
+
+
+def inexact_change(source: CRS, target: CRS, easting: float, northing: float) -> Text | None:
+    """Return a remark where PROJ changes between two systems by over a metre's error, else None.
+
+    Between datums it may lack the surveyors' grid of shifts, and take one shift for a country.
+
+    Parameters
+    ----------
+    source, target : CRS
+        Two systems.
+    easting, northing : float
+        A place, in coordinates of `source`.
+    """
+    if same_coordinates(source, target):
+        return None
+    change = transformer(source, target)
+    if not np.isfinite(change.transform(easting, northing)).all():
+        return None  # elsewhere, which others refuse
+    error_m = change.get_last_used_operation().accuracy
+    if 0.0 <= error_m <= _EXACT_M:
+        return None
+    size = Text("unknown size") if error_m < 0.0 else Text("{:g} m", error_m)
+    return Text("positions change from {} to {} with an error of {}", _label(source),
+                _label(target), size)  # fmt: skip
 
 
 def reprojected_position(

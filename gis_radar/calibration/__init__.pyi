@@ -33,7 +33,9 @@ from .several.joint import gain_line as gain_line
 from .several.joint import localize_together as localize_together
 from .several.network import CLASH_HINT as CLASH_HINT
 from .several.network import Solved as Solved
+from .several.swapped_guesses import swapped_guesses as swapped_guesses
 from .single.localization import localize as localize
+from .single.localization import localize_one as localize_one
 from .single.result import AmbiguousError as AmbiguousError
 from .single.result import Localization as Localization
 from .single.result import Problem as Problem

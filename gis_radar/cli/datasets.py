@@ -129,6 +129,8 @@ def compare(
         first, second, before=all_time if before is None else before,
         after=all_time if after is None else after, days=days, language=language,
     )  # fmt: skip
+    for line in found.doubts:
+        reporter.warn(line)
     with base.csv_for(csv_locale):
         outputs = found.write(output, language=language, reporter=reporter)
     return Result(outputs=outputs, summary=found.figures(), timezone=first.timezone)

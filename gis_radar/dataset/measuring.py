@@ -21,7 +21,6 @@ from gis_radar.base import (
     UsageError,
     iso_from_step,
     name_of,
-    output_errors,
     zone_of,
 )
 from gis_radar.calibration import (
@@ -39,7 +38,8 @@ from gis_radar.dataset.files.manifest import (
     create_dataset,
     heights_digest,
     locked_for_writing,
-    remove_dataset,
+    next_to,
+    replace_dataset,
     require_same_settings,
 )
 from gis_radar.dataset.files.pose_book import PoseBook
@@ -369,13 +369,11 @@ def _replace(
     given: _Inputs, folder: Path, processes: int, reporter: Reporter, *, before_hour: int | None
 ) -> list[MadeHour]:
     """Make a dataset beside one with other tiles or settings, and replace that when complete."""
-    fresh = folder.with_name(f".{folder.name}.next")
+    fresh = next_to(folder)
     if fresh.exists() and not (Manifest.is_there(fresh) and Manifest.read(fresh) == given.manifest):
         shutil.rmtree(fresh, ignore_errors=True)  # else what a killed run left would be resumed
     made = _add(given, fresh, processes, reporter, only=True, before_hour=before_hour)
-    with output_errors(folder):
-        remove_dataset(folder)
-        fresh.rename(folder)
+    replace_dataset(folder)
     return made
 
 

@@ -20,6 +20,7 @@ from gis_radar.base import (
     InputError,
     Text,
     UsageError,
+    inexact_change,
     metric_crs,
     name_of,
     require_true_scale,
@@ -115,6 +116,8 @@ def place_nodes(
             raise CrsError("{}: {}", osm.path, wrong, hint=hint) from error
         if crs is None:
             remarks += _border_remarks(osm.geographic[geographic], target)
+        else:
+            remarks += _datum_remarks(target, osm.geographic[geographic])
     if crs is not None:
         remarks += _scale_remarks(target, plane[used])
     heights, more = _heights(osm, used)
@@ -162,6 +165,13 @@ def _scale_remarks(target: CRS, plane: Floats) -> tuple[str, ...]:
     except CrsError as error:
         return (error.message,)
     return ()
+
+
+def _datum_remarks(target: CRS, geographic: Floats) -> tuple[str, ...]:
+    """Return a remark if latitudes and longitudes cannot be projected to a metre."""
+    longitude, latitude = np.median(geographic, axis=0)
+    remark = inexact_change(_WGS84, target, float(longitude), float(latitude))
+    return () if remark is None else (remark,)
 
 
 def _require_fit(target: CRS, plane: Floats) -> None:

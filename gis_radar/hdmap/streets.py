@@ -98,6 +98,12 @@ def _known_streets(
     texts = known[STREET].map(lambda value: one_line(value) if isinstance(value, str) else "")
     known = known.assign(**{STREET: texts})
     known = known[(known[STREET] != "") & (known.geometry.geom_type == "LineString")]
+    if known.empty:
+        reporter.warn(
+            "{}: its column {} holds no text beside a line; lanes stay without names of streets",
+            what,
+            repr(name),
+        )
     return _reprojected(known, crs, what)
 
 

@@ -34,7 +34,7 @@ from gis_radar.scans.cells import SQUARE_M, RoadCells, make_cells
 from gis_radar.scans.engines import Pipeline, engine_of, write_layer
 from gis_radar.scans.point_store import PointStore, cut_into_blocks
 from gis_radar.scans.roads import Roads, read_roads, roads_of_map
-from gis_radar.scans.scan import Days, Scan, open_scan, write_road
+from gis_radar.scans.scan import Days, Scan, open_scan, warn_inexact, write_road
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 from gis_radar.scans.shift import read_shifted
 
@@ -246,6 +246,7 @@ def mask_road(
     touching = [scan for scan in opened if scan.touches(roads.area.bounds, roads.crs)]
     if not touching:
         raise _no_overlap(opened, roads)
+    warn_inexact(touching, roads.crs, reporter)
     blocks = cut_into_blocks(roads)
     with scratch_folder() as folder:
         store = PointStore(blocks, folder)

@@ -24,6 +24,7 @@ from gis_radar.base import (
     Reporter,
     Text,
     first_line,
+    inexact_change,
     metric_crs,
     name_of,
     reprojected_box,
@@ -165,6 +166,15 @@ def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
         points=int(header.point_count),
         bounds=_bounds(header),
     )
+
+
+def warn_inexact(scans: Sequence[Scan], crs: CRS, reporter: Reporter) -> None:
+    """Warn where points of scans cannot be placed in `crs` to a metre: another datum, no grid."""
+    named = {name_of(scan.crs): scan for scan in scans if np.isfinite(scan.bounds).all()}
+    for scan in named.values():
+        west, south, east, north = scan.bounds
+        if remark := inexact_change(scan.crs, crs, (west + east) / 2.0, (south + north) / 2.0):
+            reporter.warn("{}: {}", scan.path, remark)
 
 
 def write_road(points: Floats, path: Path, *, crs: CRS, settings: MaskSettings = DEFAULTS) -> None:

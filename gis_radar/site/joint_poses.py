@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gis_radar import calibration, hdmap, scans
 from gis_radar.base import (
+    SILENT,
     InputError,
     NoAnswerError,
     Reporter,
@@ -50,7 +52,7 @@ def refuse_candidates(path: Path) -> None:
 
 def calibrate_jointly(
     sensors: Mapping[str, Sequence[Path]], folder: Path, map_file: Path, road: Path, *,
-    clocks: Path | None, reporter: Reporter, **options: Any,
+    guesses: Mapping[str, Sequence[float]], clocks: Path | None, reporter: Reporter, **options: Any,
 ) -> Record:  # fmt: skip
     """Calibrate jointly those sensors of a site that have one or several candidate poses.
 
@@ -62,6 +64,8 @@ def calibrate_jointly(
         Holds the folders of the sensors.
     map_file, road : Path
         The lanes, and the scanned road.
+    guesses : mapping of str to sequence of float
+        Guess of each sensor, in the map's CRS.
     clocks : Path or None
         File of clocks' offsets, if they were measured.
     reporter : Reporter
@@ -78,17 +82,38 @@ def calibrate_jointly(
     candidates = {name: _own_candidates(folder / name) for name in sensors}
     poses = {name: found[0] for name, found in candidates.items() if found[0]}
     solved = calibration.Solved(poses={}, chosen={}, refused={}, pairs={})
-    if len(poses) > 1:
+    if poses:
         roads = hdmap.read_map(map_file, reporter=reporter, **options)
+        points = scans.read_road(road, roads.crs)
+    if len(poses) > 1:
         known = {} if clocks is None else calibration.read_clocks(clocks)
         solved = calibration.adjust_poses(
-            {name: sensors[name] for name in poses}, poses, roads, scans.read_road(road, roads.crs),
+            {name: sensors[name] for name in poses}, poses, roads, points,
             clocks=known, reporter=reporter,
         )  # fmt: skip
+    if poses:
+        localize = partial(
+            calibration.localize_one, roads=roads, road_points=points, reporter=SILENT
+        )
+        swapped = _swapped(sensors, poses, solved, guesses, localize)
+        solved = replace(solved, refused={**solved.refused, **swapped})
     return {
         name: _sensor_record(name, found, solved, candidates[name][1])
         for name, found in poses.items()
     }  # fmt: skip
+
+
+def _swapped(
+    sensors: Mapping[str, Sequence[Path]], poses: Mapping[str, tuple[Pose, ...]],
+    solved: calibration.Solved, guesses: Mapping[str, Sequence[float]],
+    localize: Callable[..., Any],
+) -> dict[str, Text]:  # fmt: skip
+    """Return why sensors with a pose are refused whose guess is that of one without an answer."""
+    alone = {name: found[0] for name, found in poses.items() if len(found) == 1}
+    placed = {name: p for name, p in (alone | solved.poses).items() if name not in solved.refused}
+    starts = {name: (paths[0], guesses[name]) for name, paths in sensors.items() if paths}
+    reasons = calibration.swapped_guesses(placed, solved.pairs, starts, poses, localize)
+    return {name: Text("{}: {}", name, reason) for name, reason in reasons.items()}
 
 
 def _own_candidates(place: Path) -> tuple[tuple[Pose, ...], Record]:

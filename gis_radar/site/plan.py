@@ -265,6 +265,7 @@ def _joint_poses(site: Site, folder: Path) -> Iterator[Stage]:
         options={
             **_map_options(site),
             "sensors": {name: len(paths) for name, paths in readable.items()},
+            "guesses": {each.name: each.guess for each in sensors},
         },
         outputs=(folder / "together.json",),
         phases=2,

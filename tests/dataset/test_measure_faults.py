@@ -326,7 +326,7 @@ def test_a_registry_that_names_an_unknown_pose_is_damaged(files, tmp_path):
     refused(tmp_path / "one", ("R1", files["R1"]), match="one: damaged: KeyError")
 
 
-def killed_before(write, work):
+def killed_before(write, work, names=("replace", "unlink")):
     """Do some work in a child that dies before its n-th change of a file; tell whether it died."""
     child = os.fork()
     if child == 0:
@@ -342,7 +342,7 @@ def killed_before(write, work):
             return changed
 
         try:
-            for name in ("replace", "unlink"):
+            for name in names:
                 setattr(Path, name, dies_at(getattr(Path, name)))
             work()
             os._exit(0)
@@ -396,6 +396,26 @@ def test_killed_while_it_begins_the_next_run_makes_it(files, tmp_path):
         assert killed_before(deaths, lambda: hits_of(site, first))
         hits_of(site, first)
         assert contents(site) == whole
+
+
+def test_killed_while_one_dataset_replaces_another_the_next_run_leaves_one(files, tmp_path):
+    site, first, copy = tmp_path / "a" / "site", ("R1", files["R1"]), tmp_path / "copy"
+    other = {"filters": gr.Filters(min_speed=1.0), "only": True}
+    site.parent.mkdir()
+    hits_of(site, first)
+    earlier = contents(site)
+    shutil.copytree(site, copy)
+    hits_of(site, first, **other)
+    whole = contents(site)
+    for deaths in (0, 1):
+        for options, expected in ((other, whole), ({"only": True}, earlier)):
+            shutil.rmtree(site.parent)
+            shutil.copytree(copy, site)
+            assert killed_before(deaths, lambda: hits_of(site, first, **other), ["rename"])
+            shutil.copytree(copy, site.with_name(".site.before"), dirs_exist_ok=True)
+            hits_of(site, first, **options)
+            assert contents(site) == expected
+            assert [each.name for each in site.parent.iterdir()] == ["site"]
 
 
 def test_a_full_disk_midway(files, tmp_path, monkeypatch):

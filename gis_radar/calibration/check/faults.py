@@ -1,4 +1,4 @@
-"""Faults of values that need neither map nor pose: frozen, constant, off, twice, too fast."""
+"""Faults of values that need neither map nor pose: frozen, constant, off, twice, fast, near."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ LEAST_REPEATED = 2  # smaller frames equal the one before by chance
 MOST_DUPLICATES, LEAST_DUPLICATES = 0.1, 30
 # So many detections faster than this (m/s) cannot be vehicles, in m/s or in km/h.
 TOO_FAST_MPS, LEAST_TOO_FAST = 300.0, 30
+# So many detections within this range (m, 99 % of them): a radar on a mast sees farther.
+_LEAST_REACH_M, _LEAST_CHECKED = 5.0, 1000
 # What stands has one range rate: of slower detections than _SLOW_MPS, at least _LEAST_SLOW, half
 # lie within _SAME_RATE_MPS (sensors have 0.02 to 0.08). That is 0 but for less than moving ones
 # have.
@@ -37,7 +39,7 @@ class Rows:
 
 
 def find_fault(rows: Rows, moves: Booleans) -> Finding | None:
-    """Return the finding on frozen, constant, repeated, impossibly fast or shifted values, if any.
+    """Return the finding on frozen, constant, repeated, impossible or shifted values, if any.
 
     Parameters
     ----------
@@ -47,7 +49,7 @@ def find_fault(rows: Rows, moves: Booleans) -> Finding | None:
         Which of them move.
     """
     found = _frozen(rows) or _constant(rows) or _duplicated(rows, moves) or _too_fast(rows)
-    return found or _shifted(rows)
+    return found or _too_near(rows) or _shifted(rows)
 
 
 def _frozen(rows: Rows) -> Finding | None:
@@ -107,6 +109,17 @@ def _too_fast(rows: Rows) -> Finding | None:
     evidence = Text("{:,} detections are faster than {:g} m/s", fast, TOO_FAST_MPS)
     looks = Text("range rates look like cm/s or mm/s")
     return wrong(evidence, Cause(looks, Text("range_rate is m/s")))
+
+
+def _too_near(rows: Rows) -> Finding | None:
+    """Return the finding on positions that all lie nearer than a road to its radar."""
+    range_m = np.hypot(rows.points[:, 0], rows.points[:, 1])
+    range_m = range_m[np.isfinite(range_m)]
+    if len(range_m) < _LEAST_CHECKED or (reach_m := np.percentile(range_m, 99.0)) > _LEAST_REACH_M:
+        return None
+    cause = Text("positions look like kilometres, or divided by 100 or 1000")
+    evidence = Text("99 % of the detections lie within {:.2g} m", reach_m)
+    return wrong(evidence, Cause(cause, Text("x, y and z are metres from the sensor")))
 
 
 def _shifted(rows: Rows) -> Finding | None:

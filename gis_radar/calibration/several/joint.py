@@ -32,7 +32,7 @@ from gis_radar.calibration.scan.scan_check import check_against_scan, require_sc
 from gis_radar.calibration.scan.scan_check_result import CONFIRMS, ScanCheck
 from gis_radar.calibration.several.network import CLASH_HINT, Solved, solve_network
 from gis_radar.calibration.several.placing import Station
-from gis_radar.calibration.several.swapped_guesses import by_name, swapped_guesses, unconfirmed
+from gis_radar.calibration.several.swapped_guesses import by_name, swapped_guesses
 from gis_radar.calibration.single.localization import (
     localize_one,
     localize_with_scan,
@@ -244,9 +244,9 @@ def locate_all(
     }  # fmt: skip
     if check is not None:
         placed = {n: each.with_scan_check(check(used[n], each.pose)) for n, each in placed.items()}
-    starts = dict(zip(recordings, guesses, strict=True))
-    suspects = unconfirmed(placed, solved.pairs)
-    swapped = swapped_guesses(suspects, starts, used, partial(single, reporter=SILENT))
+    starts = {path.stem: (path, guess) for path, guess in zip(recordings, guesses, strict=True)}
+    poses = {name: each.pose for name, each in placed.items()}
+    swapped = swapped_guesses(poses, solved.pairs, starts, used, partial(single, reporter=SILENT))
     placed = {name: each for name, each in placed.items() if name not in swapped}
     if swapped and not placed | confirmed:
         raise NoAnswerError(by_name(swapped), hint="give guesses in the order of recordings")

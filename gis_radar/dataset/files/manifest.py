@@ -246,13 +246,31 @@ def tiles_of_dataset(folder: Path, manifest: Manifest) -> gpd.GeoDataFrame:
     return tiles
 
 
-def remove_dataset(folder: Path) -> None:
-    """Remove a dataset, whole or not at all."""
-    aside = folder.with_name(f".{folder.name}.before")
+def next_to(folder: Path) -> Path:
+    """Return the folder in which the dataset is made that replaces another one."""
+    return folder.with_name(f".{folder.name}.next")
+
+
+def _before_of(folder: Path) -> Path:
+    return folder.with_name(f".{folder.name}.before")
+
+
+def replace_dataset(folder: Path) -> None:
+    """Replace a dataset by the complete one beside it (:func:`next_to`)."""
+    aside = _before_of(folder)
     with output_errors(folder):
         shutil.rmtree(aside, ignore_errors=True)
         folder.rename(aside)
+        next_to(folder).rename(folder)
         shutil.rmtree(aside)
+
+
+def _finish_replacement(folder: Path) -> None:
+    """Make the last moves of a run that was killed while it replaced a dataset."""
+    if next_to(folder).exists() and not folder.exists():
+        next_to(folder).rename(folder)
+    if folder.exists():
+        shutil.rmtree(_before_of(folder), ignore_errors=True)
 
 
 def require_same_site(
@@ -324,7 +342,7 @@ def _shown(setting: Any) -> str:
 
 @contextmanager
 def locked_for_writing(folder: Path, reporter: Reporter) -> Iterator[None]:
-    """Lock a dataset for writing, and remove files that a killed run left.
+    """Lock a dataset for writing, and finish or remove what a killed run left.
 
     Raises
     ------
@@ -336,5 +354,7 @@ def locked_for_writing(folder: Path, reporter: Reporter) -> Iterator[None]:
     if place.exists() and not Manifest.is_there(place):
         refuse_foreign(place, _OWNED)
     with output_errors(place), only_writer(place, reporter=reporter):
+        _finish_replacement(place)
         clear_unfinished(place)
         yield
+        shutil.rmtree(next_to(place), ignore_errors=True)

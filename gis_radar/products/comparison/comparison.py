@@ -84,7 +84,8 @@ def compare(
     ]
     with in_language(language):
         name_of_all = tr("All stop lines together")
-    return _compared(tables, sights, name_of_all, dataset.doubts, other.doubts)
+    doubts = (dataset.doubts, other.doubts, _shared_traffic(sources))
+    return _compared(tables, sights, name_of_all, *doubts)
 
 
 def _as_period(period: Period | str) -> Period:
@@ -126,6 +127,21 @@ def _require_apart(dataset: Dataset, before: Period, after: Period) -> None:
         raise UsageError(
             "the periods before and after overlap", hint="name two that have no time in common"
         )
+
+
+def _shared_traffic(sources: Sequence[tuple[Dataset, Period]]) -> list[str]:
+    """Return a doubt for each recording of whose time both periods hold a part."""
+    columns = ["path", "digest", "begin", "end"]
+    first, second = (source.recordings()[columns] for source, _ in sources)
+    both = first.merge(second, on="digest")
+    begins, ends = ([_seconds(both[f"{name}_{side}"]) for side in "xy"] for name in columns[2:])
+    for source, period in sources:
+        if (span := source.span(*period)) is not None:
+            begins.append(np.full(len(both), span[0] * STEP_S))
+            ends.append(np.full(len(both), (span[1] + 1) * STEP_S))
+    shared = np.max(begins, axis=0) < np.min(ends, axis=0)
+    names = sorted({Path(each).name for each in both.loc[shared, "path_x"]})
+    return [Text("{}: is in both periods: its traffic is compared with itself", n) for n in names]
 
 
 def _rows(

@@ -108,6 +108,9 @@ def _partial_frames(path: Path, layout: Layout, context: ReaderContext) -> Itera
     try:
         for batch in _batches(path, layout):
             context.reporter.progress(Text("reading {}", path.name), done, None)
+            time = batch.schema.field(layout.sources["time"]).type
+            if done == 0 and len(batch) and pa.types.is_timestamp(time) and time.tz is None:
+                context.reporter.warn("{}: its times name no time zone: they count as UTC", path)
             done += len(batch)
             if len(batch):
                 yield from _frames_of_batch(batch, layout, path, context)

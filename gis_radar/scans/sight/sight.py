@@ -38,7 +38,7 @@ from gis_radar.base import (
 )
 from gis_radar.poses import Pose, View, as_pose
 from gis_radar.scans.columns import LEAST_GROUND, ScanColumns, read_columns
-from gis_radar.scans.scan import Scan, box_with_margin, open_scan
+from gis_radar.scans.scan import Scan, box_with_margin, open_scan, warn_inexact
 from gis_radar.scans.shift import warn_shifted
 from gis_radar.scans.sight.obstacles import (
     OBSTACLE_CELL_M,
@@ -170,6 +170,7 @@ class SightScan:
     ) -> None:
         self.tiles, self.cache = tiles, cache
         self.scans: list[Scan] = [open_scan(scan, crs=scan_crs) for scan in scans]
+        warn_inexact(self.scans, tiles.crs, reporter)
         self._reporter = reporter
         self._is_shifted = False  # whether a warning of it was given
         self._windows: dict[Box, Obstacles] = {}
