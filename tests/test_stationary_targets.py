@@ -191,7 +191,7 @@ def test_the_watch_gives_a_move_in_the_axes_of_the_map_without_any_traffic():
     own = np.concatenate([turn.inv().apply(step[:3]), turn.inv().apply(step[3:])])
     yard, watch, noticed = Yard(), Watch(), []
     assert not watch.unmoved
-    watch.look(turn.as_matrix(), 0.0)
+    watch.find_move(turn.as_matrix(), 0.0)
     for block in range(1, 75):
         time, points, rate = yard.block(own if block > 65 else None)
         nothing = np.full(len(time), np.nan)
@@ -199,9 +199,9 @@ def test_the_watch_gives_a_move_in_the_axes_of_the_map_without_any_traffic():
         watch.push(
             Detections(time=time, points=points, range_rate=rate, rcs=nothing, further=record)
         )
-        found = watch.look(turn.as_matrix(), 20.0 * block)
+        found = watch.find_move(turn.as_matrix(), 20.0 * block)
         noticed += [(block, found)] if found is not None else []
-        assert watch.look(turn.as_matrix(), 20.0 * block + 5.0) is None  # within a block
+        assert watch.find_move(turn.as_matrix(), 20.0 * block + 5.0) is None  # within a block
         if block == 65:
             assert watch.unmoved
     assert not watch.unmoved
