@@ -43,6 +43,7 @@ from .files import FILE_DATE as FILE_DATE
 from .files import atomic_folder as atomic_folder
 from .files import atomic_write as atomic_write
 from .files import atomic_writes as atomic_writes
+from .files import clear_leftovers as clear_leftovers
 from .files import folder_to_fill as folder_to_fill
 from .files import is_folder_name as is_folder_name
 from .files import only_writer as only_writer
@@ -50,8 +51,10 @@ from .files import output_errors as output_errors
 from .files import paths_of as paths_of
 from .files import refuse_foreign as refuse_foreign
 from .files import refuse_inputs as refuse_inputs
+from .files import replacing_folder as replacing_folder
 from .files import require_folder as require_folder
 from .files import scratch_folder as scratch_folder
+from .files import sync_folder as sync_folder
 from .files import writing_errors as writing_errors
 from .geopackage import LayerNotes as LayerNotes
 from .geopackage import add_layer as add_layer

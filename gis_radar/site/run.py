@@ -23,6 +23,7 @@ from gis_radar.base import (
     UsageError,
     atomic_write,
     card,
+    clear_leftovers,
     json_text,
     only_writer,
     output_errors,
@@ -252,9 +253,8 @@ def _opened(folder: Path, reporter: Reporter) -> Iterator[tuple[RunState, Path]]
         (state / ".gitignore").write_text("*\n", encoding="utf-8")
     scratch = state / "scratch"
     with only_writer(folder, lock=state / "lock", reporter=reporter):
-        unfinished = [each for pattern in (".*.part", ".*.before") for each in root.rglob(pattern)]
-        for leftover in (*unfinished, scratch):
-            shutil.rmtree(leftover, ignore_errors=True)
+        clear_leftovers(root)
+        shutil.rmtree(scratch, ignore_errors=True)
         scratch.mkdir()
         try:
             yield RunState(state / "state.json", root), scratch

@@ -412,7 +412,7 @@ def test_killed_while_one_dataset_replaces_another_the_next_run_leaves_one(files
             shutil.rmtree(site.parent)
             shutil.copytree(copy, site)
             assert killed_before(deaths, lambda: hits_of(site, first, **other), ["rename"])
-            shutil.copytree(copy, site.with_name(".site.before"), dirs_exist_ok=True)
+            shutil.copytree(copy, site.with_name(".site.01234567.part"), dirs_exist_ok=True)
             hits_of(site, first, **options)
             assert contents(site) == expected
             assert [each.name for each in site.parent.iterdir()] == ["site"]

@@ -17,6 +17,7 @@ from gis_radar.base import (
     GisRadarError,
     InputError,
     Reporter,
+    clear_leftovers,
     first_line,
     output_errors,
     workers_here,
@@ -26,7 +27,6 @@ from gis_radar.dataset import (
     Dataset,
     Manifest,
     MeasureSettings,
-    clear_unfinished,
     manifest_of,
     measure,
     open_dataset,
@@ -167,7 +167,7 @@ class JobResult(Reporter):
 def resume_hours(site: MeasuredSite, spooled: Sequence[Path]) -> JobResult:
     """Return the hours that an earlier run left to be made, and the quarters of the last day."""
     done = make_recordings(site, spooled)
-    clear_unfinished(site.folder / PARTS_FOLDER)
+    clear_leftovers(site.folder / PARTS_FOLDER)
     done.hours = sorted(waiting_hours(site.folder))
     for path in sorted((site.folder / RECORDINGS_FOLDER).glob("*/*.parquet")):
         hour = hour_of_time(time_of_name(path.stem))
