@@ -417,7 +417,7 @@ def test_a_file_of_doubts_that_is_damaged_stops_nothing_and_is_told(tmp_path, po
     site, said = SpooledSite(tmp_path).site, Lines()
     (site.folder / DOUBTS_FILE).write_text(text)
     assert JobsHere(site, Quarters(), reporter=said, pool=pool).doubts == {}
-    assert said.told("doubts.json: cannot be read")
+    assert said.told("doubts.json: it is damaged")
 
 
 def test_at_the_end_hours_that_an_earlier_run_left_are_measured(tmp_path):

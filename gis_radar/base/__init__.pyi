@@ -71,6 +71,7 @@ from .grid import Grid as Grid
 from .json_documents import json_text as json_text
 from .json_documents import parsed_json as parsed_json
 from .json_documents import read_json as read_json
+from .json_documents import write_json as write_json
 from .languages import LANGUAGES as LANGUAGES
 from .languages import class_label as class_label
 from .languages import column_title as column_title

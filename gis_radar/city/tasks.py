@@ -24,6 +24,7 @@ from gis_radar.base import (
     json_text,
     only_writer,
     read_json,
+    write_json,
 )
 from gis_radar.city.city import RESULTS
 from gis_radar.city.settings import CityFile
@@ -235,8 +236,7 @@ def store_registered(task: SiteTask, states: Mapping[str, list[int]]) -> None:
     """Write which recordings the dataset has, and as they were when they were read."""
     paths = {*open_dataset(task.dataset).recordings()["path"]}
     in_dataset = {path: state for path, state in sorted(states.items()) if path in paths}
-    with atomic_write(task.results / REGISTERED) as part:
-        part.write_text(json_text(in_dataset, indent=1) + "\n", encoding="utf-8")
+    write_json(task.results / REGISTERED, in_dataset)
 
 
 def register_checked(site: Site, task: SiteTask) -> None:

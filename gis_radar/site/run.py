@@ -21,10 +21,8 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
-    atomic_write,
     card,
     clear_leftovers,
-    json_text,
     only_writer,
     output_errors,
     refuse_foreign,
@@ -32,6 +30,7 @@ from gis_radar.base import (
     warnings_once,
     with_texts,
     workers_here,
+    write_json,
 )
 from gis_radar.site import stages as work
 from gis_radar.site.execution import Execution, RunState, discard
@@ -318,9 +317,7 @@ def _write_record(
         "software": software(),
         "stages": [_stage_record(each, base, root) for each in outcomes],
     }
-    with atomic_write(root / "run.json") as part:
-        text = json_text(with_texts(document), indent=1, default=lambda path: _relative(path, base))
-        part.write_text(text + "\n", encoding="utf-8")
+    write_json(root / "run.json", with_texts(document), default=lambda path: _relative(path, base))
 
 
 def _with_sensor_name(name: str, error: GisRadarError) -> GisRadarError:
