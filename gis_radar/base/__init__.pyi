@@ -105,6 +105,7 @@ from .progress import QUIET as QUIET
 from .progress import SILENT as SILENT
 from .progress import Level as Level
 from .progress import Reporter as Reporter
+from .progress import WarningList as WarningList
 from .progress import one_line as one_line
 from .progress import warnings_once as warnings_once
 from .spreadsheets import csv_for as csv_for

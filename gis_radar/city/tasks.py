@@ -19,7 +19,7 @@ from gis_radar import products
 from gis_radar.base import (
     GisRadarError,
     InputError,
-    Reporter,
+    WarningList,
     atomic_write,
     json_text,
     only_writer,
@@ -54,7 +54,7 @@ Failure = tuple[str, GisRadarError]
 
 
 @dataclass(kw_only=True)
-class SiteTask(Reporter):
+class SiteTask(WarningList):
     """A site of a city for its tasks, whose failures and warnings it collects.
 
     Parameters
@@ -67,15 +67,12 @@ class SiteTask(Reporter):
         The site file.
     failures : list of Failure
         Names of what has no result, with the errors.
-    warnings : list of str
-        Warnings.
     """
 
     root: Path
     name: str
     file: Path
     failures: list[Failure] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
 
     @property
     def dataset(self) -> Path:
@@ -86,11 +83,6 @@ class SiteTask(Reporter):
     def results(self) -> Path:
         """Folder of all else that is made of it."""
         return self.root / RESULTS / self.name
-
-    def log(self, message: str, level: str = "info") -> None:
-        """Keep a warning."""
-        if level == "warning" and message not in self.warnings:
-            self.warnings.append(message)
 
 
 def add_recordings(task: SiteTask) -> SiteTask:

@@ -274,8 +274,7 @@ def _with_findings(given: _Inputs, accept: Collection[str], reporter: Reporter) 
         for name, found in by_sensor.items()
     }  # fmt: skip
     lanelets = lanelets_of(given.tiles) if given.roads is None else given.roads.lanelets
-    centres = given.book.road.centres
-    lanes = LaneMap(lanelets=lanelets, road=centres[np.isfinite(centres[:, 2])])
+    lanes = LaneMap.of_tiles(lanelets, given.book.road)
     if unknown := sorted({*accept} - sensors.keys()):
         raise UsageError("{}: no sensor of that name is given", Text(", ").join(unknown))
     findings = check_plausibility(sensors, lanes, reporter=reporter)
