@@ -239,17 +239,12 @@ def atomic_folder(
 
 @contextmanager
 def replacing_folder(path: Path) -> Iterator[Path]:
-    """Write a folder that takes the place of `path` when the block ends well.
+    """Yield a private folder that takes the place of `path` when the block ends well.
 
     Parameters
     ----------
     path : Path
         Final path of the folder; the caller is its only writer.
-
-    Yields
-    ------
-    Path
-        An empty private folder beside `path`.
 
     Raises
     ------

@@ -199,7 +199,7 @@ def _line(name: str, failure: Failure) -> Text:
     what, error = failure
     if what == name:
         return Text("{}: {}", name, error.message)
-    return Text("{}: {}: {}", name, what, error.message)
+    return Text("{}: {}: {}", name, what, error.message.without(what))
 
 
 def _task(root: Path, city: CityFile, name: str) -> SiteTask:

@@ -33,9 +33,9 @@ from gis_radar.site import (
     Sensor,
     Site,
     convert_stage,
+    files_of,
     heatmap_stage,
     measure_stage,
-    paths_named_by,
     prepare_site,
     read_site,
     refusals_of,
@@ -243,7 +243,7 @@ def register_checked(site: Site, task: SiteTask) -> None:
             again = {name: pending[name] for name in refused}
         except InputError as error:
             refused = {name: error for name, each in pending.items()
-                       if paths_named_by(error, each.recordings)}  # fmt: skip
+                       if files_of(error, each.recordings)}  # fmt: skip
             again = pending
             if not refused:
                 raise
@@ -251,7 +251,7 @@ def register_checked(site: Site, task: SiteTask) -> None:
         pending = {}
         for name, sensor in again.items():
             paths = sensor.recordings
-            damaged = paths_named_by(refused[name], paths) if name in refused else []
+            damaged = files_of(refused[name], paths) if name in refused else []
             paths = tuple(path for path in paths if path not in damaged)
             if paths and (damaged or name not in refused):
                 pending[name] = sensor.model_copy(update={"recordings": paths})

@@ -322,7 +322,7 @@ def _write_record(
 
 def _with_sensor_name(name: str, error: GisRadarError) -> GisRadarError:
     """Return the error of a sensor without a result, with the sensor's name."""
-    if name in error.message.partition(":")[0].split():  # it names the sensor itself
+    if error.message.names(name):
         return error
     return type(error)("{}: {}", name, error.message, hint=error.hint)
 
@@ -382,13 +382,12 @@ def sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, A
             continue
         facts = found[each.stage.sensor]
         if each.error is not None:
-            reason = each.error.message.removeprefix(f"{each.stage.sensor}: ")
-            facts.setdefault("state", reason)
+            facts.setdefault("state", each.error.message.without(each.stage.sensor))
         elif each.stage.work in {work.localize_stage, work.pose_stage, work.tied_pose_stage}:
             # figures of the localization come first; the pose in use replaces them
             found[each.stage.sensor] = {**facts, **each.figures}
     for name, error in refused_sensors(outcomes, site.timezone).items():
-        found[name]["state"] = Text(error.message).removeprefix(f"{name}: ")
+        found[name]["state"] = error.message.without(name)
     for name, doubt in doubts_of(outcomes).items():
-        found[name]["state"] = Text(doubt).removeprefix(f"{name}: ")
+        found[name]["state"] = Text(doubt).without(name)
     return {name: {"state": "ok"} | facts for name, facts in found.items()}
