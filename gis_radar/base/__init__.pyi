@@ -93,12 +93,9 @@ from .processes import free_address_space as free_address_space
 from .processes import go_offline as go_offline
 from .processes import interrupt_main_thread as interrupt_main_thread
 from .processes import run_child as run_child
-from .processes import stop_pool as stop_pool
-from .processes import stop_workers as stop_workers
 from .processes import stopped_by_signals as stopped_by_signals
 from .processes import watch_input as watch_input
 from .processes import watch_parent as watch_parent
-from .processes import worker_pool as worker_pool
 from .processes import workers_here as workers_here
 from .progress import MOST_ERROR_CHARACTERS as MOST_ERROR_CHARACTERS
 from .progress import QUIET as QUIET
@@ -162,3 +159,5 @@ from .words import street_label as street_label
 from .words import tr as tr
 from .words import wind_of as wind_of
 from .words import with_error as with_error
+from .worker_pools import WorkerPool as WorkerPool
+from .worker_pools import worker_pool as worker_pool

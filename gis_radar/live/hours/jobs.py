@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,8 +21,8 @@ from gis_radar.base import (
     GisRadarError,
     Reporter,
     Text,
+    WorkerPool,
     restored,
-    stop_pool,
     watch_parent,
     with_texts,
 )
@@ -52,10 +52,10 @@ MOST_LOGGED = 1_000  # most warnings remembered, which are not logged again
 Work = Callable[[MeasuredSite, Sequence[Path]], JobResult]
 
 
-def _process() -> ProcessPoolExecutor:
+def _process() -> WorkerPool:
     """Start a worker: it is nice before it imports gis_radar, as that takes seconds of a core."""
     nice = partial(os.nice, NICE) if hasattr(os, "nice") else None
-    pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=nice)
+    pool = WorkerPool(1, context=multiprocessing.get_context("spawn"), initializer=nice)
     pool.submit(watch_parent)
     return pool
 
@@ -104,7 +104,7 @@ class HourJobs:
 
     def __init__(
         self, site: MeasuredSite, quarters: Quarters, *,
-        process: Callable[[], ProcessPoolExecutor] = _process, reporter: Reporter = QUIET,
+        process: Callable[[], WorkerPool] = _process, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.touched: dict[int, float] = {}
         self._doubts_file = StateFile(site.folder / DOUBTS_FILE, reporter=reporter)
@@ -114,7 +114,7 @@ class HourJobs:
         self.behind_s = self.quarters_left_out = 0.0
         self._site, self._quarters = site, quarters
         self._reporter = reporter
-        self._pool: ProcessPoolExecutor | None = None
+        self._pool: WorkerPool | None = None
         self._process = process
         self._running: Future[JobResult] | None = None
         self._next: Work | None = None
@@ -310,7 +310,7 @@ class HourJobs:
     def stop(self) -> None:
         """End the process."""
         if self._pool is not None:
-            stop_pool(self._pool)
+            self._pool.stop()
         self._pool, self._running, self._next = None, None, None
 
     def figures(self) -> dict[str, float]:
