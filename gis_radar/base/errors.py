@@ -27,8 +27,8 @@ class GisRadarError(Exception):
     Attributes
     ----------
     about : str
-        The file, place or sensor that it is about: the first value of a template that begins with
-        `{}: `, whatever becomes of the message later; else empty.
+        The file, place or sensor that it is about, whatever becomes of the message later: the
+        first value of a template that begins with a hole and a colon; else empty.
 
     Examples
     --------

@@ -301,18 +301,19 @@ def _hidden_stem(path: Path) -> str:
 
 
 def clear_leftovers(path: Path, *, alone: bool = True) -> None:
-    """Remove what killed runs left of an output, beside it and in it.
+    """Remove what killed runs left of an output.
 
     Parameters
     ----------
     path : Path
         The output.
     alone : bool
-        Whether the caller is its only writer; if not, only what is a day old is removed.
+        Whether the caller is its only writer, so that all beside it and in it is removed; if not,
+        only what lies beside it and is a day old.
     """
     beside = path.parent.glob(f"{glob.escape(_hidden_stem(path))}.????????.part")
     with suppress(OSError):  # another run has just removed it
-        for left in [*beside, *path.rglob(_PRIVATE)]:
+        for left in [*beside, *(path.rglob(_PRIVATE) if alone else ())]:
             newest = max(each.lstat().st_mtime for each in (left, *left.rglob("*")))
             if alone or time.time() - newest > _ABANDONED_S:
                 shutil.rmtree(left, ignore_errors=True)

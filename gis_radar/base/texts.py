@@ -61,7 +61,7 @@ class Text(str):
 
     @property
     def about(self) -> str:
-        """What it is about: the first value of a template that begins with `{}: `, or empty."""
+        """What it is about: the first value where the template begins with a hole and a colon."""
         if self.template == "{}" and isinstance(self.values[0], Text):
             return self.values[0].about
         return str(self.values[0]) if self.template.startswith("{}: ") else ""
