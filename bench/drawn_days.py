@@ -28,11 +28,12 @@ from gis_radar.dataset import (
     hour_text,
     part_path,
     read_hours,
+    replacing,
     write_record,
     write_single_file,
 )
 from gis_radar.dataset.days.lane_measures import LANES_METHOD
-from gis_radar.dataset.files.parts import PartDigest, common_metadata, move_to_place, write_part
+from gis_radar.dataset.files.parts import PartDigest, common_metadata, write_part
 from gis_radar.dataset.files.tables import HOUR_TABLES, LANE_MEASURES, SIGHTS, TURNS
 from gis_radar.hdmap import fingerprint
 
@@ -129,8 +130,8 @@ def _write(
         }
     metadata = common_metadata(table, known) | {"hour": hour_text(day), "hours": json.dumps(keys)}
     path = part_path(folder, table, day)
-    write_part(table, path, rows, metadata)
-    move_to_place(path)
+    with replacing(path) as fresh:
+        write_part(table, fresh, rows, metadata)
 
 
 def _lanes_of(tiles: gpd.GeoDataFrame) -> gpd.GeoDataFrame:

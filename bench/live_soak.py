@@ -34,7 +34,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 import gis_radar as gr
-from gis_radar.base import STEP_S, STEP_US, Integers, Reporter, stopped_by_signals
+from gis_radar.base import STEP_S, STEP_US, Integers, WarningList, stopped_by_signals
 from gis_radar.live import (
     BrokerAddress,
     DetectionSelector,
@@ -191,17 +191,6 @@ def send(folder: Path, names: list[str], sensors: int, seconds: float) -> None:
         each.link.close()
 
 
-class KeptWarnings(Reporter):
-    """Reporter that keeps the warnings."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def log(self, message: str, level: str = "info") -> None:
-        if level == "warning":
-            self.lines.append(message)
-
-
 class TimedFusion(Fusion):
     """Fusion that counts the frames by their age when the map has them."""
 
@@ -230,7 +219,7 @@ class TimedFusion(Fusion):
 
 def fuse(folder: Path) -> None:
     """Run fusion until it is stopped; write its figures every 10 s and at the end."""
-    warnings = KeptWarnings()
+    warnings = WarningList()
     begin = time.monotonic()
     fusion = TimedFusion(read_live_site(folder / "SITE.toml"), reporter=warnings)
     start_s = time.monotonic() - begin
@@ -260,7 +249,7 @@ def fuse(folder: Path) -> None:
         ages[MOST_MS] += counts.get("late_frames", 0)
         figures = {
             "counts": counts, "rows": rows, "start_s": start_s, "finish_s": fusion.finish_s,
-            "told": warnings.lines[-20:], "figures": fusion.shown, "ages": ages.tolist(),
+            "told": warnings.warnings[-20:], "figures": fusion.shown, "ages": ages.tolist(),
         }  # fmt: skip
         fresh = folder / f"fused-{begin:.0f}.new"  # a process killed meanwhile leaves no half file
         fresh.write_text(json.dumps(figures))

@@ -248,9 +248,7 @@ def ready_workers(monkeypatch):
 class _WorkerThread(ThreadPoolExecutor):
     """Stands for the process in which fusion measures; it ends once its work is done."""
 
-    _processes = None
-
-    def shutdown(self, **_):
+    def stop(self):
         super().shutdown(cancel_futures=True)
 
 

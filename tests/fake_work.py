@@ -43,6 +43,10 @@ def refuse(*, outputs, reporter, text="", **_inputs):
     raise NoAnswerError("nothing fits", hint="look again", parts=parts)
 
 
+def refuse_sensor(*, text, **_inputs):
+    raise NoAnswerError("{}: nothing fits", text)
+
+
 def fail(*, outputs, reporter, text="", **_inputs):
     _note(outputs[0], text)
     raise InputError("bad data")

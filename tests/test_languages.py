@@ -127,10 +127,12 @@ def test_what_a_file_claims_to_be_a_text_is_none(entry):
 
 def test_a_name_before_a_text_is_taken_off():
     reason = Text("{} frames, at least {} are needed", 3, 20)
-    assert Text("{}: {}", "R1", reason).removeprefix("R1: ") is reason
-    left = Text("{}: {} gives no pose", "R1", "a").removeprefix("R1: ")
+    left = Text("{}: {}", "R1", reason).without("R1")
+    assert (left, Text(left.values[0]).template) == (reason, reason.template)
+    left = Text("{}", Text("{}: {} gives no pose", "R1", "a")).without("R1")
     assert (left, left.template) == ("a gives no pose", "{} gives no pose")
-    assert Text("R1: as it is").removeprefix("R1: ") == "as it is"
+    for other in (Text("R1: as it is"), Text("{}: {}", "R2", reason), Text("R1")):
+        assert other.without("R1") is other
 
 
 @pytest.mark.parametrize(

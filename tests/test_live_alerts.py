@@ -171,7 +171,7 @@ def test_a_damaged_file_of_alerts_stops_nothing(tmp_path, text):
     said = Lines()
     (tmp_path / "alerts.json").write_text(text)
     assert Watch(tmp_path, reporter=said).run(70, clock="+50 ms") == ["clock off"]
-    assert said.told("alerts.json: cannot be read: alerts begin anew")
+    assert said.told("alerts.json: it is damaged")
 
 
 def test_states_are_those_of_a_city_and_sentences_in_the_sites_language(tmp_path):

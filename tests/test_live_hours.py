@@ -3,7 +3,7 @@
 import json
 import multiprocessing
 import time
-from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import replace
 from functools import partial
 
@@ -15,7 +15,7 @@ from live_programs import Lines, pose_beside
 from live_site import wait_for
 
 import gis_radar as gr
-from gis_radar.base import InputError, step_begin
+from gis_radar.base import InputError, WorkerPool, step_begin
 from gis_radar.calibration.findings import Cause, wrong
 from gis_radar.dataset import hour_text, read_hours
 from gis_radar.live import HOUR_OFFSET_US, HOUR_US, QuarterMeasures, recording_path
@@ -287,8 +287,6 @@ def test_an_hour_that_is_not_measured_is_tried_again_ever_more_rarely(tmp_path, 
 class HeldPool:
     """A pool of processes whose work is done when the test says so."""
 
-    _processes = None
-
     def __init__(self):
         self.begun, self.future = [], Future()
         self.future.set_result(None)
@@ -299,7 +297,7 @@ class HeldPool:
         self.future = Future()
         return self.future
 
-    def shutdown(self, **_):
+    def stop(self):
         """Stop nothing."""
 
 
@@ -417,7 +415,7 @@ def test_a_file_of_doubts_that_is_damaged_stops_nothing_and_is_told(tmp_path, po
     site, said = SpooledSite(tmp_path).site, Lines()
     (site.folder / DOUBTS_FILE).write_text(text)
     assert JobsHere(site, Quarters(), reporter=said, pool=pool).doubts == {}
-    assert said.told("doubts.json: cannot be read")
+    assert said.told("doubts.json: it is damaged")
 
 
 def test_at_the_end_hours_that_an_earlier_run_left_are_measured(tmp_path):
@@ -459,7 +457,7 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, mo
     recorded_at(made, FULL_US - 5_000_000)
 
     def process():
-        pools.append(ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")))
+        pools.append(WorkerPool(1, context=multiprocessing.get_context("spawn")))
         if not idle and len(pools) == 1:
             pools[0].submit(time.sleep, 600.0)  # the job waits behind it until the kill
         return pools[-1]

@@ -1,12 +1,14 @@
 """A message names the file and the place in it, also where what raises it knows neither."""
 
 import json
+import pickle
 import traceback
 
 import pytest
 
 import gis_radar as gr
-from gis_radar.base import CrsError, InputError, placed, seconds_from_iso
+from gis_radar.base import CrsError, InputError, Text, placed, seconds_from_iso
+from gis_radar.site.messages import error_in_site_words
 
 POSE = json.loads((gr.sample_folder() / "R1.json").read_text())
 WRONG = {
@@ -47,10 +49,19 @@ def test_a_table_without_usable_times_names_its_file(tmp_path, count):
 
 
 def test_a_place_is_named_once_and_the_kind_of_the_error_stays():
-    for message in ("a.json: wrong", "wrong"):
+    for message in (["{}: wrong", "a.json"], ["wrong"]):
         with pytest.raises(CrsError, match=r"(?m)^a\.json: wrong$") as caught, placed("a.json"):
-            raise CrsError(message, hint="mend it")
-        assert caught.value.hint == "mend it"
+            raise CrsError(*message, hint="mend it")
+        assert (caught.value.hint, caught.value.about) == ("mend it", "a.json")
+
+
+def test_an_error_knows_what_it_is_about_whatever_becomes_of_it(tmp_path):
+    path = tmp_path / "a, 2025-06-12T07:30Z.csv"
+    for error in (InputError("{}: no rows", path), InputError("{}", Text("{}: no rows", path))):
+        again = pickle.loads(pickle.dumps(error_in_site_words(error, "Europe/Berlin", tmp_path)))  # noqa: S301
+        assert again.message == "a, 2025-06-12 09:30 UTC+02:00.csv: no rows"
+        assert again.about == str(path)
+    assert InputError("no rows in {}: {}", path, "none").about == ""
 
 
 def test_a_traceback_ends_with_what_to_do():

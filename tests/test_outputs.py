@@ -142,7 +142,7 @@ def test_a_file_that_cannot_be_moved_is_named(tmp_path, monkeypatch):
     def busy(*_):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("os.replace", busy)
+    monkeypatch.setattr(Path, "replace", busy)
     with (
         pytest.raises(OutputError, match=r"a\.txt: cannot be written: Permission denied"),
         atomic_write(tmp_path / "a.txt") as part,

@@ -122,8 +122,7 @@ def test_without_a_watchdog_the_input_does_not_matter(tmp_path):
 
 POOL = """
 import multiprocessing, os, pathlib, subprocess, sys, time
-from concurrent.futures import ProcessPoolExecutor
-from gis_radar.base import stop_workers, watch_parent
+from gis_radar.base import WorkerPool, watch_parent
 
 def work(note):
     child = subprocess.Popen(["sleep", "600"])
@@ -133,10 +132,10 @@ def work(note):
 
 if __name__ == "__main__":
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=spawn, initializer=watch_parent) as pool:
+    with WorkerPool(1, context=spawn, initializer=watch_parent) as pool:
         pool.submit(work, sys.argv[1])
         sys.stdin.read()
-        stop_workers(multiprocessing.active_children())
+        pool.stop()
 """
 
 

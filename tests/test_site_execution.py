@@ -214,6 +214,12 @@ def test_a_full_disk_stops_all_whoever_meets_it(root, source):
         execute(stages, root)
 
 
+def test_a_warning_names_a_sensor_once(root, source):
+    said = Listener()
+    execute([stage(root, "a", [source], work="refuse_sensor", sensor="a")], root, reporter=said)
+    assert said.messages[-1] == ("warning", "a: nothing fits")
+
+
 def test_warnings_stand_when_a_stage_is_kept(root, source):
     for state in ("done", "kept"):
         found = execute([stage(root, "road", [source], work="warn")], root)

@@ -91,8 +91,8 @@ def traffic(site):
 def several(*poses):
     """The refusal of a sensor that fits in several places."""
     answers = tuple(Localization(pose=each, fitness=0.9, observable=True) for each in poses)
-    text = f"{poses[0].sensor}: ambiguous, two poses"
-    return AmbiguousError(text, hint="record longer", answers=answers)
+    name = poses[0].sensor
+    return AmbiguousError("{}: ambiguous, two poses", name, hint="record longer", answers=answers)
 
 
 def test_two_sensors_gain_by_each_other(site, run):

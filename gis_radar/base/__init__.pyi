@@ -43,6 +43,7 @@ from .files import FILE_DATE as FILE_DATE
 from .files import atomic_folder as atomic_folder
 from .files import atomic_write as atomic_write
 from .files import atomic_writes as atomic_writes
+from .files import clear_leftovers as clear_leftovers
 from .files import folder_to_fill as folder_to_fill
 from .files import is_folder_name as is_folder_name
 from .files import only_writer as only_writer
@@ -50,8 +51,10 @@ from .files import output_errors as output_errors
 from .files import paths_of as paths_of
 from .files import refuse_foreign as refuse_foreign
 from .files import refuse_inputs as refuse_inputs
+from .files import replacing_folder as replacing_folder
 from .files import require_folder as require_folder
 from .files import scratch_folder as scratch_folder
+from .files import sync_folder as sync_folder
 from .files import writing_errors as writing_errors
 from .geopackage import LayerNotes as LayerNotes
 from .geopackage import add_layer as add_layer
@@ -68,6 +71,7 @@ from .grid import Grid as Grid
 from .json_documents import json_text as json_text
 from .json_documents import parsed_json as parsed_json
 from .json_documents import read_json as read_json
+from .json_documents import write_json as write_json
 from .languages import LANGUAGES as LANGUAGES
 from .languages import class_label as class_label
 from .languages import column_title as column_title
@@ -89,18 +93,16 @@ from .processes import free_address_space as free_address_space
 from .processes import go_offline as go_offline
 from .processes import interrupt_main_thread as interrupt_main_thread
 from .processes import run_child as run_child
-from .processes import stop_pool as stop_pool
-from .processes import stop_workers as stop_workers
 from .processes import stopped_by_signals as stopped_by_signals
 from .processes import watch_input as watch_input
 from .processes import watch_parent as watch_parent
-from .processes import worker_pool as worker_pool
 from .processes import workers_here as workers_here
 from .progress import MOST_ERROR_CHARACTERS as MOST_ERROR_CHARACTERS
 from .progress import QUIET as QUIET
 from .progress import SILENT as SILENT
 from .progress import Level as Level
 from .progress import Reporter as Reporter
+from .progress import WarningList as WarningList
 from .progress import one_line as one_line
 from .progress import warnings_once as warnings_once
 from .spreadsheets import csv_for as csv_for
@@ -157,3 +159,5 @@ from .words import street_label as street_label
 from .words import tr as tr
 from .words import wind_of as wind_of
 from .words import with_error as with_error
+from .worker_pools import WorkerPool as WorkerPool
+from .worker_pools import worker_pool as worker_pool

@@ -24,6 +24,12 @@ class GisRadarError(Exception):
     parts : sequence of GisRadarError
         For an error about several things: one for each of them, with its own hint.
 
+    Attributes
+    ----------
+    about : str
+        The file, place or sensor that it is about, whatever becomes of the message later: the
+        first value of a template that begins with a hole and a colon; else empty.
+
     Examples
     --------
     >>> GisRadarError("{}: row {} has no time", "R1.csv", 3).message
@@ -41,6 +47,7 @@ class GisRadarError(Exception):
             message = Text(message.template, *flat) if message.values else Text(_one_line(message))
         super().__init__(message)
         self.message = message
+        self.about = message.about
         self.parts = tuple(parts)
         self._hint = ""
         self.hint = hint
@@ -93,12 +100,12 @@ def placed(where: str) -> Iterator[None]:
     Parameters
     ----------
     where : str
-        A file, or a place in one; not repeated where the message begins with it.
+        A file, or a place in one; not repeated where the error is about it.
     """
     try:
         yield
     except InputError as error:
-        if error.message.startswith(where):
+        if error.about == where:
             raise
         raise type(error)("{}: {}", where, error.message, hint=error.hint) from error
 

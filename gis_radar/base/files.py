@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-import atexit
 import errno
-import json
+import glob
 import os
-import secrets
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from datetime import date
+from hashlib import blake2b
 from pathlib import Path
 
 from gis_radar.base.errors import GisRadarError, OutputError, first_line
-from gis_radar.base.leftovers import (
-    PLAN,
-    PRIVATE,
-    SCRATCH,
-    clear_abandoned,
-    clear_scratch,
-    hidden_stem,
-    hold_lock,
-    leftovers,
-    private_pattern,
-)
 from gis_radar.base.progress import QUIET, Reporter
 from gis_radar.base.texts import Text
 
@@ -39,10 +28,11 @@ _WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL"
 _FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
 LEAST_FREE = 1 << 16  # bytes: a disk with less is full, whatever a library's error states
 
-_unfinished: set[Path] = set()
 _LONGEST_NAME = 200  # bytes: file systems take 255, and names get endings
 _NOT_IN_NAMES = frozenset('/\\:*?"<>|+#')  # + and # are wildcards of MQTT
-_CLEARING_FILES = 4  # file descriptors that the removal of a nested folder needs
+_PRIVATE = ".*.????????.part"  # names of private folders of unfinished outputs
+_LONGEST_HIDDEN = 240  # bytes of the name of a hidden file, before an ending
+_ABANDONED_S = 86_400.0  # unchanged for so long, a private folder belongs to a run that was killed
 
 
 def is_folder_name(text: str) -> bool:
@@ -140,13 +130,17 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def atomic_writes(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
+def atomic_writes(path: Path, *, flushed: bool = False) -> Iterator[tuple[Path, dict[Path, Path]]]:
     """Write several files that appear only when the block ends well.
+
+    `path` is moved last: if the run is killed between two moves, the same command makes them again.
 
     Parameters
     ----------
     path : Path
-        One of the files, or what they are named after; they stand beside it.
+        One of the files, or what they are named after; they stand on its file system.
+    flushed : bool
+        Flush each to the disk before the next one is moved, to survive a power failure.
 
     Yields
     ------
@@ -166,14 +160,24 @@ def atomic_writes(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
         for place in places.values():
             if place.is_dir():
                 raise OutputError("{}: is a folder", place, hint="name a file for the output")
-        # `path` moves last. If this run is killed between two moves, the next run makes the rest.
-        order = sorted(places.items(), key=lambda each: each[1] == path)
-        if len(order) > 1:
-            plan = json.dumps([[part.name, str(place.absolute())] for part, place in order])
-            (private / PLAN).write_text(plan, encoding="utf-8")
-        for part, place in order:
+        for part, place in sorted(places.items(), key=lambda each: each[1] == path):
             with output_errors(place):
-                os.replace(part, place)  # noqa: PTH105 - atomic on every platform
+                if flushed:
+                    with part.open("rb+") as file:
+                        os.fsync(file.fileno())
+                part.replace(place)
+                if flushed:
+                    sync_folder(place.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Flush the names in a folder to disk, where the system can."""
+    if os.name == "posix":
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 @contextmanager
@@ -229,35 +233,37 @@ def atomic_folder(
     if path.exists():
         _refuse_working_folder(path)
         refuse_foreign(path, owned)
-    with only_writer(path, reporter=reporter), _private_folder(path, alone=True) as private:
-        _restore(path)
-        fresh = private / path.name
-        fresh.mkdir()
+    with only_writer(path, reporter=reporter), replacing_folder(path) as fresh:
         yield fresh
-        _replace_folder(path, fresh, private.with_suffix(".before"))
 
 
-def _replace_folder(path: Path, fresh: Path, earlier: Path) -> None:
-    """Move `fresh` to `path`, and the result there aside to `earlier`; put that back on failure."""
-    try:
-        with output_errors(path):
-            if path.exists():
-                path.rename(earlier)
-            fresh.rename(path)
-    finally:
-        if earlier.exists() and fresh.exists():
-            earlier.rename(path)
-        elif earlier.exists():
-            shutil.rmtree(earlier, ignore_errors=True)
+@contextmanager
+def replacing_folder(path: Path) -> Iterator[Path]:
+    """Yield a private folder that takes the place of `path` when the block ends well.
 
+    Parameters
+    ----------
+    path : Path
+        Final path of the folder; the caller is its only writer.
 
-def _restore(path: Path) -> None:
-    """Bring back a folder that a killed run had moved aside; the caller holds its lock."""
-    for earlier in leftovers(path, "before"):
-        if path.exists():
-            shutil.rmtree(earlier, ignore_errors=True)
-        else:
-            earlier.rename(path)
+    Raises
+    ------
+    OutputError
+        If the place cannot be written.
+    """
+    clear_leftovers(path)
+    with _private_folder(path) as private:
+        fresh, earlier = private / "new" / path.name, private / "earlier"
+        fresh.mkdir(parents=True)
+        yield fresh
+        try:
+            with output_errors(path):
+                if path.exists():
+                    path.rename(earlier)
+                fresh.rename(path)
+        finally:
+            if earlier.exists() and fresh.exists():
+                earlier.rename(path)
 
 
 def _refuse_working_folder(path: Path) -> None:
@@ -275,12 +281,8 @@ def refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
     """Refuse a file, or a folder that holds names which do not begin with one of `owned`."""
     if not path.is_dir():
         raise OutputError("{}: is a file", path, hint="name a folder for the output")
-    clear_abandoned(path, PRIVATE)
-    foreign = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith(owned))
-    if foreign and PRIVATE.fullmatch(foreign[0]):
-        raise OutputError(
-            "{}: another run is writing into it", path, hint="wait for it, or stop it"
-        )
+    names = {entry.name for entry in path.iterdir()} - {left.name for left in path.glob(_PRIVATE)}
+    foreign = sorted(name for name in names if not name.startswith(owned))
     if foreign:
         raise OutputError(
             "{}: holds {}, which is not part of such a result",
@@ -290,32 +292,55 @@ def refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
         )
 
 
+def _hidden_stem(path: Path) -> str:
+    """Return what hidden names beside an output begin with: a digest where its name is long."""
+    name = os.fsencode(f".{path.name}")
+    if len(name) > _LONGEST_HIDDEN:
+        return f".{blake2b(name[1:], digest_size=16).hexdigest()}"
+    return f".{path.name}"
+
+
+def clear_leftovers(path: Path, *, alone: bool = True) -> None:
+    """Remove what killed runs left of an output.
+
+    Parameters
+    ----------
+    path : Path
+        The output.
+    alone : bool
+        Whether the caller is its only writer, so that all beside it and in it is removed; if not,
+        only what lies beside it and is a day old.
+    """
+    beside = path.parent.glob(f"{glob.escape(_hidden_stem(path))}.????????.part")
+    with suppress(OSError):  # another run has just removed it
+        for left in [*beside, *(path.rglob(_PRIVATE) if alone else ())]:
+            newest = max(each.lstat().st_mtime for each in (left, *left.rglob("*")))
+            if alone or time.time() - newest > _ABANDONED_S:
+                shutil.rmtree(left, ignore_errors=True)
+
+
 @contextmanager
-def _private_folder(path: Path, *, alone: bool = False) -> Iterator[Path]:
-    """Yield a private folder on the same file system as `path`; it is gone afterwards."""
+def _private_folder(path: Path, *, named: Path | None = None) -> Iterator[Path]:
+    """Yield a private folder on the file system of `path`; errors name `path`, or `named`."""
     if any("\ud800" <= letter <= "\udfff" for letter in str(path)):
         raise OutputError("{}: the name is not UTF-8, which libraries need to write it", path)
-    clear_abandoned(path.absolute().parent, private_pattern(path, "part"), alone=alone)
-    private = path.with_name(f"{hidden_stem(path)}.{secrets.token_hex(4)}.part")
-    # Noted before it exists, for `_remove_unfinished`: an interruption may come at any moment.
-    _unfinished.add(private)
-    spare_descriptors = list[int]()  # for the removal: the block may use up all others
+    clear_leftovers(path, alone=False)
+    with output_errors(named or path):
+        made = tempfile.TemporaryDirectory(
+            prefix=f"{_hidden_stem(path)}.", suffix=".part", dir=path.absolute().parent,
+            ignore_cleanup_errors=True,
+        )  # fmt: skip
     try:
-        with output_errors(path):
-            spare_descriptors += (os.open(os.devnull, os.O_RDONLY) for _ in range(_CLEARING_FILES))
-            private.mkdir(mode=0o700)
-        with hold_lock(private), writing_errors(path):
-            yield private
+        with writing_errors(named or path):
+            yield Path(made.name)
     finally:
-        for each in spare_descriptors:
-            os.close(each)
-        shutil.rmtree(private, ignore_errors=True)
-        _unfinished.discard(private)
+        shutil.rmtree(made.name, ignore_errors=True)  # if interrupted, `made` does it at exit
+        made.cleanup()
 
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Make a folder for temporary files; remove first those that killed runs have left.
+    """Make a folder for temporary files.
 
     Yields
     ------
@@ -328,13 +353,8 @@ def scratch_folder() -> Iterator[Path]:
         If there is no room.
     """
     root = Path(tempfile.gettempdir())
-    clear_scratch(root)
-    with ExitStack() as held, writing_errors(root):
-        with output_errors(root):
-            made = tempfile.TemporaryDirectory(prefix=SCRATCH, ignore_cleanup_errors=True)
-            name = Path(held.enter_context(made))
-            held.enter_context(hold_lock(name))
-        yield name
+    with _private_folder(root / "gis_radar-scratch", named=root) as folder:
+        yield folder
 
 
 @contextmanager
@@ -380,13 +400,6 @@ def _is_full(path: Path) -> bool:
         return shutil.disk_usage(path.absolute().parent).free < LEAST_FREE
     except OSError:
         return False
-
-
-@atexit.register
-def _remove_unfinished() -> None:
-    """Remove at exit the private folders whose removal a second interruption broke off."""
-    for private in tuple(_unfinished):
-        shutil.rmtree(private, ignore_errors=True)
 
 
 @contextmanager
@@ -438,7 +451,7 @@ def only_writer(
     OutputError
         If another run is writing it, or its folder cannot be written.
     """
-    lock = lock or path.with_name(f"{hidden_stem(path)}.lock")
+    lock = lock or path.with_name(f"{_hidden_stem(path)}.lock")
     with output_errors(path):
         handle = _lock_descriptor(lock, path, reporter, waits=waits)
     try:

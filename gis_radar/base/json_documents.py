@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.base.errors import InputError, first_line
+from gis_radar.base.files import atomic_write
 
 
 def parsed_json(text: str) -> Any:
@@ -78,6 +79,22 @@ def json_text(
     """
     options: dict[str, Any] = {"indent": indent, "default": default}
     return json.dumps(_finite(document), ensure_ascii=False, allow_nan=False, **options)
+
+
+def write_json(
+    path: Path, document: Any, *, indent: int | None = 1,
+    default: Callable[[Any], Any] | None = None,
+) -> None:  # fmt: skip
+    """Write a document as :func:`json_text`, whole or not at all; parameters are those.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    with atomic_write(path) as part:
+        text = json_text(document, indent=indent, default=default)
+        part.write_text(text + "\n", encoding="utf-8")
 
 
 def _finite(value: Any) -> Any:

@@ -19,12 +19,9 @@ from contextlib import contextmanager, suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import FrameType
-from typing import IO, TYPE_CHECKING
+from typing import IO
 
-from gis_radar.base.errors import GisRadarError, OutputError
-
-if TYPE_CHECKING:
-    from concurrent.futures import ProcessPoolExecutor
+from gis_radar.base.errors import GisRadarError
 
 WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 """The environment variable that starts the watchdog of a command; its only value is `stdin`."""
@@ -201,47 +198,6 @@ def stop_workers(workers: Iterable[BaseProcess]) -> None:
         end_reaped = time.monotonic() + _KILL_WAIT_S
         while worker.exitcode is None and time.monotonic() < end_reaped:
             time.sleep(_REAP_POLL_S)  # the pool's own thread reaps it: join returned before it did
-
-
-@contextmanager
-def worker_pool(
-    workers: int, initializer: Callable[..., None], *given: object
-) -> Iterator[ProcessPoolExecutor]:
-    """Run worker processes, which stop at once where the block fails.
-
-    Parameters
-    ----------
-    workers : int
-        Most at once.
-    initializer : callable
-        Called in each with `given`; it calls :func:`watch_parent`.
-    *given
-        Its arguments.
-
-    Raises
-    ------
-    OutputError
-        If a worker was killed.
-    """
-    from concurrent.futures import BrokenExecutor, ProcessPoolExecutor  # noqa: PLC0415 - 30 ms
-
-    with ProcessPoolExecutor(workers, initializer=initializer, initargs=given) as pool:
-        try:
-            yield pool
-        except BrokenExecutor as error:
-            stop_pool(pool)
-            hint = "if memory ran out, use fewer at once: --jobs 1"
-            raise OutputError("a worker process was killed", hint=hint) from error
-        except BaseException:
-            stop_pool(pool)
-            raise
-
-
-def stop_pool(pool: ProcessPoolExecutor) -> None:
-    """Stop a pool and its workers at once, without waiting for their tasks."""
-    workers = list((pool._processes or {}).values())  # noqa: SLF001 - no other way
-    pool.shutdown(wait=False, cancel_futures=True)
-    stop_workers(workers)
 
 
 def workers_here() -> int:

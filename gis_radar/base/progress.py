@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from gis_radar.base.texts import Text
@@ -49,6 +50,31 @@ class Silent(Reporter):
 
 QUIET = Reporter()
 SILENT = Silent()
+
+
+@dataclass(kw_only=True)
+class WarningList(Reporter):
+    """A receiver that keeps each warning once, drops other remarks and hands progress on.
+
+    Parameters
+    ----------
+    warnings : list of str
+        The warnings.
+    shown : Reporter
+        Receives progress.
+    """
+
+    warnings: list[str] = field(default_factory=list)
+    shown: Reporter = QUIET
+
+    def progress(self, stage: str, done: int, total: int | None) -> None:
+        """Hand on progress."""
+        self.shown.progress(stage, done, total)
+
+    def log(self, message: str, level: Level = "info") -> None:
+        """Keep a warning."""
+        if level == "warning" and message not in self.warnings:
+            self.warnings.append(message)
 
 
 def one_line(text: str, most: int = 2_000) -> str:

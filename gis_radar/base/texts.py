@@ -59,12 +59,26 @@ class Text(str):
             return Text("{}" * len(between), *between)
         return Text(str.__str__(self).join("{}" for _ in values), *values)
 
-    def removeprefix(self, prefix: str, /) -> str:
-        """Return the text without a prefix; after a `name: ` removed, it keeps its template."""
-        name, _, rest = self.template.partition(": ")
-        if name != "{}" or f"{self.values[0]}: " != prefix:
-            return super().removeprefix(prefix)
-        return Text(rest, *self.values[1:]) if rest != "{}" else self.values[1]
+    @property
+    def about(self) -> str:
+        """What it is about: the first value where the template begins with a hole and a colon."""
+        if self.template == "{}" and isinstance(self.values[0], Text):
+            return self.values[0].about
+        return str(self.values[0]) if self.template.startswith("{}: ") else ""
+
+    def without(self, name: str) -> Text:
+        """Return the text without what it is about, if that is `name`."""
+        if self.about != name:
+            return self
+        if self.template == "{}":
+            return Text(self.values[0].without(name))
+        return Text(self.template.removeprefix("{}: "), *self.values[1:])
+
+    def names(self, name: str) -> bool:
+        """Return whether a name is one of the values, or one of those of texts among them."""
+        return any(
+            each == name or (isinstance(each, Text) and each.names(name)) for each in self.values
+        )
 
 
 def _plain_value(value: Any) -> Any:

@@ -19,7 +19,6 @@ from concurrent.futures import (
     CancelledError,
     Executor,
     Future,
-    ProcessPoolExecutor,
     as_completed,
 )
 from contextlib import contextmanager, suppress
@@ -33,9 +32,9 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
+    WorkerPool,
     first_line,
     go_offline,
-    stop_workers,
     watch_parent,
     workers_here,
 )
@@ -237,15 +236,12 @@ class Processes(Workers):
 
     def begin(self) -> Executor:
         """Return a pool of new processes: copies of this one would inherit locks of libraries."""
-        self._context = WorkerContext()
-        return ProcessPoolExecutor(
-            self.count, mp_context=self._context, initializer=_prepare_worker
-        )
+        return WorkerPool(self.count, context=WorkerContext(), initializer=_prepare_worker)
 
     def end(self, executor: Executor) -> None:
         """Stop the pool at once."""
-        stop_workers(each for each in self._context.started if each.pid is not None)
-        executor.shutdown(cancel_futures=True)
+        if isinstance(executor, WorkerPool):
+            executor.stop()
 
 
 def _prepare_worker() -> None:

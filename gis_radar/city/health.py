@@ -125,7 +125,7 @@ def _lost(root: Path, site: str) -> dict[str, str]:
     city = (read_run(root).get("sites") or {}).get(site) or {}
     failed = {each["what"]: each["message"] for each in city.get("failures") or []}
     named = {str(each["name"]) for each in (run.get("site") or {}).get("sensor") or []}
-    refused = {name: Text(failed[name]).removeprefix(f"{name}: ") for name in named & failed.keys()}
+    refused = {name: Text(failed[name]).without(name) for name in named & failed.keys()}
     return refused | lost_sensors(run)
 
 

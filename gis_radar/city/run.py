@@ -21,13 +21,12 @@ from gis_radar.base import (
     OutputError,
     Reporter,
     Text,
-    atomic_write,
     card,
-    json_text,
     only_writer,
     output_errors,
     refuse_foreign,
     with_texts,
+    write_json,
     zone_of,
 )
 from gis_radar.city.executors import Workers, workers_of
@@ -200,7 +199,7 @@ def _line(name: str, failure: Failure) -> Text:
     what, error = failure
     if what == name:
         return Text("{}: {}", name, error.message)
-    return Text("{}: {}: {}", name, what, error.message)
+    return Text("{}: {}: {}", name, what, error.message.without(what))
 
 
 def _task(root: Path, city: CityFile, name: str) -> SiteTask:
@@ -338,5 +337,4 @@ def _write_record(run: CitySteps) -> None:
             for name, each in sorted(run.sites.items())
         },
     }
-    with atomic_write(run.root / "run.json") as part:
-        part.write_text(json_text(with_texts(document), indent=1) + "\n", encoding="utf-8")
+    write_json(run.root / "run.json", with_texts(document))

@@ -19,11 +19,12 @@ from gis_radar import products
 from gis_radar.base import (
     GisRadarError,
     InputError,
-    Reporter,
+    WarningList,
     atomic_write,
     json_text,
     only_writer,
     read_json,
+    write_json,
 )
 from gis_radar.city.city import RESULTS
 from gis_radar.city.settings import CityFile
@@ -32,9 +33,9 @@ from gis_radar.site import (
     Sensor,
     Site,
     convert_stage,
+    files_of,
     heatmap_stage,
     measure_stage,
-    paths_named_by,
     prepare_site,
     read_site,
     refusals_of,
@@ -53,7 +54,7 @@ Failure = tuple[str, GisRadarError]
 
 
 @dataclass(kw_only=True)
-class SiteTask(Reporter):
+class SiteTask(WarningList):
     """A site of a city for its tasks, whose failures and warnings it collects.
 
     Parameters
@@ -66,15 +67,12 @@ class SiteTask(Reporter):
         The site file.
     failures : list of Failure
         Names of what has no result, with the errors.
-    warnings : list of str
-        Warnings.
     """
 
     root: Path
     name: str
     file: Path
     failures: list[Failure] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
 
     @property
     def dataset(self) -> Path:
@@ -85,11 +83,6 @@ class SiteTask(Reporter):
     def results(self) -> Path:
         """Folder of all else that is made of it."""
         return self.root / RESULTS / self.name
-
-    def log(self, message: str, level: str = "info") -> None:
-        """Keep a warning."""
-        if level == "warning" and message not in self.warnings:
-            self.warnings.append(message)
 
 
 def add_recordings(task: SiteTask) -> SiteTask:
@@ -235,8 +228,7 @@ def store_registered(task: SiteTask, states: Mapping[str, list[int]]) -> None:
     """Write which recordings the dataset has, and as they were when they were read."""
     paths = {*open_dataset(task.dataset).recordings()["path"]}
     in_dataset = {path: state for path, state in sorted(states.items()) if path in paths}
-    with atomic_write(task.results / REGISTERED) as part:
-        part.write_text(json_text(in_dataset, indent=1) + "\n", encoding="utf-8")
+    write_json(task.results / REGISTERED, in_dataset)
 
 
 def register_checked(site: Site, task: SiteTask) -> None:
@@ -251,7 +243,7 @@ def register_checked(site: Site, task: SiteTask) -> None:
             again = {name: pending[name] for name in refused}
         except InputError as error:
             refused = {name: error for name, each in pending.items()
-                       if paths_named_by(error, each.recordings)}  # fmt: skip
+                       if files_of(error, each.recordings)}  # fmt: skip
             again = pending
             if not refused:
                 raise
@@ -259,7 +251,7 @@ def register_checked(site: Site, task: SiteTask) -> None:
         pending = {}
         for name, sensor in again.items():
             paths = sensor.recordings
-            damaged = paths_named_by(refused[name], paths) if name in refused else []
+            damaged = files_of(refused[name], paths) if name in refused else []
             paths = tuple(path for path in paths if path not in damaged)
             if paths and (damaged or name not in refused):
                 pending[name] = sensor.model_copy(update={"recordings": paths})

@@ -13,13 +13,11 @@ from .files.manifest import create_dataset as create_dataset
 from .files.manifest import require_same_settings as require_same_settings
 from .files.manifest import require_same_site as require_same_site
 from .files.parts import Origin as Origin
-from .files.parts import clear_unfinished as clear_unfinished
 from .files.parts import hour_begin as hour_begin
 from .files.parts import hour_of_step as hour_of_step
 from .files.parts import hour_text as hour_text
 from .files.parts import part_path as part_path
 from .files.parts import replacing as replacing
-from .files.parts import sync_folder as sync_folder
 from .files.parts import write_single_file as write_single_file
 from .files.records import HourRecord as HourRecord
 from .files.records import HourWriter as HourWriter

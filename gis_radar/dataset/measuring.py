@@ -21,6 +21,7 @@ from gis_radar.base import (
     UsageError,
     iso_from_step,
     name_of,
+    replacing_folder,
     zone_of,
 )
 from gis_radar.calibration import (
@@ -38,8 +39,6 @@ from gis_radar.dataset.files.manifest import (
     create_dataset,
     heights_digest,
     locked_for_writing,
-    next_to,
-    replace_dataset,
     require_same_settings,
 )
 from gis_radar.dataset.files.pose_book import PoseBook
@@ -275,8 +274,7 @@ def _with_findings(given: _Inputs, accept: Collection[str], reporter: Reporter) 
         for name, found in by_sensor.items()
     }  # fmt: skip
     lanelets = lanelets_of(given.tiles) if given.roads is None else given.roads.lanelets
-    centres = given.book.road.centres
-    lanes = LaneMap(lanelets=lanelets, road=centres[np.isfinite(centres[:, 2])])
+    lanes = LaneMap.of_tiles(lanelets, given.book.road)
     if unknown := sorted({*accept} - sensors.keys()):
         raise UsageError("{}: no sensor of that name is given", Text(", ").join(unknown))
     findings = check_plausibility(sensors, lanes, reporter=reporter)
@@ -369,12 +367,8 @@ def _replace(
     given: _Inputs, folder: Path, processes: int, reporter: Reporter, *, before_hour: int | None
 ) -> list[MadeHour]:
     """Make a dataset beside one with other tiles or settings, and replace that when complete."""
-    fresh = next_to(folder)
-    if fresh.exists() and not (Manifest.is_there(fresh) and Manifest.read(fresh) == given.manifest):
-        shutil.rmtree(fresh, ignore_errors=True)  # else what a killed run left would be resumed
-    made = _add(given, fresh, processes, reporter, only=True, before_hour=before_hour)
-    replace_dataset(folder)
-    return made
+    with replacing_folder(folder) as fresh:
+        return _add(given, fresh, processes, reporter, only=True, before_hour=before_hour)
 
 
 def _add(

@@ -111,7 +111,7 @@ def place_nodes(
         except CrsError as error:
             if isinstance(crs, str | int):
                 raise
-            wrong = error.message.removeprefix("--crs: ")
+            wrong = error.message.without("--crs")
             hint = Text("are the latitudes and longitudes of its nodes true?")
             raise CrsError("{}: {}", osm.path, wrong, hint=hint) from error
         if crs is None:

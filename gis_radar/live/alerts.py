@@ -16,25 +16,22 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from queue import Full, Queue
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 from gis_radar.base import (
     QUIET,
-    GisRadarError,
     Reporter,
     Text,
-    atomic_write,
     in_language,
     iso_from_time,
-    json_text,
-    read_json,
     tr,
 )
 from gis_radar.calibration import SENSOR_STATES, HealthState, concerns_clocks
 from gis_radar.live.background import in_background
 from gis_radar.live.health import ALARMS, SensorHealth
 from gis_radar.live.served.sensorthings import opener_of
+from gis_radar.live.state_file import StateFile
 from gis_radar.live.wire.payload import VERSION
 from gis_radar.live.wire.settings import webhook_address
 
@@ -150,10 +147,11 @@ class Alerts:
         publish: Callable[[str, bytes], None], webhook: Webhook | None = None,
         language: str = "en", reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
-        self._site, self._path, self._language = site, path, language
-        self._publish, self._webhook, self._reporter = publish, webhook, reporter
+        self._site, self._language = site, language
+        self._publish, self._webhook = publish, webhook
+        self._file = StateFile(path, reporter=reporter)
         self._watched = {each.name: _Watched(health=each) for each in sensors}
-        sent = _read(path, reporter)
+        sent = self._file.read({}, _sent_in)
         self._sent = {name: sent[name] for name in self._watched if name in sent}
 
     def check(self, time_s: float, now_s: float) -> None:
@@ -178,7 +176,7 @@ class Alerts:
             if self._webhook is not None and (before or each.state != HealthState.WORKS):
                 self._webhook.put(_packed(self._sent[name]))
         if changed:
-            self._store()
+            self._file.write(self._sent)
 
     def repeat(self) -> None:
         """Publish the states again, as a broker that was started anew has none."""
@@ -196,28 +194,14 @@ class Alerts:
             "since": since, "message": message,
         }  # fmt: skip
 
-    def _store(self) -> None:
-        try:
-            with atomic_write(self._path) as part:
-                part.write_text(json_text(self._sent, indent=1) + "\n", encoding="utf-8")
-        except GisRadarError as error:
-            self._reporter.warn(error.message)
-
 
 def _packed(record: dict[str, object]) -> bytes:
     return json.dumps(record, ensure_ascii=False).encode()
 
 
-def _read(path: Path, reporter: Reporter) -> dict[str, dict[str, object]]:
-    """Return the last alert of each sensor; a file that cannot be read is logged."""
-    if not path.exists():
-        return {}
-    try:
-        found = read_json(path, what="alerts")
-        return {name: dict(each) for name, each in found.items() if each["state"] in SENSOR_STATES}
-    except (GisRadarError, LookupError, TypeError, ValueError, AttributeError):
-        reporter.warn("{}: cannot be read: alerts begin anew", path)
-        return {}
+def _sent_in(found: Any) -> dict[str, dict[str, object]]:
+    """Return the last alert of each sensor, of the content of the file."""
+    return {name: dict(each) for name, each in found.items() if each["state"] in SENSOR_STATES}
 
 
 class Webhook:

@@ -9,9 +9,9 @@ from .live_table import SensorThingsTable as SensorThingsTable
 from .live_table import TopicWord as TopicWord
 from .plan import Stage as Stage
 from .plan import stages_of as stages_of
+from .recipes import files_of as files_of
 from .recipes import mask_scans as mask_scans
 from .recipes import measure_recordings as measure_recordings
-from .recipes import paths_named_by as paths_named_by
 from .recipes import split_map as split_map
 from .recipes import write_sights_of as write_sights_of
 from .run import SiteRun as SiteRun

@@ -17,10 +17,10 @@ from gis_radar.base import (
     QUIET,
     SILENT,
     InputError,
-    Level,
     NoAnswerError,
     Reporter,
     Text,
+    WarningList,
     iso_from_step,
     name_of,
     step_of,
@@ -167,19 +167,21 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     (48, ())
     """
     site = read_site(path)
-    of_map: list[str] = []
+    of_map = WarningList(shown=reporter)
     roads = read_map(
         site.map.file, crs=site.map.crs, origin=site.map.origin,
-        reporter=_WarningCollector(of_map, reporter),
+        reporter=of_map,
     )  # fmt: skip
-    for line in of_map:
+    for line in of_map.warnings:
         reporter.warn(line)
     _check_scans(site, roads)
     for sensor in site.sensor:
         _refuse_far_sensor(sensor, roads)
     warnings = list(_zone_warning(site, roads))
-    collector = _WarningCollector(warnings)
-    roads.lanes(streets=site.map.streets, street_field=site.map.street_field, reporter=collector)
+    roads.lanes(
+        streets=site.map.streets, street_field=site.map.street_field,
+        reporter=WarningList(warnings=warnings),
+    )  # fmt: skip
     sensor_checks: dict[str, SensorCheck] = {}
     recorded: dict[str, list[tuple[float, float, Path]]] = {}
     for done, sensor in enumerate(site.sensor):
@@ -204,7 +206,7 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
         reporter.warn(line)
     return SiteCheck(
         site=site, crs=name_of(roads.crs), lanelets=len(roads.lanelets), sensors=sensor_checks,
-        findings=findings, warnings=(*of_map, *warnings),
+        findings=findings, warnings=(*of_map.warnings, *warnings),
     )  # fmt: skip
 
 
@@ -328,22 +330,6 @@ def _sensor_check(
         begin=min(each[0] for each in spans), end=max(each[1] for each in spans),
         detections=counts.detections, view=counts.view,
     )  # fmt: skip
-
-
-class _WarningCollector(Reporter):
-    """A receiver that adds warnings to a list, and hands progress on."""
-
-    def __init__(self, lines: list[str], shown: Reporter = QUIET) -> None:
-        self._lines, self._shown = lines, shown
-
-    def progress(self, stage: str, done: int, total: int | None) -> None:
-        """Hand on progress."""
-        self._shown.progress(stage, done, total)
-
-    def log(self, message: str, level: Level = "info") -> None:
-        """Keep a warning; drop a remark, which the run makes again."""
-        if level == "warning":
-            self._lines.append(message)
 
 
 class _ViewCounts:

@@ -233,7 +233,8 @@ class Execution:
             if not stage.sensor:
                 raise outcome.error
             if outcome.error.message not in self._logged:  # two sensors may have the same error
-                self.reporter.warn("{}: {}", stage.name, outcome.error.message)
+                reason = outcome.error.message.without(stage.sensor)
+                self.reporter.warn("{}: {}", stage.name, reason)
             self._logged.add(outcome.error.message)
         if outcome.state != "skipped":
             self.reporter.progress(stage.name, 100, 100)

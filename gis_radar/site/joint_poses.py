@@ -147,7 +147,7 @@ def _sensor_record(
         return {"pose": pose.as_dict(), "line": Text("alone: {}", why)}
     line = calibration.gain_line(pose)
     if refusal:
-        why = refusal["message"].removeprefix(f"{name}: ")
+        why = Text(refusal["message"]).without(name)
         line = Text("{}; alone it was refused ({})", line, why)
     return {"pose": pose.as_dict(), "line": line}
 

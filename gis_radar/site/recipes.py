@@ -106,7 +106,7 @@ def measure_site(
                 refused[each.sensor] = each.refusal
                 del remaining[each.sensor]
         except InputError as error:
-            failed = [n for n, (paths, _) in remaining.items() if paths_named_by(error, paths)]
+            failed = [n for n, (paths, _) in remaining.items() if files_of(error, paths)]
             if not failed or len(remaining) == 1:
                 raise
             reporter.warn("{} is left out: {}", failed[0], error.message)
@@ -116,9 +116,9 @@ def measure_site(
             return measured, refused
 
 
-def paths_named_by(error: GisRadarError, paths: Sequence[Path]) -> list[Path]:
-    """Return those files with whose name the message of an error begins."""
-    return [each for each in paths if error.message.startswith((f"{each}:", f"{each.resolve()}:"))]
+def files_of(error: GisRadarError, paths: Sequence[Path]) -> list[Path]:
+    """Return those files that an error is about."""
+    return [each for each in paths if error.about in {str(each), str(each.resolve())}]
 
 
 def measure_recordings(

@@ -21,9 +21,8 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
-    atomic_write,
     card,
-    json_text,
+    clear_leftovers,
     only_writer,
     output_errors,
     refuse_foreign,
@@ -31,6 +30,7 @@ from gis_radar.base import (
     warnings_once,
     with_texts,
     workers_here,
+    write_json,
 )
 from gis_radar.site import stages as work
 from gis_radar.site.execution import Execution, RunState, discard
@@ -252,9 +252,8 @@ def _opened(folder: Path, reporter: Reporter) -> Iterator[tuple[RunState, Path]]
         (state / ".gitignore").write_text("*\n", encoding="utf-8")
     scratch = state / "scratch"
     with only_writer(folder, lock=state / "lock", reporter=reporter):
-        unfinished = [each for pattern in (".*.part", ".*.before") for each in root.rglob(pattern)]
-        for leftover in (*unfinished, scratch):
-            shutil.rmtree(leftover, ignore_errors=True)
+        clear_leftovers(root)
+        shutil.rmtree(scratch, ignore_errors=True)
         scratch.mkdir()
         try:
             yield RunState(state / "state.json", root), scratch
@@ -318,14 +317,12 @@ def _write_record(
         "software": software(),
         "stages": [_stage_record(each, base, root) for each in outcomes],
     }
-    with atomic_write(root / "run.json") as part:
-        text = json_text(with_texts(document), indent=1, default=lambda path: _relative(path, base))
-        part.write_text(text + "\n", encoding="utf-8")
+    write_json(root / "run.json", with_texts(document), default=lambda path: _relative(path, base))
 
 
 def _with_sensor_name(name: str, error: GisRadarError) -> GisRadarError:
     """Return the error of a sensor without a result, with the sensor's name."""
-    if name in error.message.partition(":")[0].split():  # it names the sensor itself
+    if error.message.names(name):
         return error
     return type(error)("{}: {}", name, error.message, hint=error.hint)
 
@@ -385,13 +382,12 @@ def sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, A
             continue
         facts = found[each.stage.sensor]
         if each.error is not None:
-            reason = each.error.message.removeprefix(f"{each.stage.sensor}: ")
-            facts.setdefault("state", reason)
+            facts.setdefault("state", each.error.message.without(each.stage.sensor))
         elif each.stage.work in {work.localize_stage, work.pose_stage, work.tied_pose_stage}:
             # figures of the localization come first; the pose in use replaces them
             found[each.stage.sensor] = {**facts, **each.figures}
     for name, error in refused_sensors(outcomes, site.timezone).items():
-        found[name]["state"] = Text(error.message).removeprefix(f"{name}: ")
+        found[name]["state"] = error.message.without(name)
     for name, doubt in doubts_of(outcomes).items():
-        found[name]["state"] = Text(doubt).removeprefix(f"{name}: ")
+        found[name]["state"] = Text(doubt).without(name)
     return {name: {"state": "ok"} | facts for name, facts in found.items()}

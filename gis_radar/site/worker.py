@@ -10,7 +10,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.context import SpawnContext, SpawnProcess
@@ -24,9 +24,9 @@ from gis_radar.base import (
     Level,
     OutputError,
     Reporter,
+    WorkerPool,
     go_offline,
     set_language,
-    stop_workers,
     watch_parent,
 )
 
@@ -137,17 +137,14 @@ def process_pool(jobs: int, scratch: Path, language: str = "en") -> Iterator[Poo
     """
     context = WorkerContext()
     events: SimpleQueue[Event] = context.SimpleQueue()
-    executor = ProcessPoolExecutor(
-        jobs,
-        mp_context=context,
-        initializer=_prepare_worker,
-        initargs=(events, str(scratch), language),
-    )
+    executor = WorkerPool(
+        jobs, context=context, initializer=_prepare_worker,
+        given=(events, str(scratch), language),
+    )  # fmt: skip
     try:
         yield Pool(executor=executor, send=_send, events=events)
     finally:
-        stop_workers(worker for worker in context.started if worker.pid is not None)
-        executor.shutdown(cancel_futures=True)
+        executor.stop()
         events.close()
 
 
@@ -178,16 +175,9 @@ class _Worker(SpawnProcess):
 
 
 class WorkerContext(SpawnContext):
-    """A context of multiprocessing that keeps the workers it makes, so that all can be stopped."""
+    """A context of multiprocessing whose processes do not run the caller's script again."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.started: list[_Worker] = []
-
-    def Process(self, *args: Any, **options: Any) -> _Worker:  # type: ignore[override]  # noqa: N802
-        """Make a worker."""
-        self.started.append(_Worker(*args, **options))
-        return self.started[-1]
+    Process = _Worker
 
 
 _events: SimpleQueue[Event] | None = None  # of this worker

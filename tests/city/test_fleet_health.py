@@ -11,7 +11,7 @@ from datasets import pose_rows
 from sites import pose
 
 import gis_radar as gr
-from gis_radar.base import in_language
+from gis_radar.base import Text, in_language, with_texts, write_json
 from gis_radar.calibration import WRONG, Finding
 from gis_radar.dataset import POSES, write_single_file
 from gis_radar.dataset.files.tables import SIGHTS
@@ -156,9 +156,10 @@ def test_a_sensor_whose_recordings_were_refused_says_why(tmp_path, source):
     write_site(tmp_path, "b", source, [hour + 24 for hour in HOURS])
     for site in "ab":
         write_run(tmp_path, site, sensor=[{"name": "R1"}, {"name": "R9"}])
-    why = [{"what": name, "message": f"{name}: does not fit"} for name in ("R1", "R9", "10 UTC")]
+    why = [{"what": name, "message": Text("{}: {}", name, Text("does not fit"))}
+           for name in ("R1", "R9", "10 UTC")]  # fmt: skip
     record = {"sites": {"a": {"failures": why}, "b": {"failures": []}}}
-    (tmp_path / "run.json").write_text(json.dumps(record))
+    write_json(tmp_path / "run.json", with_texts(record))
     known, table = states(tmp_path)
     assert known == {("a", "R9"): "no data", ("a", "R1"): "silent", ("b", "R1"): "gaps"}
     assert table["reasons"][0] == "does not fit"

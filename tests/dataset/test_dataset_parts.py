@@ -20,13 +20,12 @@ from gis_radar.base import STEPS_PER_HOUR, InputError
 from gis_radar.dataset import (
     HourWriter,
     Origin,
-    clear_unfinished,
     part_path,
     read_hour,
     read_hours,
     record_path,
 )
-from gis_radar.dataset.files.parts import ROWS_IN_GROUP, PartDigest, PartWriter, unfinished
+from gis_radar.dataset.files.parts import ROWS_IN_GROUP, PartDigest, PartWriter
 from gis_radar.dataset.files.tables import (
     HITS,
     HOUR_TABLES,
@@ -176,20 +175,19 @@ def test_a_failed_making_leaves_the_earlier_one(tmp_path):
 
 def test_a_making_that_ends_between_two_parts_is_no_hour(tmp_path, monkeypatch):
     write_hour(tmp_path, hits=HIT_ROWS)
-    moves = []
+    moves, move = [], Path.replace
 
-    def stop_at_third(path):
+    def stop_at_third(fresh, path):
         moves.append(path)
         if len(moves) == 3:
             raise KeyboardInterrupt
-        unfinished(path).replace(path)
+        move(fresh, path)
 
     other = replace(ORIGIN, inputs="other")
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr("gis_radar.dataset.files.records.move_to_place", stop_at_third)
+        patch.setattr(Path, "replace", stop_at_third)
         write_hour(tmp_path, origin=other)
     assert read_hours(tmp_path) == {}
-    clear_unfinished(tmp_path)
     assert not list(tmp_path.rglob(".*"))
     write_hour(tmp_path, origin=other)
     write_hour(tmp_path / "fresh", origin=other)
@@ -201,13 +199,14 @@ def test_a_making_that_ends_between_two_parts_is_no_hour(tmp_path, monkeypatch):
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="names of open files")
 def test_a_part_and_its_name_are_on_disk_before_the_record_says_so(tmp_path, monkeypatch):
     """As after a power failure: what was not brought to disk may be missing, in any order."""
-    done, sync, move = [], os.fsync, Path.replace
+    done, contents, sync, move = [], {}, os.fsync, Path.replace
 
     def note(handle):
         done.append(Path(f"/proc/self/fd/{handle}").resolve())
         sync(handle)
 
     def renamed(fresh, path):
+        contents[fresh] = f"content of {path.name}"
         done.append(path)
         return move(fresh, path)
 
@@ -215,12 +214,15 @@ def test_a_part_and_its_name_are_on_disk_before_the_record_says_so(tmp_path, mon
     monkeypatch.setattr(Path, "replace", renamed)
     record = record_path(tmp_path, HOUR)
     paths = [*(part_path(tmp_path, table, HOUR) for table in HOUR_TABLES), record]
-    in_order = [each for path in paths for each in (unfinished(path), path, path.parent)]
+    in_order = [each for path in paths for each in (f"content of {path.name}", path, path.parent)]
     write_hour(tmp_path, hits=HIT_ROWS)
-    assert done == in_order
+    assert [contents.get(each, each) for each in done] == in_order
     done.clear()
     write_hour(tmp_path, hits=HIT_ROWS)
-    assert done == [record.parent, *in_order]  # that the earlier record is gone
+    assert [contents.get(each, each) for each in done] == [
+        record.parent,
+        *in_order,
+    ]  # that the earlier record is gone
 
 
 def test_tables_that_are_no_longer_made_go(tmp_path):

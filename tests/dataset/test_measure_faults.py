@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 from dataclasses import replace
 from itertools import count
@@ -374,7 +375,7 @@ def test_killed_at_any_write_the_next_run_ends_with_the_same_bytes(files, tmp_pa
             break
         deaths += 3
         left = contents(site)
-        for record in (name for name in left if name.endswith(".json") and "/" in name):
+        for record in (name for name in left if re.fullmatch(r"hours/[^/]+/\d\d\.json", name)):
             whole = hour_files(left, record) | {record: left[record]}
             assert whole in (
                 hour_files(state, record) | {record: state.get(record)} for state in (before, after)
@@ -412,7 +413,7 @@ def test_killed_while_one_dataset_replaces_another_the_next_run_leaves_one(files
             shutil.rmtree(site.parent)
             shutil.copytree(copy, site)
             assert killed_before(deaths, lambda: hits_of(site, first, **other), ["rename"])
-            shutil.copytree(copy, site.with_name(".site.before"), dirs_exist_ok=True)
+            shutil.copytree(copy, site.with_name(".site.01234567.part"), dirs_exist_ok=True)
             hits_of(site, first, **options)
             assert contents(site) == expected
             assert [each.name for each in site.parent.iterdir()] == ["site"]

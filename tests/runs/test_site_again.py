@@ -102,16 +102,15 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(
         run.send_signal(signal.SIGKILL)
     # As if it had been killed in the midst of writing.
     (out / "heatmap").mkdir(exist_ok=True)
-    (out / ".heatmap.x1.part" / "heatmap").mkdir(parents=True)
-    (out / ".heatmap.x1.part" / "heatmap" / "heatmap.gpkg").write_text("half")
-    (out / "sensors" / ".R1.x2.before").mkdir(parents=True, exist_ok=True)
+    (out / ".heatmap.0123abcd.part" / "heatmap").mkdir(parents=True)
+    (out / ".heatmap.0123abcd.part" / "heatmap" / "heatmap.gpkg").write_text("half")
     monkeypatch.setattr(product, "process_pool", in_a_thread)
     done = gr.run_site(path, out)
     assert {name for name, ended in states(done).items() if ended == "kept"} >= {
         "mask", "localize R1",
     }  # fmt: skip
     same(out, unbroken)
-    assert not [each for each in out.rglob(".*") if each.suffix in {".part", ".before"}]
+    assert not [each for each in out.rglob(".*") if each.suffix == ".part"]
     assert {path.name for path in (out / product.STATE).iterdir()} == {
         ".gitignore", "sights", "state.json",
     }  # fmt: skip

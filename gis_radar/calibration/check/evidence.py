@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Self
 
 import geopandas as gpd
 import numpy as np
@@ -15,6 +16,7 @@ from gis_radar.calibration.registration.certainty import z_score
 from gis_radar.calibration.registration.lanes import LANE_STEP_M, MARGIN_M, Lanes, sample_lanes
 from gis_radar.calibration.registration.matches import match_along
 from gis_radar.poses import Pose
+from gis_radar.scans import SightTiles
 
 # Mixture of the likelihood. On a lane: uniform over its width, with edges blurred by the errors of
 # poses, maps and bearings (1 sigma: metres, and share of the range).
@@ -75,6 +77,11 @@ class LaneMap:
     lanelets: gpd.GeoDataFrame
     road: Floats
     _cache: dict[tuple[float, float, float], Lanes | None] = field(default_factory=dict, init=False)
+
+    @classmethod
+    def of_tiles(cls, lanelets: gpd.GeoDataFrame, tiles: SightTiles) -> Self:
+        """Return the lanes of lanelets with the road heights of tiles, as far as they have any."""
+        return cls(lanelets=lanelets, road=tiles.centres[np.isfinite(tiles.centres[:, 2])])
 
     def around(self, pose: Pose, reach_m: float) -> Lanes | None:
         """Return the lanes that detections within reach (m) of a pose need; None if there is none.

@@ -76,7 +76,7 @@ def _unconfirmed(poses: Mapping[str, Pose], pairs: Collection[tuple[str, str]]) 
 def by_name(reasons: Mapping[str, str]) -> str:
     """Return reasons in one line, each once, with the names of their sensors."""
     named = {
-        reason if name in reason.partition(":")[0].split() else f"{name}: {reason}": None
+        reason if Text(reason).names(name) else Text("{}: {}", name, reason): None
         for name, reason in reasons.items()
     }
     return Text("; ").join(named)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -23,12 +22,12 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
-    atomic_write,
     card,
     metric_crs,
     read_json,
     require_same,
     seconds_from_iso,
+    write_json,
 )
 from gis_radar.calibration.timing.clock_offsets import (
     ClockOffset,
@@ -156,9 +155,7 @@ class Clocks:
             "refused": self.refused,
             "pairs": pairs,
         }
-        with atomic_write(Path(path)) as part:
-            text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
-            part.write_text(text + "\n", encoding="utf-8")
+        write_json(Path(path), record)
         return Path(path)
 
     def _repr_html_(self) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
@@ -19,6 +18,7 @@ from gis_radar.base import (
     Reporter,
     Text,
     UsageError,
+    clear_leftovers,
     only_writer,
     output_errors,
     read_json,
@@ -29,7 +29,7 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.calibration import Finding, is_record
-from gis_radar.dataset.files.parts import clear_unfinished, replacing, write_single_file
+from gis_radar.dataset.files.parts import replacing, write_single_file
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
 from gis_radar.hdmap import fingerprint, read_tiles, write_tiles
 
@@ -246,33 +246,6 @@ def tiles_of_dataset(folder: Path, manifest: Manifest) -> gpd.GeoDataFrame:
     return tiles
 
 
-def next_to(folder: Path) -> Path:
-    """Return the folder in which the dataset is made that replaces another one."""
-    return folder.with_name(f".{folder.name}.next")
-
-
-def _before_of(folder: Path) -> Path:
-    return folder.with_name(f".{folder.name}.before")
-
-
-def replace_dataset(folder: Path) -> None:
-    """Replace a dataset by the complete one beside it (:func:`next_to`)."""
-    aside = _before_of(folder)
-    with output_errors(folder):
-        shutil.rmtree(aside, ignore_errors=True)
-        folder.rename(aside)
-        next_to(folder).rename(folder)
-        shutil.rmtree(aside)
-
-
-def _finish_replacement(folder: Path) -> None:
-    """Make the last moves of a run that was killed while it replaced a dataset."""
-    if next_to(folder).exists() and not folder.exists():
-        next_to(folder).rename(folder)
-    if folder.exists():
-        shutil.rmtree(_before_of(folder), ignore_errors=True)
-
-
 def require_same_site(
     folder: Path, present: Manifest, *, map_digest: str, fingerprint: str, crs: str,
     heights: str = "",
@@ -354,7 +327,5 @@ def locked_for_writing(folder: Path, reporter: Reporter) -> Iterator[None]:
     if place.exists() and not Manifest.is_there(place):
         refuse_foreign(place, _OWNED)
     with output_errors(place), only_writer(place, reporter=reporter):
-        _finish_replacement(place)
-        clear_unfinished(place)
+        clear_leftovers(place)
         yield
-        shutil.rmtree(next_to(place), ignore_errors=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
@@ -22,10 +21,10 @@ from gis_radar.base import (
     STEPS_PER_SECOND,
     InputError,
     Text,
+    atomic_writes,
     column_statistics,
     first_line,
     output_errors,
-    writing_errors,
 )
 from gis_radar.dataset.files.schema import TableSchema, column_digest
 from gis_radar.dataset.files.tables import SCHEMA
@@ -116,42 +115,15 @@ def part_path(folder: Path, table: TableSchema, hour: int = 0) -> Path:
     return folder / table.name / f"date={date_of(hour)}" / f"{name}.parquet"
 
 
-def unfinished(path: Path) -> Path:
-    """Return the name under which a file is written: hidden, and not ending in `.parquet`."""
-    return path.with_name(f".{path.stem}.part")
-
-
 def digest_of(path: Path) -> str:
     """Return the SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def clear_unfinished(folder: Path) -> None:
-    """Remove files that a killed run left; the caller is the dataset's only writer."""
-    for left in folder.rglob(".*.part"):
-        with suppress(OSError):
-            left.unlink()
-
-
-def move_to_place(path: Path) -> None:
-    """Move a file that was written as :func:`unfinished` to its place, to survive a power failure.
-
-    Parameters
-    ----------
-    path : Path
-        Its place.
-    """
-    with output_errors(path):
-        with unfinished(path).open("rb") as file:
-            os.fsync(file.fileno())
-        unfinished(path).replace(path)
-        sync_folder(path.parent)
-
-
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield the temporary name of a file to write; after the block it is moved to its place.
+    """Yield the temporary name of a file to write; after the block it is flushed and moved.
 
     Parameters
     ----------
@@ -165,19 +137,10 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     with output_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    with writing_errors(path):
-        yield unfinished(path)
-    move_to_place(path)
-
-
-def sync_folder(folder: Path) -> None:
-    """Flush the names in a folder to disk, where the system can."""
-    if os.name == "posix":
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+    with atomic_writes(path, flushed=True) as (private, places):
+        fresh = private / "part"  # readers take each name that ends in .parquet
+        places[fresh] = path
+        yield fresh
 
 
 class PartWriter:
@@ -254,34 +217,26 @@ def _encoding(table: TableSchema) -> dict[str, Any]:
 
 
 def write_part(
-    table: TableSchema, path: Path, batches: Values | Iterable[Values], metadata: dict[str, str]
+    table: TableSchema, fresh: Path, batches: Values | Iterable[Values], metadata: dict[str, str]
 ) -> PartDigest:
-    """Write a part under the name of :func:`unfinished`; :func:`move_to_place` ends it.
+    """Write a part.
 
     Parameters
     ----------
     table : TableSchema
         Its columns.
-    path : Path
-        Final path of the part.
+    fresh : Path
+        Temporary name of the part, as of :func:`replacing`.
     batches : mapping, or iterable of mappings
         Its rows, whole or in batches, in order.
     metadata : dict
         From :meth:`Origin.metadata`.
     """
-    fresh = unfinished(path)
-    with output_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        with writing_errors(path):
-            writer = PartWriter(table, fresh, metadata)
-            whole = isinstance(batches, Mapping | pa.Table | pd.DataFrame)
-            for values in [batches] if whole else batches:
-                writer.add(values)
-            return writer.close()
-    except BaseException:
-        fresh.unlink(missing_ok=True)
-        raise
+    writer = PartWriter(table, fresh, metadata)
+    whole = isinstance(batches, Mapping | pa.Table | pd.DataFrame)
+    for values in [batches] if whole else batches:
+        writer.add(values)
+    return writer.close()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -365,8 +320,8 @@ class TableFile:
         stated = {_DIGESTS.decode(): json.dumps(digests)}
         if keys is not None:
             stated[self.keyed] = json.dumps(dict(sorted(keys.items())))
-        write_part(self.table, self.path, rows, self.metadata | stated)
-        move_to_place(self.path)
+        with replacing(self.path) as fresh:
+            write_part(self.table, fresh, rows, self.metadata | stated)
 
 
 def single_file(table: TableSchema, folder: Path, fingerprint: str) -> TableFile:

@@ -6,7 +6,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -18,7 +18,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from gis_radar.base import STEPS_PER_HOUR, InputError, output_errors, read_json
+from gis_radar.base import (
+    STEPS_PER_HOUR,
+    InputError,
+    atomic_writes,
+    output_errors,
+    read_json,
+    sync_folder,
+    writing_errors,
+)
 from gis_radar.dataset.files.parts import (
     MEASURE_AGAIN,
     Origin,
@@ -28,12 +36,9 @@ from gis_radar.dataset.files.parts import (
     digest_of,
     hour_begin,
     hour_text,
-    move_to_place,
     opened_part,
     part_path,
     replacing,
-    sync_folder,
-    unfinished,
     write_part,
 )
 from gis_radar.dataset.files.schema import FIRST, LAST, TableSchema
@@ -246,14 +251,17 @@ def _origin(document: dict[str, Any]) -> Origin:
 
 def write_record(folder: Path, record: HourRecord) -> None:
     """Write the record of an hour whose parts are all there."""
-    path = record_path(folder, record.hour)
+    with replacing(record_path(folder, record.hour)) as fresh:
+        fresh.write_text(_record_text(record), encoding="utf-8")
+
+
+def _record_text(record: HourRecord) -> str:
     parts = {name: record.parts[name]._asdict() for name in TABLES if name in record.parts}
     document = {
         "schema": SCHEMA, "hour": hour_text(record.hour), **asdict(record.origin),
         "dropped": list(record.dropped), "parts": parts,
     }  # fmt: skip
-    with replacing(path) as fresh:
-        fresh.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return json.dumps(document, indent=1) + "\n"
 
 
 def remove_record(folder: Path, hour: int) -> None:
@@ -285,8 +293,15 @@ class HourWriter:
     hour: int
     origin: Origin
     _parts: dict[str, PartDigest] = field(default_factory=dict)
+    _moves: ExitStack = field(default_factory=ExitStack)
 
     def __enter__(self) -> Self:
+        path = record_path(self.folder, self.hour)
+        with output_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        writes = atomic_writes(path, flushed=True)
+        self._private, self._places = self._moves.enter_context(writes)
+        self._moves.push(self._finish)
         return self
 
     def write(self, table: TableSchema, batches: Values | Iterable[Values]) -> None:
@@ -307,24 +322,31 @@ class HourWriter:
             If it cannot be written.
         """
         metadata = self.origin.metadata(table, self.hour)
-        path = part_path(self.folder, table, self.hour)
-        self._parts[table.name] = write_part(table, path, batches, metadata)
+        path, fresh = part_path(self.folder, table, self.hour), self._private / table.name
+        with output_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        with writing_errors(path):
+            self._parts[table.name] = write_part(table, fresh, batches, metadata)
+        self._places[fresh] = path
+
+    def _finish(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Remove the earlier record and the tables that the hour no longer has; add the record."""
+        if kind is not None:
+            return
+        record = HourRecord(hour=self.hour, origin=self.origin, parts=self._parts)
+        path = record_path(self.folder, self.hour)
+        (self._private / path.name).write_text(_record_text(record), encoding="utf-8")
+        self._places[self._private / path.name] = path
+        remove_record(self.folder, self.hour)
+        for table in HOUR_TABLES:
+            if table.name not in self._parts:
+                part_path(self.folder, table, self.hour).unlink(missing_ok=True)
 
     def __exit__(
-        self, kind: type[BaseException] | None, _: BaseException | None, __: TracebackType | None
-    ) -> None:
-        places = {t.name: part_path(self.folder, t, self.hour) for t in HOUR_TABLES}
-        if kind is not None:
-            for name in self._parts:
-                unfinished(places[name]).unlink(missing_ok=True)
-            return
-        remove_record(self.folder, self.hour)
-        for name, path in places.items():
-            if name in self._parts:
-                move_to_place(path)
-            else:
-                path.unlink(missing_ok=True)
-        write_record(self.folder, HourRecord(hour=self.hour, origin=self.origin, parts=self._parts))
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:  # fmt: skip
+        self._moves.__exit__(kind, error, trace)
 
 
 Span = tuple[int, int]

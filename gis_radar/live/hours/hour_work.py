@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
-import numpy as np
 
 from gis_radar.base import (
     GisRadarError,
     InputError,
     Reporter,
+    WarningList,
+    clear_leftovers,
     first_line,
     output_errors,
     workers_here,
@@ -26,7 +27,6 @@ from gis_radar.dataset import (
     Dataset,
     Manifest,
     MeasureSettings,
-    clear_unfinished,
     manifest_of,
     measure,
     open_dataset,
@@ -132,13 +132,11 @@ class MeasuredSite:
 
 
 @dataclass(kw_only=True)
-class JobResult(Reporter):
-    """Result of a job; a reporter of its work, which keeps warnings and drops other remarks.
+class JobResult(WarningList):
+    """Result of a job; a reporter of its work, which keeps the warnings.
 
     Parameters
     ----------
-    warnings : list of str
-        Warnings.
     not_measured : dict
         By hour, the reason why it could not be measured.
     quarters : list of QuarterMeasures
@@ -151,23 +149,17 @@ class JobResult(Reporter):
         By sensor, the hour in which there was too little traffic for a verdict.
     """
 
-    warnings: list[str] = field(default_factory=list)
     not_measured: dict[int, str] = field(default_factory=dict)
     quarters: list[QuarterMeasures] = field(default_factory=list)
     hours: list[int] = field(default_factory=list)
     doubts: dict[str, str | None] = field(default_factory=dict)
     unchecked: dict[str, int] = field(default_factory=dict)
 
-    def log(self, message: str, level: str = "info") -> None:
-        """Store a warning."""
-        if level == "warning":
-            self.warnings.append(message)
-
 
 def resume_hours(site: MeasuredSite, spooled: Sequence[Path]) -> JobResult:
     """Return the hours that an earlier run left to be made, and the quarters of the last day."""
     done = make_recordings(site, spooled)
-    clear_unfinished(site.folder / PARTS_FOLDER)
+    clear_leftovers(site.folder / PARTS_FOLDER)
     done.hours = sorted(waiting_hours(site.folder))
     for path in sorted((site.folder / RECORDINGS_FOLDER).glob("*/*.parquet")):
         hour = hour_of_time(time_of_name(path.stem))
@@ -273,8 +265,7 @@ def _check_poses(
             return
         tiles = read_tiles(site.tiles)
         roads, _ = map_of_tiles(site.map, tiles)
-        centres = SightTiles.of(tiles).centres
-        lanes = LaneMap(lanelets=roads.lanelets, road=centres[np.isfinite(centres[:, 2])])
+        lanes = LaneMap.of_tiles(roads.lanelets, SightTiles.of(tiles))
         sensors = {
             name: RecordedSensor(recordings=[open_recording(path)], tracks=[track_beside(path)])
             for name, path in paths.items()

@@ -10,21 +10,19 @@ import multiprocessing
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from gis_radar.base import (
     QUIET,
     GisRadarError,
     Reporter,
     Text,
-    atomic_write,
-    json_text,
-    read_json,
+    WorkerPool,
     restored,
-    stop_pool,
     watch_parent,
     with_texts,
 )
@@ -41,6 +39,7 @@ from gis_radar.live.hours.hour_work import (
 )
 from gis_radar.live.hours.quarters import Quarters
 from gis_radar.live.hours.recordings import end_of_hour_s
+from gis_radar.live.state_file import StateFile
 
 SETTLE_S = 30.0  # longest wait for frames of all sensors, and the time after a late frame
 RETRY_S = 60.0  # time after which a job that failed is tried again
@@ -53,10 +52,10 @@ MOST_LOGGED = 1_000  # most warnings remembered, which are not logged again
 Work = Callable[[MeasuredSite, Sequence[Path]], JobResult]
 
 
-def _process() -> ProcessPoolExecutor:
+def _process() -> WorkerPool:
     """Start a worker: it is nice before it imports gis_radar, as that takes seconds of a core."""
     nice = partial(os.nice, NICE) if hasattr(os, "nice") else None
-    pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=nice)
+    pool = WorkerPool(1, context=multiprocessing.get_context("spawn"), initializer=nice)
     pool.submit(watch_parent)
     return pool
 
@@ -105,14 +104,17 @@ class HourJobs:
 
     def __init__(
         self, site: MeasuredSite, quarters: Quarters, *,
-        process: Callable[[], ProcessPoolExecutor] = _process, reporter: Reporter = QUIET,
+        process: Callable[[], WorkerPool] = _process, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.touched: dict[int, float] = {}
-        self.doubts, self._unchecked = _read_doubts(site.folder / DOUBTS_FILE, reporter)
+        self._doubts_file = StateFile(site.folder / DOUBTS_FILE, reporter=reporter)
+        self.doubts, self._unchecked = self._doubts_file.read(
+            {"doubts": {}, "unchecked": []}, _doubts_in
+        )
         self.behind_s = self.quarters_left_out = 0.0
         self._site, self._quarters = site, quarters
         self._reporter = reporter
-        self._pool: ProcessPoolExecutor | None = None
+        self._pool: WorkerPool | None = None
         self._process = process
         self._running: Future[JobResult] | None = None
         self._next: Work | None = None
@@ -268,13 +270,8 @@ class HourJobs:
                 again = "{}; since {} too little traffic to check it again"
                 self.doubts[name] = Text(again, doubt, hour_text(hour))
                 self._unchecked.add(name)
-        path = self._site.folder / DOUBTS_FILE
-        document = with_texts({"doubts": self.doubts, "unchecked": sorted(self._unchecked)})
-        try:
-            with atomic_write(path) as part:
-                part.write_text(json_text(document, indent=1) + "\n", encoding="utf-8")
-        except GisRadarError as error:  # the alarms stay even if they cannot be stored
-            self._log_new([error.message])
+        stored = {"doubts": self.doubts, "unchecked": sorted(self._unchecked)}
+        self._doubts_file.write(with_texts(stored))
 
     def _plan_retry(self, hour: int, why: str) -> None:
         """Log an hour that failed; try it again after one quarter, then two, four, ..."""
@@ -313,7 +310,7 @@ class HourJobs:
     def stop(self) -> None:
         """End the process."""
         if self._pool is not None:
-            stop_pool(self._pool)
+            self._pool.stop()
         self._pool, self._running, self._next = None, None, None
 
     def figures(self) -> dict[str, float]:
@@ -326,19 +323,12 @@ class HourJobs:
         }
 
 
-def _read_doubts(path: Path, reporter: Reporter) -> tuple[dict[str, str | None], set[str]]:
-    """Return the doubts of an earlier run of fusion; a file that cannot be read is logged."""
-    if not path.exists():
-        return {}, set()
-    try:
-        found = restored(read_json(path, what="doubts"))
-        doubts = dict(found["doubts"])
-        "".join(each for each in doubts.values() if each is not None)  # TypeError if one is no text
-        unchecked = {name for name in found["unchecked"] if name in doubts}
-    except (GisRadarError, LookupError, TypeError, ValueError, AttributeError):
-        reporter.warn("{}: cannot be read: alarms of poses begin anew", path)
-        return {}, set()
-    return doubts, unchecked
+def _doubts_in(stored: Any) -> tuple[dict[str, str | None], set[str]]:
+    """Return the doubts of an earlier run of fusion, of the content of their file."""
+    found = restored(stored)
+    doubts = dict(found["doubts"])
+    "".join(each for each in doubts.values() if each is not None)  # TypeError if one is no text
+    return doubts, {name for name in found["unchecked"] if name in doubts}
 
 
 def _make_all(site: MeasuredSite, spooled: Sequence[Path], touched: Sequence[int]) -> JobResult:

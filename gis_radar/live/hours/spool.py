@@ -17,8 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from gis_radar.base import output_errors
-from gis_radar.dataset import sync_folder
+from gis_radar.base import output_errors, sync_folder
 from gis_radar.live.wire.payload import check_of, stream_of, unpack_message
 
 # Kinds of records; a skipped one is a message that is not counted.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import time
 from collections.abc import Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ import geopandas as gpd
 import numpy as np
 import shapely
 
-from gis_radar.base import QUIET, GisRadarError, Reporter, stop_pool, watch_parent
+from gis_radar.base import QUIET, GisRadarError, Reporter, WorkerPool, watch_parent
 from gis_radar.hdmap import LaneGraph, lane_graph, make_tiles, read_map
 from gis_radar.live.now.now_filter import NowFilter, VehiclesNow
 from gis_radar.live.wire.detections import DetectionSelector, pack_detections, unpack_detections
@@ -163,7 +163,7 @@ class LiveVehicles:
         self._again_s = again_s
         self._number = {name: k for k, name in enumerate(sorted(sensors))}
         self._waiting: list[PlacedMessage] = []
-        self._pool: ProcessPoolExecutor | None = None
+        self._pool: WorkerPool | None = None
         self._work: Future[VehiclesAnswer] | None = None
         self._submitted = 0  # number of messages that the process has now
         self._now, self._answered_s, self._start_at = VehiclesNow.none(), 0.0, 0.0
@@ -171,9 +171,7 @@ class LiveVehicles:
     def make_ready(self) -> Future[None]:
         """Start the process; the future is done once its loops are compiled."""
         context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(
-            1, mp_context=context, initializer=_start, initargs=(self._graph,)
-        )
+        self._pool = WorkerPool(1, context=context, initializer=_start, given=(self._graph,))
         return self._pool.submit(run_vehicles_once)
 
     def take(self, sensor: str, content: bytes, pose: Pose, road_m: float) -> None:
@@ -222,7 +220,7 @@ class LiveVehicles:
     def close(self) -> None:
         """Stop the process."""
         if self._pool is not None:
-            stop_pool(self._pool)
+            self._pool.stop()
         self._pool, self._work, self._waiting = None, None, []
         self._now = VehiclesNow.none()
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import secrets
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +16,6 @@ from gis_radar.base import (
     Integers,
     Reporter,
     Text,
-    atomic_write,
     interval_steps,
     quotient,
 )
@@ -28,6 +24,7 @@ from gis_radar.live.background import in_background
 from gis_radar.live.hours.quarters import QUARTERS_KEPT, QuarterMeasures
 from gis_radar.live.served.sensorthings import HITS_KEY, MEASURES, LaneMeasure, LaneServer, Service
 from gis_radar.live.served.snapshot import Place
+from gis_radar.live.state_file import StateFile
 from gis_radar.site import SensorThingsTable
 
 _FIRST_RETRY_S, _SLOWEST_RETRY_S = 30.0, 900.0
@@ -65,9 +62,9 @@ class LanePush:
     ) -> None:  # fmt: skip
         self._server = LaneServer(Service.of(table), place, site)
         self._place, self._steps = place, interval_steps(table.interval)
-        self._path, self._reporter = path, reporter
+        self._file, self._reporter = StateFile(path, indent=None, reporter=reporter), reporter
         lanes = {*place.lane_numbers}  # another map may have others: no server takes those
-        waiting, self._taken = _read(path, reporter)  # quarters that were taken, by last step
+        waiting, self._taken = self._file.read({"waiting": [], "quarters": []}, _waiting_in)
         self._waiting = [each for each in waiting if each.lane in lanes]
         self._sending: list[LaneMeasure] = []
         self._work: Future[int] | None = None
@@ -182,12 +179,7 @@ class LanePush:
 
     def _store(self) -> None:
         """Write the waiting measures, and which quarters were taken, to the disk."""
-        try:
-            with atomic_write(self._path) as part:
-                kept = {"quarters": sorted(self._taken), "waiting": self._waiting}
-                part.write_text(json.dumps(kept), encoding="utf-8")
-        except GisRadarError as error:
-            self._reporter.warn(error.message)
+        self._file.write({"quarters": sorted(self._taken), "waiting": self._waiting})
 
 
 def _traffic(quarter: QuarterMeasures) -> Iterator[LaneMeasure]:
@@ -211,16 +203,6 @@ def _row(lane: Any, measure: Any, begin: Any, end: Any, result: Any, parameter: 
     return LaneMeasure(int(lane), measure, int(begin), int(end), float(result), float(parameter))
 
 
-def _read(path: Path, reporter: Reporter) -> tuple[list[LaneMeasure], set[int]]:
-    """Return the waiting measures, and which quarters were taken; rename and log a damaged file."""
-    try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
-        return [_row(*row) for row in kept["waiting"]], {int(each) for each in kept["quarters"]}
-    except FileNotFoundError:
-        return [], set()
-    except (OSError, ValueError, TypeError, KeyError, ArithmeticError, RecursionError):
-        renamed = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
-        with suppress(OSError):  # if it cannot be renamed, the next waiting measures replace it
-            path.rename(renamed)
-        reporter.warn("{}: it is damaged, and put aside as {}", path, renamed.name)
-        return [], set()
+def _waiting_in(kept: Any) -> tuple[list[LaneMeasure], set[int]]:
+    """Return the waiting measures, and the last steps of the quarters that were taken."""
+    return [_row(*row) for row in kept["waiting"]], {int(each) for each in kept["quarters"]}

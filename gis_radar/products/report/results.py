@@ -154,7 +154,7 @@ def lost_sensors(run: Mapping[str, Any]) -> dict[str, str]:
     }
     for stage in stages:
         refused = (stage.get("figures") or {}).get("refused") or {}
-        errors |= {n: Text(why).removeprefix(f"{n}: ") for n, why in refused.items()}
+        errors |= {n: Text(why).without(n) for n, why in refused.items()}
     names = [str(each["name"]) for each in (run.get("site") or {}).get("sensor") or []]
     return {name: errors.get(name, "see run.json") for name in names if shown and name not in shown}
 
