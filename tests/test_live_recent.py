@@ -20,22 +20,17 @@ def test_sums_are_those_of_the_steps(gaps, seed):
     steps = FIRST + np.cumsum(gaps)
     observed = chance.random((len(steps), 4)) < 0.8
     hit = observed & (chance.random((len(steps), 4)) < 0.5)
-    counts, pushed = RecentCounts(4, interval=7000, pushed=2400), {}
+    counts = RecentCounts(4, interval=7000)
 
     def sums(number, length, last=1):
         chosen = (steps // length > number - last) & (steps // length <= number)
         return [hit[chosen].sum(axis=0).tolist(), observed[chosen].sum(axis=0).tolist()]
 
     for step, one, other in zip(steps.tolist(), hit, observed, strict=True):
-        if ended := counts.take(step, one, other):
-            pushed[ended[0]] = ended[1].tolist()
+        counts.take(step, one, other)
     newest = int(steps[-1])
     assert [each.tolist() for each in counts.last_minutes()] == sums(newest // 1200, 1200, 15)
     assert [each.tolist() for each in counts.since_begin()] == sums(newest // 7000, 7000)
-    assert pushed == {
-        number: sums(number, 2400) for number in set((steps[:-1] // 2400).tolist())
-        if number < newest // 2400
-    }  # fmt: skip
     found = {number: rows.tolist() for number, rows in counts.quarters()}
     last = range(newest // 18_000 - 4, newest // 18_000 + 1)
     assert found == {each: sums(each, 18_000) for each in last if any(sums(each, 18_000)[1])}

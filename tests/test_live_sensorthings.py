@@ -19,10 +19,9 @@ from live_site import LONGEST_S, SAMPLE, LiveSite, wait_for
 
 import gis_radar as gr
 from gis_radar.base import InputError
-from gis_radar.live import Fusion, Place, QuarterMeasures, RecentCounts, read_live_site
+from gis_radar.live import Fusion, Place, QuarterMeasures, read_live_site
 from gis_radar.live.served.lane_push import LanePush
 from gis_radar.live.served.sensorthings import (
-    HITS_KEY,
     LaneMeasure,
     LaneServer,
     ServerError,
@@ -194,21 +193,20 @@ def until_sent(push):
         time.sleep(0.01)
 
 
-def count(push, place, first, steps):
-    """Let half of the time every tile be hit, all observed, by intervals of a minute."""
-    tiles = len(place.tiles)
-    counts = vars(push).setdefault("counts", RecentCounts(tiles, pushed=1200))
-    for step in range(first, first + steps):
-        if ended := counts.take(step, np.full(tiles, step % 2 == 0), np.ones(tiles, np.bool_)):
-            push.take(*ended)
+def count(push, place, first, quarters):
+    """Let half of the time every tile be hit, all observed, in quarters without vehicles."""
+    lanes = pd.DataFrame({"lane": place.lane_numbers, "hit_s": 450.0, "observed_s": 900.0})
+    ends = (first + QUARTER * k - 1 for k in range(1, quarters + 1))
+    push.take([QuarterMeasures(until_step=k, visible=[], occupied=[], lanes=lanes) for k in ends])
 
 
-BEGIN = 20 * 1_750_000_200  # a full minute
+QUARTER = 18_000
+BEGIN = 1_944_444 * QUARTER
 
 
 def test_lanes_and_their_intervals_arrive_as_the_standard_asks(server, place, tmp_path):
-    push = push_of(server, place, tmp_path, interval="1min")
-    count(push, place, BEGIN, 2 * 1200 + 1)
+    push = push_of(server, place, tmp_path)
+    count(push, place, BEGIN, 2)
     lanes = len(place.lane_numbers)
     assert push.waiting == 2 * lanes
     until_sent(push)
@@ -217,11 +215,11 @@ def test_lanes_and_their_intervals_arrive_as_the_standard_asks(server, place, tm
     assert sizes == {"Things": lanes, "Locations": lanes, "Datastreams": lanes, "Sensors": 1,
                      "ObservedProperties": 1, "Observations": 2 * lanes}  # fmt: skip
     first = server.entities["Observations"][0]
-    assert first["phenomenonTime"] == "2025-06-15T15:10:00Z/2025-06-15T15:11:00Z"
-    assert (first["result"], first["parameters"]) == (50.0, {"observed_s": 60.0})
+    assert first["phenomenonTime"] == "2025-06-15T15:00:00Z/2025-06-15T15:15:00Z"
+    assert (first["result"], first["parameters"]) == (50.0, {"observed_s": 900.0})
     assert [path for _, path, _ in server.asked].count("CreateObservations") == 1
-    again = push_of(server, place, tmp_path, interval="1min")  # a new start finds all there
-    count(again, place, BEGIN + 2 * 1200, 1201)
+    again = push_of(server, place, tmp_path)  # a new start finds all there
+    count(again, place, BEGIN + 2 * QUARTER, 1)
     until_sent(again)
     assert len(server.entities["Things"]) == lanes
     assert len(server.entities["Observations"]) == 3 * lanes
@@ -230,37 +228,37 @@ def test_lanes_and_their_intervals_arrive_as_the_standard_asks(server, place, tm
 def quarter_of(place, until_step, **columns):
     """A measured quarter with the same traffic on all lanes."""
     traffic = {"visible_share": 0.9, "volume": 7.0, "volume_se": 1.5, "speed_kmh": 31.25,
-               "occupancy": 0.125, "queue_max_m": np.nan} | columns  # fmt: skip
+               "occupancy": 0.125, "queue_max_m": np.nan, "hit_s": 90.0,
+               "observed_s": 900.0} | columns  # fmt: skip
     lanes = pd.DataFrame({"lane": place.lane_numbers}).assign(**traffic)
     return QuarterMeasures(until_step=until_step, visible=[], occupied=[], lanes=lanes)
 
 
-def test_the_traffic_of_each_quarter_arrives_once_with_its_errors(server, place, tmp_path):
-    until, lanes = BEGIN + 6000 - 1, len(place.lane_numbers)
+def test_the_measures_of_each_quarter_arrive_once_with_their_errors(server, place, tmp_path):
+    until, lanes = BEGIN + QUARTER - 1, len(place.lane_numbers)
     quarters = [quarter_of(place, until)]
-    push = push_of(server, place, tmp_path, interval="1min")
-    push.take_traffic(quarters)
+    push = push_of(server, place, tmp_path)
+    push.take(quarters)
     until_sent(push)
-    push.take_traffic(
-        [*quarters, quarter_of(place, until + 18_000, volume=np.nan, queue_max_m=20.0)]
-    )
+    push.take([*quarters, quarter_of(place, until + QUARTER, volume=np.nan, queue_max_m=20.0)])
     until_sent(push)
-    again = push_of(server, place, tmp_path, interval="1min")  # a new start reads the day again
-    again.take_traffic([quarter_of(place, until, volume=8.0)])
+    again = push_of(server, place, tmp_path)  # a new start reads the day again
+    again.take([quarter_of(place, until, volume=8.0)])
     until_sent(again)
     assert server.odd == []
     lane = f"junction/lane/{place.lane_numbers[0]}"
     first, second = ((f"2025-06-15T15:{begin}:00Z/2025-06-15T15:{end}:00Z")
                      for begin, end in (("00", "15"), ("15", "30")))  # fmt: skip
     assert [each for each in server.results() if each[0].startswith(f"{lane}/")] == [
+        (f"{lane}/hits", first, 10.0), (f"{lane}/hits", second, 10.0),
         (f"{lane}/occupancy", first, 12.5), (f"{lane}/occupancy", second, 12.5),
         (f"{lane}/queue_max_m", second, 20.0),
         (f"{lane}/speed_kmh", first, 31.25), (f"{lane}/speed_kmh", second, 31.25),
         (f"{lane}/volume", first, 7.0),
     ]  # fmt: skip
     sizes = {name: len(rows) for name, rows in server.entities.items()}
-    assert sizes == {"Things": lanes, "Locations": lanes, "Datastreams": 4 * lanes, "Sensors": 1,
-                     "ObservedProperties": 4, "Observations": 6 * lanes}  # fmt: skip
+    assert sizes == {"Things": lanes, "Locations": lanes, "Datastreams": 5 * lanes, "Sensors": 1,
+                     "ObservedProperties": 5, "Observations": 8 * lanes}  # fmt: skip
     beside = [each["parameters"] for each in server.entities["Observations"]]
     assert {"volume_se": 1.5} in beside
     assert {"visible_share": 0.9} in beside
@@ -269,8 +267,8 @@ def test_the_traffic_of_each_quarter_arrives_once_with_its_errors(server, place,
 def test_a_server_that_fails_gets_all_of_it_later_and_nothing_twice(server, place, tmp_path):
     said = Lines()
     server.fails, server.drops = 2, 1
-    push = push_of(server, place, tmp_path, said, interval="1min")
-    count(push, place, BEGIN, 1201)
+    push = push_of(server, place, tmp_path, said)
+    count(push, place, BEGIN, 1)
     kept = json.loads((tmp_path / "waiting.json").read_text())
     assert len(kept["waiting"]) == len(place.lane_numbers)
     until_sent(push)
@@ -282,7 +280,7 @@ def test_a_server_that_fails_gets_all_of_it_later_and_nothing_twice(server, plac
 
 
 def test_what_waited_when_fusion_was_killed_is_sent_after_a_new_start(server, place, tmp_path):
-    rows = [LaneMeasure(place.lane_numbers[0], HITS_KEY, BEGIN, BEGIN + 1200, 12.5, 60.0)]
+    rows = [LaneMeasure(place.lane_numbers[0], "hits", BEGIN, BEGIN + 1200, 12.5, 60.0)]
     (tmp_path / "waiting.json").write_text(json.dumps({"quarters": [], "waiting": rows}))
     push = push_of(server, place, tmp_path)
     until_sent(push)
@@ -329,7 +327,7 @@ def test_log_ins_are_sent(server, tmp_path, keys, header, monkeypatch):
 
 def test_a_site_pushes_only_where_its_file_says_so(tmp_path, once, server):
     """Where it does, what waits in its folder is read: here a damaged file."""
-    more = f'[live.sensorthings]\naddress = "{server.address}"\ninterval = "5min"'
+    more = f'[live.sensorthings]\naddress = "{server.address}"'
     for name, of_live, read in (("one", "", 0), ("two", more, 1)):
         (tmp_path / name / "live").mkdir(parents=True)
         (tmp_path / name / "live" / "sensorthings.json").write_text("{")
@@ -351,7 +349,7 @@ OK = b"HTTP/1.0 200 OK\r\n\r\n"
      ("GET", OK + b'{"value": [{"@iot.id": {}}]}'), ("POST", OK + b"5")],
 )  # fmt: skip
 def test_what_is_no_answer_of_such_a_server_is_an_error_of_it(server, place, method, answer):
-    rows = [LaneMeasure(place.lane_numbers[0], HITS_KEY, BEGIN, BEGIN + 1200, 1.0, 60.0)]
+    rows = [LaneMeasure(place.lane_numbers[0], "hits", BEGIN, BEGIN + 1200, 1.0, 60.0)]
     lanes, begun = (LaneServer(Service.of(table(server)), place, "junction") for _ in range(2))
     lanes.push(rows)
     server.raw[method] = answer
@@ -364,8 +362,8 @@ def test_what_is_no_answer_of_such_a_server_is_an_error_of_it(server, place, met
 
 def test_whatever_the_push_meets_fusion_goes_on_and_says_it_once(server, place, tmp_path):
     said, end = Lines(), time.monotonic() + 1.0  # four tries
-    push = push_of(server, place, tmp_path, said, interval="1min")
-    count(push, place, 1200 * 10**15, 1201)  # of no year
+    push = push_of(server, place, tmp_path, said)
+    count(push, place, QUARTER * 10**14, 1)  # of no year
     wait_for(lambda: push.poll() or (said.lines and time.monotonic() > end))
     assert len(said.lines) == 1
     assert said.told("lane measures cannot be pushed: ")
@@ -375,26 +373,24 @@ def test_whatever_the_push_meets_fusion_goes_on_and_says_it_once(server, place, 
 def test_measures_of_lanes_that_the_map_no_longer_has_do_not_hold_up_others(
     server, place, tmp_path
 ):
-    rows = [LaneMeasure(max(place.lane_numbers) + 1, HITS_KEY, BEGIN, BEGIN + 1200, 1.0, 60.0)]
+    rows = [LaneMeasure(max(place.lane_numbers) + 1, "hits", BEGIN, BEGIN + 1200, 1.0, 60.0)]
     (tmp_path / "waiting.json").write_text(json.dumps({"quarters": [], "waiting": rows}))
     assert push_of(server, place, tmp_path).waiting == 0
 
 
 def test_what_is_counted_again_arrives_once(server, place, tmp_path):
     lanes = len(place.lane_numbers)
-    push = push_of(server, place, tmp_path, interval="1min")
-    count(push, place, BEGIN, 2 * 1200 + 1)
+    push = push_of(server, place, tmp_path)
+    count(push, place, BEGIN, 2)
     until_sent(push)
-    again = push_of(server, place, tmp_path, interval="1min")  # killed: the hour is replayed
-    count(again, place, BEGIN, 3 * 1200 + 1)
+    again = push_of(server, place, tmp_path)  # killed: the hour is replayed
+    count(again, place, BEGIN, 3)
     until_sent(again)
     assert len(server.entities["Observations"]) == 3 * lanes
-    count(again, place, BEGIN, 1201)  # the clock is set back, one interval after the other
-    until_sent(again)
-    count(again, place, BEGIN + 1201, 1200)
+    count(again, place, BEGIN, 2)  # the clock is set back
     until_sent(again)
     assert len(server.entities["Observations"]) == 3 * lanes
-    count(again, place, BEGIN - 1200, 1201)  # it was ahead: what was never there is new
+    count(again, place, BEGIN - QUARTER, 1)  # it was ahead: what was never there is new
     assert again.waiting == lanes
     until_sent(again)
     assert len({each[:2] for each in server.results()}) == len(server.results()) == 4 * lanes
@@ -403,7 +399,7 @@ def test_what_is_counted_again_arrives_once(server, place, tmp_path):
 @pytest.mark.parametrize("code", [301, 302, 303, 307, 308])
 def test_a_server_that_sends_on_gets_nothing_sent_on(server, place, code):
     other = Server()
-    rows = [LaneMeasure(place.lane_numbers[0], HITS_KEY, BEGIN, BEGIN + 1200, 1.0, 60.0)]
+    rows = [LaneMeasure(place.lane_numbers[0], "hits", BEGIN, BEGIN + 1200, 1.0, 60.0)]
     lanes = LaneServer(Service.of(table(server)), place, "junction")
     lanes.push(rows)
     server.moved = code, other.address

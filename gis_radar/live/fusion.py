@@ -109,11 +109,7 @@ class Fusion:
         self._jobs = HourJobs(measured, self.quarters, reporter=reporter)
         self._map = MapOfNow(len(road.tile_id))
         self._map.validity_s = dict(validity_of(site.cycles(), names))
-        pushed = site.live.sensorthings or site.live
-        self.counts = RecentCounts(
-            len(road.tile_id), interval=interval_steps(site.live.interval),
-            pushed=interval_steps(pushed.interval),
-        )  # fmt: skip
+        self.counts = RecentCounts(len(road.tile_id), interval=interval_steps(site.live.interval))
         self._windows = Windows(site.live.lateness)
         self._spool = Spool(folder / SPOOL)
         self.intake = Intake(
@@ -243,9 +239,7 @@ class Fusion:
 
     def _count(self, step: int, frames: dict[str, SensorReport]) -> None:
         state = self._map.take(step, frames)
-        ended = self.counts.take(step, state.hit, state.observed)
-        if ended is not None and self._push is not None:
-            self._push.take(*ended)
+        self.counts.take(step, state.hit, state.observed)
 
     def _do_due_work(self) -> None:
         """Do what is due by the clock: commit, acknowledge, measure, write files."""
@@ -262,7 +256,7 @@ class Fusion:
             self._wait_for_export()
             self._exported, self._exporting = now, in_background("export", self._export)
         if self._push is not None:
-            self._push.take_traffic(self.quarters.followed)
+            self._push.take(self.quarters.measured)
             self._push.poll()
         for each in self.sensors.values():
             if each.due:

@@ -126,8 +126,6 @@ class SensorThingsTable(TomlTable):
 
     address: ServiceAddress = key('"https://frost.example/FROST-Server/v1.1"')
     """The service's root, with its version."""
-    interval: Interval = key('"5min"', "15min", '"15min"')
-    """Over which the hit share of a lane is pushed; its traffic is by quarters of an hour."""
     user: TextValue | None = key('"junction"', None, "none")
     """As whom to log in, with a password."""
     password_file: File | None = key('"sensorthings.password"', None, "none")

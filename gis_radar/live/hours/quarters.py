@@ -52,27 +52,25 @@ class Quarters:
     """The quarters of the last day; safe to read from another thread."""
 
     def __init__(self) -> None:
-        self._known: dict[int, QuarterMeasures] = {}
-        self.followed: list[QuarterMeasures] = []  # those with vehicles, in order
+        self.measured: list[QuarterMeasures] = []  # in order
 
     def add(self, found: Iterable[QuarterMeasures]) -> None:
         """Add quarters; they replace earlier measures of the same ones."""
-        known = self._known | {each.until_step: each for each in found}
-        self._known = {step: known[step] for step in sorted(known)[-QUARTERS_KEPT:]}
-        self.followed = [each for each in self._known.values() if "volume" in each.lanes]
+        known = {each.until_step: each for each in (*self.measured, *found)}
+        self.measured = [known[step] for step in sorted(known)[-QUARTERS_KEPT:]]
 
     def newest(self) -> QuarterMeasures | None:
         """Return the newest quarter with vehicles; None where there is none."""
-        followed = self.followed
-        return followed[-1] if followed else None
+        return next((each for each in reversed(self.measured) if "volume" in each.lanes), None)
 
     def intervals(self) -> pd.DataFrame:
         """Return the lanes of all quarters, with `begin` and `end`."""
         tables = [
             each.lanes.assign(
-                begin=step_begin(step + 1 - STEPS_PER_QUARTER), end=step_begin(step + 1)
+                begin=step_begin(each.until_step + 1 - STEPS_PER_QUARTER),
+                end=step_begin(each.until_step + 1),
             )
-            for step, each in self._known.items()
+            for each in self.measured
         ]
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 

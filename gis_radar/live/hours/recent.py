@@ -23,18 +23,14 @@ class _Intervals:
         self.steps, self.number = steps, -1
         self.rows = np.zeros((kept, 2, tiles), np.int32)
 
-    def take(self, step: int, hit: Booleans, observed: Booleans) -> EndedInterval | None:
-        """Count a step; return the interval that ended before it, if one did."""
-        number, before, kept = step // self.steps, self.number, len(self.rows)
-        ended = None
-        if number != before:
-            if before >= 0:
-                ended = (before, self.rows[before % kept].copy())
-            passed = range(max(before, number - kept) + 1, number + 1)
+    def take(self, step: int, hit: Booleans, observed: Booleans) -> None:
+        """Count a step."""
+        number, kept = step // self.steps, len(self.rows)
+        if number != self.number:
+            passed = range(max(self.number, number - kept) + 1, number + 1)
             self.rows[[each % kept for each in passed]] = 0
             self.number = number
         self.rows[number % kept] += [hit, observed]
-        return ended
 
 
 class RecentCounts:
@@ -44,23 +40,21 @@ class RecentCounts:
     ----------
     tiles : int
         Number of tiles.
-    interval, pushed : int
-        Lengths of the intervals of the cumulative map and of the push of lanes, steps; intervals
-        begin at multiples of them.
+    interval : int
+        Length of the intervals of the cumulative map, steps; they begin at multiples of it.
     """
 
-    def __init__(self, tiles: int, *, interval: int = QUARTER, pushed: int = QUARTER) -> None:
+    def __init__(self, tiles: int, *, interval: int = QUARTER) -> None:
         self._kinds = {
             "minutes": _Intervals(tiles, MINUTE, MINUTES),
             "quarters": _Intervals(tiles, QUARTER, _QUARTERS),
             "interval": _Intervals(tiles, interval, 1),
-            "pushed": _Intervals(tiles, pushed, 1),
         }
         self.step = -1
         self._lock = Lock()
 
-    def take(self, step: int, hit: Booleans, observed: Booleans) -> EndedInterval | None:
-        """Count a step; return the interval of the push that it ends, if it does.
+    def take(self, step: int, hit: Booleans, observed: Booleans) -> None:
+        """Count a step.
 
         Parameters
         ----------
@@ -74,7 +68,8 @@ class RecentCounts:
                 for each in self._kinds.values():
                     each.number, each.rows[:] = -1, 0
             self.step = step
-            return [each.take(step, hit, observed) for each in self._kinds.values()][-1]
+            for each in self._kinds.values():
+                each.take(step, hit, observed)
 
     def last_minutes(self) -> tuple[Integers, Integers]:
         """Return the steps of the last 14 to 15 min in which each tile was hit and observed."""

@@ -1,4 +1,4 @@
-"""Push of lane measures by interval, which wait on disk until a SensorThings server has them."""
+"""Push of lane measures, which wait on disk until a SensorThings server has them."""
 
 from __future__ import annotations
 
@@ -11,18 +11,15 @@ from typing import Any
 
 from gis_radar.base import (
     QUIET,
-    STEP_S,
     GisRadarError,
-    Integers,
     Reporter,
     Text,
-    interval_steps,
     quotient,
 )
 from gis_radar.dataset import STEPS_PER_QUARTER
 from gis_radar.live.background import in_background
 from gis_radar.live.hours.quarters import QUARTERS_KEPT, QuarterMeasures
-from gis_radar.live.served.sensorthings import HITS_KEY, MEASURES, LaneMeasure, LaneServer, Service
+from gis_radar.live.served.sensorthings import MEASURES, LaneMeasure, LaneServer, Service
 from gis_radar.live.served.snapshot import Place
 from gis_radar.live.state_file import StateFile
 from gis_radar.site import SensorThingsTable
@@ -61,7 +58,6 @@ class LanePush:
         retry_s: float = _FIRST_RETRY_S, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self._server = LaneServer(Service.of(table), place, site)
-        self._place, self._steps = place, interval_steps(table.interval)
         self._file, self._reporter = StateFile(path, indent=None, reporter=reporter), reporter
         lanes = {*place.lane_numbers}  # another map may have others: no server takes those
         waiting, self._taken = self._file.read({"waiting": [], "quarters": []}, _waiting_in)
@@ -69,7 +65,6 @@ class LanePush:
         self._sending: list[LaneMeasure] = []
         self._work: Future[int] | None = None
         self._compare_first = True  # measures that this run counts again may have arrived before
-        self._newest = -1  # begin of the newest interval of hits, step
         self._try_at, self._retry_wait_s, self._logged = 0.0, retry_s, ""
         self._retry_s = retry_s
 
@@ -78,30 +73,14 @@ class LanePush:
         """Number of measures that the server has not taken yet."""
         return len(self._waiting)
 
-    def take(self, number: int, counts: Integers) -> None:
-        """Add the measures of an interval that is over.
-
-        Parameters
-        ----------
-        number : int
-            Number of the interval since 1970.
-        counts : (2, n) int array
-            Steps in which tiles were hit and observed.
-        """
-        done = self._measures(number, counts)
-        if done and done[0].begin <= self._newest:  # the clock was set back
-            self._compare_first = True
-        if added := self._add(done):
-            self._newest = max(self._newest, added[0].begin)
-
-    def take_traffic(self, quarters: Sequence[QuarterMeasures]) -> None:
-        """Add the traffic of quarters of an hour that were not taken yet.
+    def take(self, quarters: Sequence[QuarterMeasures]) -> None:
+        """Add the measures of quarters of an hour that were not taken yet.
 
         Parameters
         ----------
         quarters : sequence of QuarterMeasures
-            Those with vehicles of the last day; each is taken as it was measured first, so that
-            what its hour changes later is not sent.
+            Those of the last day; each is taken as it was measured first, so that what its hour
+            changes later is not sent.
         """
         new = [each for each in quarters if each.until_step not in self._taken]
         if not new:
@@ -109,31 +88,16 @@ class LanePush:
         # the file that says which were taken may be lost, or from before others were measured
         self._compare_first |= not self._taken or new[0].until_step < max(self._taken)
         self._taken = set(sorted(self._taken | {each.until_step for each in new})[-QUARTERS_KEPT:])
-        if not self._add([row for each in new for row in _traffic(each)]):
+        if not self._add([row for each in new for row in _measures(each)]):
             self._store()
 
-    def _add(self, done: Sequence[LaneMeasure]) -> list[LaneMeasure]:
-        """Add measures to those that wait, and return which are new."""
+    def _add(self, done: Sequence[LaneMeasure]) -> bool:
+        """Add measures to those that wait; return whether some are new."""
         known = {each[:3] for each in self._waiting} if done else set()
         if added := [each for each in done if each[:3] not in known]:
             self._waiting = [*self._waiting, *added][-_MOST_WAITING:]
             self._store()
-        return added
-
-    def _measures(self, number: int, counts: Integers) -> list[LaneMeasure]:
-        """Return the hit share of each observed lane in an interval."""
-        place, begin = self._place, number * self._steps
-        percent = 100.0 * quotient(*(place.totals_by_lane(each) for each in counts))
-        observed_s = STEP_S * place.means_by_lane(counts[1])
-        return [
-            LaneMeasure(
-                lane, HITS_KEY, begin, begin + self._steps, round(share, DIGITS), round(s, DIGITS)
-            )
-            for lane, share, s in zip(
-                place.lane_numbers, percent.tolist(), observed_s.tolist(), strict=True
-            )
-            if s > 0.0
-        ]
+        return bool(added)
 
     def poll(self) -> None:
         """Do what is due: process what was sent, and send waiting measures."""
@@ -142,7 +106,7 @@ class LanePush:
             self._take_sent(work)
         if self._waiting and self._work is None and time.monotonic() >= self._try_at:
             self._sending, again = sorted(self._waiting), self._compare_first
-            self._compare_first = False  # unless it fails, or the clock is set back meanwhile
+            self._compare_first = False  # unless it fails
             push = partial(self._server.push, self._sending, again=again)
             try:
                 self._work = in_background("sensorthings", push)
@@ -182,13 +146,14 @@ class LanePush:
         self._file.write({"quarters": sorted(self._taken), "waiting": self._waiting})
 
 
-def _traffic(quarter: QuarterMeasures) -> Iterator[LaneMeasure]:
-    """Yield the measures of traffic of a quarter that are known."""
+def _measures(quarter: QuarterMeasures) -> Iterator[LaneMeasure]:
+    """Yield the measures of a quarter that are known."""
     end = quarter.until_step + 1
+    lanes = quarter.lanes.assign(hits=quotient(quarter.lanes["hit_s"], quarter.lanes["observed_s"]))
     for name, measure in MEASURES.items():
-        if name == HITS_KEY:
+        if name not in lanes:  # without vehicles there is no traffic
             continue
-        table = quarter.lanes[["lane", name, measure.parameter]].dropna()
+        table = lanes[["lane", name, measure.parameter]].dropna()
         for lane, result, parameter in table.itertuples(index=False, name=None):
             yield LaneMeasure(
                 int(lane), name, end - STEPS_PER_QUARTER, end,

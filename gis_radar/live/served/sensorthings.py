@@ -1,8 +1,7 @@
 """Push of lane measures to a server that speaks the OGC SensorThings API 1.1 (OGC 18-088).
 
-A lane is a Thing with its line as Location and a Datastream a measure: its hit share over an
-interval and, with vehicles, its traffic by quarter of an hour. Nothing finer than a lane leaves the
-site.
+A lane is a Thing with its line as Location and a Datastream a measure, by quarter of an hour: its
+hit share and, with vehicles, its traffic. Nothing finer than a lane leaves the site.
 """
 
 from __future__ import annotations
@@ -57,10 +56,9 @@ class Measure:
 
 
 _PERCENT = ("percent", "%", "PERCENT")
-HITS_KEY = "hits"
 MEASURES = {
-    HITS_KEY: Measure(
-        name="hit share", unit=_PERCENT, parameter="observed_s",
+    "hits": Measure(
+        name="hit share", unit=_PERCENT, parameter="observed_s", scale=100.0,
         about="Share of the observed time in which a radar hit something on a tile of the lane, "
         "the mean of its tiles. It is below the share in which vehicles occupy them.",
     ),
@@ -83,7 +81,7 @@ MEASURES = {
         about="Farthest back of the queue from the stop line in the interval.",
     ),
 }  # fmt: skip
-"""By the last word of the Datastream's name; those of traffic are columns of it."""
+"""By the last word of the Datastream's name; all but `hits` are columns of traffic."""
 _COMPONENTS = ["phenomenonTime", "resultTime", "result", "parameters"]
 _NOT_STORED = "error"  # entry in place of the link of an observation that was not stored
 
