@@ -248,8 +248,8 @@ def test_an_hour_gives_the_drift():
     ("step", "limit"),
     [
         (rough_offset, {"ROUGH_PAIRS": 10**6}),
-        (fine_offset, {"LEAST_VEHICLES": 10**6}),
-        (validate_offset, {"LEAST_SHARE": 1.01}),
+        (fine_offset, {"_LEAST_VEHICLES": 10**6}),
+        (validate_offset, {"_LEAST_SHARE": 1.01}),
     ],
 )
 def test_each_step_refuses_by_its_limit(step, limit, monkeypatch):

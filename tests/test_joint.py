@@ -18,6 +18,7 @@ from sites import START, recording
 from streets import CROSSING, Street, errors
 
 import gis_radar as gr
+from gis_radar.base import Text
 from gis_radar.calibration import (
     CLASH_HINT,
     AmbiguousError,
@@ -417,7 +418,8 @@ def test_what_no_neighbour_places_keeps_its_reason(recordings, true, tmp_path, m
     results = {
         "R1": Localization(pose=stated(true["R1"]), fitness=0.9, observable=True),
         "R2": AmbiguousError(
-            "R2: ambiguous",
+            "{}: ambiguous",
+            "R2",
             hint="",
             answers=tuple(
                 Localization(pose=stated(true["R2"], along_m=far), fitness=0.9, observable=True)
@@ -651,7 +653,9 @@ def test_the_command_fails_after_the_poses_where_a_sensor_has_none(
 ):
     pose = stated(true["R1"])
     found = Localization(pose=pose, fitness=0.9, observable=True)
-    part = JointCalibration(found={"R1": found}, refused={"R2": "R2: 2 moving vehicles"}, pairs={})
+    part = JointCalibration(
+        found={"R1": found}, refused={"R2": Text("{}: 2 moving vehicles", "R2")}, pairs={}
+    )
     monkeypatch.setattr("gis_radar.calibration.localize_together", lambda *_, **__: part)
     done = invoke(files, tmp_path, *guess_words(true))
     assert isinstance(done.exception, gr.NoAnswerError)

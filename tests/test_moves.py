@@ -22,7 +22,7 @@ POSE = STREET.pose()
 
 @pytest.fixture
 def constants(monkeypatch):
-    """Set constants of modules of the room: `constants(moving={"FRAMES": 300})`."""
+    """Set constants of modules of the room: `constants(moving={"WINDOW_FRAMES": 300})`."""
 
     def change(**modules):
         for module, changes in modules.items():
@@ -45,7 +45,7 @@ def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch, cons
     STREET.record(tmp_path / "R1.parquet", POSE, frames=700, vehicles=50)
     sigma = dict.fromkeys(("easting", "northing", "height"), 0.1)
     start = replace(POSE, evidence={"sigma": sigma | dict.fromkeys(("yaw", "pitch", "roll"), 0.1)})
-    constants(moving={"FRAMES": 300})
+    constants(moving={"WINDOW_FRAMES": 300})
     step = np.array([0.25, -0.1, 0, 0, 0, np.radians(0.4)])
     spread = np.diag([0.05**2, 0.05**2, 0, 0, 0, np.radians(0.05) ** 2])
     asked, restarts, again = [], [], Watch.restart
@@ -60,7 +60,7 @@ def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch, cons
         restarts.append(1)
         again(self)
 
-    monkeypatch.setattr(Watch, "look", look)
+    monkeypatch.setattr(Watch, "find_move", look)
     monkeypatch.setattr(Watch, "restart", restart)
     heard = Listener()
     found = track(tmp_path / "R1.parquet", STREET.roads(), STREET.road_points(), start,
@@ -83,7 +83,7 @@ def test_while_still_targets_rest_traffic_is_not_asked_for_blows(tmp_path, monke
     STREET.record(tmp_path / "R1.parquet", POSE, frames=500, vehicles=40)
     sigma = dict.fromkeys(("easting", "northing", "height"), 0.1)
     start = replace(POSE, evidence={"sigma": sigma | dict.fromkeys(("yaw", "pitch", "roll"), 0.1)})
-    constants(moving={"FRAMES": 300})
+    constants(moving={"WINDOW_FRAMES": 300})
     asked = []
     monkeypatch.setattr(MoveTest, "suspected", lambda *_: asked.append(1))
     for rests in (False, True):
