@@ -24,6 +24,7 @@ import pyarrow as pa
 from gis_radar.base import Booleans, Floats, Integers, zone_of
 from gis_radar.dataset.days.asked_time import QUARTER_S, AskedTime, month_edges
 from gis_radar.dataset.days.lane_measures import LANES_METHOD, LaneTraffic
+from gis_radar.dataset.days.lane_sums import SUMMANDS
 from gis_radar.dataset.days.tables import QUARTERS
 from gis_radar.dataset.days.tile_counts import TileCounts, count_keys
 from gis_radar.dataset.files.parts import HOURS_PER_DAY, Keys, TableFile, common_metadata, days_of
@@ -152,33 +153,10 @@ def _numbers(rows: pa.Table, name: str) -> Any:
     return values
 
 
-# By column of `lane_months`: the columns of `lane_measures` from which its summands are computed,
-# and how. Other columns are summed as they are.
-_LANE_SUMMANDS: dict[str, tuple[Sequence[str], Callable[..., Floats]]] = {
-    "quarters": (("volume",), lambda volume: np.isfinite(volume).astype(np.float64)),
-    "visible_s": (("visible_share",), lambda share: share * QUARTER_S),
-    "volume_variance": (("volume_se",), lambda error: error**2),
-    "visible_km_h": (
-        ("visible_km_h", "occupancy"),
-        lambda area, occupancy: np.where(np.isfinite(occupancy), area, 0.0),
-    ),
-    "occupied_km_h": (("visible_km_h", "occupancy"), lambda area, occupancy: occupancy * area),
-    "occupied_variance": (
-        ("visible_km_h", "occupancy_se"), lambda area, error: (error * area) ** 2
-    ),
-    "vehicle_km": (("visible_km_h", "flow"), lambda area, flow: flow * area),
-    "vehicle_h": (("visible_km_h", "density"), lambda area, density: density * area),
-    "delay_h": (("delay_s", "volume"), lambda delay_s, volume: delay_s * volume / 3600.0),
-    "queue_m_s": (
-        ("queue_mean_m", "visible_share"), lambda back_m, share: back_m * share * QUARTER_S
-    ),
-}  # fmt: skip
-
-
 def _summands(table: TableSchema, name: str) -> tuple[Sequence[str], Callable[..., Any]]:
     """Return the columns from which the summands of a column of a roll-up are computed, and how."""
     own: tuple[Sequence[str], Callable[..., Any]] = ((name,), lambda values: values)
-    return own if table is TILE_MONTHS else _LANE_SUMMANDS.get(name, own)
+    return own if table is TILE_MONTHS else SUMMANDS.get(name, own)
 
 
 def _values(rows: pa.Table, sums: Sums) -> Iterator[tuple[str, Any]]:

@@ -10,6 +10,7 @@ import pandas as pd
 
 from gis_radar.base import Floats, Integers, Text, UsageError, street_label
 from gis_radar.dataset.days.asked_time import DAY_NAMES, QUARTER_S, QUARTERS_PER_DAY, AskedTime
+from gis_radar.dataset.days.lane_sums import measures_of
 from gis_radar.dataset.days.tables import QUARTERS
 from gis_radar.dataset.traffic.shifts import lanes_beside
 from gis_radar.measures import LaneNetwork, lane_directions
@@ -144,6 +145,7 @@ def street_profile(
     )
     groups = of_lanes.groupby(["direction", "cell"])
     totals = groups.sum().reindex(cells, fill_value=0.0)
+    measures = measures_of({name: totals[name] for name in _OVER_LANES})
     observed = street.road_m * np.isin(street.lane, sums["lane"])
     road_m = pd.Series(observed).groupby(np.array(street.direction, object)).sum()
     s_m = np.multiply.outer(road_m.to_numpy(), asked_s.to_numpy()).ravel()
@@ -152,9 +154,7 @@ def street_profile(
             "volume_veh_h": _quotient(totals["vehicles_m"], totals["hours_m"]),
             "volume_se": _quotient(np.sqrt(totals["variance"]), totals["hours_m"]),
             "heavy_share": _quotient(totals["heavy"], totals["counted"]),
-            "speed_kmh": _quotient(totals["vehicle_km"], totals["vehicle_h"]),
-            "occupancy": _quotient(totals["occupied_km_h"], totals["visible_km_h"]),
-            "occupancy_se": _quotient(np.sqrt(totals["occupied_variance"]), totals["visible_km_h"]),
+            **{name: measures[name] for name in ("speed_kmh", "occupancy", "occupancy_se")},
             "days": groups["days"].max().reindex(cells, fill_value=0.0),
             "visible_share": (totals["visible_s_m"] / s_m).fillna(0.0),
         }

@@ -29,9 +29,11 @@ from gis_radar.base import (
     UsageError,
     in_language,
     interval_steps,
+    quotient,
     zone_of,
 )
 from gis_radar.dataset.days.lane_measures import LaneTraffic
+from gis_radar.dataset.days.lane_sums import SUMMANDS, measures_of
 from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
 from gis_radar.dataset.files.frame_times import follow_a_recording
 from gis_radar.dataset.files.parts import hour_text
@@ -57,6 +59,10 @@ _LANE_COLUMNS = (
     "volume_veh_h", "heavy", "speed_kmh", "speed_time_mean_kmh", "speed_85_kmh", "occupancy",
     "occupancy_se", "density_veh_km", "flow_veh_h", "travel_time_s", "delay_s", "queue_max_m",
     "queue_mean_m", "sight_m", "stops",
+)  # fmt: skip
+_SUMMED = (
+    "visible_share", "counted", "heavy", "speed_time_mean", "occupancy", "occupancy_se", "density",
+    "flow", "queue_mean_m", "stops", "visible_km_h",
 )  # fmt: skip
 _TURN_COLUMNS = (
     *_WITH_TURN, "from_name", "to_name", "turn", "begin", "end", "visible_share", "volume",
@@ -339,34 +345,35 @@ def _scaled_to_approaches(turns: pd.DataFrame, lanes: pd.DataFrame) -> pd.DataFr
 
 
 def _lane_sums(rows: pd.DataFrame, groups: Any, network: LaneNetwork) -> pd.DataFrame:
-    """Return the other measures of lanes, each a mean or sum with its own weights."""
-    weights = {
-        "occupancy": "visible_km_h", "density": "visible_km_h", "flow": "visible_km_h",
-        "speed_time_mean": "counted", "queue_mean_m": "visible_share",
+    """Return the other measures of lanes over longer intervals."""
+    group = groups.ngroup().to_numpy()
+
+    def total(values: Any) -> Floats:
+        summed = pd.Series(np.asarray(values, np.float64)).groupby(group).sum(min_count=1)
+        return summed.to_numpy(np.float64)
+
+    known = {name: rows[name].to_numpy(np.float64, na_value=np.nan) for name in _SUMMED}
+    sums = {
+        name: total(summand(*(known[each] for each in sources)))
+        for name, (sources, summand) in SUMMANDS.items() if known.keys() >= {*sources}
     }  # fmt: skip
-    index = groups.ngroup()
-    ends = groups[["visible_km_h"]].sum()
-
-    def total(values: Any, least: int = 1) -> Floats:
-        summed = pd.Series(np.asarray(values, np.float64)).groupby(index.to_numpy())
-        return summed.sum(min_count=least).to_numpy(np.float64)
-
-    measures: dict[str, Any] = {}
-    for name, weight_name in weights.items():
-        weight = rows[weight_name].astype(np.float64).where(rows[name].notna())
-        measures[name] = total(rows[name] * weight) / total(weight)
-    spread = rows["occupancy_se"] * rows["visible_km_h"]
-    measures["occupancy_se"] = np.sqrt(total(spread**2)) / total(
-        rows["visible_km_h"].where(spread.notna())
+    measures: dict[str, Any] = measures_of(sums)
+    by_speed = known["speed_time_mean"] * known["counted"]
+    measures["speed_time_mean"] = quotient(
+        total(by_speed), total(np.where(np.isfinite(by_speed), known["counted"], np.nan))
     )
     for name in ("counted", "stops"):
-        counts = total(rows[name].to_numpy(np.float64, na_value=np.nan))
-        measures[name] = pd.Series(counts, ends.index).astype("Int64")
-    measures["heavy"] = total(rows["heavy"])
+        measures[name] = pd.Series(total(known[name])).astype("Int64").array
+    measures["heavy"] = total(known["heavy"])
     measures["queue_max_m"] = groups["queue_max_m"].max().to_numpy()
-    measures["speed_counts"] = _summed_lists(rows["speed_counts"], index.to_numpy(), len(ends))
-    measures |= _speed_and_travel_time(measures, ends, network)
-    return pd.DataFrame(measures, index=ends.index)
+    index = groups.size().index
+    measures["speed_counts"] = _summed_lists(rows["speed_counts"], group, len(index))
+    measures["speed_mean"] = measures.pop("speed_kmh") / 3.6
+    place = np.searchsorted(network.lane, np.asarray(index.get_level_values("lane"), np.int64))
+    length_m = network.length_m[place]
+    enough = sums["visible_km_h"] >= LEAST_VISIBLE_SHARE * length_m / 1000.0 * _lengths_h(index)
+    measures["travel_time_s"] = np.where(enough, quotient(length_m, measures["speed_mean"]), np.nan)
+    return pd.DataFrame(measures, index=index)
 
 
 def _summed_lists(lists: pd.Series, group: Integers, count: int) -> list[Integers | None]:
@@ -384,21 +391,6 @@ def _summed_lists(lists: pd.Series, group: Integers, count: int) -> list[Integer
 def _lengths_h(index: pd.MultiIndex | pd.Index) -> Floats:
     """Return the lengths of intervals in hours."""
     return np.asarray(index.get_level_values("hours"), np.float64)
-
-
-def _speed_and_travel_time(
-    measures: Mapping[str, Any], ends: pd.DataFrame, network: LaneNetwork
-) -> dict[str, Any]:
-    """Return mean speed and travel time of lanes over longer intervals."""
-    place = np.searchsorted(network.lane, np.asarray(ends.index.get_level_values("lane"), np.int64))
-    length, hours = network.length_m[place], _lengths_h(ends.index)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        speed = np.where(
-            measures["density"] > 0.0, measures["flow"] / measures["density"] / 3.6, np.nan
-        )
-        enough = ends["visible_km_h"] >= LEAST_VISIBLE_SHARE * length / 1000.0 * hours
-        travel_s = np.where(enough & (speed > 0.0), length / speed, np.nan)
-    return {"speed_mean": speed, "travel_time_s": travel_s}
 
 
 def _speed_85_kmh(counts: pd.Series) -> Floats:
