@@ -350,27 +350,46 @@ def test_a_queue_reaches_back_to_the_first_large_gap():
     assert 0.0 < row["queue_mean_m"] < row["queue_max_m"]
 
 
-@pytest.mark.parametrize(("hidden", "back_m"), [((21.0, 33.0), 44.5), ((30.0, 33.0), 26.5)])
-def test_a_queue_goes_on_over_road_that_is_not_visible(hidden, back_m):
-    """Of a gap of 13.5 m, from 20 to 33.5 m along the lane, 1.5 m are visible, or 10.5 m."""
+@pytest.mark.parametrize(
+    ("hidden", "observed", "back_m"),
+    [
+        ((21.0, 33.0), True, 44.5),
+        ((30.0, 33.0), True, 26.5),
+        ((21.0, 33.0), False, 26.5),
+    ],
+)
+def test_a_queue_goes_on_over_road_that_vehicles_hide(hidden, observed, back_m):
+    """Of a gap of 13.5 m vehicles hide 12 m, or 3 m, or no sensor has 12 m of it in sight."""
     runs, counts = seen_all(GRID)
     middle = TILES.set_index("tile_id").geometry.centroid.x.loc[runs.tile_id].to_numpy() - EAST
     lane = TILES.set_index("tile_id")["lanelet_id"].loc[runs.tile_id].to_numpy()
     shown = (lane != APPROACH) | (middle < hidden[0]) | (middle > hidden[1])
     part = VisibleRuns(tile_id=runs.tile_id[shown], first=runs.first[shown], last=runs.last[shown])
     cars = queue([59.0, 51.0, 38.0, 20.0])
-    found = measure_lanes(tracked(NETWORK, GRID, states_of(cars), vehicles_of(cars), part), counts)
+    in_sight = runs if observed else part
+    found = measure_lanes(
+        tracked(NETWORK, GRID, states_of(cars), vehicles_of(cars), part, in_sight), counts
+    )
     at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((APPROACH, 0))
     assert found.lanes["queue_max_m"][at] == pytest.approx(back_m)
 
 
-def test_sight_ends_at_the_farthest_tile_in_sight():
-    tiles = TILES[(TILES["lanelet_id"] == APPROACH) & TILES["index"].between(40, 60)]
+def test_sight_reaches_to_the_farthest_tile_in_sight():
+    tiles = TILES[(TILES["lanelet_id"] == APPROACH) & (TILES["index"] >= 40)]
     sight_m = NETWORK.sight_m(tiles["tile_id"].to_numpy())
     at = np.searchsorted(NETWORK.lane, [APPROACH, STRAIGHT])
     assert sight_m[at[0]] == pytest.approx(60.0 - 20.0)
     assert np.isnan(sight_m[at[1]])  # without a stop line
     assert NETWORK.sight_m(np.zeros(0, np.int64))[at[0]] == 0.0
+
+
+@pytest.mark.parametrize(("unseen_m", "sight_m"), [(9.0, 60.0), (11.0, 30.0)])
+def test_sight_ends_at_a_gap_that_ends_a_queue(unseen_m, sight_m):
+    """The tiles from 30 m before the line to `unseen_m` farther back are not in sight."""
+    away = 60.0 - TILES["s_m"]
+    shown = (TILES["lanelet_id"] == APPROACH) & ((away <= 30.0) | (away > 30.0 + unseen_m))
+    found = NETWORK.sight_m(TILES.loc[shown, "tile_id"].to_numpy())
+    assert found[np.searchsorted(NETWORK.lane, APPROACH)] == pytest.approx(sight_m)
 
 
 def merge():
@@ -408,7 +427,7 @@ def test_queues_beyond_a_merge_are_each_lane_s_own(on_one, on_two, hidden, back_
     runs, counts = seen_all(GRID, tiles)
     shown = ~np.isin(runs.tile_id, tiles.loc[tiles["lanelet_id"].isin(hidden), "tile_id"])
     part = VisibleRuns(tile_id=runs.tile_id[shown], first=runs.first[shown], last=runs.last[shown])
-    found = measure_lanes(tracked(network, GRID, states, vehicles_of(places), part), counts)
+    found = measure_lanes(tracked(network, GRID, states, vehicles_of(places), part, runs), counts)
     at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((3, 0))
     assert found.lanes["queue_max_m"][at] == pytest.approx(back_m)
 

@@ -39,6 +39,7 @@ from .lane_names import lane_directions as lane_directions
 from .lane_names import lane_names as lane_names
 from .lane_names import place_on as place_on
 from .lane_names import turn_lines as turn_lines
+from .lane_network import JOINED_M as JOINED_M
 from .lane_network import LaneNetwork as LaneNetwork
 from .placing import PoseNumbers as PoseNumbers
 from .pose_sights import PlacedRecording as PlacedRecording
@@ -49,7 +50,6 @@ from .pose_sights import pose_names as pose_names
 from .pose_sights import road_near as road_near
 from .pose_sights import sight_of_tiles as sight_of_tiles
 from .pose_sights import sight_owners as sight_owners
-from .queues import JOINED_M as JOINED_M
 from .queues import QueueCourse as QueueCourse
 from .queues import queue_course as queue_course
 from .sensor_reading import HitTarget as HitTarget

@@ -18,8 +18,8 @@ import scipy
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, Booleans, Floats, Integers, Text
 from gis_radar.measures.lane_fronts import Crossings, StepGrid, TrackedLanes
+from gis_radar.measures.lane_network import JOINED_M
 from gis_radar.measures.queues import (
-    JOINED_M,
     OVER_LINE_M,
     QueueCourse,
     joins,

@@ -261,8 +261,7 @@ class TrackedLanes:
     vehicles : VehicleTable
         The vehicles.
     visible, observed : VisibleRuns
-        Runs in the grid in which tiles are visible, of all tiles, and in which sensors observe
-        them, of those at the lines at least.
+        Runs in the grid in which tiles are visible, and in which sensors observe them.
     """
 
     network: LaneNetwork

@@ -20,11 +20,14 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import Booleans, Floats, Integers, ranges
+from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.hdmap import joining, lanes_of, quads
 
 _JOIN_M = 0.5  # largest distance from the middle of a lane's end to that of the next one's begin
 QUEUE_REACH_M = 500.0  # distance from the stop line up to which queues are followed
+# Longest road without a vehicle within a queue, or before it: two cars. Road that vehicles hide
+# does not count.
+JOINED_M = 10.0
 
 
 class Turn(NamedTuple):
@@ -245,17 +248,27 @@ class LaneNetwork:
         Returns
         -------
         (n,) array
-            Metres from the stop line to the farthest tile in sight on which a queue may stand; NaN
-            for lanes without a stop line.
+            Metres from the stop line to the farthest tile in sight that a queue can reach, as one
+            does not go on over more than `JOINED_M` out of sight; NaN for lanes without a stop
+            line. Where lanes merge before the line, the way that is in sight farthest counts.
         """
-        strips = self.queue_strips
-        first = np.searchsorted(self.tile_lane, strips.lane)
-        count = np.searchsorted(self.tile_lane, strips.lane, side="right") - first
-        tile, row = ranges(first, count), np.repeat(np.arange(len(count)), count)
-        away = strips.to_line_m[row] - self.tile_m[tile]
-        away[~np.isin(self.tile_id[tile], tile_id)] = 0.0
+        strips, in_sight = self.queue_strips, np.isin(self.tile_id, tile_id)
         far = np.where(self.has_stop_line, 0.0, np.nan)
-        np.maximum.at(far, strips.stop_lane[row], away)
+        # by strip: how far sight reaches, and whether no gap has ended it
+        reached = {-1: (0.0, True)}
+        for strip, (lane, ahead) in enumerate(zip(strips.lane, strips.ahead, strict=True)):
+            reach, is_open = reached[int(ahead)]
+            if is_open:
+                first, last = np.searchsorted(self.tile_lane, [lane, lane + 1])
+                seen = first + np.flatnonzero(in_sight[first:last])[::-1]
+                away = strips.to_line_m[strip] - self.tile_m[seen]
+                near = np.maximum(away - self.tile_length_m[seen], 0.0)
+                away, near = away[away > 0.0], near[away > 0.0]
+                wide = near - np.append(reach, away)[: len(away)] > JOINED_M
+                joined = away[: np.argmax(wide)] if wide.any() else away
+                reach, is_open = max(reach, joined.max(initial=0.0)), not wide.any()
+            reached[strip] = reach, is_open
+            far[strips.stop_lane[strip]] = max(far[strips.stop_lane[strip]], reach)
         return far
 
 

@@ -9,9 +9,8 @@ import pandas as pd
 
 from gis_radar.base import Booleans, Floats, Integers, ranges
 from gis_radar.measures.lane_fronts import StepGrid, TrackedLanes
-from gis_radar.measures.lane_network import LaneNetwork
+from gis_radar.measures.lane_network import JOINED_M, LaneNetwork
 
-JOINED_M = 10.0  # most visible road to the vehicle ahead, or to the line: two cars
 SHORTEST_CAR_M = 3.5
 OVER_LINE_M = 2.0  # how far the front of a waiting vehicle may be over the line
 # Queues are measured at steps divisible by this: all tracks have a state there.
@@ -19,7 +18,7 @@ QUEUE_EVERY_STEPS = 4
 
 
 def queue_backs(lanes: TrackedLanes) -> tuple[Floats, Floats]:
-    """Find the queues at stop lines: standing vehicles, from the line back, up to a visible gap.
+    """Find the queues at stop lines: standing vehicles, from the line back, up to a gap.
 
     Returns
     -------
@@ -133,7 +132,10 @@ def queue_back(stop: int, standing: StandingFronts, lanes: TrackedLanes) -> Floa
 def joins(
     strip: int, step: Integers, reach_m: Floats, front_m: Floats, lanes: TrackedLanes
 ) -> Booleans:
-    """Return which standing vehicles join a queue: no visible gap over `JOINED_M` lies between.
+    """Return which standing vehicles join a queue: no gap over `JOINED_M` lies between.
+
+    Road that vehicles hide is no gap. Road that no sensor has in sight is one: what stands there is
+    not known, however many vehicles stand beyond.
 
     Parameters
     ----------
@@ -149,14 +151,14 @@ def joins(
     gap = front_m - reach_m
     wide = np.flatnonzero(gap > JOINED_M)
     if len(wide):
-        gap[wide] = _visible_m(strip, step[wide], reach_m[wide], front_m[wide], lanes)
+        gap[wide] = _not_hidden_m(strip, step[wide], reach_m[wide], front_m[wide], lanes)
     return np.asarray(gap <= JOINED_M, np.bool_)
 
 
-def _visible_m(
+def _not_hidden_m(
     strip: int, step: Integers, near_m: Floats, far_m: Floats, lanes: TrackedLanes
 ) -> Floats:
-    """Return the visible metres on the way from a strip to the line, between two distances."""
+    """Return the metres that no vehicle hides between two distances to the line, from a strip."""
     network = lanes.network
     path = network.queue_strips.path_to(strip)
     lane, to_line = network.queue_strips.lane[path], network.queue_strips.to_line_m[path]
@@ -166,8 +168,8 @@ def _visible_m(
     metre = np.minimum(metre, far_m[row])  # beyond it the lanes may end
     at = np.minimum(np.searchsorted(to_line, metre), len(lane) - 1)
     tile = network.tile_id[network.tile_at(lane[at], to_line[at] - metre)]
-    seen = lanes.visible.at(tile, step[row])
-    return np.bincount(row, seen, len(step)).astype(np.float64)
+    is_hidden = lanes.observed.at(tile, step[row]) & ~lanes.visible.at(tile, step[row])
+    return np.bincount(row, ~is_hidden, len(step)).astype(np.float64)
 
 
 class QueueCourse(NamedTuple):
