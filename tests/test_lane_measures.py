@@ -25,6 +25,7 @@ from gis_radar.measures import (
     VisibleRuns,
     lane_names,
     measure_lanes,
+    turn_lines,
 )
 from gis_radar.measures.lane_network import Turn
 
@@ -622,3 +623,21 @@ def test_an_approach_without_a_stop_line_is_named_by_where_it_meets_the_junction
         geometry=[LineString(np.add(each, (EAST, NORTH))) for each in lines], crs=UTM,
     )  # fmt: skip
     assert lane_names(layer, network)[0].startswith("Road eastbound, lane 1")
+
+
+@pytest.mark.parametrize(
+    ("of_connectors", "words"),
+    [
+        (["right", "straight"], ["right", "straight"]),  # as in the names of lanes
+        ([None, "left;right"], ["straight", "straight"]),  # by the angle, which is 0 here
+    ],
+)
+def test_a_turn_is_called_as_its_connector(of_connectors, words):
+    network = LaneNetwork.of(junction())
+    called = dict(zip([3, 4], of_connectors, strict=True))
+    layer = gpd.GeoDataFrame(
+        {"lane": network.lane, "turn": [called.get(lane) for lane in network.lane.tolist()]},
+        geometry=[LineString([(0, 0), (20, 0)])] * len(network.lane), crs=UTM,
+    )  # fmt: skip
+    turns = [turn for turn in network.turns() if network.lane[turn.start] == 1]
+    assert turn_lines(layer, network, turns)[0] == words

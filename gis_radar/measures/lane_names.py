@@ -183,10 +183,13 @@ def turn_lines(
 ) -> tuple[list[str], list[shapely.LineString]]:
     """Return the word (`left`, `straight`, `right` or `back`) and the line of each turn.
 
+    The word is that of its connectors in the layer, as in the names of lanes; without one it is by
+    the angle between approach and exit.
+
     The line runs from the stop line, else from the approach's end, to the begin of the exit, or
     some metres on where no connector lies between.
     """
-    lines = lanes.set_index("lane").geometry
+    lines, called = lanes.set_index("lane").geometry, lanes.set_index("lane")["turn"]
     drawn = []
     for turn in turns:
         start, end, *via = (lines[network.lane[k]] for k in (turn.start, turn.end, *turn.via))
@@ -200,5 +203,13 @@ def turn_lines(
         turned = math.atan2(
             start_way[0] * end_way[1] - start_way[1] * end_way[0], float(start_way @ end_way)
         )
-        drawn.append((turn_word(turned), shapely.LineString(points[new])))
+        word = _word_of([called[network.lane[k]] for k in turn.via]) or turn_word(turned)
+        drawn.append((word, shapely.LineString(points[new])))
     return [each for each, _ in drawn], [line for _, line in drawn]
+
+
+def _word_of(connectors: Sequence[str | None]) -> str | None:
+    """Return the only turn of consecutive connectors; None where they have none, or several."""
+    words = set(connectors) & set(TURN_WORDS)
+    turned = words - {"straight"} or words
+    return next(iter(turned)) if len(turned) == 1 else None
