@@ -291,6 +291,7 @@ def test_the_command_writes_them(run, dataset, tmp_path):
     code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", *options)
     assert code == 0, err
     rows = list(csv.DictReader((tmp_path / "out" / "traffic.csv").open(encoding="utf-8")))
+    assert "levels of service are of 15 minutes in the handbook, here of 1min" in err
     assert rows[0]["headway_mean_s"] == "3.0"
     assert rows[0]["los"] == "A"
     assert {row["los"] for row in rows if row["lane"] != str(APPROACH)} == {""}

@@ -168,6 +168,7 @@ def test_lanes_far_from_every_sensor_are_named(tmp_path, monkeypatch, away_m, sa
     _, _, named = " ".join(words.split()).partition("missed than \u00b1 states: ")
     assert said in named.partition(".")[0]
     assert (str(APPROACH) in named.partition(".")[0]) == (away_m > 100.0)
+    assert (f"({APPROACH}); over 100 m from every sensor" in words) == (away_m > 100.0)
 
 
 def test_what_is_not_visible_is_not_seen_and_not_0(page):

@@ -195,7 +195,7 @@ def test_counts_by_hand_stand_beside_ours(run, dataset, given, tmp_path):
     assert named["place"] == f"'{name}"  # a name that begins with = is text for spreadsheets
     assert np.isnan(gone["volume"])
     assert pd.isna(gone["agrees"])
-    assert '"hand_counts": 5' in out
+    assert '"hand_counts": 5, "hand_counts_compared": 4, "hand_counts_that_agree": 2' in out
     layer = gpd.read_file(tmp_path / "out" / "traffic.gpkg", layer="sections")
     assert layer["counted"].sum() == 26
     sheets = pyogrio.list_layers(tmp_path / "out" / "traffic.xlsx")[:, 0]

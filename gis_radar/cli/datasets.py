@@ -20,8 +20,11 @@ TOO_SHORT = Text(
     "take a shorter interval"
 )
 NO_STOP_LINES = Text(
-    "the map has no stop line on these lanes: queues, cycles and levels of service are not known"
+    "the map has no stop line on the lanes in sight: queues, cycles and levels of service are not "
+    "known (draw each as a way of type stop_line across its lane)"
 )
+_SERVICE_INTERVAL = "15min"
+_OTHER_LEVELS = "levels of service are of 15 minutes in the handbook, here of {}"
 DAY_S = 86_400.0
 names_of_lanes = click.option(
     "--site", type=FILE, help="SITE.toml with names and free speeds of lanes."
@@ -97,6 +100,8 @@ def traffic(
         reporter.warn(TOO_SHORT)
     if made.lanes["sight_m"].isna().all():
         reporter.log(NO_STOP_LINES)
+    elif options["service"] is not None and options["interval"] != _SERVICE_INTERVAL:
+        reporter.log(Text(_OTHER_LEVELS, options["interval"]))
     return Result(outputs=outputs, summary=figures, timezone=measured.timezone)
 
 

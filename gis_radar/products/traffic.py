@@ -116,6 +116,7 @@ class Traffic:
             figures["sections"] = int(self.sections["section"].nunique())
         if self.hand_counts is not None:
             figures["hand_counts"] = len(self.hand_counts)
+            figures["hand_counts_compared"] = int(self.hand_counts["agrees"].notna().sum())
             figures["hand_counts_that_agree"] = int(self.hand_counts["agrees"].eq(True).sum())
         if self.cycles is not None:
             figures["cycles"] = int(self.cycles["counted"].notna().sum())

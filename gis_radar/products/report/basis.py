@@ -30,7 +30,13 @@ from gis_radar.products import report_files as names
 from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.quality.quality import GOOD, Quality
 from gis_radar.products.report.content import Column, Fact, Table, text_columns, text_rows
-from gis_radar.products.report.lanes import LEAST_SEEN, MOST_ERROR, part_and_base
+from gis_radar.products.report.lanes import (
+    FAR_M,
+    LEAST_SEEN,
+    MOST_ERROR,
+    far_lanes,
+    part_and_base,
+)
 from gis_radar.products.report.results import NOT_KNOWN, Results
 from gis_radar.products.report.traffic import (
     TOO_LITTLE,
@@ -131,7 +137,7 @@ def facts_of(data: ReportData) -> list[Fact]:
     if "mean_occupancy" not in total:
         return facts
     if data.traffic and len(counted := lanes_counted(data.traffic)):
-        facts.append(_busiest(data, counted))
+        facts.append(_busiest(data, data.traffic, counted))
     elif "vehicles" in total:
         heavy = tr("{n} of them heavy; no count of vehicles", n=figure_text(total["heavy"]))
         facts.append(Fact(tr("Tracks of vehicles"), figure_text(total["vehicles"]), heavy))
@@ -140,7 +146,7 @@ def facts_of(data: ReportData) -> list[Fact]:
     return [*facts, _highest(data)]
 
 
-def _busiest(data: ReportData, counted: pd.DataFrame) -> Fact:
+def _busiest(data: ReportData, traffic: ReportedTraffic, counted: pd.DataFrame) -> Fact:
     """Return the lane of the highest volume, of those whose volume is known well enough."""
     sure = counted[
         (counted["visible_share"] >= LEAST_SEEN)
@@ -149,8 +155,11 @@ def _busiest(data: ReportData, counted: pd.DataFrame) -> Fact:
     if sure.empty:
         return Fact(tr("Busiest lane"), tr("none to be named"), tr(TOO_LITTLE))
     top = sure.iloc[int(sure["volume"].argmax())]
-    volume = tr("{n} veh/h", n=volume_text(top))
-    return Fact(tr("Busiest lane"), volume, _lane_name(data, int(top["lane"])))
+    volume, lane = tr("{n} veh/h", n=volume_text(top)), _lane_name(data, int(top["lane"]))
+    row = traffic.by_lane[traffic.by_lane["lane"] == top["lane"]]
+    if far_lanes(row, traffic.network, traffic.dataset.poses()):
+        lane = tr("{lane}; over {far} m from every sensor", lane=lane, far=int(FAR_M))
+    return Fact(tr("Busiest lane"), volume, lane)
 
 
 def _highest(data: ReportData) -> Fact:

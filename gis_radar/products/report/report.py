@@ -440,7 +440,7 @@ def lane_columns(clock: Clock, measure: str) -> list[Column]:
     columns = [
         Column(tr("Lane"), "", lambda row: str(row["lane"])),
         Column(tr("Rank"), "", rank, False),
-        Column(tr("Leads to"), "", leads_to, False),
+        Column(tr("Leads to"), tr("at its end"), leads_to, False),
         Column(tr(words.share), tr(words.base),
                lambda row: percent(row["share"], error=row["share_se"])),
         Column(tr("Tracks"), "",

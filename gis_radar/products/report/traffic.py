@@ -62,6 +62,7 @@ MOST_QUEUES = 6  # lanes of the table of queues
 LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it
 TURNS_IN, TURNS_DPI = 7.2, 150  # width of the turning diagram
 _LEVEL = Text("Level of service")
+_LEVELS = Text("Levels of service are of signals, by the delay; in the handbook of 15 minutes.")
 NOT_SEEN, TOO_LITTLE = "not seen", "too little seen"
 
 
@@ -475,18 +476,17 @@ def _queue_table(
     levels = service_levels(queues, "hcm")
     level_note = ""
     if levels.notna().any():
-        level_note = " " + tr("Levels of service are those of signals, by the delay on the lane.")
+        level_note = " " + tr(_LEVELS)
         queues = queues.assign(los=levels.fillna(NO_FIGURE))
         columns.append(Column(tr(_LEVEL), "HCM", lambda row: str(row["los"])))
-    rows = [row for _, row in queues.head(MOST_QUEUES).iterrows()]
+    rows = text_rows([row for _, row in queues.head(MOST_QUEUES).iterrows()], columns)
     return Table(
-        name="queues", caption=tr("The longest queues"), columns=columns,
-        rows=text_rows(rows, columns),
+        name="queues", caption=tr("The longest queues"), columns=columns, rows=rows,
         note=tr(
             "A queue is the vehicles that stand, from the stop line back, with no more than 10 m "
-            "of visible road free: a vehicle that was missed cuts it there, so it may be longer. "
-            "'At least' is where it reaches as far as the radars see. Nothing follows about why "
-            "vehicles wait."
+            "between them free or out of sight: a vehicle that was missed cuts it there, so it "
+            "may be longer. 'At least' is where it reaches as far as the radars see. Nothing "
+            "follows about why vehicles wait."
         ) + level_note,
     )  # fmt: skip
 
