@@ -45,6 +45,7 @@ _LAYER = "comparison"
 _MOST = 999.0  # largest percentage shown, also for what was 0 before
 _BREAKS = (-1000.0, -25.0, -10.0, -1e-9, 1e-9, 10.0, 25.0, 1000.0)
 COLOURS = ("#7f3b08", "#d08020", "#f0c080", "#9a9a9a", "#b2abd2", "#8073ac", "#2d004b")
+_NOT_COMPARED: dict[str, Any] = {"color": "#dddddd", "linewidth": 1.2}
 _SECTIONS = {
     1: Text("Better"), -1: Text("Worse"), 0: Text("Volumes and speeds"),
     None: Text("Cannot be told"),
@@ -212,6 +213,7 @@ def draw_changes(comparison: Comparison, path: Path) -> None:
     with picture_file(path, (12.0, 5.2), 130, font_pt=9.0) as figure:
         for ax, measure in zip(figure.subplots(1, len(measures)), measures, strict=True):
             known = table[table[f"{measure}_before"].notna()]
+            table.plot(ax=ax, **_NOT_COMPARED)
             change = known[f"{measure}_change"].to_numpy(np.float64)
             k = np.clip(np.searchsorted(_BREAKS, change, side="right") - 1, 0, len(COLOURS) - 1)
             known.plot(ax=ax, color=np.array(COLOURS)[k].tolist(), linewidth=2.6)
@@ -222,6 +224,7 @@ def draw_changes(comparison: Comparison, path: Path) -> None:
             Line2D([], [], color=each.colour, linewidth=3.0, label=each.label)
             for each in change_classes()
         ]
+        lines.append(Line2D([], [], label=tr("not compared"), **_NOT_COMPARED))
         figure.legend(handles=lines, loc="outside lower center", ncols=4, frameon=False)
 
 
