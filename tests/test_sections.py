@@ -306,3 +306,18 @@ def test_counts_that_are_none_are_one_line(run, dataset, given, tmp_path, text, 
     assert code == 3
     assert said in err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+@pytest.mark.parametrize("direction", ["eastbound", "nach Osten"])
+def test_directions_of_counts_are_read_in_any_language(dataset, given, language, direction):
+    sections, counts = given(
+        "section,direction,begin,end,volume\n"
+        f"late,{direction},2023-11-14 22:00,2023-11-14 22:05,3\n"
+    )
+    made = gr.make_traffic(
+        dataset, interval="5min", sections=sections, hand_counts=counts, language=language
+    )
+    expected = {"en": "eastbound", "de": "nach Osten"}[language]
+    assert made.hand_counts["direction"].tolist() == [expected]
+    assert made.hand_counts["volume"].notna().all()

@@ -33,6 +33,7 @@ from .lane_measures import SPEED_CLASSES as SPEED_CLASSES
 from .lane_measures import Measured as Measured
 from .lane_measures import TileSteps as TileSteps
 from .lane_measures import measure_lanes as measure_lanes
+from .lane_names import BOUND_WORDS as BOUND_WORDS
 from .lane_names import TURN_WORDS as TURN_WORDS
 from .lane_names import bound_name as bound_name
 from .lane_names import lane_directions as lane_directions

@@ -27,7 +27,7 @@ DIRECT_M = 15.0  # length of the exit in the line of a turn without connectors: 
 _BESIDE_M = 5.5  # largest distance between the middles of lanes side by side
 _ABREAST_M = 30.0  # width over which lanes of one direction are searched
 _PARALLEL = math.cos(math.radians(30.0))  # least cosine between parallel lanes
-_BOUND = {
+BOUND_WORDS = {
     "north": Text("northbound"), "north-east": Text("north-eastbound"),
     "east": Text("eastbound"), "south-east": Text("south-eastbound"),
     "south": Text("southbound"), "south-west": Text("south-westbound"),
@@ -114,7 +114,7 @@ def _direction(row: pd.Series, direction: Floats) -> str:
 
 def bound_name(direction: Floats) -> str:
     """Return the word for traffic in a direction, such as `northbound`."""
-    return tr(_BOUND[wind_of(*direction) or "north"])
+    return tr(BOUND_WORDS[wind_of(*direction) or "north"])
 
 
 def place_on(line: shapely.LineString, along_m: float) -> tuple[Floats, Floats]:

@@ -11,7 +11,18 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import InputError, Text, csv_rows, listed, stated_moment, text_in
+from gis_radar.base import (
+    LANGUAGES,
+    InputError,
+    Text,
+    csv_rows,
+    in_language,
+    listed,
+    stated_moment,
+    text_in,
+    tr,
+)
+from gis_radar.measures import BOUND_WORDS
 
 AGREE = 2.0  # standard errors of the difference within which two counts agree: 95 % of cases
 _PLACES = ("section", "lane")
@@ -66,7 +77,7 @@ def beside_hand_counts(
         )
         sum_h, difference_h = (volume + by_hand) / hours, (volume - by_hand) / hours
         compared.append({
-            "place": place, "direction": text_in(row, "direction") or None, "begin": begin,
+            "place": place, "direction": _direction_of(row) or None, "begin": begin,
             "end": end, "volume_by_hand": by_hand, "volume": volume, "volume_se": np.sqrt(spread),
             "difference": volume - by_hand,
             "geh": np.sqrt(2.0 * difference_h**2 / sum_h) if sum_h else difference_h,
@@ -125,11 +136,23 @@ def _moment(text: str, zone: ZoneInfo, what: str) -> pd.Timestamp:
     return pd.Timestamp(stated_moment(text, zone, what)).tz_convert(zone)
 
 
+def _direction_of(row: Mapping[Any, Any]) -> str:
+    """Return the direction of a count, written in any language, in the current one."""
+    direction = text_in(row, "direction")
+    for language in LANGUAGES:
+        with in_language(language):
+            known = {tr(word): word for word in BOUND_WORDS.values()}
+        if direction in known:
+            return tr(known[direction])
+    return direction
+
+
 def _our_volumes_at(
     row: Mapping[Any, Any], lanes: pd.DataFrame, sections: pd.DataFrame | None, what: str
 ) -> tuple[str, pd.DataFrame]:
     """Return the name of a counted place, and our rows of it."""
-    section, lane, direction = (text_in(row, name) for name in (*_PLACES, "direction"))
+    section, lane = (text_in(row, name) for name in _PLACES)
+    direction = _direction_of(row)
     if section:
         if sections is None:
             hint = "give the layer of sections, too"

@@ -24,6 +24,7 @@ from gis_radar.base import (
     UsageError,
     add_layer,
     card,
+    in_language,
     iso_from_time,
     style_layers,
     tr,
@@ -324,7 +325,9 @@ def make_traffic(
     )
     counts = None
     if hand_counts is not None:
-        counts = beside_hand_counts(hand_counts, lanes, section_rows, zone_of(dataset.timezone))
+        zone = zone_of(dataset.timezone)
+        with in_language(language):
+            counts = beside_hand_counts(hand_counts, lanes, section_rows, zone)
     if service is not None:
         lanes.insert(lanes.columns.get_loc("stops") + 1, "los", service_levels(lanes, service))
     return Traffic(
