@@ -4,11 +4,14 @@ import json
 import pickle
 import traceback
 
+import pandas as pd
 import pytest
 
 import gis_radar as gr
 from gis_radar.base import CrsError, InputError, Text, placed, seconds_from_iso
+from gis_radar.recordings import open_recording
 from gis_radar.site.messages import error_in_site_words
+from gis_radar.site.recipes import files_of
 
 POSE = json.loads((gr.sample_folder() / "R1.json").read_text())
 WRONG = {
@@ -62,6 +65,34 @@ def test_an_error_knows_what_it_is_about_whatever_becomes_of_it(tmp_path):
         assert again.message == "a, 2025-06-12 09:30 UTC+02:00.csv: no rows"
         assert again.about == str(path)
     assert InputError("no rows in {}: {}", path, "none").about == ""
+
+
+def test_a_message_that_goes_on_after_a_text_is_about_the_same():
+    begin = Text("{}: time goes back", "R1.parquet")
+    error = InputError("{} in row {}", begin, 3)
+    assert error.about == "R1.parquet"
+    assert error.message.without("R1.parquet") == "time goes back in row 3"
+    both = Text("; ").join([begin, Text("{}: no rows", "R2.parquet")])
+    assert (both.about, both.without("R1.parquet")[:14]) == ("R1.parquet", "time goes back")
+
+
+@pytest.mark.parametrize("text", ["{}", "{}: wrong", "{} is wrong"])
+def test_a_text_without_values_is_about_nothing(text):
+    """As a program of somebody else may say it."""
+    error = InputError(text)
+    assert (error.message, error.about) == (text, "")
+    assert error.message.without("") is error.message
+
+
+@pytest.mark.parametrize(("column", "value"), [("x", 1e9), ("z", float("nan")), ("time", 0.0)])
+def test_an_error_of_a_row_is_about_its_recording(tmp_path, column, value):
+    """By it a run leaves out the sensor, and goes on with the others."""
+    rows = pd.read_parquet(gr.sample_folder() / "R1.parquet").head(500).reset_index(drop=True)
+    rows.loc[300, column] = value
+    rows.to_parquet(path := tmp_path / "R1.parquet")
+    with pytest.raises(InputError, match="in row 301") as caught:
+        list(open_recording(path).read())
+    assert files_of(caught.value, [tmp_path / "R2.parquet", path]) == [path]
 
 
 def test_a_traceback_ends_with_what_to_do():

@@ -61,18 +61,25 @@ class Text(str):
 
     @property
     def about(self) -> str:
-        """What it is about: the first value where the template begins with a hole and a colon."""
-        if self.template == "{}" and isinstance(self.values[0], Text):
-            return self.values[0].about
-        return str(self.values[0]) if self.template.startswith("{}: ") else ""
+        """What it is about: the first value where the template begins with a hole and a colon.
+
+        Where the first value is a text about something, that.
+        """
+        if not self.values or not self.template.startswith("{}"):
+            return ""
+        first = self.values[0]
+        within = first.about if isinstance(first, Text) else ""
+        return within or (str(first) if self.template.startswith("{}: ") else "")
 
     def without(self, name: str) -> Text:
         """Return the text without what it is about, if that is `name`."""
-        if self.about != name:
+        if not name or self.about != name:
             return self
-        if self.template == "{}":
-            return Text(self.values[0].without(name))
-        return Text(self.template.removeprefix("{}: "), *self.values[1:])
+        first, *others = self.values
+        if isinstance(first, Text) and first.about == name:
+            rest = first.without(name)
+            return rest if self.template == "{}" else Text(self.template, rest, *others)
+        return Text(self.template.removeprefix("{}: "), *others)
 
     def names(self, name: str) -> bool:
         """Return whether a name is one of the values, or one of those of texts among them."""
