@@ -15,6 +15,7 @@ from gis_radar.base import (
     atomic_folder,
     atomic_write,
     atomic_writes,
+    clear_leftovers,
     files,
     folder_to_fill,
     replacing_folder,
@@ -126,6 +127,15 @@ def test_other_hidden_files_stay(tmp_path):
     with atomic_write(tmp_path / "a.txt") as part:
         part.write_text("new")
     assert names(tmp_path) == sorted([*kept, "a.txt"])
+
+
+def test_leftovers_within_a_leftover_keep_no_other_one(tmp_path):
+    """As of a dataset that was being made anew in a folder of results."""
+    nested = ".b.00000000.part/new/b/.c.00000000.part"
+    for name in ("a/.e.00000000.part", nested, "d/.e.00000000.part"):
+        (tmp_path / "o" / name).mkdir(parents=True)
+    clear_leftovers(tmp_path / "o")
+    assert sorted(path.name for path in (tmp_path / "o").rglob("*")) == ["a", "d"]
 
 
 def test_a_killed_report_does_not_lock_the_folder_of_a_heat_map(tmp_path):

@@ -312,8 +312,11 @@ def clear_leftovers(path: Path, *, alone: bool = True) -> None:
         only what lies beside it and is a day old.
     """
     beside = path.parent.glob(f"{glob.escape(_hidden_stem(path))}.????????.part")
-    with suppress(OSError):  # another run has just removed it
-        for left in [*beside, *(path.rglob(_PRIVATE) if alone else ())]:
+    found = list[Path]()
+    with suppress(OSError):  # a folder cannot be read
+        found += [*beside, *(path.rglob(_PRIVATE) if alone else ())]
+    for left in found:
+        with suppress(OSError):  # just removed, by another run or with the one around it
             newest = max(each.lstat().st_mtime for each in (left, *left.rglob("*")))
             if alone or time.time() - newest > _ABANDONED_S:
                 shutil.rmtree(left, ignore_errors=True)
