@@ -225,6 +225,18 @@ def test_lanes_and_their_intervals_arrive_as_the_standard_asks(server, place, tm
     assert len(server.entities["Observations"]) == 3 * lanes
 
 
+def test_after_a_clock_that_was_days_ahead_nothing_is_sent_again_and_again(server, place, tmp_path):
+    push = push_of(server, place, tmp_path)
+    count(push, place, BEGIN + 1_000 * QUARTER, 96)
+    until_sent(push)
+    again = push_of(server, place, tmp_path)
+    for waiting in (len(place.lane_numbers), 0):
+        count(again, place, BEGIN, 1)
+        assert again.waiting == waiting
+        until_sent(again)
+    assert len(server.entities["Observations"]) == 97 * len(place.lane_numbers)
+
+
 def quarter_of(place, until_step, **columns):
     """A measured quarter with the same traffic on all lanes."""
     traffic = {"visible_share": 0.9, "volume": 7.0, "volume_se": 1.5, "speed_kmh": 31.25,

@@ -87,7 +87,11 @@ class LanePush:
             return
         # the file that says which were taken may be lost, or from before others were measured
         self._compare_first |= not self._taken or new[0].until_step < max(self._taken)
-        self._taken = set(sorted(self._taken | {each.until_step for each in new})[-QUARTERS_KEPT:])
+        # all given ones, too: a clock that was ahead may have left as many later ones
+        self._taken = {
+            *sorted(self._taken)[-QUARTERS_KEPT:],
+            *(each.until_step for each in quarters),
+        }
         if not self._add([row for each in new for row in _measures(each)]):
             self._store()
 
