@@ -152,6 +152,9 @@ def place(crs, longitude, latitude):
         (4326, 25832, (11.42, 48.76), ""),
         (25832, 25832, (677_900.0, 5_403_700.0), ""),
         (3003, 25832, (float("inf"), 0.0), ""),
+        (4326, 28355, (145.0, -37.8), "3 m"),  # Melbourne: GDA94 is 1.8 m off by now
+        (4326, 7855, (145.0, -37.8), ""),  # GDA2020
+        (4508, 32649, (500_000.0, 3_450_000.0), ""),  # CGCS2000
     ],
 )
 def test_a_change_between_datums_states_its_error(source, target, place, error):

@@ -17,6 +17,11 @@ from gis_radar.base.words import WINDS
 _SCALE_TOLERANCE = 0.002  # UTM stays within 0.001 in its zone; web Mercator is off by 0.5 at 48 N
 _OUTSIDE_DEG = 10.0  # outside the area of use: sites at its edge pass, other continents do not
 _EXACT_M = 1.0  # UTM on WGS84 and on ETRS89, by PROJ; a lane is three times as wide
+# Datums within a metre of each other, where EPSG states an error of 3 m, or none at all.
+_LIKE_WGS84 = {
+    "World Geodetic System 1984", "World Geodetic System 1984 ensemble",
+    "Geocentric Datum of Australia 2020", "China 2000",
+}  # fmt: skip
 _SHORT_M = 100.0  # a scale is measured along it: rounding is far smaller, the scale constant
 _FITTING_CRS_HINT = Text("use the UTM zone or the national grid of the site")
 
@@ -274,7 +279,7 @@ def inexact_change(source: CRS, target: CRS, easting: float, northing: float) ->
     easting, northing : float
         A place, in coordinates of `source`.
     """
-    if same_coordinates(source, target):
+    if same_coordinates(source, target) or {_datum(source), _datum(target)} <= _LIKE_WGS84:
         return None
     change = transformer(source, target)
     if not np.isfinite(change.transform(easting, northing)).all():
@@ -285,6 +290,12 @@ def inexact_change(source: CRS, target: CRS, easting: float, northing: float) ->
     size = Text("unknown size") if error_m < 0.0 else Text("{:g} m", error_m)
     return Text("positions change from {} to {} with an error of {}", _label(source),
                 _label(target), size)  # fmt: skip
+
+
+def _datum(crs: CRS) -> str:
+    """Return the name of a system's datum, empty if it has none."""
+    geodetic = horizontal(crs).geodetic_crs
+    return geodetic.datum.name if geodetic is not None and geodetic.datum is not None else ""
 
 
 def reprojected_position(
