@@ -10,8 +10,8 @@ import pytest
 import gis_radar as gr
 from gis_radar.base import CrsError, InputError, Text, placed, seconds_from_iso
 from gis_radar.recordings import open_recording
+from gis_radar.site import files_of
 from gis_radar.site.messages import error_in_site_words
-from gis_radar.site.recipes import files_of
 
 POSE = json.loads((gr.sample_folder() / "R1.json").read_text())
 WRONG = {

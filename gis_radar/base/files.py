@@ -308,8 +308,7 @@ def clear_leftovers(path: Path, *, alone: bool = True) -> None:
     path : Path
         The output.
     alone : bool
-        Whether the caller is its only writer, so that all beside it and in it is removed; if not,
-        only what lies beside it and is a day old.
+        Whether the caller is its only writer: all of it goes; else what is beside it and a day old.
     """
     beside = path.parent.glob(f"{glob.escape(_hidden_stem(path))}.????????.part")
     found = list[Path]()
