@@ -1,5 +1,8 @@
 """State files of the live system: a fault costs a line in the log, never the program."""
 
+import errno
+from pathlib import Path
+
 import pytest
 from live_programs import Lines
 
@@ -21,6 +24,16 @@ def test_a_damaged_file_is_put_aside(tmp_path, text):
     (aside,) = tmp_path.iterdir()
     assert aside.read_text() == text
     assert said.lines == [f"{path}: it is damaged, and put aside as {aside.name}"]
+
+
+def test_a_disk_that_fails_midway_is_told(tmp_path, monkeypatch):
+    def fails(*_, **__):
+        raise OSError(errno.EIO, "Input/output error")
+
+    said = Lines()
+    monkeypatch.setattr(Path, "write_text", fails)
+    StateFile(tmp_path / "a.json", reporter=said).write(1)
+    assert said.lines == [f"{tmp_path / 'a.json'}: cannot be written: Input/output error"]
 
 
 def test_a_fault_of_writing_is_told_once(tmp_path):

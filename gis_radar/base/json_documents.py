@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.base.errors import InputError, first_line
-from gis_radar.base.files import atomic_write
+from gis_radar.base.files import atomic_write, output_errors
 
 
 def parsed_json(text: str) -> Any:
@@ -92,7 +92,7 @@ def write_json(
     OutputError
         If the file cannot be written.
     """
-    with atomic_write(path) as part:
+    with atomic_write(path) as part, output_errors(path):
         text = json_text(document, indent=indent, default=default)
         part.write_text(text + "\n", encoding="utf-8")
 
