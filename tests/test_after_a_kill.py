@@ -158,6 +158,17 @@ def test_a_kill_between_two_renames_is_mended_by_the_same_command(tmp_path):
     assert names(tmp_path) == ["o"]
 
 
+def test_a_replacement_killed_between_two_renames_is_finished_by_the_next_call(tmp_path):
+    """Also where that call writes the folder around it."""
+    place = tmp_path / "results" / "o"
+    place.mkdir(parents=True)
+    (place / "a").write_text("old")
+    killed(BETWEEN, place)
+    clear_leftovers(tmp_path / "results")
+    assert (place / "a").read_text() == "new"
+    assert names(place.parent) == [".o.lock", "o"]
+
+
 @pytest.mark.parametrize("moved", [0, 1, 2])
 @pytest.mark.parametrize("before", [False, True])
 def test_several_files_are_whole_after_the_same_command(tmp_path, moved, before):

@@ -21,17 +21,14 @@ from gis_radar.base.texts import Text
 
 FILE_DATE = date(2000, 1, 1)
 """The date in files whose format needs one: fixed, so that equal runs write equal bytes."""
-
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 # Libraries that write our files. Their errors are recognised by module: importing takes a second.
 _WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL", "xlsxwriter"}
 _FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
 LEAST_FREE = 1 << 16  # bytes: a disk with less is full, whatever a library's error states
-
-_LONGEST_NAME = 200  # bytes: file systems take 255, and names get endings
+_LONGEST_NAME, _LONGEST_HIDDEN = 200, 240  # bytes: file systems take 255, and names get endings
 _NOT_IN_NAMES = frozenset('/\\:*?"<>|+#')  # + and # are wildcards of MQTT
 _PRIVATE = ".*.????????.part"  # names of private folders of unfinished outputs
-_LONGEST_HIDDEN = 240  # bytes of the name of a hidden file, before an ending
 _ABANDONED_S = 86_400.0  # unchanged for so long, a private folder belongs to a run that was killed
 
 
@@ -301,7 +298,7 @@ def _hidden_stem(path: Path) -> str:
 
 
 def clear_leftovers(path: Path, *, alone: bool = True) -> None:
-    """Remove what killed runs left of an output.
+    """Remove what killed runs left of an output; finish a replacement that was killed midway.
 
     Parameters
     ----------
@@ -318,6 +315,9 @@ def clear_leftovers(path: Path, *, alone: bool = True) -> None:
         with suppress(OSError):  # just removed, by another run or with the one around it
             newest = max(each.lstat().st_mtime for each in (left, *left.rglob("*")))
             if alone or time.time() - newest > _ABANDONED_S:
+                for fresh in (left / "new").iterdir() if (left / "earlier").exists() else ():
+                    if not left.with_name(fresh.name).exists():  # killed between two moves
+                        fresh.rename(left.with_name(fresh.name))
                 shutil.rmtree(left, ignore_errors=True)
 
 
