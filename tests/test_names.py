@@ -1,10 +1,12 @@
 """One word, one meaning: no public name of the package stands for two things."""
 
 import ast
+import re
 from collections import defaultdict
 from pathlib import Path
 
-PACKAGE = Path(__file__).parents[1] / "gis_radar"
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "gis_radar"
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 IN_EACH_READER = {"FORMAT"}  # by which recordings/formats.py finds it
 
@@ -69,6 +71,21 @@ def test_no_public_constant_with_two_values():
     assert len(found) > 500
     values = {name: list(of_file.values()) for name, of_file in found.items()}
     assert {n: found[n] for n, known in values.items() if any(v != known[0] for v in known)} == {}
+
+
+def test_a_constant_of_one_module_begins_with_an_underscore():
+    words = defaultdict(set)
+    for folder in ("gis_radar", "tests", "bench", "simulation", "tools", "qgis_plugin", "docs"):
+        for path in (path for end in ("py", "pyi") for path in (ROOT / folder).rglob(f"*.{end}")):
+            for word in set(re.findall(r"\w+", path.read_text(encoding="utf-8"))):
+                words[word].add(path)
+    found = [
+        f"{path.relative_to(PACKAGE)}: {name}"
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for name, _ in constants(path.read_text(encoding="utf-8"))
+        if name.isupper() and not name.startswith("_") and words[name] == {path}
+    ]
+    assert found == []
 
 
 def test_constants_have_the_values_of_their_code():

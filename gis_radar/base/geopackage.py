@@ -25,7 +25,7 @@ from gis_radar.base.files import FILE_DATE
 from gis_radar.base.progress import QUIET, Reporter
 from gis_radar.base.texts import Text
 
-GPKG_VERSION = "1.2"
+_GPKG_VERSION = "1.2"
 """The version of the GeoPackages that we write: the GDAL of QGIS 3.40 warns of later ones."""
 
 _FILE_TIME = f"{FILE_DATE}T00:00:00.000Z"
@@ -34,7 +34,7 @@ _GDAL_DATE_OPTION = "OGR_CURRENT_DATE"
 SQLITE = b"SQLite format 3\0"
 _APPLICATION_IDS = {b"GPKG", b"GP10", b"GP11"}  # application ids of GeoPackage 1.0, 1.1 and later
 _APPLICATION_ID_AT = 68  # bytes, in SQLite's header
-DAMAGE = (
+_DAMAGE = (
     pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, sqlite3.Error,
     shapely.errors.ShapelyError, pa.ArrowException, OSError, ValueError, TypeError, LookupError,
     OverflowError, RecursionError, ProjError,
@@ -45,7 +45,7 @@ _HELD_HINT = "end editing it there, or close it, and try again; nothing is lost"
 LOCK_WAIT_S = 2.0  # wait for a program that is about to end its writing
 _LINE_BREAK = Text("its name, or its folder's, holds a line break: rename it")
 # Errors for another layer, table or format than asked for: the file itself is not damaged.
-_WRONG_CONTENT = (*DAMAGE[:2], sqlite3.OperationalError)
+_WRONG_CONTENT = (*_DAMAGE[:2], sqlite3.OperationalError)
 
 # The table as QGIS makes it; GDAL and QGIS look for it by this name.
 _CREATE_STYLES = """
@@ -158,13 +158,13 @@ def library_errors(
     Raises
     ------
     InputError
-        Where the block raises one of :data:`DAMAGE`.
+        Where the block raises one of :data:`_DAMAGE`.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             yield
-        except DAMAGE as error:
+        except _DAMAGE as error:
             if _LOCKED in str(error):
                 raise InputError(
                     "{}: another program has it locked", path, hint=_HELD_HINT
@@ -426,7 +426,7 @@ def add_layer(table: gpd.GeoDataFrame, path: Path, layer: str, **options: Any) -
     with _fixed_date():
         pyogrio.write_dataframe(
             table, path, layer=layer, driver="GPKG", append=path.exists(),
-            dataset_options={"VERSION": GPKG_VERSION}, **options,
+            dataset_options={"VERSION": _GPKG_VERSION}, **options,
         )  # fmt: skip
 
 
@@ -462,7 +462,7 @@ def write_stream(
     try:
         with _fixed_date():
             pyogrio.write_arrow(
-                reader, path, driver="GPKG", dataset_options={"VERSION": GPKG_VERSION}, **options
+                reader, path, driver="GPKG", dataset_options={"VERSION": _GPKG_VERSION}, **options
             )
     except Exception:
         if not errors:

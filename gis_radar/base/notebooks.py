@@ -98,10 +98,10 @@ def _card_html(title: str, table: str, picture: bytes) -> str:
     )
 
 
-SMALL_IN, SMALL_DPI = (4.6, 3.6), 80  # beside a card of figures
+_SMALL_IN, _SMALL_DPI = (4.6, 3.6), 80  # beside a card of figures
 _MOST_TICKS = 5
 _EDGE_IN = 0.1  # inches of margin around a picture
-LABELS_IN = 0.42  # inches that ticks and label of an axis take
+_LABELS_IN = 0.42  # inches that ticks and label of an axis take
 FONTS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 
 
@@ -143,7 +143,7 @@ def legend_below(ax: Any, handles: Sequence[Any] | None = None) -> Any:
     """Write a legend below the axes of a map and their labels, at any height of the axes."""
     from matplotlib.transforms import ScaledTranslation  # noqa: PLC0415
 
-    down = ScaledTranslation(0.0, -LABELS_IN, ax.figure.dpi_scale_trans)
+    down = ScaledTranslation(0.0, -_LABELS_IN, ax.figure.dpi_scale_trans)
     return ax.legend(
         handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0),
         bbox_transform=ax.transAxes + down, ncols=2, frameon=False,
@@ -201,7 +201,7 @@ def small_picture(draw: Callable[[Any], Any]) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    figure = Figure(figsize=SMALL_IN, dpi=SMALL_DPI, layout="constrained")
+    figure = Figure(figsize=_SMALL_IN, dpi=_SMALL_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     draw(figure.add_subplot())
     picture = BytesIO()

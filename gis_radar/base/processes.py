@@ -26,7 +26,7 @@ from gis_radar.base.errors import GisRadarError
 WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 """The environment variable that starts the watchdog of a command; its only value is `stdin`."""
 
-STOPPING = (signal.SIGINT, signal.SIGTERM)
+_STOPPING = (signal.SIGINT, signal.SIGTERM)
 _POLL_S = 0.2  # between two reports of a child that runs
 _REAP_POLL_S = 0.001  # between two checks whether another thread has reaped a child
 _KILL_WAIT_S = 5.0  # for the end of a killed child: only a disk that does not answer takes longer
@@ -129,7 +129,7 @@ def stopped_by_signals() -> Iterator[threading.Event]:
 
     # the only thread that signals reach
     on_main = threading.current_thread() is threading.main_thread()
-    before = {number: signal.signal(number, note) for number in STOPPING} if on_main else {}
+    before = {number: signal.signal(number, note) for number in _STOPPING} if on_main else {}
     try:
         yield stop
     finally:

@@ -12,7 +12,7 @@ from gis_radar.base.texts import Text
 
 Level = Literal["info", "warning"]
 
-MOST_NAMES = 2  # stages that are named before a warning
+_MOST_NAMES = 2  # stages that are named before a warning
 MOST_ERROR_CHARACTERS = 500
 _BLANKS = "\u00a0\u202f"  # no-break spaces: in numbers and before units
 _LOGGER = logging.getLogger("gis_radar")
@@ -93,13 +93,13 @@ def one_line(text: str, most: int = 2_000) -> str:
 def warnings_once(by_stage: Mapping[str, Sequence[str]]) -> list[str]:
     """Return the warnings of stages, each once, after the names of the stages that gave it.
 
-    A warning of more than `MOST_NAMES` stages is about a file that all read: none is named.
+    A warning of more than `_MOST_NAMES` stages is about a file that all read: none is named.
     """
     stages: dict[str, list[str]] = {}
     for name, warnings in by_stage.items():
         for text in dict.fromkeys(warnings):
             stages.setdefault(text, []).append(name)
     return [
-        text if len(names) > MOST_NAMES else Text("{}: {}", Text(", ").join(names), text)
+        text if len(names) > _MOST_NAMES else Text("{}: {}", Text(", ").join(names), text)
         for text, names in stages.items()
     ]

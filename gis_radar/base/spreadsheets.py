@@ -29,7 +29,7 @@ def safe(cell: Any) -> Any:
     return f"'{text}" if text.lstrip(" ").startswith(FORMULA) else text
 
 
-CSV_LOCALES = ("en", "de")
+_CSV_LOCALES = ("en", "de")
 _csv_locale: ContextVar[str] = ContextVar("csv_locale", default="en")
 
 
@@ -42,8 +42,8 @@ def csv_for(locale: str) -> Iterator[None]:
     UsageError
         If there is no such locale.
     """
-    if locale not in CSV_LOCALES:
-        expected = ", ".join(CSV_LOCALES)
+    if locale not in _CSV_LOCALES:
+        expected = ", ".join(_CSV_LOCALES)
         raise UsageError("csv_locale is {}, expected one of {}", repr(locale), expected)
     token = _csv_locale.set(locale)
     try:

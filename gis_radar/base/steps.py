@@ -31,11 +31,11 @@ CYCLE_HINT = Text(
 
 # Nanosecond time stamps hold 1677 to 2262; the longest interval fits in on either side.
 FIRST_YEAR, LAST_YEAR = 1800, 2150
-LONGEST_INTERVAL_YEARS = 100
+_LONGEST_INTERVAL_YEARS = 100
 UNIX_SECONDS_HINT = Text("times are UNIX seconds (UTC), not milli-, micro- or nanoseconds")
 
 CLOCK_SET_S = 631_152_000.0  # 1990-01-01: earlier times count from when the sensor was switched on
-GPS_EPOCH_S = 315_964_800  # 1980-01-06
+_GPS_EPOCH_S = 315_964_800  # 1980-01-06
 # GPS time ahead of UTC, by the leap seconds of IERS Bulletin C since the epoch of GPS.
 _LEAP_DATES = (
     "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01",
@@ -47,7 +47,7 @@ _LEAPS_S = np.array(_LEAP_DATES, dtype="datetime64[s]").astype(np.float64)
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _FIRST_S = (datetime(FIRST_YEAR, 1, 1, tzinfo=UTC) - _EPOCH).total_seconds()
 _END_S = (datetime(LAST_YEAR + 1, 1, 1, tzinfo=UTC) - _EPOCH).total_seconds()
-_LONGEST_INTERVAL_S = LONGEST_INTERVAL_YEARS * 365.25 * 86400
+_LONGEST_INTERVAL_S = _LONGEST_INTERVAL_YEARS * 365.25 * 86400
 _UTC_TEXT = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d(?::\d\d(?:\.\d+)?)?Z")
 _UNITS_S = {"ms": 0.001, "s": 1, "sec": 1, "min": 60, "h": 3600, "d": 86400}
 
@@ -104,7 +104,7 @@ def gps_seconds(time: Floats) -> Floats:
         Leap seconds to come are unknown: the offset stays that of 2017.
     """
     leaps = np.searchsorted(_LEAPS_S, time, side="right")
-    return np.asarray(time - GPS_EPOCH_S + leaps, dtype=np.float64)
+    return np.asarray(time - _GPS_EPOCH_S + leaps, dtype=np.float64)
 
 
 def step_begin(step: int) -> datetime:
@@ -221,7 +221,7 @@ def interval_steps(text: str) -> int:
     """
     seconds = duration_s(text, what="interval")
     if seconds > _LONGEST_INTERVAL_S:
-        raise UsageError("interval {} is longer than {} years", repr(text), LONGEST_INTERVAL_YEARS)
+        raise UsageError("interval {} is longer than {} years", repr(text), _LONGEST_INTERVAL_YEARS)
     steps = seconds * STEPS_PER_SECOND
     if steps < 1 or abs(steps - round(steps)) > 1e-6:
         raise UsageError("interval {} is not a whole number of 50 ms steps", repr(text))

@@ -8,7 +8,7 @@ from numbers import Integral, Real
 from pathlib import PurePath
 from typing import Any, Self
 
-TEXTS_MEMBER = "texts"  # the member of a JSON document that holds the templates of its texts
+_TEXTS_MEMBER = "texts"  # the member of a JSON document that holds the templates of its texts
 _HOLE = re.compile(r"\{(\d{0,2})(?::[+,]*(?:\.\d)?[dfge%]?)?\}")
 
 
@@ -101,7 +101,7 @@ def with_texts(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return a document for JSON with templates and values of its texts beside them."""
     templates: dict[str, Any] = {}
     _collect_templates(document, templates)
-    return {**document, TEXTS_MEMBER: templates} if templates else dict(document)
+    return {**document, _TEXTS_MEMBER: templates} if templates else dict(document)
 
 
 def _collect_templates(value: Any, templates: dict[str, Any]) -> None:
@@ -124,7 +124,7 @@ def _as_json(value: Any) -> Any:
 
 def restored(document: dict[str, Any]) -> dict[str, Any]:
     """Return a document of :func:`with_texts` with its strings as texts again, where they fit."""
-    entries = document.pop(TEXTS_MEMBER, None)
+    entries = document.pop(_TEXTS_MEMBER, None)
     texts = map(_from_json, entries.values()) if isinstance(entries, dict) else ()
     with_templates: dict[str, Any] = _replaced(document, {text: text for text in texts})
     return with_templates

@@ -17,7 +17,7 @@ class Cause(NamedTuple):
     advice: str
 
 
-FITS, FITS_BUT, WRONG = Text("fits"), Text("fits, but"), Text("does not fit")
+FITS, _FITS_BUT, WRONG = Text("fits"), Text("fits, but"), Text("does not fit")
 UNKNOWN = Text("too little traffic to tell")
 UNKNOWN_CAUSE = Text("cause unknown")
 RECORD_MORE = Text("record more traffic")
@@ -31,12 +31,12 @@ NOT_ONE_PLACE = Cause(
 CLOCKS_APART = "its clock and that of {} are apart"
 HEADS = (Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do"))
 _RECORD = ("verdict", "evidence", "cause", "advice")  # fields that every stored finding has
-SPAN = ("since", "until")  # fields that a stored finding may have
+_SPAN = ("since", "until")  # fields that a stored finding may have
 _SIDES = (  # counter-clockwise from east, each of 45 degrees
     Text("east"), Text("north-east"), Text("north"), Text("north-west"), Text("west"),
     Text("south-west"), Text("south"), Text("south-east"),
 )  # fmt: skip
-CLOCKWISE, ANTICLOCKWISE = Text("clockwise"), Text("anticlockwise")
+_CLOCKWISE, _ANTICLOCKWISE = Text("clockwise"), Text("anticlockwise")
 
 
 class HealthState:
@@ -84,7 +84,7 @@ class Finding:
     @property
     def record(self) -> dict[str, str]:
         """All fields but the sensor's name, as a dataset stores them."""
-        span = {name: value for name in SPAN if (value := getattr(self, name))}
+        span = {name: value for name in _SPAN if (value := getattr(self, name))}
         return {name: getattr(self, name) for name in _RECORD} | span
 
     def joined(self, other: Finding) -> Finding:
@@ -111,8 +111,8 @@ class Finding:
 
     @property
     def shown_verdict(self) -> Text:
-        """The verdict as a table shows it: `FITS_BUT` for a sensor that fits with a cause."""
-        return FITS_BUT if self.verdict == FITS and self.cause else Text(self.verdict)
+        """The verdict as a table shows it: `_FITS_BUT` for a sensor that fits with a cause."""
+        return _FITS_BUT if self.verdict == FITS and self.cause else Text(self.verdict)
 
     @property
     def refused(self) -> bool:
@@ -146,7 +146,7 @@ class Finding:
     @property
     def text(self) -> Text:
         """The finding, without the sensor's name."""
-        between = "{} {}" if self.shown_verdict == FITS_BUT else "{}: {}"
+        between = "{} {}" if self.shown_verdict == _FITS_BUT else "{}: {}"
         return Text(between, self.shown_verdict, self.reason)
 
     @property
@@ -171,7 +171,7 @@ def is_record(value: object) -> bool:
     """Return whether a value is a finding as a dataset stores it: a :attr:`Finding.record`."""
     return (
         isinstance(value, dict)
-        and {*_RECORD} <= value.keys() <= {*_RECORD, *SPAN}
+        and {*_RECORD} <= value.keys() <= {*_RECORD, *_SPAN}
         and all(isinstance(each, str) for each in value.values())
     )
 
@@ -225,7 +225,7 @@ def sense(turn: float) -> Text:
     turn : float
         Angle of the rotation; positive is anticlockwise.
     """
-    return CLOCKWISE if turn < 0.0 else ANTICLOCKWISE
+    return _CLOCKWISE if turn < 0.0 else _ANTICLOCKWISE
 
 
 class ImplausibleError(NoAnswerError):

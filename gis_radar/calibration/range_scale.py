@@ -19,38 +19,38 @@ from gis_radar.calibration.unit_mistakes import SIGMAS, RangeScale
 
 # Time between the detections of a pair: a vehicle moves farther than its length.
 _PAIR_S = 0.5
-LEAST_MOVE_M = 2.0  # least change of range of a pair: reflections wander by a metre on a vehicle
+_LEAST_MOVE_M = 2.0  # least change of range of a pair: reflections wander by a metre on a vehicle
 _LEAST_SHARE = 0.15  # least range rate of a pair, as a share of the fastest
-SIMILAR = 0.15  # largest relative difference of the range rates of a pair
+_SIMILAR = 0.15  # largest relative difference of the range rates of a pair
 # Largest distance of a pair across the line of sight: vehicle size, and speed of crossing vehicles.
 _ACROSS_M, _ACROSS_MPS = 1.5, 6.0
-MOST_PAIRED = 20_000  # detections that are paired; of more every n-th frame
-RATIOS = np.exp(np.arange(math.log(0.02), math.log(50.0), 0.02))  # tried scales, with both signs
-LOG_TOLERANCE = 0.1  # largest difference of logarithms at which a pair counts for a ratio
+_MOST_PAIRED = 20_000  # detections that are paired; of more every n-th frame
+_RATIOS = np.exp(np.arange(math.log(0.02), math.log(50.0), 0.02))  # tried scales, with both signs
+_LOG_TOLERANCE = 0.1  # largest difference of logarithms at which a pair counts for a ratio
 _LEAST_PAIRS = 30  # least number of pairs at the best ratio
 # Least ratio of the lower peak to the higher, of the two signs, where range rates have no sign.
-BOTH_SIGNS = 0.2
+_BOTH_SIGNS = 0.2
 
 _LEAVES_MPS = 0.5  # slower detections are of leaves
-DRIVE_MPS = 4.0  # least mean range rate of a track: slower ones may be limbs of walkers
+_DRIVE_MPS = 4.0  # least mean range rate of a track: slower ones may be limbs of walkers
 # Least detections of a track, and its least change of range.
 _LEAST_POINTS, _LEAST_TRAVEL_M = 6, 5.0
 # Least cosine between path and line of sight: of vehicles seen from the side, the visible faces
 # change fast.
 _LEAST_PATH_COSINE = 0.8
-MIXED_M = 1.5  # a track half of whose residuals are larger mixes two vehicles
+_MIXED_M = 1.5  # a track half of whose residuals are larger mixes two vehicles
 # Scale of the Cauchy weights of residuals: least, and as a multiple of their median.
-LEAST_SCALE_M, SPREAD = 0.3, 1.5
-TRACK_COUNT = 4.0  # independent detections as which a track counts: its residuals are correlated
+_LEAST_SCALE_M, _SPREAD = 0.3, 1.5
+_TRACK_COUNT = 4.0  # independent detections as which a track counts: its residuals are correlated
 _ROUNDS, _ITERATIONS = 2, 12  # rounds of linking and regression; iterations of the weights
 _LEAST_VEHICLES = 5  # fewer clusters give no standard error
 _HALF_LENGTH_M, _HALF_WIDTH_M = 2.25, 0.9  # half length and half width of a car
 # Where a car reflects on average, as a share of the distance from its middle to its visible faces
 # (0.3 to 1.2 in three simulations by different authors); prior information of slope and share.
-FACE_SHARE, PRIOR = 0.7, np.diag([0.0, 0.4**-2])
+_FACE_SHARE, _PRIOR = 0.7, np.diag([0.0, 0.4**-2])
 # 1 sigma of an error that all tracks share: vehicles come into view front first, and near the
 # sensor more of their rear is seen.
-SHARED_M = 0.35
+_SHARED_M = 0.35
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,22 +125,23 @@ def _search_factor(moving: Moving) -> tuple[float, bool, bool] | None:
     for sign in (1.0, -1.0):
         logs = np.sort(np.log(sign * ratios[sign * ratios > 0.0]))
         low, high = (
-            np.searchsorted(logs, np.log(RATIOS) + side) for side in (-LOG_TOLERANCE, LOG_TOLERANCE)
+            np.searchsorted(logs, np.log(_RATIOS) + side)
+            for side in (-_LOG_TOLERANCE, _LOG_TOLERANCE)
         )
-        density = (high - low) / RATIOS  # pairs of unrelated vehicles have equal density
+        density = (high - low) / _RATIOS  # pairs of unrelated vehicles have equal density
         best = int(density.argmax())
-        peaks.append((float(density[best]), sign * float(RATIOS[best])))
+        peaks.append((float(density[best]), sign * float(_RATIOS[best])))
     (rarer, _), (peak, factor) = sorted(peaks)
     if peak * abs(factor) < _LEAST_PAIRS:
         return None
     one_sign = bool((rate > 0.0).all() or (rate < 0.0).all())
-    return factor, one_sign and rarer > BOTH_SIGNS * peak, one_sign
+    return factor, one_sign and rarer > _BOTH_SIGNS * peak, one_sign
 
 
 def _pair_ratios(time: Floats, points: Floats, rate: Floats) -> Floats:
     """Return change of range over that by range rates, of pairs that may be of one vehicle."""
     frame_times, begins = np.unique(time, return_index=True)
-    first = np.arange(0, len(frame_times), max(len(time) // MOST_PAIRED, 1))
+    first = np.arange(0, len(frame_times), max(len(time) // _MOST_PAIRED, 1))
     second = np.searchsorted(frame_times, frame_times[first] + _PAIR_S)
     range_m, azimuth = np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0])
     in_time = second < len(frame_times)
@@ -161,9 +162,9 @@ def _ratios(  # pragma: no cover - compiled
             for j in range(begins[second], begins[second + 1]):
                 stated, change_m = (rate[i] + rate[j]) / 2.0, range_m[j] - range_m[i]
                 across_m = abs(heading_difference(azimuth[j], azimuth[i])) * range_m[i]
-                similar = abs(rate[i] - rate[j]) <= SIMILAR * abs(stated)
+                similar = abs(rate[i] - rate[j]) <= _SIMILAR * abs(stated)
                 near = across_m <= _ACROSS_M + _ACROSS_MPS * lapse_s
-                if similar and near and abs(change_m) >= LEAST_MOVE_M:
+                if similar and near and abs(change_m) >= _LEAST_MOVE_M:
                     ratios.append(change_m / (stated * lapse_s))
     return np.array(ratios)
 
@@ -191,7 +192,7 @@ def _link_scaled(moving: Moving, factor: float) -> _Tracks:
     if len(tracks.time) == 0:
         return tracks
     count = np.bincount(tracks.track)[tracks.track]
-    least_m = np.maximum(_LEAST_TRAVEL_M, DRIVE_MPS * tracks.extent(tracks.time))
+    least_m = np.maximum(_LEAST_TRAVEL_M, _DRIVE_MPS * tracks.extent(tracks.time))
     return tracks.where((count >= _LEAST_POINTS) & (tracks.travel_m >= least_m))
 
 
@@ -241,23 +242,23 @@ def _regress_range(tracks: _Tracks) -> tuple[float, float, int] | None:
         return None
     track = np.unique(tracks.track, return_inverse=True)[1]
     count = np.bincount(track)
-    weight, scale_m = np.ones(len(track)), LEAST_SCALE_M
+    weight, scale_m = np.ones(len(track)), _LEAST_SCALE_M
     for _ in range(_ITERATIONS):
         total = np.maximum(np.bincount(track, weight), 1e-9)
         x, face, y = (
             values - (np.bincount(track, weight * values) / total)[track]
             for values in (tracks.stated_m, -tracks.face_m, tracks.range_m)
         )
-        columns, precision = np.column_stack([x, face]), TRACK_COUNT / (scale_m**2 * count[track])
-        information = columns.T @ (columns * (weight * precision)[:, None]) + PRIOR
+        columns, precision = np.column_stack([x, face]), _TRACK_COUNT / (scale_m**2 * count[track])
+        information = columns.T @ (columns * (weight * precision)[:, None]) + _PRIOR
         coefficients = np.linalg.solve(
-            information, columns.T @ (weight * precision * y) + PRIOR @ [0.0, FACE_SHARE]
+            information, columns.T @ (weight * precision * y) + _PRIOR @ [0.0, _FACE_SHARE]
         )
         residual = y - columns @ coefficients
-        mixed = (np.bincount(track, np.abs(residual) > MIXED_M) > count / 2.0)[track]
+        mixed = (np.bincount(track, np.abs(residual) > _MIXED_M) > count / 2.0)[track]
         if mixed.all():
             return None
-        scale_m = max(LEAST_SCALE_M, SPREAD * float(np.median(np.abs(residual[~mixed]))))
+        scale_m = max(_LEAST_SCALE_M, _SPREAD * float(np.median(np.abs(residual[~mixed]))))
         weight = np.where(mixed, 0.0, 1.0 / (1.0 + (residual / scale_m) ** 2))
     precision = precision * weight
     vehicle = np.unique(tracks.vehicle, return_inverse=True)[1]
@@ -269,7 +270,7 @@ def _regress_range(tracks: _Tracks) -> tuple[float, float, int] | None:
     sigma, effective = _jackknife_error(columns, curvature, precision * residual, vehicle)
     if effective <= 1.0:
         return None
-    shared_sigma = SHARED_M * float(np.average(1.0 / tracks.travel_m, weights=precision * x**2))
+    shared_sigma = _SHARED_M * float(np.average(1.0 / tracks.travel_m, weights=precision * x**2))
     return float(coefficients[0]), math.hypot(sigma, shared_sigma), used
 
 
@@ -287,7 +288,7 @@ def _jackknife_error(
     np.add.at(information, vehicle, columns[:, :, None] * curvature[:, None, :])
     gradient = np.column_stack([np.bincount(vehicle, gradients * each) for each in columns.T])
     informative = information[:, 0, 0] > 0.0
-    without_one = information.sum(axis=0) + PRIOR - information[informative]
+    without_one = information.sum(axis=0) + _PRIOR - information[informative]
     if informative.sum() < _LEAST_VEHICLES or (np.linalg.det(without_one) <= 0.0).any():
         return np.inf, 0.0
     change = np.linalg.solve(without_one, gradient[informative][:, :, None])[:, 0, 0]

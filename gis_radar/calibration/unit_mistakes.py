@@ -8,22 +8,22 @@ from dataclasses import dataclass
 from gis_radar.base import NoAnswerError, Text
 from gis_radar.calibration.findings import UNKNOWN_CAUSE, Cause, Finding, wrong
 
-# A scale is refused if it differs from 1 by more than SIGMAS standard errors and by LEAST_OFF: a
+# A scale is refused if it differs from 1 by more than SIGMAS standard errors and by _LEAST_OFF: a
 # pose fitted to wrong ranges is wrong itself, by 1 m at 100 m, without another sign of it.
-SIGMAS, LEAST_OFF = 3.0, 0.01
-# As LEAST_OFF where a pose is given, which lanes check as well: good radars are right to 2 %.
+SIGMAS, _LEAST_OFF = 3.0, 0.01
+# As _LEAST_OFF where a pose is given, which lanes check as well: good radars are right to 2 %.
 LEAST_WRONG = 0.02
-LENGTH_OFF = 0.25  # scales closer to 1 are wrong lengths, others wrong units of range rates
+_LENGTH_OFF = 0.25  # scales closer to 1 are wrong lengths, others wrong units of range rates
 _KNOWN_SHARE = 0.05  # largest standard error, as a share of the scale, to check range rates by it
-LEAST_YARDS = 1.075  # least scale that is taken for yards, a factor of 1.094
+_LEAST_YARDS = 1.075  # least scale that is taken for yards, a factor of 1.094
 NOT_FITTED = Text("not fitted")  # entry of a pose's evidence for a scale with too little traffic
-FOOT_M, YARD_M, MILE_KM, NAUTICAL_MILE_KM, KMH = 0.3048, 0.9144, 1.609344, 1.852, 3.6
-TIMES_XYZ = "multiply x, y and z of all detections by {:g}"
-TIMES_RATE = "multiply range_rate by {:g}"
-TIMES_RATE_OR_TIME = "multiply range_rate by {:g}, or time if the clock is off"
+_FOOT_M, _YARD_M, _MILE_KM, _NAUTICAL_MILE_KM, _KMH = 0.3048, 0.9144, 1.609344, 1.852, 3.6
+_TIMES_XYZ = "multiply x, y and z of all detections by {:g}"
+_TIMES_RATE = "multiply range_rate by {:g}"
+_TIMES_RATE_OR_TIME = "multiply range_rate by {:g}, or time if the clock is off"
 
-FEET = Cause(Text("positions look like feet"), Text(TIMES_XYZ, FOOT_M))
-YARDS = Cause(Text("positions look like yards"), Text(TIMES_XYZ, YARD_M))
+FEET = Cause(Text("positions look like feet"), Text(_TIMES_XYZ, _FOOT_M))
+YARDS = Cause(Text("positions look like yards"), Text(_TIMES_XYZ, _YARD_M))
 SIGN = Cause(
     Text("range rates look positive where targets approach"), Text("change the sign of range_rate")
 )
@@ -32,19 +32,19 @@ ABSOLUTE = Cause(
 )
 # Usual mistakes, and the exact change of range over the integral of range rate that each makes.
 USUAL_MISTAKES = {
-    FEET: 1.0 / FOOT_M,
-    YARDS: 1.0 / YARD_M,
-    Cause(Text("range rates look like km/h"), Text("divide range_rate by {:g}", KMH)): 1.0 / KMH,
-    Cause(Text("range rates look like mph"), Text(TIMES_RATE, MILE_KM / KMH)): MILE_KM / KMH,
+    FEET: 1.0 / _FOOT_M,
+    YARDS: 1.0 / _YARD_M,
+    Cause(Text("range rates look like km/h"), Text("divide range_rate by {:g}", _KMH)): 1.0 / _KMH,
+    Cause(Text("range rates look like mph"), Text(_TIMES_RATE, _MILE_KM / _KMH)): _MILE_KM / _KMH,
     Cause(
-        Text("range rates look like knots"), Text(TIMES_RATE, round(NAUTICAL_MILE_KM / KMH, 6))
-    ): NAUTICAL_MILE_KM / KMH,
+        Text("range rates look like knots"), Text(_TIMES_RATE, round(_NAUTICAL_MILE_KM / _KMH, 6))
+    ): _NAUTICAL_MILE_KM / _KMH,
     SIGN: -1.0,
     Cause(
-        Text("range rates look halved, or times run half as fast"), Text(TIMES_RATE_OR_TIME, 2.0)
+        Text("range rates look halved, or times run half as fast"), Text(_TIMES_RATE_OR_TIME, 2.0)
     ): 2.0,
     Cause(
-        Text("range rates look doubled, or times run twice as fast"), Text(TIMES_RATE_OR_TIME, 0.5)
+        Text("range rates look doubled, or times run twice as fast"), Text(_TIMES_RATE_OR_TIME, 0.5)
     ): 0.5,
 }
 
@@ -77,7 +77,7 @@ class RangeScale:
     @property
     def off(self) -> bool:
         """Whether the factor differs from 1 by more than three standard errors and 1 %."""
-        return self.differs(LEAST_OFF)
+        return self.differs(_LEAST_OFF)
 
     def differs(self, least: float) -> bool:
         """Return whether the factor differs from 1 by three standard errors and by `least`."""
@@ -93,14 +93,14 @@ class RangeScale:
         """The usual mistakes whose factors agree with it, or what else would explain it."""
         if self.absolute:
             return (ABSOLUTE,)
-        within = max(SIGMAS * self.sigma, LEAST_OFF * abs(self.factor))
+        within = max(SIGMAS * self.sigma, _LEAST_OFF * abs(self.factor))
         agreeing = [each for each, by in USUAL_MISTAKES.items() if abs(self.factor - by) < within]
         if SIGN in agreeing and self.one_sign:  # if all approach, values without signs are the same
             agreeing.append(ABSOLUTE)
         # a scale between 2 % too long and yards may have other causes than yards
-        if agreeing and not 1.0 + LEAST_WRONG < self.factor < LEAST_YARDS:
+        if agreeing and not 1.0 + LEAST_WRONG < self.factor < _LEAST_YARDS:
             return tuple(agreeing)
-        if abs(self.factor - 1.0) > LENGTH_OFF:
+        if abs(self.factor - 1.0) > _LENGTH_OFF:
             units = "x, y, z are metres, range_rate is m/s, positive when receding, time is seconds"
             return (Cause(UNKNOWN_CAUSE, Text(units)),)
         looks = Text("ranges are {:.1%} too long, or range rates too low", self.factor - 1.0)

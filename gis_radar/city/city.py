@@ -42,7 +42,7 @@ from gis_radar.products import (
     write_joint_layer,
 )
 
-SITE_COLUMN = "site"
+_SITE_COLUMN = "site"
 RESULTS = "results"
 """Folder of a city with the results of each site."""
 
@@ -100,7 +100,7 @@ class City(SqlQueries):
             )
         )  # fmt: skip
         for name, each in profiles.items():
-            each.insert(0, SITE_COLUMN, name)
+            each.insert(0, _SITE_COLUMN, name)
         whole: pd.DataFrame = pd.concat(profiles.values(), ignore_index=True)
         return whole
 

@@ -45,14 +45,14 @@ Call = Sequence[Any]
 """A function of a module, and its arguments."""
 
 _MOST_LOST = 3  # times in a row that workers are lost before a task is left out
-SCHEDULER_S = 600.0  # wait for a scheduler that is restarted, seconds
-TRY_S = 5.0  # time limit of one attempt to reach it, seconds
+_SCHEDULER_S = 600.0  # wait for a scheduler that is restarted, seconds
+_TRY_S = 5.0  # time limit of one attempt to reach it, seconds
 SAME = Text("install the same packages for all workers: results depend on them")
-FEWER = Text("if memory ran out, use fewer at once: --jobs 1")
+_FEWER = Text("if memory ran out, use fewer at once: --jobs 1")
 _MEMORY = Text("memory may have run out")
-INSTALL = Text("install it: pip install gis-radar[city]")
+_INSTALL = Text("install it: pip install gis-radar[city]")
 
-EQUAL = Text("install the same packages for scheduler and workers: results depend on them")
+_EQUAL = Text("install the same packages for scheduler and workers: results depend on them")
 
 LOST = (BrokenExecutor, CancelledError, OSError, RuntimeError)
 """Errors of an executor whose workers or scheduler are gone; those of tasks are never these."""
@@ -150,7 +150,7 @@ class Workers(ABC):
             self.close(at_once=True)
         self._executor = None
         if times >= _MOST_LOST + self.count:
-            raise OutputError("workers were lost {} times in a row", times, hint=FEWER) from error
+            raise OutputError("workers were lost {} times in a row", times, hint=_FEWER) from error
         self._reporter.warn("workers were lost: what they had not finished is done again")
 
 
@@ -162,7 +162,7 @@ def _result(future: Future[Any]) -> Any:
         for each in (error, error.__cause__):  # in a task an ImportError is a fault of gis_radar
             if isinstance(each, ImportError):
                 raise OtherSoftwareError(
-                    "the scheduler or a worker lacks a package of the run: {}", each, hint=EQUAL
+                    "the scheduler or a worker lacks a package of the run: {}", each, hint=_EQUAL
                 ) from error
         raise
     except GisRadarError as error:
@@ -196,7 +196,7 @@ def run_task(expected: Mapping[str, str], work: Callable[..., Any], *arguments: 
             raise OtherSoftwareError("a worker has another gis_radar than the run", hint=SAME)
         raise OtherSoftwareError(
             "a worker has {} {}, the run {}", name, software()[name], expected.get(name, ""),
-            hint=EQUAL,
+            hint=_EQUAL,
         )  # fmt: skip
     go_offline()
     with _one_at_a_time:
@@ -273,7 +273,7 @@ class Cluster(Workers):
         try:
             self._dask: Any = importlib.import_module("distributed")
         except ImportError as error:
-            raise UsageError("a cluster needs the package distributed", hint=INSTALL) from error
+            raise UsageError("a cluster needs the package distributed", hint=_INSTALL) from error
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it prints tracebacks
         try:  # before there is a client, which Dask could not close
             importlib.import_module("distributed.comm").get_address_host_port(address)
@@ -284,7 +284,7 @@ class Cluster(Workers):
             ) from error  # fmt: skip
         self._address = address
         self._client: Any = None
-        self._executor = self._connected(TRY_S)
+        self._executor = self._connected(_TRY_S)
         self._describe()
 
     def _describe(self) -> None:
@@ -302,19 +302,21 @@ class Cluster(Workers):
 
     def begin(self) -> Executor:
         """Return an executor of the cluster; wait for a scheduler that is restarted."""
-        return self._connected(SCHEDULER_S)
+        return self._connected(_SCHEDULER_S)
 
     def end(self, executor: Executor) -> None:
         """Leave the cluster; its workers drop the tasks of this run."""
         executor.shutdown(wait=False)
         if self._client is not None:
-            self._client.close(timeout=TRY_S)
+            self._client.close(timeout=_TRY_S)
 
     def _connected(self, patience_s: float) -> Executor:
         end = time.monotonic() + patience_s
         while True:
             try:
-                self._client = self._dask.Client(self._address, timeout=TRY_S, set_as_default=False)
+                self._client = self._dask.Client(
+                    self._address, timeout=_TRY_S, set_as_default=False
+                )
                 executor: Executor = self._client.get_executor(pure=False)
             except OSError as error:
                 if time.monotonic() > end:

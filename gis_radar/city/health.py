@@ -26,10 +26,10 @@ from gis_radar.poses import ANGLES, POSITION
 from gis_radar.products import lost_sensors, read_run
 
 _SILENT_S = 3600.0  # without data, after which a sensor counts as silent, or as one with gaps
-LEAST_SHARE_SEEN = 0.95  # least share of the month with data of a sensor that works
+_LEAST_SHARE_SEEN = 0.95  # least share of the month with data of a sensor that works
 _CLOCK_OFF_S = 0.025  # half of a step: a clock that is off by more is wrong
-MOVED_M, MOVED_DEG = 0.5, 1.0  # a pose that changes by more is that of a sensor that was moved
-LEAST_STATED_M = 0.05  # a smaller move is left out of the text, which then states the turn alone
+_MOVED_M, _MOVED_DEG = 0.5, 1.0  # a pose that changes by more is that of a sensor that was moved
+_LEAST_STATED_M = 0.05  # a smaller move is left out of the text, which then states the turn alone
 _COLUMNS = (
     "site", "sensor", "state", "since", "share", "gap_s", "gap_begin", "clock_offset_s", "reasons",
 )  # fmt: skip
@@ -210,9 +210,11 @@ def _moves(poses: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[_Reaso
     begin = poses["begin_s"].to_numpy(np.float64)
     step_m = np.linalg.norm(np.diff(place, axis=0), axis=1)
     turn_deg = np.abs((np.diff(angles, axis=0) + 180.0) % 360.0 - 180.0).max(axis=1)
-    moved = (poses["event"].to_numpy()[1:] == "moved") | (step_m > MOVED_M) | (turn_deg > MOVED_DEG)
+    moved = (
+        (poses["event"].to_numpy()[1:] == "moved") | (step_m > _MOVED_M) | (turn_deg > _MOVED_DEG)
+    )
     for k in np.flatnonzero(moved & (begin[1:] > begin_s) & (begin[1:] < end_s)):
-        text = "moved by {m} m and {deg}°" if step_m[k] >= LEAST_STATED_M else "turned by {deg}°"
+        text = "moved by {m} m and {deg}°" if step_m[k] >= _LEAST_STATED_M else "turned by {deg}°"
         words = tr(text, m=figure_text(step_m[k], 1), deg=figure_text(turn_deg[k], 1))
         yield _Reason(HealthState.MOVED, float(begin[k + 1]), words)
 
@@ -246,5 +248,5 @@ def _clocks(recordings: pd.DataFrame, begin_s: float, end_s: float) -> Iterator[
 
 def _missing(gaps: Floats, share: float) -> Iterator[_Reason]:
     longest_s = gaps[:, 1].max(initial=0.0)
-    if share < LEAST_SHARE_SEEN or longest_s > _SILENT_S:
+    if share < _LEAST_SHARE_SEEN or longest_s > _SILENT_S:
         yield _Reason(HealthState.GAPS, np.nan, "")  # the longest gap has columns of its own

@@ -14,16 +14,16 @@ from gis_radar.city.site_month import SiteMonth
 from gis_radar.products import NOT_OBSERVED, colour_classes
 
 _WIDTH, _MARGIN = 1000.0, 70.0  # units of the map, some pixels on a wide page
-TALLEST, FLATTEST = 0.9, 0.35  # height as a share of the width
+_TALLEST, _FLATTEST = 0.9, 0.35  # height as a share of the width
 RADIUS = (9.0, 24.0)  # of the mark without vehicles, and of the site with most
-UNKNOWN_RADIUS = 9.0  # of the mark of a site of unknown volume
+_UNKNOWN_RADIUS = 9.0  # of the mark of a site of unknown volume
 _LETTER, _LINE = 8.2, 17.0  # width of a letter of a label, height of its line
 RING = 6.0  # from the edge of a mark to the outside of the dashed ring around it
-MOST_LABEL = 26  # letters of a label
-DEEP_FROM = 0.02  # occupancy from which its class has a deep colour
-FINEST = 1.0  # tolerance, in units of the map, by which lanes are simplified
-METRES_PER_DEGREE = 111_195.0  # of latitude, on a sphere of the Earth's mean radius
-BAR_X, BAR_ROOM = 20.0, 30.0  # of the scale bar from the edge; below the marks, for its text
+_MOST_LABEL = 26  # letters of a label
+_DEEP_FROM = 0.02  # occupancy from which its class has a deep colour
+_FINEST = 1.0  # tolerance, in units of the map, by which lanes are simplified
+_METRES_PER_DEGREE = 111_195.0  # of latitude, on a sphere of the Earth's mean radius
+_BAR_X, _BAR_ROOM = 20.0, 30.0  # of the scale bar from the edge; below the marks, for its text
 _BAR_SHARE = 0.25  # longest scale bar, of the width
 
 
@@ -102,22 +102,22 @@ def draw_city(
         Classes of occupancy.
     """
     middle = np.mean([each.place for each in sites], axis=0)
-    metres = np.array([np.cos(np.radians(middle[1])), 1.0]) * METRES_PER_DEGREE
+    metres = np.array([np.cos(np.radians(middle[1])), 1.0]) * _METRES_PER_DEGREE
     places = np.array([(each.place - middle) * metres for each in sites]) * [1.0, -1.0]
     size = np.maximum(np.ptp(places, axis=0), 300.0)
     inner = _WIDTH - 2 * _MARGIN
-    scale = min(inner / size[0], (_WIDTH * TALLEST - 2 * _MARGIN) / size[1])
-    height = max(size[1] * scale + 2 * _MARGIN, _WIDTH * FLATTEST)
+    scale = min(inner / size[0], (_WIDTH * _TALLEST - 2 * _MARGIN) / size[1])
+    height = max(size[1] * scale + 2 * _MARGIN, _WIDTH * _FLATTEST)
     corner = (places.min(axis=0) + places.max(axis=0)) / 2.0 - np.array(
         [_WIDTH, height]
     ) / 2 / scale
-    centres, height = (places - corner) * scale, height + BAR_ROOM
+    centres, height = (places - corner) * scale, height + _BAR_ROOM
     volumes = np.array([each.volume[0] for each in sites])
     most = np.nanmax(volumes, initial=1.0)
     radius = np.where(
         np.isfinite(volumes),
         RADIUS[0] + (RADIUS[1] - RADIUS[0]) * np.sqrt(np.nan_to_num(volumes) / most),
-        UNKNOWN_RADIUS,
+        _UNKNOWN_RADIUS,
     )
     bar = _bar(scale, centres, height)
     reach = radius + RING * np.array([each.name in faulty for each in sites])
@@ -126,7 +126,7 @@ def draw_city(
         SiteMark(
             number=k + 1, x=round(float(centres[k, 0]), 1), y=round(float(centres[k, 1]), 1),
             radius=round(float(radius[k]), 1), colour=_colour(site),
-            is_deep=site.occupancy[0] > DEEP_FROM, label=labels[k],
+            is_deep=site.occupancy[0] > _DEEP_FROM, label=labels[k],
             title=_description(site, faulty.get(site.name, 0)), link=site.link,
             has_fault=site.name in faulty,
         )
@@ -171,7 +171,7 @@ def _labels(
     taken += [_box_of_bar(bar[0], bar[1], height), shapely.box(_WIDTH - 50.0, 0.0, _WIDTH, 80.0)]
     labels: list[tuple[float, float, str, str] | None] = []
     for name, (x, y), r in zip(names, centres, radius, strict=True):
-        text = name if len(name) <= MOST_LABEL else name[: MOST_LABEL - 1] + "\u2026"
+        text = name if len(name) <= _MOST_LABEL else name[: _MOST_LABEL - 1] + "\u2026"
         wide, best = _LETTER * len(text), None
         for dx, dy, anchor in (
             (r + 5, 0, "start"), (-r - 5, 0, "end"), (0, -r - _LINE / 2, "middle"),
@@ -189,7 +189,7 @@ def _labels(
 
 def _path(points: Floats) -> str:
     """Return a line as a path of whole units, no finer than can be seen."""
-    kept = shapely.get_coordinates(shapely.simplify(shapely.LineString(points), FINEST))
+    kept = shapely.get_coordinates(shapely.simplify(shapely.LineString(points), _FINEST))
     return "M" + " ".join(f"{x:.0f} {y:.0f}" for x, y in kept)
 
 
@@ -200,7 +200,9 @@ def _bar(scale: float, centres: Floats, height: float) -> tuple[float, float, st
     text = f"{metres / 1000:g} km" if metres >= 1000 else f"{metres:g} m"
     length, marks = round(float(metres * scale), 1), shapely.MultiPoint(centres)
     x = max(
-        BAR_X, _WIDTH - BAR_X - length, key=lambda x: _box_of_bar(x, length, height).distance(marks)
+        _BAR_X,
+        _WIDTH - _BAR_X - length,
+        key=lambda x: _box_of_bar(x, length, height).distance(marks),
     )
     return x, length, text
 

@@ -63,9 +63,9 @@ from gis_radar.products import (
 )
 
 MONTH_PAGE = "month.html"
-PROFILES = 12  # sites whose profiles are drawn
+_PROFILES = 12  # sites whose profiles are drawn
 _HOURS = 24
-MANY_SITES = 6  # from so many sites on, processes save more time than their start takes
+_MANY_SITES = 6  # from so many sites on, processes save more time than their start takes
 _TOPS = (50, 100, 200, 300, 500, 750, 1000, 1500, 2000, 3000, 5000, 7500, 10_000)  # veh/h
 
 
@@ -197,7 +197,7 @@ def _read(
     """Yield the result of each site's task, or its error, in the order in which they end."""
     if workers is not None:
         yield from workers.results(tasks)
-    elif len(tasks) >= MANY_SITES:
+    elif len(tasks) >= _MANY_SITES:
         with workers_of(None, None, reporter) as processes:
             yield from processes.results(tasks)
     else:
@@ -300,7 +300,7 @@ def _profiles(sites: Sequence[SiteMonth]) -> list[Profile]:
     """Return the profiles of the sites with most vehicles, all on one scale."""
     with_profile = [each for each in sites if each.profile is not None
              and each.profile["volume"].notna().any()]  # fmt: skip
-    with_profile = sorted(with_profile, key=lambda each: -np.nan_to_num(each.volume[0]))[:PROFILES]
+    with_profile = sorted(with_profile, key=lambda each: -np.nan_to_num(each.volume[0]))[:_PROFILES]
     tables = [each.profile for each in with_profile if each.profile is not None]
     high = max((float((t["volume"] + t["volume_se"]).max()) for t in tables), default=0.0)
     top = next((each for each in _TOPS if each >= high), high)

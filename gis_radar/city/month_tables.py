@@ -31,9 +31,9 @@ from gis_radar.products import (
     with_verdicts,
 )
 
-WORST_LANES = 20  # rows of the table
-MOST_CHANGES = 30  # rows of the table
-MOST_NAMED = 6  # sensors of a state in a sentence
+_WORST_LANES = 20  # rows of the table
+_MOST_CHANGES = 30  # rows of the table
+_MOST_NAMED = 6  # sensors of a state in a sentence
 
 
 def site_table(sites: Sequence[SiteMonth], health: pd.DataFrame) -> Table:
@@ -106,7 +106,7 @@ def worst_lanes(sites: Sequence[SiteMonth]) -> pd.DataFrame:
     table = table.assign(lost_h=lost)
     slow = (lost > 0.0) | (table["queue_max_m"].astype(float) >= LEAST_QUEUE_M)
     order = ["lost_h", "queue_mean_m", "occupancy"]
-    return table[slow].sort_values(order, ascending=False, na_position="last").head(WORST_LANES)
+    return table[slow].sort_values(order, ascending=False, na_position="last").head(_WORST_LANES)
 
 
 def lane_rows(worst: pd.DataFrame) -> Table:
@@ -205,7 +205,7 @@ def change_table(changes: pd.DataFrame, sites: Sequence[SiteMonth]) -> Table:
     ]
     return Table(
         name="changes", caption=tr("What changed against the month before"), columns=columns,
-        rows=text_rows(rows[:MOST_CHANGES], columns),
+        rows=text_rows(rows[:_MOST_CHANGES], columns),
         note=" ".join(_change_notes(changes, sites, len(rows))),
     )  # fmt: skip
 
@@ -222,9 +222,9 @@ def _change_notes(changes: pd.DataFrame, sites: Sequence[SiteMonth], differences
     ]  # fmt: skip
     if not differences:
         notes.insert(0, tr("No difference is told."))
-    if differences > MOST_CHANGES:
+    if differences > _MOST_CHANGES:
         notes.append(
-            tr("Here are {part} of {all} differences.", part=MOST_CHANGES, all=differences)
+            tr("Here are {part} of {all} differences.", part=_MOST_CHANGES, all=differences)
         )
     if left_out := sum(each.not_alike for each in sites):
         notes.append(
@@ -273,12 +273,12 @@ def sensor_faults(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock
     sentences = []
     for state, rows in health[health["state"] != HealthState.WORKS].groupby("state", sort=False):
         names = []
-        for _, row in rows.head(MOST_NAMED).iterrows():
+        for _, row in rows.head(_MOST_NAMED).iterrows():
             name = f"{titles[row['site']]} {row['sensor']}"
             if pd.notna(row["since"]):
                 time = clock.stamp(row["since"].to_pydatetime())
                 name = tr("{sensor} (since {time})", sensor=name, time=time)
             names.append(name)
-        more = tr(" and {n} more", n=len(rows) - MOST_NAMED) if len(rows) > MOST_NAMED else ""
+        more = tr(" and {n} more", n=len(rows) - _MOST_NAMED) if len(rows) > _MOST_NAMED else ""
         sentences.append(f"{tr('Sensors')}, {tr(str(state))}: {', '.join(names)}{more}")
     return sentences

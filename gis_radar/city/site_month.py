@@ -22,9 +22,9 @@ from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork
 from gis_radar.products import PAGE, as_stated, compare, read_run, service_levels
 
-LEAST_DAYS = 3  # of the error of a mean over days
-QUARTERS_PER_HOUR = 4
-WEEKEND = 5  # Saturday, Monday as 0
+_LEAST_DAYS = 3  # of the error of a mean over days
+_QUARTERS_PER_HOUR = 4
+_WEEKEND = 5  # Saturday, Monday as 0
 _GEOGRAPHIC = CRS.from_epsg(4326)
 
 
@@ -186,7 +186,7 @@ def _lanes(dataset: Dataset, month: CityMonth, network: LaneNetwork) -> pd.DataF
 def _error_over_days(days: Any) -> pd.Series:
     """Return the standard error of a mean over days, by lane; null of too few."""
     count = days.count()
-    error: pd.Series = (days.std() / np.sqrt(count)).where(count >= LEAST_DAYS)
+    error: pd.Series = (days.std() / np.sqrt(count)).where(count >= _LEAST_DAYS)
     return error
 
 
@@ -197,9 +197,9 @@ def _profile(sums: pd.DataFrame, lanes: pd.DataFrame) -> pd.DataFrame:
     """
     entries = lanes.loc[lanes["is_entry"] & lanes["volume"].notna(), "lane"]
     known = sums[sums["lane"].isin(entries) & (sums["quarters"] > 0)]
-    hours = known["quarters"] / QUARTERS_PER_HOUR
+    hours = known["quarters"] / _QUARTERS_PER_HOUR
     known = known.assign(
-        is_weekend=known["weekday"] >= WEEKEND, volume=known["volume"] / hours,
+        is_weekend=known["weekday"] >= _WEEKEND, volume=known["volume"] / hours,
         variance=known["volume_variance"] / hours**2,
     )  # fmt: skip
     by_lane = known.groupby(["is_weekend", "hour", "lane"]).agg(
@@ -219,11 +219,11 @@ def _worst_hours(sums: pd.DataFrame) -> pd.DataFrame:
     Hours in which less is lost than a minute a day do not count: a single car may wait long.
     """
     week = (
-        sums[sums["weekday"] < WEEKEND]
+        sums[sums["weekday"] < _WEEKEND]
         .groupby(["lane", "hour"], as_index=False)[["delay_h", "volume", "quarters"]]
         .sum()
     )
-    days = week["quarters"] / QUARTERS_PER_HOUR
+    days = week["quarters"] / _QUARTERS_PER_HOUR
     week = week[(week["volume"] > 0.0) & (week["delay_h"] * 60.0 > days)]
     week = week.assign(worst_delay_s=week["delay_h"] / week["volume"] * 3600.0)
     most = week.loc[week.groupby("lane")["worst_delay_s"].idxmax()]

@@ -43,11 +43,11 @@ from gis_radar.site import (
 )
 
 _POSES = "poses"  # folder of a city with the poses that were found
-BASIS = ".basis"  # beside such a pose: what it was found from
-NOT_NEEDED = {"guess": None, "view": None}  # not needed where a pose is known
-CONVERTED = "recordings"  # folder of a city with the recordings that were converted
-OPTIONS = "options.json"  # beside a converted recording: how it was converted
-REGISTERED = ".gis-radar/recordings.json"  # what was registered, below the results of a site
+_BASIS = ".basis"  # beside such a pose: what it was found from
+_NOT_NEEDED = {"guess": None, "view": None}  # not needed where a pose is known
+_CONVERTED = "recordings"  # folder of a city with the recordings that were converted
+_OPTIONS = "options.json"  # beside a converted recording: how it was converted
+_REGISTERED = ".gis-radar/recordings.json"  # what was registered, below the results of a site
 
 Failure = tuple[str, GisRadarError]
 """Name of what has no result (site, sensor or hour), and the error."""
@@ -134,16 +134,16 @@ def _converted(site: Site, task: SiteTask) -> Site:
         for path in sensor.foreign:
             place = hashlib.sha256(os.fsencode(path.absolute())).hexdigest()[:12]
             converted = (
-                task.root / CONVERTED / task.name / sensor.name / place / f"{path.stem}.parquet"
+                task.root / _CONVERTED / task.name / sensor.name / place / f"{path.stem}.parquet"
             )
             if not _is_converted(path, converted, stated):
-                converted.with_name(OPTIONS).unlink(missing_ok=True)  # those of the earlier file
+                converted.with_name(_OPTIONS).unlink(missing_ok=True)  # those of the earlier file
                 try:
                     convert_stage(recordings=[path], outputs=[converted], reporter=task, **options)
                 except GisRadarError as error:
                     task.failures.append((sensor.name, error))
                     continue
-                converted.with_name(OPTIONS).write_text(stated, encoding="utf-8")
+                converted.with_name(_OPTIONS).write_text(stated, encoding="utf-8")
             paths.append(converted)
         if paths:
             changed = {"recordings": tuple(paths), "convert": None}
@@ -156,7 +156,7 @@ def _is_converted(path: Path, converted: Path, stated: str) -> bool:
     converted.parent.mkdir(parents=True, exist_ok=True)
     if not converted.exists() or converted.stat().st_mtime < path.stat().st_mtime:
         return False
-    options_file = converted.with_name(OPTIONS)
+    options_file = converted.with_name(_OPTIONS)
     return options_file.exists() and options_file.read_text(encoding="utf-8") == stated
 
 
@@ -176,12 +176,12 @@ def _with_known_poses(site: Site, task: SiteTask) -> Site:
         changed: dict[str, Any] = {}
         if sensor.pose is None and path.is_file():
             new = tuple(p for p in sensor.recordings if registered.get(_name_of(p)) != _state_of(p))
-            basis = path.with_suffix(BASIS)
+            basis = path.with_suffix(_BASIS)
             is_same_basis = not basis.is_file() or basis.read_text(encoding="utf-8") == _basis(
                 sensor, site
             )
             changed = (
-                {"recordings": new} if new and not is_same_basis else NOT_NEEDED | {"pose": path}
+                {"recordings": new} if new and not is_same_basis else _NOT_NEEDED | {"pose": path}
             )
         sensors.append(sensor.model_copy(update=changed))
     return site.model_copy(update={"sensor": tuple(sensors)})
@@ -198,7 +198,7 @@ def _store_pose(sensor: Sensor, site: Site, task: SiteTask) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as part:
         part.write_bytes((task.results / "sensors" / sensor.name / "pose.json").read_bytes())
-    with atomic_write(path.with_suffix(BASIS)) as part:
+    with atomic_write(path.with_suffix(_BASIS)) as part:
         part.write_text(_basis(sensor, site), encoding="utf-8")
 
 
@@ -217,7 +217,7 @@ def registered_recordings(task: SiteTask) -> dict[str, list[int]]:
     if not Manifest.is_there(task.dataset):
         return {}
     try:
-        seen = read_json(task.results / REGISTERED, what="a list of recordings")
+        seen = read_json(task.results / _REGISTERED, what="a list of recordings")
         return {path: seen[path] for path in open_dataset(task.dataset).recordings()["path"]
                 if path in seen}  # fmt: skip
     except InputError:
@@ -228,7 +228,7 @@ def store_registered(task: SiteTask, states: Mapping[str, list[int]]) -> None:
     """Write which recordings the dataset has, and as they were when they were read."""
     paths = {*open_dataset(task.dataset).recordings()["path"]}
     in_dataset = {path: state for path, state in sorted(states.items()) if path in paths}
-    write_json(task.results / REGISTERED, in_dataset)
+    write_json(task.results / _REGISTERED, in_dataset)
 
 
 def register_checked(site: Site, task: SiteTask) -> None:

@@ -10,7 +10,7 @@ from gis_radar.base import go_offline
 from gis_radar.cli import datasets, live, maps, poses, recordings, sites
 from gis_radar.cli.console import run_group
 
-LONGEST_SENTENCE = 200  # characters of a command's first sentence, more is cut with dots
+_LONGEST_SENTENCE = 200  # characters of a command's first sentence, more is cut with dots
 
 
 class WholeSentences(click.Group):
@@ -19,7 +19,7 @@ class WholeSentences(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands with the first sentence of each one's help."""
         rows = [
-            (name, self.commands[name].get_short_help_str(LONGEST_SENTENCE))
+            (name, self.commands[name].get_short_help_str(_LONGEST_SENTENCE))
             for name in self.list_commands(ctx)
         ]
         with formatter.section("Commands"):

@@ -55,9 +55,9 @@ from gis_radar.cli.usage import text_of_click
 
 # Shown with --json only: constants in effect, findings that `remarks` has as sentences, and errors
 # that follow.
-FOR_PROGRAMS = {"settings", "found", "failed"}
+_FOR_PROGRAMS = {"settings", "found", "failed"}
 _SILENT_S = 30.0  # between lines of progress in a log
-MOST_BARS = 8  # with more than that, full bars are hidden
+_MOST_BARS = 8  # with more than that, full bars are hidden
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +198,7 @@ class TerminalConsole(Console):
         if stage not in self._tasks:
             self._tasks[stage] = self._bars.add_task(self.translated(stage), total=total)
         self._bars.update(self._tasks[stage], completed=done, total=total)
-        if done == total and len(self._tasks) > MOST_BARS:
+        if done == total and len(self._tasks) > _MOST_BARS:
             self._bars.update(self._tasks[stage], visible=False)
 
     def _print_shares(self, stage: str, done: int, total: int | None) -> None:
@@ -231,7 +231,7 @@ class TerminalConsole(Console):
         table = Table(show_header=False, box=None, pad_edge=False)
         tables = []
         for name, value in _by_local_clocks(result).items():
-            if name in FOR_PROGRAMS:
+            if name in _FOR_PROGRAMS:
                 continue
             if isinstance(value, list) and value and isinstance(value[0], list):
                 tables.append((name, value))
@@ -279,19 +279,19 @@ def _by_local_clocks(result: Result) -> dict[str, Any]:
     return {**shown, "timezone": result.timezone} if shown != summary else summary
 
 
-TRACEBACK = "GIS_RADAR_TRACEBACK"
+_TRACEBACK = "GIS_RADAR_TRACEBACK"
 """The environment variable that shows the traceback of an unforeseen error."""
 UNFORESEEN = "unforeseen"
 NO_MEMORY = Text("there is not enough memory")
-LEAST_FREE_BYTES = 64 << 20  # with 100 MiB commands work or end with an error; with 30 GDAL aborts
+_LEAST_FREE_BYTES = 64 << 20  # with 100 MiB commands work or end with an error; with 30 GDAL aborts
 # In errors of the loader, of threads and of LLVM, which raise no MemoryError.
 _NO_MEMORY_TEXTS = (
     "failed to map segment", "can't start new thread", "Cannot allocate memory", "libllvmlite.so",
 )  # fmt: skip
-REPEAT_S = 0.1  # until the callback that dropped an interruption is over
+_REPEAT_S = 0.1  # until the callback that dropped an interruption is over
 INTERRUPTED = 130
-OUTPUTS = ("output", "figure", "broker_files")  # of options: the other files are inputs
-INTERRUPTION = "interrupted; nothing was left half-written"
+_OUTPUTS = ("output", "figure", "broker_files")  # of options: the other files are inputs
+_INTERRUPTION = "interrupted; nothing was left half-written"
 
 Verb = Callable[..., Result]
 
@@ -344,11 +344,11 @@ def _refuse_inputs(options: Mapping[str, Any]) -> None:
     """Refuse outputs in place of another file or folder that is named, or of a dataset's file."""
     inputs = [
         path
-        for name, value in options.items() if name not in OUTPUTS
+        for name, value in options.items() if name not in _OUTPUTS
         for path in (value if isinstance(value, tuple) else (value,)) if isinstance(path, Path)
     ]  # fmt: skip
     dataset = options.get("folder")
-    for output in filter(None, map(options.get, OUTPUTS)):
+    for output in filter(None, map(options.get, _OUTPUTS)):
         of_dataset = dataset and output.is_file() and dataset.resolve() in output.resolve().parents
         refuse_inputs(output, *inputs, *([output] if of_dataset else []))
 
@@ -356,7 +356,7 @@ def _refuse_inputs(options: Mapping[str, Any]) -> None:
 def _require_memory() -> None:
     """Refuse to begin where memory is so short that libraries crash or hang without an error."""
     free = free_address_space()
-    if free is not None and free < LEAST_FREE_BYTES:
+    if free is not None and free < _LEAST_FREE_BYTES:
         raise OutputError(NO_MEMORY, hint="raise the limit of the address space (ulimit -v)")
 
 
@@ -412,13 +412,13 @@ def _error_of(error: Exception) -> GisRadarError:
         return OutputError("{}{}", where, error.strerror or error)
     if isinstance(error, MemoryError) or any(text in str(error) for text in _NO_MEMORY_TEXTS):
         return OutputError(NO_MEMORY, hint="take smaller parts")
-    if os.environ.get(TRACEBACK):
+    if os.environ.get(_TRACEBACK):
         raise error
     place, line = "unknown", 0
     for frame, number in traceback.walk_tb(error.__traceback__):
         if frame.f_globals.get("__name__", "").startswith("gis_radar"):
             place, line = frame.f_globals["__name__"], number
-    hint = Text("an input may be damaged; please report it, with what {}=1 prints", TRACEBACK)
+    hint = Text("an input may be damaged; please report it, with what {}=1 prints", _TRACEBACK)
     text = Text(
         "{} {} in {}, line {}: {}",
         UNFORESEEN,
@@ -450,7 +450,7 @@ def _end_interrupted(console: Console) -> NoReturn:
     """Exit after an interruption; another one meanwhile would end Python with another exit code."""
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)
-    _fail(console, _InterruptedError(INTERRUPTION))
+    _fail(console, _InterruptedError(_INTERRUPTION))
 
 
 def _output_is_open() -> bool:
@@ -485,6 +485,6 @@ def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
     if not issubclass(lost.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
         return
-    again = threading.Timer(REPEAT_S, interrupt_main_thread)
+    again = threading.Timer(_REPEAT_S, interrupt_main_thread)
     again.daemon = True
     again.start()

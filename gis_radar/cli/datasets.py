@@ -15,11 +15,11 @@ from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import DURATION, FILE, begin_end, csv_locale, folder_output, language
 from gis_radar.cli.options import dataset as dataset_argument
 
-TOO_SHORT = Text(
+_TOO_SHORT = Text(
     "no interval was visible for a fifth of its length, which a volume needs: "
     "take a shorter interval"
 )
-NO_STOP_LINES = Text(
+_NO_STOP_LINES = Text(
     "the map has no stop line on the lanes in sight: queues, cycles and levels of service are not "
     "known (draw each as a way of type stop_line across its lane)"
 )
@@ -97,9 +97,9 @@ def traffic(
         outputs = made.write(output, datex=datex, language=language, reporter=reporter)
     figures = made.figures()
     if not figures["rows_with_volume"]:
-        reporter.warn(TOO_SHORT)
+        reporter.warn(_TOO_SHORT)
     if made.lanes["sight_m"].isna().all():
-        reporter.log(NO_STOP_LINES)
+        reporter.log(_NO_STOP_LINES)
     elif options["service"] is not None and options["interval"] != _SERVICE_INTERVAL:
         reporter.log(Text(_OTHER_LEVELS, options["interval"]))
     return Result(outputs=outputs, summary=figures, timezone=measured.timezone)

@@ -12,8 +12,8 @@ from rich.text import Text as Cell
 
 from gis_radar.base import Text, decimal, json_text, one_line, tr
 
-LEAST_TABLE_WIDTH, WIDEST = 160, 100_000  # characters
-LONGEST_UNBROKEN = 25  # characters of a value that stands on one line: a time, a number
+_LEAST_TABLE_WIDTH, _WIDEST = 160, 100_000  # characters
+_LONGEST_UNBROKEN = 25  # characters of a value that stands on one line: a time, a number
 
 
 def is_table(value: Any) -> bool:
@@ -60,7 +60,7 @@ def table_of_answer(rows: Sequence[Mapping[str, Any]]) -> Table:
     cells = [[_answer(each) for each in row.values()] for row in rows]
     for k, name in enumerate(rows[0] if rows else ()):
         longest = max(len(each) for each in (name, *(row[k] for row in cells)))
-        table.add_column(Cell(name), overflow="fold", min_width=min(longest, LONGEST_UNBROKEN))
+        table.add_column(Cell(name), overflow="fold", min_width=min(longest, _LONGEST_UNBROKEN))
     for row in cells:
         table.add_row(*map(Cell, row))
     return table
@@ -68,8 +68,8 @@ def table_of_answer(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 def print_wide(table: Table, width: int) -> None:
     """Print a table, wider than the terminal if need be: a number that is cut is a wrong one."""
-    least = Console(width=WIDEST).measure(table).minimum
-    Console(width=max(width, LEAST_TABLE_WIDTH, least)).print(table)
+    least = Console(width=_WIDEST).measure(table).minimum
+    Console(width=max(width, _LEAST_TABLE_WIDTH, least)).print(table)
 
 
 def _answer(value: Any) -> str:

@@ -15,7 +15,7 @@ from gis_radar.base import Reporter, Text, UsageError, atomic_folder, refuse_inp
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import FILE, csv_locale, folder_output, language, output, template
 
-SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
+_SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
 
 
 @command(example="gis-radar run SITE.toml -o results")
@@ -164,7 +164,7 @@ def qgis(*, output: Path, reporter: Reporter, **options: Any) -> Result:
 def sample(*, output: Path, reporter: Reporter) -> Result:
     """Copy the files of the sample junction to a folder, to try everything on."""
     source = gr.sample_folder()
-    files = sorted(path for path in source.iterdir() if path.suffix in SAMPLE_KINDS)
+    files = sorted(path for path in source.iterdir() if path.suffix in _SAMPLE_KINDS)
     refuse_inputs(output, *files)
     owned = tuple(path.name for path in files)
     with atomic_folder(output, owned=owned, reporter=reporter) as fresh:

@@ -18,9 +18,9 @@ from gis_radar.dataset.dataset import Dataset, open_dataset
 from gis_radar.hdmap import LANES_LAYER
 
 _SPACING_M = 0.5  # distance between the points at which lanes are compared
-MOST_OFFSET_M = 1.5  # maps are drawn anew to some decimetres, lanes are 2.5 m and wider
-MOST_TURN_RAD = math.radians(30.0)  # largest angle between two lanes
-SAME_SHARE = 0.9  # least share of both lanes that follows the other where they are the same
+_MOST_OFFSET_M = 1.5  # maps are drawn anew to some decimetres, lanes are 2.5 m and wider
+_MOST_TURN_RAD = math.radians(30.0)  # largest angle between two lanes
+_SAME_SHARE = 0.9  # least share of both lanes that follows the other where they are the same
 _LEAST_SHARE = 0.1  # least share of either lane for a row of the table
 _COLUMNS = ("old_lane", "new_lane", "share_of_old", "share_of_new", "offset_m", "same")
 
@@ -146,13 +146,13 @@ def _lanes(source: Any) -> gpd.GeoDataFrame:
 
 def _near_pairs(old: _Points, new: _Points, olds: int, news: int) -> pd.DataFrame:
     """Return, for all pairs of lanes near each other, the share of each that follows the other."""
-    reach = math.hypot(MOST_OFFSET_M, _SPACING_M)
+    reach = math.hypot(_MOST_OFFSET_M, _SPACING_M)
     near = cKDTree(old.xy).sparse_distance_matrix(cKDTree(new.xy), reach, output_type="ndarray")
     old_point, new_point = near["i"], near["j"]
     along = np.einsum("ij,ij->i", old.along[old_point], new.along[new_point])
     across = new.xy[new_point] - old.xy[old_point]
     offset = np.abs(across[:, 0] * old.along[old_point, 1] - across[:, 1] * old.along[old_point, 0])
-    follows = (along >= math.cos(MOST_TURN_RAD)) & (offset <= MOST_OFFSET_M)
+    follows = (along >= math.cos(_MOST_TURN_RAD)) & (offset <= _MOST_OFFSET_M)
     old_point, new_point, offset = old_point[follows], new_point[follows], offset[follows]
     pair_key = old.lane[old_point] * news + new.lane[new_point]
     groups = pd.DataFrame(
@@ -168,7 +168,7 @@ def _near_pairs(old: _Points, new: _Points, olds: int, news: int) -> pd.DataFram
 
 def _identical_lanes(pairs: pd.DataFrame, old: Integers, new: Integers) -> pd.Series:
     """Return which pairs are the same lane: nearest pairs first, each lane in one at most."""
-    alike = pairs[pairs[["share_of_old", "share_of_new"]].min(axis=1) >= SAME_SHARE]
+    alike = pairs[pairs[["share_of_old", "share_of_new"]].min(axis=1) >= _SAME_SHARE]
     # of two lanes at one place, that with the same number comes first
     other_number = old[alike["old"]] != new[alike["new"]]
     order = alike.assign(offset=alike["offset_m"].round(1), other=other_number)

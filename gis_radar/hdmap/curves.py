@@ -16,8 +16,8 @@ import shapely
 
 from gis_radar.base import Floats, heading_difference
 
-DRAWING_ERROR_M = 0.05  # accuracy of drawn lines: a vertex nearer to a chord is no corner
-EQUAL_TURN_RAD = np.radians(5.0)  # two turns that differ by less are equal
+_DRAWING_ERROR_M = 0.05  # accuracy of drawn lines: a vertex nearer to a chord is no corner
+_EQUAL_TURN_RAD = np.radians(5.0)  # two turns that differ by less are equal
 _BEND_RAD = np.radians(30.0)  # a sharper turn from lane to lane is a corner, not a bend
 
 
@@ -39,7 +39,7 @@ class Curve:
     @classmethod
     def of(cls, line: shapely.LineString) -> Self:
         """Return the curve that a polyline stands for."""
-        chords = np.diff(shapely.get_coordinates(line.simplify(DRAWING_ERROR_M)), axis=0)
+        chords = np.diff(shapely.get_coordinates(line.simplify(_DRAWING_ERROR_M)), axis=0)
         chords = chords[np.hypot(*chords.T) > 0.0] if chords.any() else chords[:1]
         heading = np.unwrap(np.arctan2(chords[:, 1], chords[:, 0]))
         return cls(length_m=np.hypot(*chords.T), heading=heading)
@@ -134,7 +134,7 @@ def _straightest(turns: dict[float, int]) -> int | None:
     """
     least, *others = sorted(turns, key=abs) or [np.inf]
     parts = any(
-        abs(each - least) > EQUAL_TURN_RAD and abs(each) - abs(least) < EQUAL_TURN_RAD
+        abs(each - least) > _EQUAL_TURN_RAD and abs(each) - abs(least) < _EQUAL_TURN_RAD
         for each in others
     )
     return None if parts or abs(least) >= _BEND_RAD else turns[least]

@@ -21,7 +21,7 @@ LANE_MARGIN_M = 1.0  # added on both sides of a lane: a vehicle's middle is rare
 _FIELD_CELL_M = 1.0  # side of a cell of a :class:`LaneField`
 _JOIN_M = 1.5  # between ends of lanelets that follow each other without shared nodes: half a lane
 _JOIN_RAD = np.radians(30.0)  # between their directions
-MOST_LANES_AT_POINT = 8  # lanelets that may overlap at one point
+_MOST_LANES_AT_POINT = 8  # lanelets that may overlap at one point
 _LEVEL_M = 2.0  # roads that differ less in height are on one level (the contract)
 
 FieldArrays: TypeAlias = tuple[Integers, Integers, Integers, Integers, Floats]
@@ -351,10 +351,10 @@ def _on_segment(
 @compiled
 def _all_lanes(points: Floats, field: FieldArrays) -> Floats:
     """Return a row for each point and lane at it: the point's index, then as :func:`lanes_at`."""
-    rows = np.empty((MOST_LANES_AT_POINT * len(points), 7))
+    rows = np.empty((_MOST_LANES_AT_POINT * len(points), 7))
     count = 0
     for i in range(len(points)):
-        out = rows[count : count + MOST_LANES_AT_POINT, 1:]
+        out = rows[count : count + _MOST_LANES_AT_POINT, 1:]
         found = lanes_at(points[i, 0], points[i, 1], field, out)
         rows[count : count + found, 0] = i
         count += found

@@ -23,14 +23,14 @@ from gis_radar.hdmap.streets import name_streets
 from gis_radar.hdmap.tagging import STREET, TURN_TAG
 
 LANES_LAYER, STOP_LINES_LAYER = "lanes", "stop_lines"
-TOUCH_M = 0.05  # between the ends of lanelets that follow each other: nodes may be drawn twice
+_TOUCH_M = 0.05  # between the ends of lanelets that follow each other: nodes may be drawn twice
 _JOIN_RAD = math.radians(30.0)  # between their cross-lines: excludes the opposite direction
-SHAPE_M = 0.01  # tolerance of simplified centre lines: far below a pixel, a tenth of the points
+_SHAPE_M = 0.01  # tolerance of simplified centre lines: far below a pixel, a tenth of the points
 LANE_EXIT_M = 5.0  # last part of a lane, which gives its direction: it may turn before
-STRAIGHT_RAD = math.radians(35.0)  # turns of the sample and four public maps: 57 degrees or more
-BACK_RAD = math.radians(150.0)  # from which on a turn is called `back` (a U-turn)
-SHARP_M = 50.0  # largest mean radius of a turn; roads that only bend have more
-STOP_NEAR_M = 2.0  # from the end of a lanelet to a stop line drawn behind it
+_STRAIGHT_RAD = math.radians(35.0)  # turns of the sample and four public maps: 57 degrees or more
+_BACK_RAD = math.radians(150.0)  # from which on a turn is called `back` (a U-turn)
+_SHARP_M = 50.0  # largest mean radius of a turn; roads that only bend have more
+_STOP_NEAR_M = 2.0  # from the end of a lanelet to a stop line drawn behind it
 _TURNS = ("left", "straight", "right", "back")
 _STOP_KINDS: dict[str, Any] = {
     "stop_line": np.int64, "lane": np.int64, "lanelet_id": np.int64,
@@ -92,14 +92,14 @@ def _successors_of(
     """
     low = at.starts.min(axis=0) if len(ids) else 0.0
     trees = (scipy.spatial.cKDTree(each - low) for each in (at.ends, at.starts))
-    touching = next(trees).query_ball_tree(next(trees), TOUCH_M)
+    touching = next(trees).query_ball_tree(next(trees), _TOUCH_M)
     position = {ref: index for index, ref in enumerate(ids)}
     successors = [
         {k for k in near if k != i} | {position[ref] for ref in refs if ref in position}
         for i, (near, refs) in enumerate(zip(touching, stated, strict=True))
     ]
     reached = {k for each in successors for k in each}
-    near = joining(at.starts, at.ends, TOUCH_M)
+    near = joining(at.starts, at.ends, _TOUCH_M)
     return {
         ref: [ids[k] for k in sorted(each | {k for k in close if not each or k not in reached})]
         for ref, each, close in zip(ids, successors, near, strict=True)
@@ -215,7 +215,7 @@ def _centre_line(parts: list[shapely.LineString]) -> shapely.LineString:
     points = np.concatenate([shapely.get_coordinates(part) for part in parts])
     apart = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-6)
     line = shapely.LineString(points[apart] if apart.sum() > 1 else points)
-    return shapely.simplify(line, SHAPE_M)
+    return shapely.simplify(line, _SHAPE_M)
 
 
 def _exit_vector(line: shapely.LineString, end_m: float) -> tuple[float, float]:
@@ -274,14 +274,14 @@ def _turn_of(table: gpd.GeoDataFrame, ref: int) -> str:
     angle = np.unwrap(np.arctan2(gaps[:, 1], gaps[:, 0])[lengths > 1e-6])
     turn_rad = float(angle[-1] - angle[0]) if len(angle) else 0.0
     word = turn_word(turn_rad)
-    return "" if word == "straight" or lengths.sum() > SHARP_M * abs(turn_rad) else word
+    return "" if word == "straight" or lengths.sum() > _SHARP_M * abs(turn_rad) else word
 
 
 def turn_word(turn_rad: float) -> str:
     """Return the word for a turn, given in radians to the left."""
-    if abs(turn_rad) < STRAIGHT_RAD:
+    if abs(turn_rad) < _STRAIGHT_RAD:
         return "straight"
-    if abs(turn_rad) > BACK_RAD:
+    if abs(turn_rad) > _BACK_RAD:
         return "back"
     return "left" if turn_rad > 0.0 else "right"
 
@@ -323,21 +323,21 @@ def _lanelets_ended_by(
     centres: gpd.GeoSeries, line: shapely.LineString, named: Collection[int]
 ) -> list[tuple[int, float]]:
     """Return the lanelets that a stop line ends, each with the line's place along it, metres."""
-    near = centres.index[shapely.dwithin(centres.array, line, STOP_NEAR_M)].tolist()
+    near = centres.index[shapely.dwithin(centres.array, line, _STOP_NEAR_M)].tolist()
     among = [ref for ref in (named or near) if ref in centres.index]
     met = [ref for ref in among if _ends_at(centres[ref], line)]
     along = [(ref, _meeting_place_m(centres[ref], line)) for ref in met or sorted(among)]
     # A line where one lanelet ends and the next begins ends the first.
-    ended = [(ref, s_m) for ref, s_m in along if s_m > STOP_NEAR_M / 2]
+    ended = [(ref, s_m) for ref, s_m in along if s_m > _STOP_NEAR_M / 2]
     return sorted(ended or along)
 
 
 def _ends_at(centre: shapely.LineString, line: shapely.LineString) -> bool:
-    """Return whether a centre line, extended by `STOP_NEAR_M`, meets a stop line."""
+    """Return whether a centre line, extended by `_STOP_NEAR_M`, meets a stop line."""
     before, end = shapely.get_coordinates(centre)[-2:]
     ahead = (end - before) / max(float(np.hypot(*(end - before))), 1e-9)
-    longer = shapely.LineString([before, end + STOP_NEAR_M * ahead])
-    return bool(centre.distance(line) < TOUCH_M or longer.distance(line) < TOUCH_M)
+    longer = shapely.LineString([before, end + _STOP_NEAR_M * ahead])
+    return bool(centre.distance(line) < _TOUCH_M or longer.distance(line) < _TOUCH_M)
 
 
 def _meeting_place_m(centre: shapely.LineString, line: shapely.LineString) -> float:

@@ -26,9 +26,9 @@ from gis_radar.hdmap.bounds import (
     without_repeats,
 )
 
-NO_WIDTH_M = 0.01  # maps are drawn to centimetres
-NO_LENGTH_M = 0.01  # as NO_WIDTH_M
-MOST_LENGTH_M = 100_000.0  # a longer bound has a node in the wrong place
+_NO_WIDTH_M = 0.01  # maps are drawn to centimetres
+_NO_LENGTH_M = 0.01  # as _NO_WIDTH_M
+_MOST_LENGTH_M = 100_000.0  # a longer bound has a node in the wrong place
 _PASSES = 8  # each removes one stretch that runs backwards
 # Metres a rung may grow to avoid a wrongly turned triangle, tried in this order.
 _PENALTIES_M = (WRONG_TURN_M, 100.0, 10.0, 3.0)
@@ -103,7 +103,7 @@ def is_sound(left: Floats, right: Floats) -> bool:
     """Return whether a lanelet needs no mending."""
     ends = np.hypot(*(left[[0, -1], :2] - right[[0, -1], :2]).T)
     return bool(
-        ends.min() >= NO_WIDTH_M * (1.0 - 1e-6)
+        ends.min() >= _NO_WIDTH_M * (1.0 - 1e-6)
         and LineString(left[:, :2]).is_simple
         and LineString(right[:, :2]).is_simple
         and outline(left, right).is_valid
@@ -115,15 +115,15 @@ def is_sound(left: Floats, right: Floats) -> bool:
 def _require_extent(left: Floats, right: Floats) -> None:
     """Refuse bounds without length, of impossible length, or without an area between them."""
     for side, bound in (("left", left), ("right", right)):
-        if len(bound) < 2 or bound_length(bound) < NO_LENGTH_M:
+        if len(bound) < 2 or bound_length(bound) < _NO_LENGTH_M:
             raise CannotMendError(Text("the {} bound has no length", Text(side)))
-        if bound_length(bound) > MOST_LENGTH_M:
+        if bound_length(bound) > _MOST_LENGTH_M:
             far = Text("{:.0f} km long", bound_length(bound) / 1000.0)
             raise CannotMendError(
                 Text("the {} bound is {}: a node is in the wrong place", Text(side), far)
             )
     mean_length = (bound_length(left) + bound_length(right)) / 2.0
-    if abs(signed_area(left, right)) < NO_WIDTH_M * mean_length:
+    if abs(signed_area(left, right)) < _NO_WIDTH_M * mean_length:
         raise CannotMendError(Text("it has no width: its bounds lie on each other, or cross"))
 
 
@@ -143,10 +143,10 @@ def _without_loops(left: Floats, right: Floats, repairs: list[str]) -> tuple[Flo
 
 def _with_ends_apart(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
     """Return the bounds with ends without width moved apart by 1 cm, across the lanelet."""
-    if _gap(left[0], right[0]) < NO_WIDTH_M:
+    if _gap(left[0], right[0]) < _NO_WIDTH_M:
         left, right = _with_start_apart(left, right)
         repairs.append("start without width parted by 1 cm")
-    if _gap(left[-1], right[-1]) < NO_WIDTH_M:
+    if _gap(left[-1], right[-1]) < _NO_WIDTH_M:
         # Seen backwards, the end is a start, and left is right.
         right, left = (bound[::-1] for bound in _with_start_apart(right[::-1], left[::-1]))
         repairs.append("end without width parted by 1 cm")
@@ -161,14 +161,14 @@ def _with_start_apart(left: Floats, right: Floats) -> tuple[Floats, Floats]:
     """Return the bounds with their common first points moved apart, across the mean direction."""
     shared = min(len(left), len(right))
     gaps = np.hypot(*(left[:shared, :2] - right[:shared, :2]).T)
-    touching = int(np.argmax(gaps >= NO_WIDTH_M)) if np.any(gaps >= NO_WIDTH_M) else shared
+    touching = int(np.argmax(gaps >= _NO_WIDTH_M)) if np.any(gaps >= _NO_WIDTH_M) else shared
     left, right = left.copy(), right.copy()
     for i in range(touching):
         middle = (left[i, :2] + right[i, :2]) / 2.0
         along = _heading(left, i) + _heading(right, i)
         if np.hypot(*along) < _OPPOSITE:
             raise CannotMendError(Text("its bounds leave a common end in opposite directions"))
-        across = np.array([-along[1], along[0]]) / np.hypot(*along) * NO_WIDTH_M / 2.0
+        across = np.array([-along[1], along[0]]) / np.hypot(*along) * _NO_WIDTH_M / 2.0
         left[i, :2], right[i, :2] = middle + across, middle - across
     return left, right
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from gis_radar.base import Floats, InputError, Integers, Text
 
-NODE_TAGS = ("ele", "local_x", "local_y")
-LONGEST_TAG = 1 << 20  # bytes; the longest of a map are texts of some kilobytes
-DEEPEST = 100  # depth of nested elements; osm, relation and member make three
+_NODE_TAGS = ("ele", "local_x", "local_y")
+_LONGEST_TAG = 1 << 20  # bytes; the longest of a map are texts of some kilobytes
+_DEEPEST = 100  # depth of nested elements; osm, relation and member make three
 _BYTES_AT_ONCE = 1 << 18
 _NOWHERE = (math.nan, math.nan)
 _IDS = range(-(2**63), 2**63)
@@ -142,8 +142,8 @@ def _parse(parser: expat.XMLParserType, file: BinaryIO, collector: _Collector) -
         parser.Parse(batch)
         read += len(batch)
         # Expat keeps an unfinished tag and reads it from its begin again with each batch.
-        if read - max(parser.CurrentByteIndex, 0) > LONGEST_TAG + _BYTES_AT_ONCE:
-            collector.refuse(Text("a tag of over {} MiB, a map has none", LONGEST_TAG >> 20))
+        if read - max(parser.CurrentByteIndex, 0) > _LONGEST_TAG + _BYTES_AT_ONCE:
+            collector.refuse(Text("a tag of over {} MiB, a map has none", _LONGEST_TAG >> 20))
     parser.Parse(b"", True)
 
 
@@ -216,8 +216,8 @@ class _Collector:
     def _start(self, name: str, attributes: dict[str, str]) -> None:
         """Take the begin of an element: open a node, way or relation, or add to the open one."""
         self.depth += 1
-        if self.depth > DEEPEST:
-            self.refuse(Text("elements are nested {} deep, a map's are three", DEEPEST))
+        if self.depth > _DEEPEST:
+            self.refuse(Text("elements are nested {} deep, a map's are three", _DEEPEST))
         if self.depth == 1 and name != "osm":
             raise InputError("{}: not OSM: its root is <{}>, expected <osm>", self.path, name)
         if name == "tag":
@@ -248,7 +248,7 @@ class _Collector:
             self.duplicates.append((name, self.id))
         elif name == "node":
             tags = self.tags
-            extra = [_number(tags[key]) if key in tags else math.nan for key in NODE_TAGS]
+            extra = [_number(tags[key]) if key in tags else math.nan for key in _NODE_TAGS]
             self.rows[self.id] = (*self.place, *extra)
             if math.isnan(extra[0]) and tags.get("ele", "").strip().lower() not in {"", "nan"}:
                 self.odd_heights.append((self.id, tags["ele"]))

@@ -29,10 +29,10 @@ from gis_radar.base import (
 )
 from gis_radar.hdmap.osm import OsmMap
 
-WIDEST_DEG = 0.5  # of longitude, from the middle of a map; nodes farther away are misplaced
+_WIDEST_DEG = 0.5  # of longitude, from the middle of a map; nodes farther away are misplaced
 _SCALE_TOLERANCE = 0.001  # 10 cm in 100 m; UTM's scale error at the edge of its zone
 # Equal heights of less than this share of the nodes come from a template, not from a survey.
-KNOWN_HEIGHTS = 0.25
+_KNOWN_HEIGHTS = 0.25
 _MOST_HEIGHTS = 0.5  # share of nodes with a height from which on missing ones are not reported
 _EQUAL_M = 0.05  # range of heights that count as equal: survey noise is as large
 _WGS84 = CRS.from_epsg(4326)
@@ -138,7 +138,7 @@ def place_nodes(
 def _border_remarks(geographic: Floats, chosen: CRS) -> tuple[str, ...]:
     """Return a remark on the chosen zone where a map lies in two."""
     longitude, latitude = np.median(geographic, axis=0)
-    near = geographic[np.abs(geographic[:, 0] - longitude) < WIDEST_DEG, 0]
+    near = geographic[np.abs(geographic[:, 0] - longitude) < _WIDEST_DEG, 0]
     if not len(near):  # half of the nodes lie here, half far away
         return ()
     west_zone, east_zone = (
@@ -330,7 +330,7 @@ def _heights(osm: OsmMap, used: Booleans) -> tuple[Floats, tuple[str, ...]]:
     tagged = int(np.isfinite(osm.elevation).sum())
     if share >= _MOST_HEIGHTS or not tagged:
         return osm.elevation, ()
-    if share < KNOWN_HEIGHTS and (not len(given) or np.ptp(given) <= _EQUAL_M):
+    if share < _KNOWN_HEIGHTS and (not len(given) or np.ptp(given) <= _EQUAL_M):
         few = Text("only {} of {} nodes have an ele tag, all equal", tagged, len(used))
         return np.full_like(osm.elevation, np.nan), (
             Text("heights are treated as unknown: {}", few),

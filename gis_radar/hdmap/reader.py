@@ -42,13 +42,13 @@ from gis_radar.hdmap.tagging import (
 )
 
 _STAGE = "reading lanelets"
-WIDE_M = 40.0  # width from which on a lanelet is doubtful: squares and turning areas are narrower
-WIDEST_M = 500.0  # width from which on a node must be in the wrong place
+_WIDE_M = 40.0  # width from which on a lanelet is doubtful: squares and turning areas are narrower
+_WIDEST_M = 500.0  # width from which on a node must be in the wrong place
 _STRAY_M = 100_000.0  # from the middle of the map: no site is so large
 
 # Lanelets, and their share, that lead against how they are drawn in a mirrored map: 37 to 100 %
 # where latitudes and longitudes are swapped, at most 13 % in eight maps as they are.
-LEAST_AGAINST, LEAST_AGAINST_SHARE = 10, 0.25
+_LEAST_AGAINST, _LEAST_AGAINST_SHARE = 10, 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +141,7 @@ def _mirrored(lanelets: list[_Lanelet]) -> tuple[str, ...]:
     """Return a remark on a map whose lanelets mostly lead against the way they are drawn."""
     against = sum(all(each.turned) for each in lanelets)
     along = sum(not any(each.turned) for each in lanelets)
-    if against < max(LEAST_AGAINST, LEAST_AGAINST_SHARE * len(lanelets), 2 * along):
+    if against < max(_LEAST_AGAINST, _LEAST_AGAINST_SHARE * len(lanelets), 2 * along):
         return ()
     return (
         Text(
@@ -195,10 +195,10 @@ def _plausible(lanelets: list[_Lanelet]) -> tuple[list[_Lanelet], list[_Problem]
         along = np.linspace(0.0, 1.0, 5)
         apart = at_fractions(left, along)[:, :2] - at_fractions(right, along)[:, :2]
         width_m = float(np.median(np.hypot(*apart.T)))
-        is_left_out = off_m > _STRAY_M or width_m > WIDEST_M
+        is_left_out = off_m > _STRAY_M or width_m > _WIDEST_M
         if not is_left_out:
             kept.append(lanelet)
-        if is_left_out or width_m > WIDE_M:
+        if is_left_out or width_m > _WIDE_M:
             far = Text("it lies {:.0f} km from the middle of the map", off_m / 1000.0)
             reason = far if off_m > _STRAY_M else Text("its bounds are {:.0f} m apart", width_m)
             action = LEFT_OUT if is_left_out else DOUBTFUL

@@ -28,9 +28,9 @@ _NAME_FIELDS = (
     "name", "street", "street_name", "road_name", "strassenname", "straßenname", "str_name",
     "strname", "strasse", "straße", "bezeichnung", "nom_voie", "naam", "straatnaam",
 )  # fmt: skip
-PART = "street_part"  # column: of several streets with one name, the one that a lane is on
+_PART = "street_part"  # column: of several streets with one name, the one that a lane is on
 _NEAR_M = 20.0  # from the middle of a street to its outermost lane: six lanes and a tram
-PARALLEL_RAD = math.radians(30.0)  # between directions of a lane and of its street
+_PARALLEL_RAD = math.radians(30.0)  # between directions of a lane and of its street
 _SAMPLE_M = 5.0  # between the points of a lane at which the street is looked up
 _APART_M = 250.0  # between lines of one name, beyond which they are different streets
 
@@ -74,7 +74,7 @@ def name_streets(
         named[STREET] = [tag or name for tag, name in zip(lanes[STREET], names, strict=True)]
         _report_unnamed(named, prefix, reporter)
     place = list(named.columns).index(STREET) + 1
-    named.insert(place, PART, _street_parts(named, known, prefix, reporter))
+    named.insert(place, _PART, _street_parts(named, known, prefix, reporter))
     return named
 
 
@@ -162,7 +162,7 @@ def _name_along(lane: shapely.LineString, streets: gpd.GeoDataFrame) -> str | No
             for line, k in zip(lines, sample, strict=True)
         ]
     )
-    parallel = np.abs(np.sin(heading - heading_of_lane[sample])) < math.sin(PARALLEL_RAD)
+    parallel = np.abs(np.sin(heading - heading_of_lane[sample])) < math.sin(_PARALLEL_RAD)
     votes = Counter[str]()
     for k in np.unique(sample[parallel]):
         of_sample = np.flatnonzero(parallel & (sample == k))

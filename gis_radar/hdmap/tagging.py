@@ -20,7 +20,7 @@ from gis_radar.hdmap.osm import OsmMap, Relation
 _VEHICLE, _BICYCLE, _PEDESTRIAN = "vehicle", "bicycle", "pedestrian"
 
 # Lanelet2, "Tagging Lanelets and Areas", table "Subtype and Location".
-USERS: dict[str, tuple[str, ...]] = {
+_USERS: dict[str, tuple[str, ...]] = {
     "": (_VEHICLE,),
     "road": (_BICYCLE, _VEHICLE),
     "highway": (_VEHICLE,),
@@ -35,7 +35,7 @@ USERS: dict[str, tuple[str, ...]] = {
     "stairs": (_PEDESTRIAN,),
 }
 # Tags for the street's name, for which Lanelet2 has none; the most general come last.
-STREET, STREET_TAGS = "street", ("street_name", "road_name", "street", "addr:street", "name")
+STREET, _STREET_TAGS = "street", ("street_name", "road_name", "street", "addr:street", "name")
 TURN_TAG = "turn_direction"  # of Autoware and CARLA: left, right, straight
 _YES, _NO = {"yes", "true", "1"}, {"no", "false", "0"}
 ON_FOOT_OR_BICYCLE = ("bicycle_lane", "crosswalk", "shared_walkway", "stairs", "walkway")
@@ -58,7 +58,7 @@ def participants_of(tags: dict[str, str]) -> tuple[str, ...]:
     if override:
         users = (key.removeprefix("participant:") for key in override if truth(override[key]))
         return tuple(sorted(users))
-    return USERS.get(tags.get("subtype", ""), ())
+    return _USERS.get(tags.get("subtype", ""), ())
 
 
 def subtype_of(tags: dict[str, str]) -> str:
@@ -83,7 +83,7 @@ def is_driven(participants: Iterable[str]) -> bool:
 
 def street_of(tags: dict[str, str]) -> str | None:
     """Return the street's name that a lanelet is tagged with, or None."""
-    return next((name for key in STREET_TAGS if (name := one_line(tags.get(key, "")))), None)
+    return next((name for key in _STREET_TAGS if (name := one_line(tags.get(key, "")))), None)
 
 
 def one_way_of(tags: dict[str, str]) -> bool:
@@ -120,7 +120,7 @@ def kmh_of_signs(signs: Iterable[str]) -> float:
     return min((speed for speed in speeds if not math.isnan(speed)), default=math.nan)
 
 
-ELEMENT = "regulatory_element"
+_ELEMENT = "regulatory_element"
 _COLUMNS = (
     "element_id",
     "subtype",
@@ -136,7 +136,7 @@ def lanelets_of_elements(osm: OsmMap) -> dict[int, tuple[int, ...]]:
     """Return, by regulatory element, the ids of the lanelets that name it, sorted."""
     users: dict[int, set[int]] = defaultdict(set)
     for lanelet_id, lanelet in osm.relations_of("lanelet"):
-        for element in lanelet.refs("relation", ELEMENT):
+        for element in lanelet.refs("relation", _ELEMENT):
             users[element].add(lanelet_id)
     return {element: tuple(sorted(lanelets)) for element, lanelets in users.items()}
 
@@ -144,7 +144,7 @@ def lanelets_of_elements(osm: OsmMap) -> dict[int, tuple[int, ...]]:
 def regulated_kmh(osm: OsmMap, lanelet: Relation) -> float:
     """Return the lowest speed limit that regulatory elements set for a lanelet, km/h, else NaN."""
     signs: list[str] = []
-    for ref in lanelet.refs("relation", ELEMENT):
+    for ref in lanelet.refs("relation", _ELEMENT):
         element = osm.relations.get(ref)
         if element is None or element.tags.get("subtype") != "speed_limit":
             continue
@@ -185,7 +185,7 @@ def regulatory_table(osm: OsmMap, xyz: Floats, crs: CRS) -> gpd.GeoDataFrame:
 def _members(osm: OsmMap, xyz: Floats) -> Iterator[tuple[Any, ...]]:
     """Yield a row of :func:`regulatory_table` for each member of a regulatory element."""
     users = lanelets_of_elements(osm)
-    for element_id, element in sorted(osm.relations_of(ELEMENT)):
+    for element_id, element in sorted(osm.relations_of(_ELEMENT)):
         for member in element.members:
             tags: dict[str, str] = {}
             lanelets = users.get(element_id, ())
@@ -201,7 +201,7 @@ def _members(osm: OsmMap, xyz: Floats) -> Iterator[tuple[Any, ...]]:
 
 def _lone_stop_lines(osm: OsmMap, xyz: Floats) -> Iterator[tuple[Any, ...]]:
     """Yield a row of :func:`regulatory_table` for each stop line that no element names."""
-    elements = (element for _, element in osm.relations_of(ELEMENT))
+    elements = (element for _, element in osm.relations_of(_ELEMENT))
     named = {m.ref for element in elements for m in element.members if m.kind == "way"}
     for ref, way in sorted(osm.ways.items()):
         if way.tags.get("type") == "stop_line" and ref not in named:

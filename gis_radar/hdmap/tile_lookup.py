@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from gis_radar.base import Floats, Integers, compiled
 
 Numbers: TypeAlias = NDArray[np.int32]
-SLACK_M = 1e-6  # added around tiles: rounding may move a point to the next cell
+_SLACK_M = 1e-6  # added around tiles: rounding may move a point to the next cell
 
 
 def _fill_cells(quads: Floats, columns: int, rows: int, cell_m: float) -> tuple[Numbers, Numbers]:
@@ -47,14 +47,14 @@ def _count_or_store(  # pragma: no cover - compiled
     """Count the tiles that touch each cell, or store them at its cursor unless `tiles` is empty."""
     for tile in range(len(quads)):
         quad = quads[tile]
-        low_column = max(int((quad[:, 0].min() - SLACK_M) / cell_m), 0)
-        low_row = max(int((quad[:, 1].min() - SLACK_M) / cell_m), 0)
-        high_column = min(int((quad[:, 0].max() + SLACK_M) / cell_m), columns - 1)
-        high_row = min(int((quad[:, 1].max() + SLACK_M) / cell_m), rows - 1)
+        low_column = max(int((quad[:, 0].min() - _SLACK_M) / cell_m), 0)
+        low_row = max(int((quad[:, 1].min() - _SLACK_M) / cell_m), 0)
+        high_column = min(int((quad[:, 0].max() + _SLACK_M) / cell_m), columns - 1)
+        high_row = min(int((quad[:, 1].max() + _SLACK_M) / cell_m), rows - 1)
         for row in range(low_row, high_row + 1):
             for column in range(low_column, high_column + 1):
                 x, y = (column + 0.5) * cell_m, (row + 0.5) * cell_m
-                if not _is_separated(quad, x, y, 0.5 * cell_m + SLACK_M):
+                if not _is_separated(quad, x, y, 0.5 * cell_m + _SLACK_M):
                     cell = row * columns + column + 1
                     if len(tiles) > 0:
                         tiles[cursor[cell]] = tile
@@ -79,7 +79,7 @@ def _is_separated(
     return False
 
 
-LEAST_CELL_M = 0.5  # as long as a tile
+_LEAST_CELL_M = 0.5  # as long as a tile
 _MOST_CELLS = 16_000_000  # of a grid, 64 MB; larger maps get larger cells
 Pairs = tuple[Integers, Integers]
 
@@ -137,7 +137,7 @@ class TileGrid:
         origin = _origin(quads)
         local = np.ascontiguousarray(quads - origin)  # one layout, one compiled form
         span = local.reshape(-1, 2).max(axis=0) if len(quads) else np.ones(2)
-        cell_m = max(LEAST_CELL_M, math.sqrt(float(span.prod()) / _MOST_CELLS))
+        cell_m = max(_LEAST_CELL_M, math.sqrt(float(span.prod()) / _MOST_CELLS))
         columns, rows = (int(side * (1.0 / cell_m)) + 1 for side in span)  # rounded as in cell_at
         first, tiles = _fill_cells(local, columns, rows, cell_m)
         (west, south), (width, height) = origin.tolist(), span.tolist()

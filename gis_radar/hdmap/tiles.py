@@ -42,10 +42,10 @@ from gis_radar.hdmap.tagging import ON_FOOT_OR_BICYCLE
 from gis_radar.hdmap.tile_lookup import TileGrid
 
 LENGTH_M = 0.5  # by the contract and the paper
-LEAST_LENGTH_M = 0.01  # a lane of 100 m has 10,000 of them
+_LEAST_LENGTH_M = 0.01  # a lane of 100 m has 10,000 of them
 MOST_TILES = 2_500_000  # each takes 1.4 kB of memory when it is made and written: 3.5 GB
 TILES_LAYER = "tiles"
-PROBLEMS = "problems"
+_PROBLEMS = "problems"
 _COUNT, _CONTENT = "gis_radar_tiles", "gis_radar_content"
 _MAKE_ONE = Text("make one with: gis-radar tiles")
 TILE_COLUMNS = (
@@ -107,8 +107,8 @@ def make_tiles(
     >>> len(tiles), tiles.geometry.geom_type.unique().tolist()
     (5387, ['Polygon'])
     """
-    if not LEAST_LENGTH_M <= length_m < np.inf:
-        raise UsageError("tile length is {} m, expected {} m or more", length_m, LEAST_LENGTH_M)
+    if not _LEAST_LENGTH_M <= length_m < np.inf:
+        raise UsageError("tile length is {} m, expected {} m or more", length_m, _LEAST_LENGTH_M)
     if isinstance(roads, str | Path):
         roads = read_map(roads, reporter=reporter)
     lanelets = _chosen(roads.lanelets, subtypes)
@@ -253,7 +253,7 @@ def write_tiles(
     metadata = {_COUNT: str(len(tiles)), _CONTENT: _digest(tiles)}
     if problems is None:
         problems = problem_table([], tiles.crs)
-    layers = [(TILES_LAYER, tiles, "Polygon"), (PROBLEMS, problems, "Unknown")]
+    layers = [(TILES_LAYER, tiles, "Polygon"), (_PROBLEMS, problems, "Unknown")]
     if lanes is not None:
         # GeoPackage has no lists
         texts = lanes["lanelets"].map(lambda refs: " ".join(map(str, refs)))
@@ -364,7 +364,7 @@ def require_tiles(tiles: gpd.GeoDataFrame, *, what: str) -> None:
         raise InputError("{}: tile {} is there twice", what, twice)
 
 
-ON_TILES = 0.5  # share of a road's points to warn under: all of it with its map, of another's 0.42
+_ON_TILES = 0.5  # share of a road's points to warn under: all of it with its map, of another's 0.42
 _NEAR_M = 1.5  # half a lane: the nearest point is still of the same road
 
 
@@ -394,7 +394,7 @@ def with_road_heights(
     map_height_m = tiles["height_m"].to_numpy(np.float64)
     point, tile = TileGrid(quads(tiles)).assign(road[:, 0], road[:, 1])
     share = len(np.unique(point)) / max(len(road), 1)
-    if 0.0 < share < ON_TILES:
+    if 0.0 < share < _ON_TILES:
         reporter.warn("only {:.0%} of the road's points lie on tiles: of another place?", share)
     level = ~(np.abs(road[point, 2] - map_height_m[tile]) > SAME_LEVEL_M)
     inside = pd.Series(road[point[level], 2]).groupby(tile[level]).median()
@@ -418,7 +418,7 @@ def with_road_heights(
     return tiles.assign(height_m=np.where(np.isnan(height_m), map_height_m, height_m))
 
 
-AREA_TOLERANCE = 0.005  # share of a lanelet's area from which on cut corners are reported
+_AREA_TOLERANCE = 0.005  # share of a lanelet's area from which on cut corners are reported
 _STAGE = "splitting lanelets"
 
 
@@ -467,11 +467,11 @@ def _coordinates(line: shapely.LineString) -> Floats:
 def _warn_of_cut_corners(
     lanelets: gpd.GeoDataFrame, rungs_by_lanelet: list[Floats], reporter: Reporter
 ) -> None:
-    """Warn where tiles differ from their lanelet's area by more than `AREA_TOLERANCE`."""
+    """Warn where tiles differ from their lanelet's area by more than `_AREA_TOLERANCE`."""
     shapes = lanelets.geometry.array
     tiled = np.array([_tiled_area(rungs) for rungs in rungs_by_lanelet])
     off = shapely.area(shapely.symmetric_difference(shapes, tiled)) / shapely.area(shapes)
-    bad = int(np.count_nonzero(off > AREA_TOLERANCE))
+    bad = int(np.count_nonzero(off > _AREA_TOLERANCE))
     if not bad:
         return
     worst = Text(
@@ -482,7 +482,7 @@ def _warn_of_cut_corners(
         "shorter {} follows curves better",
         bad,
         _lanelet_count(len(rungs_by_lanelet)),
-        100.0 * AREA_TOLERANCE,
+        100.0 * _AREA_TOLERANCE,
         worst,
         "--length",
     )

@@ -39,7 +39,7 @@ from gis_radar.live.wire.settings import webhook_address
 # that a broker or a sensor's program that is started again is no alert.
 HOLD_S = 60.0
 TIMEOUT_S = 5.0  # longest wait for a webhook
-RETRIES_S = (5.0, 30.0, 180.0)  # waits before further tries: a receiver that is restarted is back
+_RETRIES_S = (5.0, 30.0, 180.0)  # waits before further tries: a receiver that is restarted is back
 # most alerts that wait for a webhook: some of each sensor of a large site
 MOST_ALERTS_WAITING = 1_000
 
@@ -226,7 +226,7 @@ class Webhook:
     """
 
     def __init__(
-        self, url: str, *, retries_s: tuple[float, ...] = RETRIES_S, reporter: Reporter = QUIET
+        self, url: str, *, retries_s: tuple[float, ...] = _RETRIES_S, reporter: Reporter = QUIET
     ) -> None:
         self._url, self._retries_s, self._reporter = webhook_address(url), retries_s, reporter
         self._host = urlsplit(url).hostname  # the rest of the address may be a secret

@@ -26,7 +26,7 @@ from gis_radar.poses import ANGLES, POSITION, Pose, read_track
 from gis_radar.recordings import Detections
 from gis_radar.scans import SightTiles, find_sight
 
-RETRY_FRAMES = 500  # frames until a pose that traffic refused is followed again: 25 s
+_RETRY_FRAMES = 500  # frames until a pose that traffic refused is followed again: 25 s
 
 
 class Edge:
@@ -176,9 +176,9 @@ class Edge:
         self._select(frame)
 
     def _pause_following(self) -> None:
-        """Stop following a pose that traffic refused, for `RETRY_FRAMES`."""
+        """Stop following a pose that traffic refused, for `_RETRY_FRAMES`."""
         self._stop_following()
-        self._doubted, self._frames_to_retry = True, RETRY_FRAMES
+        self._doubted, self._frames_to_retry = True, _RETRY_FRAMES
 
     def _start_following(self, frame: Detections) -> None:
         """Start following the pose from a frame on, where the sensor's file asks for it."""

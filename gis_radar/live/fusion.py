@@ -57,14 +57,15 @@ if TYPE_CHECKING:
 
     from gis_radar.live.web_server import WebServer
 
-MESSAGES_AT_ONCE = 500  # most messages between two looks at the clock
+_MESSAGES_AT_ONCE = 500  # most messages between two looks at the clock
 WAIT_S = 0.01  # longest wait for a message
 # Between two commits: a kill costs a second of messages, which the sensors send again.
-COMMIT_S = 1.0
-COMMIT_MESSAGES = 200  # messages of a sensor that are committed sooner: a fast replay does not wait
-SPOOL_BYTES = 1 << 28  # size from which the spool goes on in another file
-LOG_AGAIN_S = 600.0  # least time between two logs of one error: a disk stays full for hours
-SPOOL, NOW_FILE, PUSH_FILE, ALERTS = "spool", "now.gpkg", "sensorthings.json", "alerts.json"
+_COMMIT_S = 1.0
+# Messages of a sensor that are committed sooner: a fast replay does not wait
+_COMMIT_MESSAGES = 200
+_SPOOL_BYTES = 1 << 28  # size from which the spool goes on in another file
+_LOG_AGAIN_S = 600.0  # least time between two logs of one error: a disk stays full for hours
+_SPOOL, _NOW_FILE, _PUSH_FILE, _ALERTS = "spool", "now.gpkg", "sensorthings.json", "alerts.json"
 
 
 class Fusion:
@@ -101,7 +102,7 @@ class Fusion:
         with output_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
         self._folder_lock = ExitStack()
-        self._folder_lock.enter_context(only_writer(folder / SPOOL, reporter=reporter))
+        self._folder_lock.enter_context(only_writer(folder / _SPOOL, reporter=reporter))
         refuse_other_settings(measured, self.tiles, scan)
         self._dataset = measured.dataset
         self.vehicles = _vehicle_follower(site, self.tiles, names, reporter)
@@ -111,7 +112,7 @@ class Fusion:
         self._map.validity_s = dict(validity_of(site.cycles(), names))
         self.counts = RecentCounts(len(road.tile_id), interval=interval_steps(site.live.interval))
         self._windows = Windows(site.live.lateness)
-        self._spool = Spool(folder / SPOOL)
+        self._spool = Spool(folder / _SPOOL)
         self.intake = Intake(
             names, spool=self._spool, road=road, scan=scan,
             counter=FrameCounter(road, filters=filters), windows=self._windows,
@@ -120,7 +121,7 @@ class Fusion:
         self.sensors = self.intake.sensors
         self._alerts = Alerts(
             site.live.site, [each.health for each in self.sensors.values()],
-            path=folder / ALERTS, publish=self._publish_alert, webhook=webhook,
+            path=folder / _ALERTS, publish=self._publish_alert, webhook=webhook,
             language=site.language, reporter=reporter,
         )  # fmt: skip
         self._page, self._push = _page_server(self, site), _lane_push(site, self.tiles, reporter)
@@ -128,14 +129,14 @@ class Fusion:
         self._writing: Future[bool] | None = None
         self._session = secrets.token_hex(4)
         self._committed = self._exported = time.monotonic()
-        self.intake.resume([SpoolFile(path) for path in spool_files(folder / SPOOL)])
+        self.intake.resume([SpoolFile(path) for path in spool_files(folder / _SPOOL)])
         self._spool.rotate()
 
     @property
     def outputs(self) -> list[Path]:
         """The dataset, where there is one, and the file for QGIS."""
         dataset = [self._dataset] if self._dataset.exists() else []
-        return [*dataset, self._site.folder / NOW_FILE]
+        return [*dataset, self._site.folder / _NOW_FILE]
 
     def figures(self) -> dict[str, object]:
         """Return the counts of each sensor, by its name."""
@@ -221,14 +222,14 @@ class Fusion:
         self._folder_lock.close()
 
     def _take(self, link: Link) -> None:
-        """Handle received messages, at most `MESSAGES_AT_ONCE`; wait `WAIT_S` for the first."""
+        """Handle received messages, at most `_MESSAGES_AT_ONCE`; wait `WAIT_S` for the first."""
         message = link.take(WAIT_S)
-        for _ in range(MESSAGES_AT_ONCE):
+        for _ in range(_MESSAGES_AT_ONCE):
             if message is None:
                 return
             self.intake.handle(message)
             # a limit for each sensor: a fast replay reaches it, many radars wait for the clock
-            if self._spool.waiting >= COMMIT_MESSAGES * len(self.sensors):
+            if self._spool.waiting >= _COMMIT_MESSAGES * len(self.sensors):
                 self._commit()
             message = link.take(0.0)
 
@@ -245,7 +246,7 @@ class Fusion:
         """Do what is due by the clock: commit, acknowledge, measure, write files."""
         now = time.monotonic()
         self._acknowledge_written()
-        if now - self._committed >= COMMIT_S:
+        if now - self._committed >= _COMMIT_S:
             self._commit()
             for each in self.sensors.values():
                 each.health.check(time.time())
@@ -302,7 +303,7 @@ class Fusion:
         self._jobs.touch(self.intake.touched)
         self.intake.touched = set()
         newest = {name: each.health.newest_s for name, each in self.sensors.items()}
-        full = self._spool.size > SPOOL_BYTES
+        full = self._spool.size > _SPOOL_BYTES
         self._jobs.poll(time.time(), newest, full=full)
         for name, doubt in self._jobs.doubts.items():
             if name in self.sensors:
@@ -361,7 +362,7 @@ class Fusion:
                 occupied_s=quarter.occupied * STEP_S, visible_s=quarter.visible * STEP_S,
                 occupancy=quarter.occupancy(),
             )  # fmt: skip
-        path = self._site.folder / NOW_FILE
+        path = self._site.folder / _NOW_FILE
         try:
             with output_errors(path), atomic_write(path) as part:
                 table.to_file(part, layer="now", driver="GPKG", engine="pyogrio")
@@ -373,7 +374,7 @@ class Fusion:
 
     def _log_error(self, error: GisRadarError) -> None:
         now = time.monotonic()
-        if now - self._logged.get(error.message, -LOG_AGAIN_S) >= LOG_AGAIN_S:
+        if now - self._logged.get(error.message, -_LOG_AGAIN_S) >= _LOG_AGAIN_S:
             self._logged[error.message] = now
             hint = f" ({error.hint})" if error.hint else ""
             self._reporter.warn(error.message + hint)
@@ -431,7 +432,7 @@ def _lane_push(site: LiveSite, tiles: gpd.GeoDataFrame, reporter: Reporter) -> L
         return None
     return LanePush(
         site.live.sensorthings, place_of(site, tiles), site=site.live.site,
-        path=site.folder / PUSH_FILE, reporter=reporter,
+        path=site.folder / _PUSH_FILE, reporter=reporter,
     )  # fmt: skip
 
 

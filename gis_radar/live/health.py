@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from prometheus_client import Metric
 
 
-CLOCK_ALARM_S = 0.025  # half of a step: a clock that is off by more is wrong
-CLOCK_MESSAGES = 200  # live messages whose least delay is the offset of a sensor's clock: 10 s
+_CLOCK_ALARM_S = 0.025  # half of a step: a clock that is off by more is wrong
+_CLOCK_MESSAGES = 200  # live messages whose least delay is the offset of a sensor's clock: 10 s
 _SILENT_S = 5.0  # time without a message after which a sensor is silent
 # Time after which an alarm of a single message ends: Prometheus asks once a minute.
-ALARM_END_S = 120.0
+_ALARM_END_S = 120.0
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 _COUNTS = {
@@ -35,7 +35,7 @@ _COUNTS = {
     "lost": "messages that the sensor had no room for",
     "not_followed": "frames by which the sensor did not follow its pose, as fits are too slow",
 }
-GAUGES = {  # meaning, attribute of SensorHealth
+_GAUGES = {  # meaning, attribute of SensorHealth
     "clock_offset_seconds": ("least delay of the last live frames", "clock_offset_s"),
     "lag_seconds": ("median delay of the last live frames", "lag_s"),
     "newest_frame_time_seconds": ("time of the newest frame", "newest_s"),
@@ -83,7 +83,7 @@ class SensorHealth:
     raised_s: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._delays: deque[float] = deque(maxlen=CLOCK_MESSAGES)
+        self._delays: deque[float] = deque(maxlen=_CLOCK_MESSAGES)
         self._heard = 0
 
     def alarm(self, kind: str, text: str | None) -> None:
@@ -106,10 +106,10 @@ class SensorHealth:
             return
         self._delays.append(arrival_s - frame_s)
         self._heard += 1
-        if self._heard % (CLOCK_MESSAGES // 10):  # the minimum of all delays is slow
+        if self._heard % (_CLOCK_MESSAGES // 10):  # the minimum of all delays is slow
             return
         offset_s = self.clock_offset_s
-        wrong = abs(offset_s) > CLOCK_ALARM_S
+        wrong = abs(offset_s) > _CLOCK_ALARM_S
         text = Text("frames come {:+,.0f} ms after their time at the least", 1000 * offset_s)
         self.alarm("clock", text if wrong else None)
 
@@ -127,7 +127,7 @@ class SensorHealth:
         """Raise or end the alarm of a silent sensor; end alarms of single messages in time."""
         quiet_s = now_s - self.heard_s
         for kind in ("damaged", "off_time", "twins"):  # alarms that single messages raise
-            if now_s - self.raised_s.get(kind, now_s) > ALARM_END_S:
+            if now_s - self.raised_s.get(kind, now_s) > _ALARM_END_S:
                 self.alarm(kind, None)
         silent = quiet_s > _SILENT_S
         self.alarm("silent", Text("for {:.0f} s", quiet_s) if silent else None)
@@ -148,7 +148,7 @@ class _Metrics:
             for each in self.sensors:
                 count.add_metric([each.name], each.counts[name])
             yield count
-        for name, (meaning, attribute) in GAUGES.items():
+        for name, (meaning, attribute) in _GAUGES.items():
             gauge = GaugeMetricFamily(f"gis_radar_{name}", meaning, labels=["sensor"])
             for each in self.sensors:
                 gauge.add_metric([each.name], getattr(each, attribute))

@@ -54,16 +54,16 @@ from gis_radar.measures import FrameCounter, PoseNumbers, road_near
 from gis_radar.poses import Pose, pose_from_dict
 from gis_radar.scans import IN_SIGHT, SightScan, SightTiles, find_sight
 
-ACK_S = 1.0  # between two acknowledgements without a new number
+_ACK_S = 1.0  # between two acknowledgements without a new number
 # Time within which two streams of one sensor that alternate come from two programs of one name.
-TWINS_WITHIN_S = 60.0
+_TWINS_WITHIN_S = 60.0
 _MOST_LOST = 2**63  # limit of a plausible count of lost messages: their numbers have 63 bits
 STREAM = re.compile(f"[0-9a-f]{{{2 * STREAM_BYTES}}}")
 AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
-LONGEST_MESSAGE_US = HOUR_US  # longest time from first to last frame of a message
-MOST_NUMBER = 1 << 40  # largest number with which a stream may begin
-MOST_AHEAD = 1 << 24  # most numbers that may be missing if the sensor lost them: ten days
-POSES_KEPT = 64  # newest poses that are kept of a sensor
+_LONGEST_MESSAGE_US = HOUR_US  # longest time from first to last frame of a message
+_MOST_NUMBER = 1 << 40  # largest number with which a stream may begin
+_MOST_AHEAD = 1 << 24  # most numbers that may be missing if the sensor lost them: ten days
+_POSES_KEPT = 64  # newest poses that are kept of a sensor
 _FARTHEST_M = 20_000.0  # largest distance of a sensor from the tiles
 _LAST_STEP = 5_000_000_000 * 20  # in 2128: times before it are written as ISO 8601
 
@@ -270,7 +270,7 @@ class Intake:
         if stream == sensor.stream:
             return
         now = time.monotonic()
-        if sensor.other[0] == stream and now - sensor.other[1] < TWINS_WITHIN_S:
+        if sensor.other[0] == stream and now - sensor.other[1] < _TWINS_WITHIN_S:
             sensor.health.alarm(
                 "twins", Text("streams {} and {} take turns", sensor.stream, stream)
             )
@@ -321,7 +321,7 @@ class Intake:
             return False
         if number == received + 1:
             return True
-        most = received + MOST_AHEAD if received else MOST_NUMBER
+        most = received + _MOST_AHEAD if received else _MOST_NUMBER
         if number > most:
             raise InputError("a message of number {:,} after {:,}", number, received)
         if not envelope.first:
@@ -337,7 +337,7 @@ class Intake:
         times = [each.time_us for each in frames]
         if any(earlier >= later for earlier, later in pairwise(times)):
             raise InputError("a message whose frames do not ascend in time")
-        if times[-1] - times[0] > LONGEST_MESSAGE_US:
+        if times[-1] - times[0] > _LONGEST_MESSAGE_US:
             return Text("a message over {:.0f} h", (times[-1] - times[0]) / HOUR_US)
         for each in (times[0], times[-1]):
             if not (now_s - self._oldest_s) * 1e6 <= each <= (now_s + AHEAD_S) * 1e6:
@@ -352,7 +352,7 @@ class Intake:
         With `again` it asks for the missing messages.
         """
         now = time.monotonic()
-        if now - (sensor.missed_s if again else sensor.asked_s) < ACK_S:
+        if now - (sensor.missed_s if again else sensor.asked_s) < _ACK_S:
             return False
         sensor.asked_s, sensor.due = now, True
         sensor.missed_s = now if again else sensor.missed_s
@@ -402,7 +402,7 @@ class Intake:
             else:
                 known, sensor.pose = replace(known, placed=placed), placed.pose
         sensor.poses[key] = known
-        if len(sensor.poses) > POSES_KEPT:  # a sensor that names a forgotten pose is asked for it
+        if len(sensor.poses) > _POSES_KEPT:  # a sensor that names a forgotten pose is asked for it
             del sensor.poses[next(iter(sensor.poses))]
 
     def _place_pose(self, name: str, found: PoseContent) -> PlacedPose:

@@ -27,7 +27,7 @@ from gis_radar.recordings import Detections
 from gis_radar.scans import read_road
 
 WAITING_FRAMES = 2_000  # most frames that wait for a fit to end: 100 s
-ROWS_KEPT = 1_440  # poses that the follower keeps: 2 h
+_ROWS_KEPT = 1_440  # poses that the follower keeps: 2 h
 
 
 def rounded(pose: Pose) -> Pose:
@@ -172,7 +172,7 @@ class PoseFollower:
             trusted, self._moved_at = True, -np.inf
         pose = track_of(self._problem, self._start, rows[-1:]).poses.poses[0]
         self._results.put(FollowedPose(pose=rounded(pose), trusted=trusted))
-        del rows[:-ROWS_KEPT]
+        del rows[:-_ROWS_KEPT]
 
 
 def _map_of(file: EdgeFile, pose: Pose) -> tuple[LaneletMap, Floats]:

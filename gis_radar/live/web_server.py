@@ -17,10 +17,10 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from gis_radar.base import OutputError
 
 MOST_CONNECTIONS = 300  # a third of the 1,024 files that a process may usually open
-BACKLOG = 64  # connections that are accepted at once, beyond these
+_BACKLOG = 64  # connections that are accepted at once, beyond these
 REQUEST_S = 5.0  # longest wait for a whole request; browsers also open spare connections
-UNREAD_S = 60.0  # longest wait for a client to read an answer: a megabyte at 20 kB/s
-END_S = 2.0
+_UNREAD_S = 60.0  # longest wait for a client to read an answer: a megabyte at 20 kB/s
+_END_S = 2.0
 _LOOPBACK = ("127.0.0.1", "localhost", "::1", "[::1]")
 
 
@@ -106,7 +106,7 @@ class WebServer:
     """
 
     def __init__(
-        self, app: ASGIApp, address: str, names: Sequence[str] = (), *, unread_s: float = UNREAD_S
+        self, app: ASGIApp, address: str, names: Sequence[str] = (), *, unread_s: float = _UNREAD_S
     ) -> None:
         self._host, _, port = address.rpartition(":")
         host = self._host.strip("[]")
@@ -115,12 +115,12 @@ class WebServer:
             TrustedHostMiddleware(app, allowed_hosts=hosts),
             http=cast("type[H11Protocol]", partial(BoundedConnection, unread_s=unread_s)),
             ws="none",
-            log_config=None, log_level="critical", backlog=BACKLOG, timeout_graceful_shutdown=1,
+            log_config=None, log_level="critical", backlog=_BACKLOG, timeout_graceful_shutdown=1,
         )  # fmt: skip
         self._server = uvicorn.Server(config)
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
-            self._socket = socket.create_server((host, int(port)), family=family, backlog=BACKLOG)
+            self._socket = socket.create_server((host, int(port)), family=family, backlog=_BACKLOG)
         except OSError as error:
             raise OutputError(
                 "{}: cannot be served: {}",
@@ -141,5 +141,5 @@ class WebServer:
         """Stop serving."""
         self._server.should_exit = True
         if self._thread.is_alive():
-            self._thread.join(END_S)
+            self._thread.join(_END_S)
         self._socket.close()

@@ -21,11 +21,11 @@ from gis_radar.scans import CAR_REFLECTION_M, MOVEMENT_LEVEL_M, MOVEMENT_MPS
 TIME_US, SHIFT_US, DETECTIONS, MOVING, WILD, TILES_HIT, FRAME_POSE = range(7)
 FRAME_COLUMNS = 7
 # Indices into `Accumulator.counts`: frames begun so far; frames and hits in the buffers.
-BEGUN_FRAMES, FILLED_FRAMES, FILLED_HITS = range(3)
+_BEGUN_FRAMES, FILLED_FRAMES, FILLED_HITS = range(3)
 COUNTS = 3
 # For the frame log only: least absolute range rate of a moving detection, over the Doppler noise of
 # a radar (0.1 to 0.3 m/s) and of leaves; and speed over which no vehicle drives (250 km/h).
-LOGGED_MOVING_MPS, WILD_MPS = 0.5, 70.0
+_LOGGED_MOVING_MPS, _WILD_MPS = 0.5, 70.0
 
 
 class RowColumns(NamedTuple):
@@ -83,7 +83,7 @@ class Accumulator(NamedTuple):
     Parameters
     ----------
     counts, time, frame : arrays
-        Counts at the indices `BEGUN_FRAMES` and following; time of the open frame, (1,) UNIX
+        Counts at the indices `_BEGUN_FRAMES` and following; time of the open frame, (1,) UNIX
         seconds, NaN if none is open; its columns so far.
     of_frame, moved : (n,) int64 arrays
         By tile, the number of the last frame that hit it, and of the last one with movement on it.
@@ -147,7 +147,7 @@ def count_rows(  # pragma: no cover - compiled
             end_frame(sums, buffer)
             if counts[FILLED_FRAMES] == len(buffer.frames) or counts[FILLED_HITS] > room:
                 return row
-            counts[BEGUN_FRAMES] += 1
+            counts[_BEGUN_FRAMES] += 1
             sums.time[0] = time[row]
             sums.frame[TIME_US] = int(np.rint(time[row] * 1e6))
             sums.frame[SHIFT_US] = rows.shift_us[row] if len(rows.shift_us) else 0
@@ -178,8 +178,8 @@ def _count_speeds(  # pragma: no cover - compiled
     """Count, in the open frame, moving rows and rows too fast for any vehicle."""
     moving = wild = 0
     for row in range(begin, end):
-        moving += int(abs(rates[row]) >= LOGGED_MOVING_MPS)
-        wild += int(abs(rates[row]) > WILD_MPS)
+        moving += int(abs(rates[row]) >= _LOGGED_MOVING_MPS)
+        wild += int(abs(rates[row]) > _WILD_MPS)
     frame[MOVING] += moving
     frame[WILD] += wild
 
@@ -239,7 +239,7 @@ def _write_tiles_hit(  # pragma: no cover - compiled
     first, tiles, edges = index.cells.first, index.cells.tiles, index.cells.edges
     east, north, range_m, cell, _, nth_over = sums.places
     road_m, inside, moved, movement = index.road_m, sums.inside, sums.moved, sums.movement
-    of_frame, number, count = sums.of_frame, sums.counts[BEGUN_FRAMES], 0
+    of_frame, number, count = sums.of_frame, sums.counts[_BEGUN_FRAMES], 0
     has_least = not (math.isnan(limits.min_speed) and math.isnan(limits.min_rcs))
     counts_moves, has_clearance = len(movement) > 0, not math.isnan(limits.lowest_m)
     for nth in range(over):

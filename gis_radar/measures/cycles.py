@@ -27,25 +27,26 @@ from gis_radar.measures.queues import (
     to_stop_line,
 )
 
-LEAST_RED_S = 8.0  # without a crossing before green: vehicles of a queue follow every 2 to 4 s
+_LEAST_RED_S = 8.0  # without a crossing before green: vehicles of a queue follow every 2 to 4 s
 _CYCLE_S = (30.0, 240.0)  # lengths of cycles: those of RiLSA (30 to 120 s), and longer ones abroad
-LEAST_GREENS = 4  # begins of green from which a cycle is inferred
-EVEN_S = 3.0  # most time between a seen and a fitted begin: first drivers react in 1 to 2 s, +- 1 s
-MOST_CHANCE = 0.05  # most probability that begins at random lie so well on cycles of any length
+_LEAST_GREENS = 4  # begins of green from which a cycle is inferred
+# Most time between a seen and a fitted begin: first drivers react in 1 to 2 s, +- 1 s
+_EVEN_S = 3.0
+_MOST_CHANCE = 0.05  # most probability that begins at random lie so well on cycles of any length
 # Least share of the cycles with a seen begin whose first is at the fitted time; signals that follow
 # demand have fewer.
-LEAST_ON = 0.6
+_LEAST_ON = 0.6
 # Trial rates per resolved one; how many are fitted; rounds of a fit.
 _FINE, _TRIED, _FITS = 32, 20, 3
-FEW = Text("fewer than {} begins of green seen", LEAST_GREENS)
+FEW = Text("fewer than {} begins of green seen", _LEAST_GREENS)
 UNEVEN = Text("vehicles do not leave periodically")
-UNSTATED = Text("no two begins of green stated")
+_UNSTATED = Text("no two begins of green stated")
 LINE_HIDDEN = Text("stop line not visible throughout")
 CHANCE = Text("vehicles leave in the stated greens hardly more than by chance")
-AMBER_S = 3.0  # after green, in which vehicles still cross
-LEAST_LEAVING = 10  # fewest vehicles from which greens of another signal or clock are found
-MOST_AT_RED = 0.2  # share of them up to which greens are taken, whatever chance explains
-LEAST_WAITING = 0.3  # least share of them that waits for green where others turn at red
+_AMBER_S = 3.0  # after green, in which vehicles still cross
+_LEAST_LEAVING = 10  # fewest vehicles from which greens of another signal or clock are found
+_MOST_AT_RED = 0.2  # share of them up to which greens are taken, whatever chance explains
+_LEAST_WAITING = 0.3  # least share of them that waits for green where others turn at red
 
 
 class Cycle(NamedTuple):
@@ -103,7 +104,7 @@ def period_of(begins_s: Floats) -> Period | str:
     The period is that on whose cycles the begins are least likely to lie by chance. A vehicle that
     starts late within a green looks like another begin: only the first of each cycle counts.
     """
-    if len(begins_s) < LEAST_GREENS:
+    if len(begins_s) < _LEAST_GREENS:
         return FEW
     span = float(np.ptp(begins_s))
     rate = np.arange(1.0 / _CYCLE_S[1], 1.0 / _CYCLE_S[0], 1.0 / (_FINE * max(span, _CYCLE_S[1])))
@@ -112,11 +113,11 @@ def period_of(begins_s: Floats) -> Period | str:
         _fitted_cycles(begins_s, float(1.0 / each)) for each in rate[np.argsort(-power)[:_TRIED]]
     ]
     chance, share_on, period = min(fits, key=lambda each: each[0])
-    # number of periods that differ by more than `EVEN_S` in begin or length
-    resolution = (period.length_s / (2.0 * EVEN_S)) ** 2
+    # number of periods that differ by more than `_EVEN_S` in begin or length
+    resolution = (period.length_s / (2.0 * _EVEN_S)) ** 2
     period_count = resolution * span * (1.0 / _CYCLE_S[0] - 1.0 / _CYCLE_S[1])
     in_range = _CYCLE_S[0] <= period.length_s <= _CYCLE_S[1]
-    is_even = share_on >= LEAST_ON and chance * period_count < MOST_CHANCE
+    is_even = share_on >= _LEAST_ON and chance * period_count < _MOST_CHANCE
     return period if in_range and is_even else UNEVEN
 
 
@@ -133,14 +134,14 @@ def _fitted_cycles(begins_s: Floats, length_s: float) -> tuple[float, float, Per
         The cycles.
     """
     distance = (begins_s - begins_s[:, None] + length_s / 2.0) % length_s - length_s / 2.0
-    begin = float(begins_s[(np.abs(distance) <= EVEN_S).sum(axis=1).argmax()])
+    begin = float(begins_s[(np.abs(distance) <= _EVEN_S).sum(axis=1).argmax()])
     period = Period(length_s, np.nan, begin)
     for _ in range(_FITS):
-        number = np.floor((begins_s - period.begin_s + EVEN_S) / period.length_s)
+        number = np.floor((begins_s - period.begin_s + _EVEN_S) / period.length_s)
         first = np.diff(number, prepend=-np.inf) > 0
         number, first_begins = number[first], begins_s[first]
-        is_on = np.abs(first_begins - period.begin_s - number * period.length_s) <= EVEN_S
-        if is_on.sum() < LEAST_GREENS:
+        is_on = np.abs(first_begins - period.begin_s - number * period.length_s) <= _EVEN_S
+        if is_on.sum() < _LEAST_GREENS:
             return 1.0, 0.0, period
         number, fitted = number[is_on] - number[is_on][0], first_begins[is_on]
         slope, begin = np.polyfit(number, fitted, 1)
@@ -149,7 +150,7 @@ def _fitted_cycles(begins_s: Floats, length_s: float) -> tuple[float, float, Per
         period = Period(float(slope), error, float(begin))
     # the first of several begins in a cycle is more likely to be near the fitted one
     begins_per_cycle = len(begins_s) / len(is_on)
-    share = 1.0 - max(1.0 - 2.0 * EVEN_S / period.length_s, 0.0) ** begins_per_cycle
+    share = 1.0 - max(1.0 - 2.0 * _EVEN_S / period.length_s, 0.0) ** begins_per_cycle
     chance = float(scipy.stats.binom.sf(is_on.sum() - 1, len(is_on), share))
     return chance, float(is_on.mean()), period
 
@@ -210,7 +211,7 @@ def _stated_cycles(lane: int, greens: Greens, crossed: Integers, grid: StepGrid)
     inside = (greens.begin >= grid.begin) & (greens.begin < grid.end)
     stated = Greens(greens.begin[inside], greens.end[inside])
     if len(stated.begin) < 2:
-        return [Cycle(lane, grid.begin, grid.end, reason=UNSTATED)]
+        return [Cycle(lane, grid.begin, grid.end, reason=_UNSTATED)]
     if are_of_another(stated, crossed):
         return [Cycle(lane, grid.begin, grid.end, reason=CHANCE)]
     return [Cycle(lane, a, b, (b - a) * STEP_S, 0.0) for a, b in pairwise(stated.begin.tolist())]
@@ -229,18 +230,18 @@ def are_of_another(greens: Greens, crossed: Integers) -> bool:
     crossed : (n,) int64 array
         Steps in which vehicles cross its stop line, ascending.
     """
-    last = np.minimum(greens.end[:-1] + round(AMBER_S / STEP_S), greens.begin[1:])
+    last = np.minimum(greens.end[:-1] + round(_AMBER_S / STEP_S), greens.begin[1:])
     cycle = np.searchsorted(greens.begin, crossed, side="right") - 1
     is_known = (cycle >= 0) & (cycle < len(last))
     cycle, crossed = cycle[is_known], crossed[is_known]
     ends_known = greens.end[:-1] >= 0
     leaving = crossed[ends_known[cycle]], cycle[ends_known[cycle]]
     at_green = int((leaving[0] < last[leaving[1]]).sum())
-    if len(leaving[0]) < LEAST_LEAVING or at_green >= (1.0 - MOST_AT_RED) * len(leaving[0]):
+    if len(leaving[0]) < _LEAST_LEAVING or at_green >= (1.0 - _MOST_AT_RED) * len(leaving[0]):
         return False
     share = (last - greens.begin[:-1])[ends_known].sum() / np.diff(greens.begin)[ends_known].sum()
-    least = share + LEAST_WAITING * (1.0 - share)
-    return bool(scipy.stats.binom.cdf(at_green, len(leaving[0]), least) < MOST_CHANCE)
+    least = share + _LEAST_WAITING * (1.0 - share)
+    return bool(scipy.stats.binom.cdf(at_green, len(leaving[0]), least) < _MOST_CHANCE)
 
 
 def _seen_begins(lane: int, crossed: Crossings, lanes: TrackedLanes) -> Integers:
@@ -250,7 +251,7 @@ def _seen_begins(lane: int, crossed: Crossings, lanes: TrackedLanes) -> Integers
     to_line = lanes.network.line_m[lane] - states.along_m[standing]
     standing = standing[(to_line >= -OVER_LINE_M) & (to_line <= JOINED_M)]
     before_s = np.diff(crossed.step, prepend=lanes.grid.begin) * STEP_S
-    first = np.isin(crossed.vehicle, states.vehicle[standing]) & (before_s >= LEAST_RED_S)
+    first = np.isin(crossed.vehicle, states.vehicle[standing]) & (before_s >= _LEAST_RED_S)
     return crossed.step[first]
 
 

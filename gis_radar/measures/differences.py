@@ -35,10 +35,10 @@ from gis_radar.base import Floats, Text
 
 _DAYS, _TIMES, INTERVALS = Text("days"), Text("times of day"), Text("intervals")
 LEVEL = 0.05  # chance to name any lane where nothing changed
-LEAST_UNITS = 3  # days, pairs or intervals for the estimate of a variance; that of two is useless
-LEAST_WAVE = 10  # intervals in the shortest wave: by minute, over two of the longest cycles
-MOST_WAVES = 12  # as an hour has by minute; of longer periods the longest waves are taken
-PROFILE_MIN = 120  # beyond so many minutes the traffic follows the time of day
+_LEAST_UNITS = 3  # days, pairs or intervals for the estimate of a variance; that of two is useless
+_LEAST_WAVE = 10  # intervals in the shortest wave: by minute, over two of the longest cycles
+_MOST_WAVES = 12  # as an hour has by minute; of longer periods the longest waves are taken
+_PROFILE_MIN = 120  # beyond so many minutes the traffic follows the time of day
 
 
 @dataclass(frozen=True)
@@ -101,15 +101,15 @@ def compare_values(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
     """
     before, after = (each.assign(weight=each.get("weight", 1.0)) for each in (before, after))
     shared = np.intersect1d(before["time"], after["time"])
-    several = min(before["day"].nunique(), after["day"].nunique()) >= LEAST_UNITS
-    if len(shared) >= LEAST_UNITS or several:
+    several = min(before["day"].nunique(), after["day"].nunique()) >= _LEAST_UNITS
+    if len(shared) >= _LEAST_UNITS or several:
         before, after = (each[each["time"].isin(shared)] for each in (before, after))
     if several and len(shared):
         days = [_day_means(each, before, after) for each in (before, after)]
-        if min(map(len, days)) >= LEAST_UNITS:
+        if min(map(len, days)) >= _LEAST_UNITS:
             return _welch(_mean_of_days(days[0]), _mean_of_days(days[1]), _DAYS)
-    alike = len(shared) >= LEAST_UNITS
-    if alike and np.ptp(shared) >= PROFILE_MIN:
+    alike = len(shared) >= _LEAST_UNITS
+    if alike and np.ptp(shared) >= _PROFILE_MIN:
         return _paired(before, after)
     units = _TIMES if alike else INTERVALS
     return _welch(_mean_of_intervals(before), _mean_of_intervals(after), units)
@@ -193,9 +193,9 @@ def _variance(deviations: Floats, size: float) -> tuple[float, float]:
         Effective number of values: less than n where some weigh more than others.
     """
     count = len(deviations)
-    if min(size, count) < LEAST_UNITS - 1e-6:
+    if min(size, count) < _LEAST_UNITS - 1e-6:
         return np.nan, np.nan
-    waves = np.arange(1, max(min(2 * count // LEAST_WAVE, MOST_WAVES), 1) + 1)
+    waves = np.arange(1, max(min(2 * count // _LEAST_WAVE, _MOST_WAVES), 1) + 1)
     phase = np.pi * np.outer(waves, np.arange(count) + 0.5) / count
     powers = 2.0 / count * (np.cos(phase) @ deviations) ** 2
     return float(powers.mean() / count * size / (size - 1.0)), min(len(waves), size - 1.0)

@@ -11,7 +11,7 @@ import pyarrow as pa
 from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.recordings import Detections
 
-OWN_COLUMNS, NO_FURTHER = ("time", "points", "range_rate", "rcs"), pa.RecordBatch.from_pydict({})
+_OWN_COLUMNS, NO_FURTHER = ("time", "points", "range_rate", "rcs"), pa.RecordBatch.from_pydict({})
 
 
 def whole_frames(batches: Iterator[Detections]) -> Iterator[Detections]:
@@ -28,13 +28,13 @@ def whole_frames(batches: Iterator[Detections]) -> Iterator[Detections]:
 
 
 def _joined(first: Detections, second: Detections) -> Detections:
-    columns = {n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in OWN_COLUMNS}
+    columns = {n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in _OWN_COLUMNS}
     return Detections(**columns, further=NO_FURTHER)
 
 
 def rows_of(rows: Detections, which: slice | Booleans) -> Detections:
     """Return some of the rows, without further columns."""
-    columns = {name: getattr(rows, name)[which] for name in OWN_COLUMNS}
+    columns = {name: getattr(rows, name)[which] for name in _OWN_COLUMNS}
     return Detections(**columns, further=NO_FURTHER)
 
 

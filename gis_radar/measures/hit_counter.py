@@ -34,7 +34,7 @@ from gis_radar.poses import Pose
 from gis_radar.recordings import Detections, RangeCounts
 from gis_radar.scans import SightTiles
 
-ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 18  # sizes of the buffers: 224 KiB, 1 MiB
+_ROOM_FRAMES, _ROOM_HITS = 1 << 12, 1 << 18  # sizes of the buffers: 224 KiB, 1 MiB
 NO_TILES: Integers = np.empty(0, np.int64)
 
 
@@ -92,8 +92,8 @@ class HitCounter:
             movement=NO_TILES,
         )
         self._buffer = CountBuffer(
-            frames=np.empty((ROOM_FRAMES, FRAME_COLUMNS), np.int64),
-            tile=np.empty(ROOM_HITS + count + 1, np.int32),
+            frames=np.empty((_ROOM_FRAMES, FRAME_COLUMNS), np.int64),
+            tile=np.empty(_ROOM_HITS + count + 1, np.int32),
         )
 
     def add(

@@ -18,14 +18,14 @@ from gis_radar.measures.sensor_reading import SensorHour
 from gis_radar.measures.validity import Runs, union_of_runs
 
 NEVER = np.iinfo(np.int64).min // 2  # a number below all steps
-BATCH_PAIRS = 1 << 19  # pairs in a batch, 8 MiB; more than a tile can have
-RUN_BASE = LONGEST_VALID_STEPS  # a run is packed as offset x RUN_BASE + number of steps after it
+_BATCH_PAIRS = 1 << 19  # pairs in a batch, 8 MiB; more than a tile can have
+_RUN_BASE = LONGEST_VALID_STEPS  # a run is packed as offset x _RUN_BASE + number of steps after it
 _WORDS = STEPS_PER_HOUR // 64 + 1  # of 64 bits, one for each step of an hour
 # A de Bruijn sequence: the first six bits of its product with 2^k differ for each k, which
-# `PLACE_OF` gives.
-DE_BRUIJN, SHIFT, ONE = np.uint64(0x03F79D71B4CB0A89), np.uint64(58), np.uint64(1)
-PLACE_OF = np.argsort([(0x03F79D71B4CB0A89 << k) % 2**64 >> 58 for k in range(64)])
-CHECKSUM_BITS = np.uint64(0xFFFF)  # bits of the hash that the table `frames` keeps
+# `_PLACE_OF` gives.
+_DE_BRUIJN, SHIFT, _ONE = np.uint64(0x03F79D71B4CB0A89), np.uint64(58), np.uint64(1)
+_PLACE_OF = np.argsort([(0x03F79D71B4CB0A89 << k) % 2**64 >> 58 for k in range(64)])
+_CHECKSUM_BITS = np.uint64(0xFFFF)  # bits of the hash that the table `frames` keeps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +87,7 @@ def frame_columns(sensor: SensorHour, valid: ValidFrames, window: HourWindow) ->
     names = [name for source in sensor.sources for name in source.pose_names]
     sight_names = [each.name for each in sensor.sights]
     tiles_in_sight = [len(each.tile_id) for each in sensor.sights]
-    checksum = (sensor.frames.hash[place] & CHECKSUM_BITS).astype(np.int64)
+    checksum = (sensor.frames.hash[place] & _CHECKSUM_BITS).astype(np.int64)
     return {
         "sensor": np.full(len(rows), sensor.sensor, object), "time_us": rows[:, TIME_US],
         "first_step": step, "last_step": valid.until_of(step),
@@ -193,7 +193,7 @@ def sorted_hits(
             )
     state, words = np.zeros(2, np.int64), np.zeros(_WORDS, np.uint64)
     while state[0] < len(tile_id):
-        tiles, steps = np.empty(BATCH_PAIRS, np.int64), np.empty(BATCH_PAIRS, np.int64)
+        tiles, steps = np.empty(_BATCH_PAIRS, np.int64), np.empty(_BATCH_PAIRS, np.int64)
         _fill_pairs(packed, first, tile_id, window.begin, words, state, tiles, steps)
         if state[1]:
             yield {"tile_id": tiles[: state[1]], "step": steps[: state[1]]}
@@ -201,10 +201,10 @@ def sorted_hits(
 
 
 def _packed_runs(sensor: SensorHour, frames: ValidFrames, window: HourWindow) -> Numbers:
-    """Return each frame's step, from `RUN_BASE` before the hour on, packed with its validity."""
+    """Return each frame's step, from `_RUN_BASE` before the hour on, packed with its validity."""
     step = sensor.counted[:, TIME_US] // STEP_US
     valid = frames.until_of(step) - step
-    return ((step - window.begin + RUN_BASE) * RUN_BASE + valid).astype(np.int32)
+    return ((step - window.begin + _RUN_BASE) * _RUN_BASE + valid).astype(np.int32)
 
 
 @compiled
@@ -242,22 +242,22 @@ def _fill_pairs(
         least, most = _WORDS, 0
         room = 0
         for k in range(first[tile], first[tile + 1]):
-            room += packed[k] % RUN_BASE + 1
+            room += packed[k] % _RUN_BASE + 1
         if filled + min(room, STEPS_PER_HOUR) > len(tiles):
             break
         for k in range(first[tile], first[tile + 1]):
-            offset = packed[k] // RUN_BASE - RUN_BASE
+            offset = packed[k] // _RUN_BASE - _RUN_BASE
             for step in range(
-                max(offset, 0), min(offset + packed[k] % RUN_BASE + 1, STEPS_PER_HOUR)
+                max(offset, 0), min(offset + packed[k] % _RUN_BASE + 1, STEPS_PER_HOUR)
             ):
-                words[step >> 6] |= ONE << np.uint64(step & 63)
+                words[step >> 6] |= _ONE << np.uint64(step & 63)
                 least, most = min(least, step >> 6), max(most, step >> 6)
         for number in range(least, most + 1):
             while words[number]:
-                low = words[number] & (~words[number] + ONE)
-                steps[filled] = begin + 64 * number + PLACE_OF[(low * DE_BRUIJN) >> SHIFT]
+                low = words[number] & (~words[number] + _ONE)
+                steps[filled] = begin + 64 * number + _PLACE_OF[(low * _DE_BRUIJN) >> SHIFT]
                 tiles[filled] = tile_id[tile]
                 filled += 1
-                words[number] &= words[number] - ONE
+                words[number] &= words[number] - _ONE
         tile += 1
     state[0], state[1] = tile, filled

@@ -19,7 +19,7 @@ from gis_radar.base import STEP_S, STEPS_PER_SECOND, Booleans, Floats, Integers
 from gis_radar.measures.lane_network import LaneNetwork
 
 # By how much the rest of a lane, or the place on the next one, may exceed the distance driven.
-FOLLOWS_M = 2.0
+_FOLLOWS_M = 2.0
 STOPPED_MPS = 5.0 / 3.6  # a vehicle stands when it is slower (HCM, ch. 31, for stops) ...
 SLOW_STEPS = STEPS_PER_SECOND  # ... for this time
 
@@ -169,7 +169,7 @@ class FrontStates:
         left = network.length_m[lane_before] - self.along_m[i]
         with np.errstate(invalid="ignore"):
             follows = (lane_before != lane_after) & (lane_before >= 0) & (lane_after >= 0)
-            follows &= (left <= driven + FOLLOWS_M) & (self.along_m[j] <= driven + FOLLOWS_M)
+            follows &= (left <= driven + _FOLLOWS_M) & (self.along_m[j] <= driven + _FOLLOWS_M)
         before = np.where(same, self.along_m[i], self.along_m[j] - driven)
         return Moves(same, follows, np.where(follows, -left, before), left, driven)
 

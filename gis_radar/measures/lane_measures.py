@@ -40,7 +40,7 @@ LEAST_VISIBLE_SHARE = 0.2
 # missing; if inferred, 25 % each. Hidden parts of the visible time have the error of inferred
 # vehicles, too.
 COUNTING_SEEN, COUNTING_INFERRED = 0.3, 0.7
-LEAST_OCCUPIED_S = 0.1  # least error of the occupied time of a tile: two steps
+_LEAST_OCCUPIED_S = 0.1  # least error of the occupied time of a tile: two steps
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,7 +132,7 @@ def _areas(lanes: TrackedLanes, tiles: TileSteps) -> _Areas:
     cell = network.tile_lane[tile] * lanes.grid.count + tiles.interval
     share = quotient(tiles.occupied, tiles.visible)
     hidden = (COUNTING_INFERRED * tiles.inferred) ** 2 * np.nan_to_num(share * (1 - share))
-    least = LEAST_OCCUPIED_S * STEPS_PER_SECOND
+    least = _LEAST_OCCUPIED_S * STEPS_PER_SECOND
     error = np.where(tiles.visible > 0, np.maximum(np.sqrt(tiles.variance + hidden), least), 0.0)
     metre_hours = tiles.visible * network.tile_length_m[tile] / STEPS_PER_SECOND / 3.6e6
     sums = (

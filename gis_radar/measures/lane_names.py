@@ -22,8 +22,8 @@ from gis_radar.base import Floats, Text, listed, street_label, tr, wind_of
 from gis_radar.hdmap import turn_word
 from gis_radar.measures.lane_network import LaneNetwork, Turn
 
-BEFORE_M = 5.0  # before stop line or junction, where direction and number of a lane are determined
-DIRECT_M = 15.0  # length of the exit in the line of a turn without connectors: a short connector's
+_BEFORE_M = 5.0  # before stop line or junction, where direction and number of a lane are determined
+_DIRECT_M = 15.0  # length of the exit in the line of a turn without connectors: a short connector's
 _BESIDE_M = 5.5  # largest distance between the middles of lanes side by side
 _ABREAST_M = 30.0  # width over which lanes of one direction are searched
 _PARALLEL = math.cos(math.radians(30.0))  # least cosine between parallel lanes
@@ -99,7 +99,7 @@ def _places_of_lanes(
     lines = list(rows.geometry.array)
     meets = [network.connector[[*after]].any() for after in network.after]
     end_m = np.where(network.has_stop_line, network.line_m, [line.length for line in lines])
-    named_m = np.where(network.has_stop_line | meets, end_m - BEFORE_M, network.line_m)
+    named_m = np.where(network.has_stop_line | meets, end_m - _BEFORE_M, network.line_m)
     along_m = [float(np.clip(m, 0.0, line.length)) for m, line in zip(named_m, lines, strict=True)]
     points, directions = (
         np.array(each) for each in zip(*map(place_on, lines, along_m), strict=True)
@@ -196,10 +196,10 @@ def turn_lines(
         stop = network.has_stop_line[turn.start]
         line_m = float(network.line_m[turn.start] if stop else start.length)
         rest = shapely.ops.substring(start, min(line_m, start.length - 1.0), start.length)
-        entry = shapely.ops.substring(end, 0.0, min(1.0 if via else DIRECT_M, end.length))
+        entry = shapely.ops.substring(end, 0.0, min(1.0 if via else _DIRECT_M, end.length))
         points = np.concatenate([shapely.get_coordinates(each) for each in (rest, *via, entry)])
         new = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-3)
-        start_way, end_way = place_on(start, max(line_m - BEFORE_M, 0.0))[1], place_on(end, 0.0)[1]
+        start_way, end_way = place_on(start, max(line_m - _BEFORE_M, 0.0))[1], place_on(end, 0.0)[1]
         turned = math.atan2(
             start_way[0] * end_way[1] - start_way[1] * end_way[0], float(start_way @ end_way)
         )

@@ -24,7 +24,7 @@ from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.hdmap import joining, lanes_of, quads
 
 _JOIN_M = 0.5  # largest distance from the middle of a lane's end to that of the next one's begin
-QUEUE_REACH_M = 500.0  # distance from the stop line up to which queues are followed
+_QUEUE_REACH_M = 500.0  # distance from the stop line up to which queues are followed
 # Longest road without a vehicle within a queue, or before it: two cars. Road that vehicles hide
 # does not count.
 JOINED_M = 10.0
@@ -226,7 +226,7 @@ class LaneNetwork:
                     continue
                 seen.add(lane_at)
                 rows.append((lane_at, stop, ahead, to_line))
-                if to_line < QUEUE_REACH_M:
+                if to_line < _QUEUE_REACH_M:
                     for k in before[lane_at]:
                         if not self.has_stop_line[k]:
                             further = to_line + float(self.length_m[k])

@@ -37,8 +37,8 @@ from gis_radar.scans import (
 
 # Farthest earlier pose of a track whose sight a pose shares: half a tile, and about the sigma of a
 # tracked angle. Smaller values give more sights; hits do not depend on them.
-VIEW_SHARED_M, VIEW_SHARED_DEG = 0.25, 0.2
-VIEWS_COMPARED = 64  # latest sights of a track that a pose is compared with: limits the work
+_VIEW_SHARED_M, _VIEW_SHARED_DEG = 0.25, 0.2
+_VIEWS_COMPARED = 64  # latest sights of a track that a pose is compared with: limits the work
 # Number of nearest tiles whose median height is the road's for detections without elevation: 100 m
 # of lane near the sensor, where it matters: 5 m shift a place by 0.6 m at 20 m, 0.1 m at 120 m.
 ROAD_TILES = 200
@@ -283,7 +283,7 @@ def sight_owners(poses: Sequence[Pose]) -> Integers:
         new = _SightOwner.of(number, pose)
         owner = next((head for head in reversed(owners) if head.is_near(new)), new)
         other_owners = [head for head in owners if head.number != owner.number]
-        owners = [*other_owners, owner][-VIEWS_COMPARED:]
+        owners = [*other_owners, owner][-_VIEWS_COMPARED:]
         owner_of.append(owner.number)
     return np.array(owner_of, np.int64)
 
@@ -306,10 +306,10 @@ class _SightOwner(NamedTuple):
         if self.pose.view != other.pose.view:
             return False
         apart_m = float(np.linalg.norm(self.position - other.position))
-        if apart_m > VIEW_SHARED_M:
+        if apart_m > _VIEW_SHARED_M:
             return False
         apart_deg = math.degrees((other.turn.inv() * self.turn).magnitude())
-        return apart_deg <= VIEW_SHARED_DEG
+        return apart_deg <= _VIEW_SHARED_DEG
 
 
 def first_since_move(poses: Sequence[Pose]) -> Integers:

@@ -11,7 +11,7 @@ from gis_radar.base import Booleans, Floats, Integers, ranges
 from gis_radar.measures.lane_fronts import StepGrid, TrackedLanes
 from gis_radar.measures.lane_network import JOINED_M, LaneNetwork
 
-SHORTEST_CAR_M = 3.5
+_SHORTEST_CAR_M = 3.5
 OVER_LINE_M = 2.0  # how far the front of a waiting vehicle may be over the line
 # Queues are measured at steps divisible by this: all tracks have a state there.
 QUEUE_EVERY_STEPS = 4
@@ -44,7 +44,7 @@ def blocked_shares(lanes: TrackedLanes) -> Floats:
     """
     standing, network, grid = StandingFronts.of(lanes), lanes.network, lanes.grid
     beyond_m = standing.along_m - network.line_m[standing.lane]
-    at_line = (beyond_m > -SHORTEST_CAR_M) & (beyond_m < standing.length_m)
+    at_line = (beyond_m > -_SHORTEST_CAR_M) & (beyond_m < standing.length_m)
     pairs = np.stack([standing.lane, standing.step])[:, at_line]
     lane, step = np.unique(pairs, axis=1)
     tile = lanes.line_tile_id[lane]

@@ -20,7 +20,7 @@ from gis_radar.measures.validity import FrameTimes
 from gis_radar.recordings import RangeCounts, RawRows, read_raw
 from gis_radar.scans import SightTiles
 
-NEVER_US = -(2**62)  # a time before all others
+_NEVER_US = -(2**62)  # a time before all others
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +163,7 @@ def read_sensor(
     """
     readings: list[_Reading] = []
     for source in sources:
-        until = max((each.last_us for each in readings), default=NEVER_US)
+        until = max((each.last_us for each in readings), default=_NEVER_US)
         reading = _Reading(source=source, window=window, target=target, until_us=until)
         reading.read(count_hits=count_hits)
         _refuse_difference(reading, readings)
@@ -196,7 +196,7 @@ class _Reading:
 
     @property
     def last_us(self) -> int:
-        return int(self.frames.time_us[-1]) if len(self.frames) else NEVER_US
+        return int(self.frames.time_us[-1]) if len(self.frames) else _NEVER_US
 
     @property
     def fresh(self) -> HashedFrames:

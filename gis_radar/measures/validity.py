@@ -25,8 +25,8 @@ VALIDITY_S = 0.1
 # Validity with a stated cycle, in cycles: more than any jitter, and less than two, so that time
 # without frames is not observed.
 CYCLES_VALID = 1.5
-GAP_US = 100  # resolution of the histogram of gaps: finer than jitter
-MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US  # classes of the histogram
+_GAP_US = 100  # resolution of the histogram of gaps: finer than jitter
+_MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // _GAP_US  # classes of the histogram
 
 
 def validity_of(cycles: Mapping[str, float] | None, sensors: Sequence[str]) -> dict[str, float]:
@@ -80,23 +80,23 @@ class FrameTimes:
     first_us, last_us : int
         Time of the first and of the last one, microseconds since the UNIX epoch.
     gaps, sums_us : (m,) int64 arrays
-        Number of gaps between frames by their length in `GAP_US`, and the sum of their lengths.
+        Number of gaps between frames by their length in `_GAP_US`, and the sum of their lengths.
     """
 
     frames: int = 0
     first_us: int = 0
     last_us: int = 0
-    gaps: Integers = field(default_factory=lambda: np.zeros(MOST_GAPS, np.int64))
-    sums_us: Integers = field(default_factory=lambda: np.zeros(MOST_GAPS, np.int64))
+    gaps: Integers = field(default_factory=lambda: np.zeros(_MOST_GAPS, np.int64))
+    sums_us: Integers = field(default_factory=lambda: np.zeros(_MOST_GAPS, np.int64))
 
     def add(self, time_us: Integers) -> None:
         """Add frames that follow those so far."""
         if self.frames == 0:
             self.first_us = self.last_us = int(time_us[0])
         gap_us = np.diff(time_us, prepend=self.last_us)
-        gap_us = gap_us[(gap_us > 0) & (gap_us < MOST_GAPS * GAP_US)]
-        self.gaps += np.bincount(gap_us // GAP_US, minlength=MOST_GAPS)
-        self.sums_us += np.bincount(gap_us // GAP_US, gap_us, MOST_GAPS).astype(np.int64)
+        gap_us = gap_us[(gap_us > 0) & (gap_us < _MOST_GAPS * _GAP_US)]
+        self.gaps += np.bincount(gap_us // _GAP_US, minlength=_MOST_GAPS)
+        self.sums_us += np.bincount(gap_us // _GAP_US, gap_us, _MOST_GAPS).astype(np.int64)
         self.last_us = int(time_us[-1])
         self.frames += len(time_us)
 

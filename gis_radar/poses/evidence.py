@@ -13,7 +13,7 @@ from gis_radar.base import Floats, InputError
 
 COMPONENTS = ("easting", "northing", "height", "roll", "pitch", "yaw")  # order of a covariance
 # Least eigenvalue of a covariance scaled to a unit diagonal; below 0 as files hold rounded numbers.
-LEAST_EIGENVALUE = -1e-6
+_LEAST_EIGENVALUE = -1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +80,6 @@ def parse_covariance(stated: Any, what: str) -> Floats | None:
         raise InputError("{}: covariance is not 6 x 6 finite numbers", what)
     scale = np.sqrt(np.abs(np.diag(covariance))) + 1e-12
     lowest = np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0]
-    if not np.allclose(covariance, covariance.T) or lowest < LEAST_EIGENVALUE:
+    if not np.allclose(covariance, covariance.T) or lowest < _LEAST_EIGENVALUE:
         raise InputError("{}: covariance is not symmetric and positive", what)
     return covariance

@@ -29,15 +29,15 @@ from gis_radar.base import (
 )
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
 
-VIEW_FIELDS = tuple(View.__dataclass_fields__)
-SIGMA_FIELDS = tuple(f"sigma_{name}" for name in (*POSITION, *ANGLES))
-QUATERNION_FIELDS = ("quaternion_x", "quaternion_y", "quaternion_z", "quaternion_w")
-TRACK_FIELDS = ("time", "sensor", "crs", *POSITION, *ANGLES, *QUATERNION_FIELDS, *SIGMA_FIELDS,
+_VIEW_FIELDS = tuple(View.__dataclass_fields__)
+_SIGMA_FIELDS = tuple(f"sigma_{name}" for name in (*POSITION, *ANGLES))
+_QUATERNION_FIELDS = ("quaternion_x", "quaternion_y", "quaternion_z", "quaternion_w")
+TRACK_FIELDS = ("time", "sensor", "crs", *POSITION, *ANGLES, *_QUATERNION_FIELDS, *_SIGMA_FIELDS,
                 "event", "vehicles", "fitness")  # fmt: skip
 _NUMBERS = {"vehicles": int, "fitness": float}  # evidence that is a number; all other is text
 DECIMALS = 6  # of metres and degrees
 # A warning is given where the standard deviation of place or yaw exceeds these for so long.
-UNCERTAIN_M, UNCERTAIN_DEG, UNCERTAIN_S = 1.0, 1.0, 60.0
+_UNCERTAIN_M, _UNCERTAIN_DEG, _UNCERTAIN_S = 1.0, 1.0, 60.0
 # How long after the end of its track a pose is taken without a warning; as long as rows are apart,
 # if that is more: poses written by hand hold until they are changed.
 LATER_S = 3600.0
@@ -103,11 +103,11 @@ class PoseTrack:
             [math.hypot(s.get("easting", 0.0), s.get("northing", 0.0)) for s in sigmas]
         )
         sigma_deg = np.array([s.get("yaw", 0.0) for s in sigmas])
-        certain = (sigma_m <= UNCERTAIN_M) & (sigma_deg <= UNCERTAIN_DEG)
+        certain = (sigma_m <= _UNCERTAIN_M) & (sigma_deg <= _UNCERTAIN_DEG)
         borders = np.flatnonzero(np.diff(certain, prepend=True, append=True))
         times = np.clip(np.append(self.since, math.inf), begin, end)
         for first, last in borders.reshape(-1, 2).tolist():
-            if len(certain) > 1 and times[last] - times[first] >= UNCERTAIN_S:
+            if len(certain) > 1 and times[last] - times[first] >= _UNCERTAIN_S:
                 yield Text(
                     "{}: from {} to {} its pose track is uncertain by {:.1f} m and {:.1f} deg: "
                     "was it moved then? What is measured may lie in other lanes",
@@ -135,7 +135,7 @@ class PoseTrack:
             If it cannot be written.
         """
         has_view = any(pose.view is not None for pose in self.poses)
-        names = (*TRACK_FIELDS, *(VIEW_FIELDS if has_view else ()))
+        names = (*TRACK_FIELDS, *(_VIEW_FIELDS if has_view else ()))
         with atomic_write(Path(path)) as part, part.open("w", encoding="utf-8", newline="") as file:
             table = csv.writer(file, lineterminator="\n")
             table.writerow(names)
@@ -219,7 +219,7 @@ def _row_of_pose(pose: Pose, since: float, quaternion: Floats) -> dict[str, Any]
         "sensor": pose.sensor,
         "crs": name_of(pose.crs),
         **{name: round(value, DECIMALS) for name, value in numbers.items()},
-        **dict(zip(QUATERNION_FIELDS, quaternion.round(9).tolist(), strict=True)),
+        **dict(zip(_QUATERNION_FIELDS, quaternion.round(9).tolist(), strict=True)),
         "event": pose.evidence.get("event", ""),
         "vehicles": pose.evidence.get("vehicles", ""),
         "fitness": "" if fitness is None or math.isnan(fitness) else round(fitness, 3),
@@ -284,7 +284,7 @@ def _rows_of(path: Path) -> list[dict[str, str]]:
     # The last line needs no line end (RFC 4180), but without one its last number may be truncated.
     # In files of `PoseTrack.write` it is a field of the view, equal in all rows: a value that no
     # other row has is truncated.
-    has_view = tuple(header[: len(TRACK_FIELDS)]) == TRACK_FIELDS and header[-1] in VIEW_FIELDS
+    has_view = tuple(header[: len(TRACK_FIELDS)]) == TRACK_FIELDS and header[-1] in _VIEW_FIELDS
     is_repeated = any(row[-1] == rows[-1][-1] for row in rows[:-1])
     if has_view and not is_repeated and not text.endswith("\n"):
         raise InputError("{}: row {} does not end: cut off?", path, len(rows))
@@ -293,22 +293,22 @@ def _rows_of(path: Path) -> list[dict[str, str]]:
 
 def _pose_of_row(row: dict[str, Any], what: str, shared: dict[str, CRS]) -> Pose:
     """Return the pose of a row; `shared` caches coordinate systems, whose parsing is slow."""
-    known = {"sensor", "crs", "quaternion", *QUATERNION_FIELDS, *POSITION, *ANGLES, *VIEW_FIELDS,
-             *SIGMA_FIELDS}  # fmt: skip
+    known = {"sensor", "crs", "quaternion", *_QUATERNION_FIELDS, *POSITION, *ANGLES, *_VIEW_FIELDS,
+             *_SIGMA_FIELDS}  # fmt: skip
     record: dict[str, Any] = {"sensor": row.get("sensor") or None, "crs": None}
     if text := row.get("crs"):
         record["crs"] = shared.setdefault(text, metric_crs(shared.get(text, text), what=what))
-    for name in (*POSITION, *ANGLES, *VIEW_FIELDS):
+    for name in (*POSITION, *ANGLES, *_VIEW_FIELDS):
         if text := row.get(name):
             record[name] = _parsed(text, f"{what}: {name}")
     sigma = {
         name.removeprefix("sigma_"): _parsed(text, f"{what}: {name}")
-        for name in SIGMA_FIELDS
+        for name in _SIGMA_FIELDS
         if (text := row.get(name))
     }
     if sigma:
         record["sigma"] = sigma
-    view = {name: record.pop(name) for name in VIEW_FIELDS if name in record}
+    view = {name: record.pop(name) for name in _VIEW_FIELDS if name in record}
     further: dict[str, Any] = {
         name: _parsed(text, f"{what}: {name}", _NUMBERS.get(name, str))
         for name, text in row.items()

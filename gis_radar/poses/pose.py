@@ -36,9 +36,9 @@ from gis_radar.poses.evidence import Evidence, non_negative_sigma, parse_covaria
 ANGLES = ("yaw", "pitch", "roll")
 POSITION = ("easting", "northing", "height")
 REQUIRED = ("sensor", "crs", *POSITION, *ANGLES)
-EVIDENCE = ("fitness", "observable", "method", "time", "frames")  # shown on a card
-MOST_RANGE_M, MOST_HEIGHT_M = 10_000.0, 10_000.0  # larger values are mistakes of units
-QUATERNION_TOLERANCE_DEG = 0.01  # 5 cm at 300 m; documented in docs/frames.md
+_EVIDENCE = ("fitness", "observable", "method", "time", "frames")  # shown on a card
+_MOST_RANGE_M, _MOST_HEIGHT_M = 10_000.0, 10_000.0  # larger values are mistakes of units
+_QUATERNION_TOLERANCE_DEG = 0.01  # 5 cm at 300 m; documented in docs/frames.md
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,12 +71,12 @@ class View:
             raise InputError("view: azimuth_deg is {}, expected 0 to 360", self.azimuth_deg)
         if not 0.0 < self.elevation_deg <= 180.0:
             raise InputError("view: elevation_deg is {}, expected 0 to 180", self.elevation_deg)
-        if not 0.0 <= self.min_range_m < self.max_range_m <= MOST_RANGE_M:
+        if not 0.0 <= self.min_range_m < self.max_range_m <= _MOST_RANGE_M:
             raise InputError(
                 "view: range is {} to {} m, expected ascending numbers up to {:.0f}",
                 self.min_range_m,
                 self.max_range_m,
-                MOST_RANGE_M,
+                _MOST_RANGE_M,
             )
 
     def sees(self, points: Floats) -> Booleans:
@@ -314,7 +314,7 @@ class Pose:
             + (f" \u00b1 {sigma[name]:.2g}" if name in sigma else "")
             for name, unit in units.items()
         }
-        known = {name: self.evidence[name] for name in EVIDENCE if name in self.evidence}
+        known = {name: self.evidence[name] for name in _EVIDENCE if name in self.evidence}
         return card(f"Pose of {self.sensor}", {"crs": name_of(self.crs), **values, **known})
 
     def __repr__(self) -> str:
@@ -356,7 +356,7 @@ def pose_from_dict(record: Mapping[str, Any], *, what: str) -> Pose:
         evidence={name: value for name, value in record.items() if name not in known},
     )
     require_on_earth(pose.crs, pose.easting, pose.northing, what=what)
-    if abs(pose.height) > MOST_HEIGHT_M:
+    if abs(pose.height) > _MOST_HEIGHT_M:
         raise InputError("{}: height is {:g}, expected metres", what, pose.height)
     _check_quaternion(pose, record.get("quaternion"), what)
     with placed(what):
@@ -397,7 +397,7 @@ def _check_quaternion(pose: Pose, quaternion: Any, what: str) -> None:
     rotation = scipy.spatial.transform.Rotation
     turn = rotation.from_quat(values).inv() * rotation.from_matrix(pose.R_map_sensor)
     apart_deg = math.degrees(turn.magnitude())
-    if apart_deg > QUATERNION_TOLERANCE_DEG:
+    if apart_deg > _QUATERNION_TOLERANCE_DEG:
         raise InputError(
             "{}: quaternion and angles differ by {:.3f} deg",
             what,

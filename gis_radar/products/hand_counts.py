@@ -24,7 +24,7 @@ from gis_radar.base import (
 )
 from gis_radar.measures import BOUND_WORDS
 
-AGREE = 2.0  # standard errors of the difference within which two counts agree: 95 % of cases
+_AGREE = 2.0  # standard errors of the difference within which two counts agree: 95 % of cases
 _PLACES = ("section", "lane")
 _NEEDED = ("begin", "end", "volume")
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}(\.\d{3})+")  # after commas were replaced by points
@@ -82,7 +82,7 @@ def beside_hand_counts(
             "difference": volume - by_hand,
             "geh": np.sqrt(2.0 * difference_h**2 / sum_h) if sum_h else difference_h,
             "agrees": None if np.isnan(volume) else bool(
-                abs(volume - by_hand) <= AGREE * np.sqrt(spread + by_hand_se**2)
+                abs(volume - by_hand) <= _AGREE * np.sqrt(spread + by_hand_se**2)
             ),
         })  # fmt: skip
     table = pd.DataFrame(compared)

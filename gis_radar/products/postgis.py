@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 
 VERSION = 2  # of the tables; raised when they change
 MARK = "gis_radar,"  # begin of the comment on a schema of ours
-CHANNEL = "qgis"  # channel on which QGIS listens for "Refresh layer on notification"
-CONNECT_S = 10  # longest wait for a server's answer, seconds
+_CHANNEL = "qgis"  # channel on which QGIS listens for "Refresh layer on notification"
+_CONNECT_S = 10  # longest wait for a server's answer, seconds
 LOCK_S = 60.0  # longest wait for a table that another holds, seconds: readers would wait behind it
-LOCK_NOT_AVAILABLE = "55P03"  # SQLSTATE; the server's words may be of any language
+_LOCK_NOT_AVAILABLE = "55P03"  # SQLSTATE; the server's words may be of any language
 _EPOCH = date(1970, 1, 1)
 _NAME = re.compile(r"[a-z_][a-z0-9_]{0,62}")
 _TYPES = {
@@ -238,7 +238,7 @@ def opened_session(url: str, schema: str, srid: int = 0) -> Iterator[Session]:
     place = f"{asked.get('host', 'localhost')}/{asked.get('dbname', asked.get('user', ''))}"
     try:
         with psycopg.connect(
-            url, connect_timeout=CONNECT_S, application_name="gis-radar", client_encoding="utf8"
+            url, connect_timeout=_CONNECT_S, application_name="gis-radar", client_encoding="utf8"
         ) as connection:
             connection.execute(f"SET LOCAL lock_timeout = {1000 * LOCK_S:.0f}")
             lock = "SELECT pg_try_advisory_xact_lock(hashtext(%s))"
@@ -255,7 +255,7 @@ def opened_session(url: str, schema: str, srid: int = 0) -> Iterator[Session]:
 def _hint_for(reason: str, state: str | None) -> Text:
     if 'extension "postgis"' in reason:
         return Text("install PostGIS, and CREATE EXTENSION postgis in the database as a superuser")
-    if state == LOCK_NOT_AVAILABLE:
+    if state == _LOCK_NOT_AVAILABLE:
         return Text("another program holds a table; the database is as it was: try again later")
     return Text("the database is as it was")
 
@@ -409,7 +409,7 @@ class Session:
 
     def notify(self, schema: str) -> None:
         """Notify listeners that a schema has changed; they hear it once this is committed."""
-        self.run("SELECT pg_notify(%s, %s)", CHANNEL, f"gis_radar {schema}")
+        self.run("SELECT pg_notify(%s, %s)", _CHANNEL, f"gis_radar {schema}")
 
     def _create(self, name: str, table: pd.DataFrame) -> None:
         """Make a table if it is missing, with key, indexes and comments."""

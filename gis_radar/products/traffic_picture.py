@@ -16,7 +16,7 @@ from gis_radar.products.heatmap.picture import INK, SOFT
 
 _WIDTH_IN, _DPI = 10.0, 160  # width of the picture, and dots an inch
 _AROUND_M = 45.0  # length of road shown around the turns, for the numbers
-VEH_H_PER_POINT = 40.0  # a line of 10 points is 400 veh/h
+_VEH_H_PER_POINT = 40.0  # a line of 10 points is 400 veh/h
 HEAD = (4.0, 1.2)  # size of an arrow's head: points, and a multiple of its line's width
 _BEFORE_M = 2.0  # distance of the numbers before the turn, and more where others stand there
 _LETTERS, _TRIES = 8.0, 30  # size of the numbers, points; how often they are moved by as much
@@ -122,7 +122,7 @@ def _title(turns: pd.DataFrame) -> str:
 
 def _draw_turn(axes: Any, line: shapely.LineString, volume: float) -> None:
     points = shapely.get_coordinates(line)
-    width = max(volume / VEH_H_PER_POINT, 0.4)
+    width = max(volume / _VEH_H_PER_POINT, 0.4)
     axes.plot(*points.T, color=_FLOW, linewidth=width, alpha=0.55, zorder=3, solid_capstyle="butt")
     ahead = points[-1] - points[-2]
     turned = math.degrees(math.atan2(ahead[1], ahead[0])) - 90.0  # a marker points north

@@ -18,7 +18,7 @@ SHADES = (
     "#9eedcc", "#79d1bb", "#52b6aa", "#269a99", "#107e85", "#02636f", "#094956", "#00313f",
 )  # fmt: skip
 _SHORTER_MS = 10  # less than an interval, as in heat maps: QGIS counts the end of an interval to it
-NAMED = {
+_NAMED = {
     "lanes": ["name"], "turns": ["from_name", "to_name"], "sections": ["section", "direction"],
 }  # fmt: skip
 """Columns that name a row of a layer."""
@@ -94,7 +94,7 @@ def _tip(layer: str) -> str:
     def text(column: str) -> str:
         return f"[% replace(replace(\"{column}\", '&', '&amp;'), '<', '&lt;') %]"
 
-    name = " &rarr; ".join(map(text, NAMED[layer]))
+    name = " &rarr; ".join(map(text, _NAMED[layer]))
     number = f"""[% coalesce(format_number("{VOLUMES}", 0), '\u2013') %] {tr("veh/h")}"""
     speed = """, [% coalesce(format_number("speed_kmh", 0), '\u2013') %] km/h"""
     speed = speed if layer == "lanes" else ""

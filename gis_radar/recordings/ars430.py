@@ -29,7 +29,7 @@ ARS430_DEFINITIONS = {
     "uint32 measurement_counter\nfloat32 vambig\nars430_ros_publisher/RadarDetection[] detections",
 }
 # Names of fields in both versions.
-LIST, COUNTER, SCAN = (
+_LIST, _COUNTER, SCAN = (
     ("Detections", "detections"),
     ("TimeStamp", "time_stamp"),
     ("EventID", "event_id"),
@@ -76,7 +76,7 @@ class PacketGroup:
         stamp, recorded : float
             UNIX seconds of its header, 0 where it has none, and of its recording.
         """
-        counter, part = int(_first_field(message, COUNTER)), _columns(message)
+        counter, part = int(_first_field(message, _COUNTER)), _columns(message)
         if counter != self._counter:
             yield from self.finish()
             self._counter = counter
@@ -110,7 +110,7 @@ class PacketGroup:
 
 def _columns(message: Any) -> dict[str, Column]:
     """Return the fields of a packet's detections as columns."""
-    listed = _first_field(message, LIST)
+    listed = _first_field(message, _LIST)
     columns: dict[str, Column] = {
         name: np.array([_first_field(each, names) for each in listed], dtype=np.float32)
         for name, names in FIELDS.items()

@@ -31,8 +31,8 @@ COLUMN_NAMES: dict[str, tuple[str, ...]] = {
     "rcs": ("rcs", "radar_cross_section", "rcs_dbsm", "rcs_dbm2"),
 }  # fmt: skip
 # Drivers' clouds for RViz keep the cross section here, in whole dBm2; amplitudes have no sign.
-SIGNED_RCS = "intensity"
-CARTESIAN, POLAR = ("x", "y", "z"), ("range", "azimuth", "elevation")
+_SIGNED_RCS = "intensity"
+_CARTESIAN, _POLAR = ("x", "y", "z"), ("range", "azimuth", "elevation")
 TARGETS = tuple(COLUMN_NAMES)
 
 Values = Callable[[str], Column]
@@ -85,7 +85,7 @@ class Layout:
     @property
     def has_positions(self) -> bool:
         """Whether the fields hold positions."""
-        return self._has(CARTESIAN[:2]) or self._has(POLAR[:2])
+        return self._has(_CARTESIAN[:2]) or self._has(_POLAR[:2])
 
     @property
     def is_radar(self) -> bool:
@@ -95,10 +95,10 @@ class Layout:
     @np.errstate(over="ignore", invalid="ignore")
     def points(self, values: Values) -> Column:
         """Return positions, sensor frame, (n, 3) float32, m; z is NaN without elevation."""
-        if self._has(CARTESIAN[:2]):
-            axes = [self._read(axis, values) for axis in CARTESIAN]
+        if self._has(_CARTESIAN[:2]):
+            axes = [self._read(axis, values) for axis in _CARTESIAN]
             return np.column_stack(axes).astype(np.float32, copy=False)
-        return cartesian(*(self._read(name, values) for name in POLAR))
+        return cartesian(*(self._read(name, values) for name in _POLAR))
 
     @np.errstate(over="ignore", invalid="ignore")
     def column(self, name: str, values: Values) -> Column:
@@ -141,7 +141,7 @@ class Layout:
         """Return the values of a column, degrees as radians; NaN where there is no field for it."""
         if name in self.sources:
             read = _signed(self.sources[name], values)
-            if name in POLAR[1:]:
+            if name in _POLAR[1:]:
                 refuse_degrees(read, self.sources[name].removeprefix("-"), name)
             return read
         if f"{name}_deg" in self.sources:
@@ -210,7 +210,7 @@ def find_layout(
 
 def _signed_rcs(fields: Mapping[str, str], kind: np.dtype[Any] | None) -> str | None:
     """Return the field `intensity` where it holds signed whole numbers."""
-    field = fields.get(SIGNED_RCS)
+    field = fields.get(_SIGNED_RCS)
     return field if field and kind is not None and kind[field].base.kind == "i" else None
 
 
@@ -226,7 +226,7 @@ def _signed(field: str, values: Values) -> Column:
 
 
 # NumPy's types by the constants of `sensor_msgs/PointField`.
-POINT_FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_POINT_FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
 def message_rows(message: Any) -> Column:
@@ -274,5 +274,5 @@ def values_of(rows: Column) -> Values:
 
 
 def _numpy_type(field: Any, order: str) -> Any:
-    kind = order + POINT_FIELDS[field.datatype]
+    kind = order + _POINT_FIELDS[field.datatype]
     return kind if field.count == 1 else (kind, (field.count,))

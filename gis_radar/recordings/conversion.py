@@ -118,14 +118,14 @@ class Conversion:
         )
 
 
-NO_ELEVATION = Text(
+_NO_ELEVATION = Text(
     "measures no elevation (z is missing or 0 throughout): x and y are at the slant "
     "range; height, pitch, roll and clearance cannot be had from it"
 )
-IDENTITIES_KEPT = 4 * REORDERED_FRAMES  # latest frames among which duplicates are found
+_IDENTITIES_KEPT = 4 * REORDERED_FRAMES  # latest frames among which duplicates are found
 # Share of a sensor's frames at which an earlier input goes on after another one, from which on to
 # warn that inputs are of several sensors: a second recorder of one sensor only fills gaps.
-ALTERNATING = 0.1
+_ALTERNATING = 0.1
 
 
 class _SensorFrames:
@@ -149,7 +149,7 @@ class _SensorFrames:
                 self.duplicates += 1
                 return
             self._identities[frame.identity] = None
-            if len(self._identities) > IDENTITIES_KEPT:
+            if len(self._identities) > _IDENTITIES_KEPT:
                 self._identities.popitem(last=False)
         self.alternations += number != self._input and number in self._inputs
         self._input = number
@@ -170,7 +170,7 @@ class _SensorFrames:
 
 def _remark(sensor: str, frames: _SensorFrames, context: ReaderContext) -> None:
     """Warn of what is odd in the frames of a sensor."""
-    if frames.alternations > ALTERNATING * frames.file.frames:
+    if frames.alternations > _ALTERNATING * frames.file.frames:
         context.reporter.warn(
             "{}: frames of several inputs alternate in time: are they of one sensor? Each "
             "sensor needs a recording of its own",
@@ -181,7 +181,7 @@ def _remark(sensor: str, frames: _SensorFrames, context: ReaderContext) -> None:
         late = Text("{}: columns that came late are left out: {}", sensor, columns)
         context.reporter.warn(late)
     if frames.file.elevation is False:
-        context.remark(Text("{}: {}", sensor, NO_ELEVATION))
+        context.remark(Text("{}: {}", sensor, _NO_ELEVATION))
 
 
 def _finished(

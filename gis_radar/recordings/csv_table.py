@@ -16,9 +16,9 @@ from gis_radar.base import InputError, first_line
 from gis_radar.recordings import settings
 
 BYTES_AT_ONCE = 1 << 20  # about 15,000 rows; the longest header
-NO_NUMBER = ["", "nan", "NaN", "NA"]
-DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
-LONG_VALUE = re.compile(r"'([^']{24})[^']{8,}'", re.DOTALL)  # in messages cut to its begin
+_NO_NUMBER = ["", "nan", "NaN", "NA"]
+_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
+_LONG_VALUE = re.compile(r"'([^']{24})[^']{8,}'", re.DOTALL)  # in messages cut to its begin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ class CsvTable:
         )
         converting = pa_csv.ConvertOptions(
             column_types=dict.fromkeys(self.numbers, pa.float64()),
-            null_values=NO_NUMBER,
+            null_values=_NO_NUMBER,
             include_columns=columns,
         )
         try:
@@ -75,7 +75,7 @@ class CsvTable:
             # Arrow counts rows from the top of the file.
             place = re.compile(r"Row #(\d+)")
             reason = place.sub(lambda n: f"row {int(n[1]) - self.header_lines}", first_line(error))
-            reason = LONG_VALUE.sub(r"'\1...'", reason)
+            reason = _LONG_VALUE.sub(r"'\1...'", reason)
             raise InputError("{}: damaged: {}", self.path, reason) from error
 
 
@@ -131,7 +131,7 @@ def refuse_many_columns(count: int, path: Path) -> None:
 
 def _refuse_delimiters(header: str, expected: tuple[str, ...], path: Path) -> None:
     """Refuse a header whose expected names another sign than a comma separates."""
-    for delimiter, word in DELIMITERS.items():
+    for delimiter, word in _DELIMITERS.items():
         found = {name.strip(' "') for name in header.split(delimiter)}
         if len(found.intersection(expected)) > 1:
             raise InputError(

@@ -17,23 +17,23 @@ Clock = Literal["auto", "sensor", "recorder"]
 CLOCKS: tuple[Clock, ...] = ("auto", "sensor", "recorder")
 
 # A clock that was set is far after this; one that counts from its start is not.
-EARLIEST_S = 946_684_800.0  # 2000-01-01
+_EARLIEST_S = 946_684_800.0  # 2000-01-01
 _LATEST_S = 4_102_444_800.0  # 2100-01-01
 AGREEING_S = 5.0  # clocks set by NTP or PTP agree far better; TAI is 37 s off
 # How far a sensor's clock may move against the recorder's. A busy recorder stamps late, which looks
 # as if the sensor's clock fell behind: only one that goes back by its own count is surely wrong.
 _FORWARD_S, _BACK_S = 0.5, 0.1
 # Frames ahead that distinguish a clock that jumped (all are off) from a single late frame.
-FRAMES_AHEAD = 40
+_FRAMES_AHEAD = 40
 # Frames to which a rate is fitted, half of them at least: 10 s at 20 Hz give it to 0.012 % where
 # arrivals jitter by 9 ms.
-RATE_FRAMES = 200
+_RATE_FRAMES = 200
 # Quartz clocks differ by 0.01 %, a recorder that NTP corrects by 0.05 %; an ARS430 was 0.8 % slow.
 # Over _MOST_RATE one of the two does not show the time, as where a bag was replayed faster.
 _LEAST_RATE, _MOST_RATE = 0.003, 0.02
-REFIT_FRAMES = 20  # a second of frames between two fits of a rate
+_REFIT_FRAMES = 20  # a second of frames between two fits of a rate
 # A PTP clock on TAI, without the leap seconds since 1972.
-TAI_AHEAD_S = 37.0
+_TAI_AHEAD_S = 37.0
 
 
 class FrameClock:
@@ -42,7 +42,7 @@ class FrameClock:
     The first frames decide; where the sensor's clock goes wrong later, the recorder's counts from
     there on, for good: two clocks in turn would shuffle the frames. A sensor's clock is right if
     the sensor calls it synchronised, it agrees with the recorder's to `AGREEING_S`, and does not
-    jump. One that runs slow or fast by `_LEAST_RATE` or more, evenly over the first `RATE_FRAMES`,
+    jump. One that runs slow or fast by `_LEAST_RATE` or more, evenly over the first `_RATE_FRAMES`,
     is corrected by a robust line through its offsets from the recorder's clock: times are then the
     recorder's without jitter, and jumps are measured from that line.
 
@@ -60,7 +60,7 @@ class FrameClock:
         self.used: list[str] = []
         self._sensor, self._clock, self._reporter = sensor, clock, reporter
         self._waiting: deque[Frame] = deque()
-        self._offsets_s: deque[float] = deque(maxlen=FRAMES_AHEAD)
+        self._offsets_s: deque[float] = deque(maxlen=_FRAMES_AHEAD)
         self._line: OffsetLine | None = None
         self._latest = -float("inf")
         self._stamp = "sensor"
@@ -74,7 +74,7 @@ class FrameClock:
         """Take a frame; yield the one whose time is known by now, if there is one."""
         self._stamp = frame.stamp
         self._waiting.append(frame)
-        if len(self._waiting) > RATE_FRAMES:
+        if len(self._waiting) > _RATE_FRAMES:
             yield self._next()
 
     def finish(self) -> Iterator[tuple[float, Frame]]:
@@ -93,7 +93,7 @@ class FrameClock:
         if self._clock != "auto":
             self.used.append(self._stamp if self._clock == "sensor" else self._clock)
             return
-        first = islice(self._waiting, FRAMES_AHEAD + 1)
+        first = islice(self._waiting, _FRAMES_AHEAD + 1)
         reasons = [reason for frame in first if (reason := self._fault(frame))]
         if reasons:
             self._use_recorder(statistics.mode(reasons))
@@ -119,7 +119,7 @@ class FrameClock:
             for frame in self._waiting
             if frame.sensor_time is not None and (offset := _offset_s(frame)) is not None
         ]
-        if len(pairs) < RATE_FRAMES // 2:
+        if len(pairs) < _RATE_FRAMES // 2:
             return None
         line, half = OffsetLine(pairs), len(pairs) // 2
         half_rates = [OffsetLine(pairs[:half]).rate, OffsetLine(pairs[half:]).rate]
@@ -148,7 +148,7 @@ class FrameClock:
                 self._use_recorder(reason)
                 recorder = True
         time = frame.recorder_time if recorder else self._corrected(frame)
-        if time is None or not EARLIEST_S <= time < _LATEST_S:
+        if time is None or not _EARLIEST_S <= time < _LATEST_S:
             raise InputError(
                 "{}: no usable time: the {} says {}, the recorder {}",
                 self._sensor,
@@ -180,7 +180,7 @@ class FrameClock:
             return Text("the sensor gives no time")
         if not frame.synchronised:
             return Text("{} is not synchronised", self._name)
-        if not EARLIEST_S <= frame.sensor_time < _LATEST_S:
+        if not _EARLIEST_S <= frame.sensor_time < _LATEST_S:
             return Text("{} stands at {:,.0f} s since 1970", self._name, frame.sensor_time)
         offset_s = _offset_s(frame)
         if offset_s is None or abs(offset_s) <= AGREEING_S or self._line is not None:
@@ -208,7 +208,7 @@ class FrameClock:
 
     def _lasts(self, usual_s: float, jump_s: float) -> bool:
         """Return whether the next frames have jumped by the same: a late frame is alone."""
-        ahead = islice(self._waiting, FRAMES_AHEAD)
+        ahead = islice(self._waiting, _FRAMES_AHEAD)
         offsets_ahead = [offset for frame in ahead if (offset := _offset_s(frame)) is not None]
         return bool(offsets_ahead) and all(
             (offset - usual_s) / jump_s > 0.5 for offset in offsets_ahead
@@ -230,7 +230,7 @@ class OffsetLine:
     """
 
     def __init__(self, pairs: list[tuple[float, float]]) -> None:
-        self._pairs = deque(pairs, maxlen=RATE_FRAMES)
+        self._pairs = deque(pairs, maxlen=_RATE_FRAMES)
         self._last_of_begin = max(time for time, _ in pairs)
         self._added = 0
         self._fit()
@@ -245,7 +245,7 @@ class OffsetLine:
             return
         self._pairs.append((time, offset_s))
         self._added += 1
-        if self._added == REFIT_FRAMES:
+        if self._added == _REFIT_FRAMES:
             self._fit()
 
     def _fit(self) -> None:
@@ -266,7 +266,7 @@ def _offset_s(frame: Frame) -> float | None:
     """Return how far the sensor's clock is ahead of the recorder's, seconds; None if unknown."""
     if frame.sensor_time is None or frame.recorder_time is None:
         return None
-    if not EARLIEST_S <= frame.recorder_time < _LATEST_S:
+    if not _EARLIEST_S <= frame.recorder_time < _LATEST_S:
         return None
     return frame.sensor_time - frame.recorder_time
 
@@ -277,7 +277,7 @@ def _time_text(time: float | None) -> str:
 
 def _offset_text(offset_s: float) -> str:
     side = Text("ahead of") if offset_s > 0 else "behind"
-    why = " (TAI instead of UTC?)" if abs(offset_s - TAI_AHEAD_S) < 0.5 else ""
+    why = " (TAI instead of UTC?)" if abs(offset_s - _TAI_AHEAD_S) < 0.5 else ""
     size = abs(offset_s)
     text = f"{size:.0f} s" if size < 600 else f"{size / 3600:.1f} h"
     return f"{text}{why} {side}" if size < 172_800 else Text("{:.0f} days {}", size / 86400, side)

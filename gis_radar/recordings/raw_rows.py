@@ -17,7 +17,7 @@ from gis_radar.recordings.recording import COLUMNS, FARTHEST_M, Recording, RowCh
 from gis_radar.recordings.units import FARTHEST_RADAR_M, LEAST_CHECKED, LEAST_EXTENT_M
 
 RAW_COLUMNS = COLUMNS[:-1]  # all but the radar cross section, which few ask for
-CHECKED_SHARE = 0.999  # share of a limit from which the full checks run, too
+_CHECKED_SHARE = 0.999  # share of a limit from which the full checks run, too
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +143,7 @@ def _check_rows(  # pragma: no cover - compiled
         Whether detections are in more than one spot.
     """
     sound, present, flat, far = True, 0, 0, 0
-    far_m2 = (CHECKED_SHARE * FARTHEST_RADAR_M) ** 2
+    far_m2 = (_CHECKED_SHARE * FARTHEST_RADAR_M) ** 2
     west = south = np.inf
     east = north = -np.inf
     for k in range(len(time)):
@@ -160,5 +160,5 @@ def _check_rows(  # pragma: no cover - compiled
         if placed:
             west, east = min(west, x), max(east, x)
             south, north = min(south, y), max(north, y)
-    wide = max(east - west, north - south) > LEAST_EXTENT_M / CHECKED_SHARE
+    wide = max(east - west, north - south) > LEAST_EXTENT_M / _CHECKED_SHARE
     return sound, present, flat, far, wide

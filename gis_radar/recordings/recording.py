@@ -32,7 +32,7 @@ from gis_radar.recordings.units import refuse_positions_in_other_units, refuse_w
 
 COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
 SENSOR_KEY = b"gis_radar.sensor"  # key of a file's metadata
-LEAST_CONSTANT = 1000  # so many detections of one value are no chance, and no made-up example
+_LEAST_CONSTANT = 1000  # so many detections of one value are no chance, and no made-up example
 FARTHEST_M = 1e6  # no radar sees so far, and point cloud files hold no farther coordinates
 
 
@@ -240,7 +240,7 @@ def has_height(rows: Detections) -> bool:
     return bool(np.isfinite(rows.points[rows.present, 2][0]))
 
 
-def constant_value(column: Floats, least: int = LEAST_CONSTANT) -> float | None:
+def constant_value(column: Floats, least: int = _LEAST_CONSTANT) -> float | None:
     """Return the value of a column that is the same in all of `least` detections; else None."""
     known = column[np.isfinite(column)]
     if len(known) < least or (known != known[0]).any():

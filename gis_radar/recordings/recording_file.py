@@ -18,8 +18,9 @@ from gis_radar.recordings.frames import Column, Frame
 from gis_radar.recordings.recording import SENSOR_KEY, constant_value
 from gis_radar.recordings.units import refuse_positions_in_other_units, refuse_whole_seconds
 
-CORE = ("x", "y", "z", "range_rate", "rcs")
-LEAST_LEVEL = 100  # detections at z = 0 m, and none elsewhere, that show: elevation is not measured
+_CORE = ("x", "y", "z", "range_rate", "rcs")
+# Detections at z = 0 m, and none elsewhere, that show: elevation is not measured
+_LEAST_LEVEL = 100
 _NOWHERE = np.full((1, 3), np.nan, dtype=np.float32)
 _UNKNOWN = np.full(1, np.nan, dtype=np.float32)
 
@@ -138,10 +139,10 @@ def parquet_options(names: Sequence[str]) -> dict[str, Any]:
     # Times and the sensor's marks repeat, coordinates hardly do: all but their first byte is noise,
     # of which LZ4 leaves 4 % more than zstd, and is read twice as fast.
     return {
-        "compression": {name: "lz4" if name in CORE else "zstd" for name in names},
-        "compression_level": {name: 1 for name in names if name not in CORE} or None,
-        "use_dictionary": [name for name in names if name not in CORE],
-        "column_encoding": dict.fromkeys(CORE, "BYTE_STREAM_SPLIT"),
+        "compression": {name: "lz4" if name in _CORE else "zstd" for name in names},
+        "compression_level": {name: 1 for name in names if name not in _CORE} or None,
+        "use_dictionary": [name for name in names if name not in _CORE],
+        "column_encoding": dict.fromkeys(_CORE, "BYTE_STREAM_SPLIT"),
         "write_page_checksum": True,
     }
 
@@ -152,7 +153,7 @@ def _measures_elevation(frames: list[Frame]) -> bool | None:
     given = heights[np.isfinite(heights)]
     if len(given) == 0:
         return None if len(heights) == 0 else False
-    return constant_value(given, LEAST_LEVEL) != 0.0
+    return constant_value(given, _LEAST_LEVEL) != 0.0
 
 
 def _table(timed: list[tuple[float, Frame]], schema: pa.Schema | None) -> pa.Table:
@@ -164,7 +165,7 @@ def _table(timed: list[tuple[float, Frame]], schema: pa.Schema | None) -> pa.Tab
         "time": pa.array(np.repeat([time for time, _ in timed], rows)),
         **{axis: pa.array(points[:, number]) for number, axis in enumerate("xyz")},
     }
-    for name in CORE[3:]:
+    for name in _CORE[3:]:
         parts = [getattr(frame, name) if len(frame) else _UNKNOWN for frame in frames]
         columns[name] = pa.array(np.concatenate(parts).astype(np.float32, copy=False))
     kinds = _kinds(frames) if schema is None else {f.name: f.type for f in schema}

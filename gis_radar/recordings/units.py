@@ -8,14 +8,15 @@ from gis_radar.base import Floats, InputError, Text
 
 FARTHEST_RADAR_M = 1514.0  # the farthest an ARS548 can be set to; others end at 300 m
 LEAST_CHECKED = 100  # detections: the median of fewer may be that of a ghost target
-LEAST_MEDIAN_M = 10.0  # median range; of roadside radars 20 to 60 m. Less: a smaller unit was meant
+# Median range; of roadside radars 20 to 60 m. Less: a smaller unit was meant
+_LEAST_MEDIAN_M = 10.0
 _MAP_M = 1e5  # numbers beyond are no millimetres: the median range of a radar is under 100 m
 LEAST_EXTENT_M = 0.02  # positions of even one still target vary by more; 0.02 degrees are 2 km
 _TURN_RAD = 2.0 * np.pi
 # Most detections of one frame: radars have some 500; more of each time are several frames. Fewer
 # than those of _LEAST_FRAMES are not checked.
 _MOST_ROWS, _LEAST_FRAMES = 1000, 10
-ODD_ANGLES, MOST_ODD = 0.1, 2  # share and number of angles beyond a turn that damage may explain
+_ODD_ANGLES, _MOST_ODD = 0.1, 2  # share and number of angles beyond a turn that damage may explain
 
 
 def refuse_positions_in_other_units(points: Floats, what: str) -> None:
@@ -61,7 +62,7 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
 def _likely(median: float) -> str:
     if median > _MAP_M:
         return "it looks like places in a map, not positions from the sensor"
-    unit = "millimetres" if median / 1000.0 >= LEAST_MEDIAN_M else "centimetres"
+    unit = "millimetres" if median / 1000.0 >= _LEAST_MEDIAN_M else "centimetres"
     return Text("it looks like {}", Text(unit))
 
 
@@ -105,7 +106,7 @@ def refuse_degrees(angles: Floats, field: str, name: str) -> None:
     Raises
     ------
     InputError
-        If a tenth of them, and more than `MOST_ODD`, are over a full turn, or over a right angle
+        If a tenth of them, and more than `_MOST_ODD`, are over a full turn, or over a right angle
         for elevations; if no azimuth in degrees is over a right angle in radians, 1.57.
     """
     known = np.abs(angles[np.isfinite(angles)])
@@ -121,7 +122,7 @@ def refuse_degrees(angles: Floats, field: str, name: str) -> None:
         return
     limit = _TURN_RAD if name == "azimuth" else _TURN_RAD / 4.0
     beyond = np.count_nonzero(known > limit)
-    if beyond > max(ODD_ANGLES * len(known), MOST_ODD):
+    if beyond > max(_ODD_ANGLES * len(known), _MOST_ODD):
         raise InputError(
             "{}: {:.0%} of the values are over {:.3g}, expected radians: it looks like degrees",
             field,

@@ -48,8 +48,8 @@ from gis_radar.scans.scan import (
 
 _LAYER, _COLUMN = "roads", "road"
 # Margin around a road for PDAL's ground filter: wider than its window (SMRF, 18 m).
-FILTER_MARGIN_M = 30.0
-MARK_DIMENSION = "UserData"
+_FILTER_MARGIN_M = 30.0
+_MARK_DIMENSION = "UserData"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ class Pipeline:
     scans: tuple[Scan, ...]
     classified: tuple[bool, ...]
     roads: Roads = field(repr=False)
-    margin_m: float = FILTER_MARGIN_M
+    margin_m: float = _FILTER_MARGIN_M
 
     def document(self, *, roads: Path, points: Path, within: Box | None = None) -> dict[str, Any]:
         """Return the pipeline as a document for PDAL.
@@ -98,12 +98,12 @@ class Pipeline:
         if within is not None:
             stages.append({"type": "filters.crop", "bounds": _bounds_text(within)})
         stages += [
-            {"type": "filters.assign", "assignment": f"{MARK_DIMENSION}[:]=0"},
+            {"type": "filters.assign", "assignment": f"{_MARK_DIMENSION}[:]=0"},
             {
                 "type": "filters.overlay", "datasource": str(roads), "layer": _LAYER,
-                "column": _COLUMN, "dimension": MARK_DIMENSION,
+                "column": _COLUMN, "dimension": _MARK_DIMENSION,
             },
-            {"type": "filters.range", "limits": f"{MARK_DIMENSION}[1:1]"},
+            {"type": "filters.range", "limits": f"{_MARK_DIMENSION}[1:1]"},
             {
                 "type": "writers.las", "filename": str(points), "minor_version": 4,
                 "dataformat_id": 6, "a_srs": name_of(self.roads.crs),

@@ -38,17 +38,17 @@ from gis_radar.scans.scan import Days, Scan, open_scan, warn_inexact, write_road
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 from gis_radar.scans.shift import read_shifted
 
-SIDE_FILE_ENDINGS = (".roads.gpkg", ".pipeline.json")
-BARE_M2 = 20.0  # a square without a point and with so much road is outside the scans
-WARN_OUTSIDE = 0.001  # share of roads outside the scans from which on a warning is logged
-WARN_OFFSET_M = 2.0  # the same for the scan's height over the map: it may be of another level
+_SIDE_FILE_ENDINGS = (".roads.gpkg", ".pipeline.json")
+_BARE_M2 = 20.0  # a square without a point and with so much road is outside the scans
+_WARN_OUTSIDE = 0.001  # share of roads outside the scans from which on a warning is logged
+_WARN_OFFSET_M = 2.0  # the same for the scan's height over the map: it may be of another level
 _DATUM_M = 110.0  # no vertical datums differ by more: geoid undulations are under 107 m (EGM2008)
 # Share of the road's cells inside the scans' extents below which there is no mask, and below which
 # a warning is logged. A scan of 1 point/m2 fills 0.2 of the cells of 0.5 m.
 _LEAST_COVERED, _WARN_COVERED = 0.02, 0.1
 # The same share over that of a bare road at the density of the points, below which a warning is
 # logged: 0.79 to 0.99 in scans of the place, 0.46 to 0.57 in those of a neighbouring town.
-WARN_BARE = 0.65
+_WARN_BARE = 0.65
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +144,7 @@ class RoadMask:
         """
         path = Path(path)
         require_road_name(path)
-        layer, document = (path.with_name(path.stem + end) for end in SIDE_FILE_ENDINGS)
+        layer, document = (path.with_name(path.stem + end) for end in _SIDE_FILE_ENDINGS)
         outputs = [path, document, layer]
         stages = self.pipeline.document(
             roads=layer.resolve(), points=path.resolve().with_name(f"{path.stem}.points.laz")
@@ -296,7 +296,7 @@ def _outside(cells: RoadCells, scans: Sequence[Scan], roads: Roads) -> shapely.M
     beyond = shapely.difference(roads.area, shapely.union_all(boxes))
     without_point, which = np.unique(cells.missing[:, :2] // SQUARE_M, axis=0, return_inverse=True)
     count = np.bincount(which.ravel(), cells.missing[:, 2], len(without_point))
-    without_point = without_point[count * CELL_M**2 >= BARE_M2]
+    without_point = without_point[count * CELL_M**2 >= _BARE_M2]
     seen = set(map(tuple, (cells.seen // SQUARE_M).tolist()))
     unseen = np.array([place for place in without_point.tolist() if tuple(place) not in seen])
     empty = shapely.intersection(shapely.union_all(_strips(unseen, SQUARE_M)), roads.area)
@@ -359,7 +359,7 @@ def _report(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
             Text("{} of {} scans do not touch the site and were skipped", skipped, len(opened))
         )
     share = mask.outside.area / mask.roads.area.area
-    if share > WARN_OUTSIDE:
+    if share > _WARN_OUTSIDE:
         west, south, east, north = mask.outside.bounds
         reporter.warn(
             "{:.1%} of the map's roads lie outside the scans: {:.0f} m2 within {:.0f} "
@@ -374,7 +374,7 @@ def _report(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
     covered = _inside_share(mask, mask.pipeline.scans)
     if covered < _WARN_COVERED:
         reporter.warn("only {:.0%} of the road inside the scans has points", covered)
-    elif covered < WARN_BARE * (bare := _bare_share(mask)):
+    elif covered < _WARN_BARE * (bare := _bare_share(mask)):
         reporter.warn(
             "only {:.0%} of the road inside the scans is road in them, where so many points fill "
             "{:.0%}: are they of another place, or older than the map?",
@@ -383,7 +383,7 @@ def _report(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
         )
     read_shifted(mask.pipeline.scans, mask.roads, reporter)
     offset = mask.cells.offset_m
-    if abs(offset) > WARN_OFFSET_M:
+    if abs(offset) > _WARN_OFFSET_M:
         text = Text(
             "the scans lie {:.2f} m over the map's heights: another vertical datum?", offset
         )

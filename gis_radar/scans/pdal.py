@@ -27,7 +27,7 @@ from gis_radar.base import (
     run_child,
 )
 
-OLDEST = (2, 2, 0)
+_OLDEST = (2, 2, 0)
 """The oldest PDAL that has all stages of our pipelines."""
 
 INSTALL_HINT = Text(
@@ -155,7 +155,7 @@ def _version_of(path: str) -> str | tuple[int, ...]:
     if found is None:
         return Text("it does not print a version of PDAL")
     version = tuple(int(part or 0) for part in found.groups())
-    if version < OLDEST:
+    if version < _OLDEST:
         return Text("it is PDAL {}, needed is 2.2 or newer", ".".join(map(str, version)))
     return version
 

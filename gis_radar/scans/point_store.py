@@ -20,11 +20,11 @@ from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 
 BLOCK_CELLS = 512  # side of a block, cells
 BLOCK_M = CELL_M * BLOCK_CELLS
-OUTSIDE, INSIDE, EDGE = 0, 1, 2  # of a cell, by the roads in its block
+_OUTSIDE, _INSIDE, EDGE = 0, 1, 2  # of a cell, by the roads in its block
 # Roads in more blocks are no site: so many cover a city of 16 by 16 km. Each takes 10 ms, and more
 # with points.
 MOST_BLOCKS = 4_000
-MOST_STATES = 512  # blocks whose cells are kept: 128 MiB
+_MOST_STATES = 512  # blocks whose cells are kept: 128 MiB
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +61,8 @@ class RoadBlocks:
 
     @cached_property
     def _states_of(self) -> Callable[[int], NDArray[np.uint8]]:
-        """Cached function from a block to its cells' states: `OUTSIDE`, `INSIDE` or `EDGE`."""
-        return lru_cache(MOST_STATES)(lambda block: _states(self.shapes[block], self.cells(block)))
+        """Cached function from a block to its cells' states: `_OUTSIDE`, `_INSIDE` or `EDGE`."""
+        return lru_cache(_MOST_STATES)(lambda block: _states(self.shapes[block], self.cells(block)))
 
     @cached_property
     def level_shapes(self) -> list[list[Any]]:
@@ -102,9 +102,9 @@ class RoadBlocks:
         state = np.empty(len(block), np.uint8)
         for number, rows in _by_block(block):
             state[rows] = self._states_of(number)[row[rows], column[rows]]
-        kept = state != OUTSIDE
+        kept = state != _OUTSIDE
         point, block, state = point[kept], block[kept], state[kept]
-        inside = state == INSIDE
+        inside = state == _INSIDE
         edge = np.flatnonzero(state == EDGE)
         for number in np.unique(block[edge]):
             of_block = edge[block[edge] == number]
@@ -195,13 +195,13 @@ def _clipped(shapes: Any, boxes: list[Box]) -> list[Any]:
 
 
 def _states(shape: Any, cells: Grid) -> NDArray[np.uint8]:
-    """Return the state of each cell: `OUTSIDE`, `INSIDE` or `EDGE` of the roads."""
+    """Return the state of each cell: `_OUTSIDE`, `_INSIDE` or `EDGE` of the roads."""
     inside = centres_in(shape, cells)
     edge = _rasterised([shapely.boundary(shape)], cells, touched=True)
     # Neighbours of which one is inside and one outside are on the edge, despite rounding.
     cross = ndimage.generate_binary_structure(2, 1)
     edge |= ndimage.morphological_gradient(inside.astype(np.uint8), footprint=cross) > 0
-    return np.where(edge, EDGE, np.where(inside, INSIDE, OUTSIDE)).astype(np.uint8)
+    return np.where(edge, EDGE, np.where(inside, _INSIDE, _OUTSIDE)).astype(np.uint8)
 
 
 MOST_IN_MEMORY = 1_000_000  # points in memory

@@ -40,8 +40,8 @@ _SAMPLE_M = 2.0  # spacing of samples of the map's heights, and side of the squa
 # Lanelets closer than _NEAR_M are one surface, unless their heights differ by more than _STEP_M and
 # a slope of 30 %, which no road has.
 _NEAR_M, _STEP_M, _STEEPEST = 6.0, 1.0, 0.3
-SAME_AREA = 1e-3  # share by which mending a polygon may change its area
-MOST_EXTENT_M = 200_000.0  # a wider map has a node in the wrong place
+_SAME_AREA = 1e-3  # share by which mending a polygon may change its area
+_MOST_EXTENT_M = 200_000.0  # a wider map has a node in the wrong place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,7 +213,7 @@ def _polygon(text: str) -> Any:
 
 
 def _mended(shapes: Any, path: Path, reporter: Reporter) -> Any:
-    """Return polygons mended; refuse one whose area would change by more than `SAME_AREA`."""
+    """Return polygons mended; refuse one whose area would change by more than `_SAME_AREA`."""
     # Each corner is checked: a bounding box would leave out NaN.
     corners, of_shape = shapely.get_coordinates(shapes, return_index=True)
     odd = of_shape[~(np.abs(corners) < _BEYOND_M).all(axis=1)]
@@ -228,7 +228,7 @@ def _mended(shapes: Any, path: Path, reporter: Reporter) -> Any:
     mended[invalid] = shapely.make_valid(shapes[invalid])
     # The signed area of a ring that crosses itself is less than the area it encloses.
     off = np.abs(shapely.area(mended) - shapely.area(shapes))
-    unclear = invalid & (off > SAME_AREA * shapely.area(mended) + 1e-9)
+    unclear = invalid & (off > _SAME_AREA * shapely.area(mended) + 1e-9)
     unclear |= invalid & ~(shapely.area(mended) > 0.0)
     if unclear.any():
         reason = shapely.is_valid_reason(shapes[unclear][0]).replace("\n", " ")
@@ -342,7 +342,7 @@ def _projected(table: gpd.GeoDataFrame, crs: Any, path: str | Path) -> gpd.GeoDa
 
 
 def _area(shapes: Any, source: str) -> shapely.MultiPolygon:
-    """Return the union of polygons; refuse one without area or wider than `MOST_EXTENT_M`."""
+    """Return the union of polygons; refuse one without area or wider than `_MOST_EXTENT_M`."""
     parts = shapely.get_parts(shapely.union_all(shapes))
     parts = parts[shapely.area(parts) > 0.0]
     if len(parts) == 0:
@@ -350,7 +350,7 @@ def _area(shapes: Any, source: str) -> shapely.MultiPolygon:
     area = shapely.MultiPolygon(list(parts))
     west, south, east, north = area.bounds
     extent_m = max(east - west, north - south)
-    if extent_m > MOST_EXTENT_M:
+    if extent_m > _MOST_EXTENT_M:
         far_km = extent_m / 1000.0
         raise InputError("{}: spans {:.0f} km, which is no site", source, far_km, hint="cut it out")
     return area

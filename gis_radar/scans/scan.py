@@ -43,7 +43,7 @@ BATCH_POINTS = 1_000_000  # points in a batch
 ROAD_CLASSES = (2, 8, 11, 17)
 # Never a road: vegetation, noise, water, wires and pylons, high noise.
 NEVER_CLASSES = (3, 4, 5, 7, 9, 13, 14, 15, 16, 18)
-ROAD_SURFACE = 11
+_ROAD_SURFACE = 11
 _GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 _CRS_HINT = Text("state it: {} EPSG:25832", "--scan-crs")
 _WEEK_S = 604_800.0
@@ -200,7 +200,7 @@ def write_road(points: Floats, path: Path, *, crs: CRS, settings: MaskSettings =
     header.vlrs.append(laspy.VLR("gis_radar", 1, "settings of the road mask", record))
     las = laspy.LasData(header)
     las.xyz = points
-    las.classification = np.full(len(points), ROAD_SURFACE, np.uint8)
+    las.classification = np.full(len(points), _ROAD_SURFACE, np.uint8)
     las.return_number = np.ones(len(points), np.uint8)
     las.number_of_returns = np.ones(len(points), np.uint8)
     las.write(path)

@@ -47,14 +47,14 @@ from gis_radar.site.settings import Sensor, Site, read_site
 
 # Farthest distance of a sensor from the nearest lane: the default range of a view. Beyond it, the
 # map is of another place.
-NEAR_MAP_M = 300.0
+_NEAR_MAP_M = 300.0
 # Recordings shorter than this are reported if the pose must be found: 100 s of traffic are a good
 # length, half of that rarely suffices.
 _LEAST_S = 60.0
 # Greatest difference, hours, of a time zone from the sun's time at the site; the greatest in the
 # world, in the west of China, is 3.2. With more, the zone is probably that of another place.
-ZONE_HOURS = 3.5
-ANGLE_SHARE = 0.999  # share of the detections within the measured view, as for its range
+_ZONE_HOURS = 3.5
+_ANGLE_SHARE = 0.999  # share of the detections within the measured view, as for its range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,7 +257,7 @@ def _refuse_far_sensor(sensor: Sensor, roads: LaneletMap) -> None:
     else:
         place = shapely.Point((sensor.guess or ())[:2])
     far_m = float(shapely.distance(place, roads.lanelets.geometry.values).min())
-    if far_m > NEAR_MAP_M:
+    if far_m > _NEAR_MAP_M:
         raise InputError(
             "{} stands {:,.0f} m from the nearest lane of the map",
             sensor.name,
@@ -300,7 +300,7 @@ def _zone_warning(site: Site, roads: LaneletMap) -> Iterator[str]:
     offset = zone_of(site.timezone).utcoffset(datetime(2025, 1, 1))  # noqa: DTZ001 - of the zone
     hours = (offset.total_seconds() if offset else 0.0) / 3600.0
     off_hours = (hours - longitude / 15.0 + 12.0) % 24.0 - 12.0
-    if abs(off_hours) > ZONE_HOURS:
+    if abs(off_hours) > _ZONE_HOURS:
         yield Text(
             "timezone {} is {:.0f} hours from the sun at the site: choose the zone whose "
             "clocks people there follow",
@@ -360,11 +360,11 @@ class _ViewCounts:
         if not self.detections:
             return {}
         seen = {
-            "azimuth_deg": 2.0 * _angle_holding(self._azimuth, ANGLE_SHARE),
+            "azimuth_deg": 2.0 * _angle_holding(self._azimuth, _ANGLE_SHARE),
             "max_range_m": self._range.reached_m(),
         }
         if self._elevation.any():
-            half = min(90.0, _angle_holding(self._elevation, ANGLE_SHARE))
+            half = min(90.0, _angle_holding(self._elevation, _ANGLE_SHARE))
             seen["elevation_deg"] = 2.0 * half
         return seen
 

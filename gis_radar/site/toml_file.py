@@ -18,9 +18,9 @@ from gis_radar.site.values import Steps, TomlTable, Unfit, is_repeated, lines_of
 
 Root = TypeVar("Root", bound=TomlTable)
 LARGEST_FILE = 1 << 22  # bytes; names of ten thousand recordings take half of it
-MOST_SENSORS = 200  # of a site: more than any town has at its junctions
+_MOST_SENSORS = 200  # of a site: more than any town has at its junctions
 _WIDTH = 96  # characters of a line of the template
-OPTIONAL = ("live", "lane", "map")  # tables that a template comments out where not required
+_OPTIONAL = ("live", "lane", "map")  # tables that a template comments out where not required
 
 
 def read_toml(path: Path, root: type[Root], *, of_site: bool, hint: str) -> Root:
@@ -55,12 +55,12 @@ def read_toml(path: Path, root: type[Root], *, of_site: bool, hint: str) -> Root
     except (ValueError, RecursionError) as error:  # numbers of 5,000 digits, deep tables
         raise InputError("{}: not TOML: {}", path, first_line(error), hint=hint) from error
     sensors = raw.get("sensor")
-    if isinstance(sensors, list) and len(sensors) > MOST_SENSORS:
+    if isinstance(sensors, list) and len(sensors) > _MOST_SENSORS:
         raise InputError(
             "{}: has {:,} sensors, at most {} make a site",
             path,
             len(sensors),
-            MOST_SENSORS,
+            _MOST_SENSORS,
             hint="make several sites",
         )
     lines = lines_of(text)
@@ -178,7 +178,7 @@ def _template(
         yield f"{comment if needed else '# '}{name} = {(field.examples or [''])[0]}"
     yield ""
     for inner_path, field, inner in subtables:
-        optional = inner_path in OPTIONAL and not field.is_required()
+        optional = inner_path in _OPTIONAL and not field.is_required()
         inner_comment = "# " if optional else comment
         header_comment = "# " if inner_path.startswith("sensor.") else inner_comment
         yield f"{header_comment}{header_of(inner_path, field)}  # {field.description}"

@@ -18,23 +18,23 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.routes import route_of
 from gis_radar.tracking.tables import TRACKS_KIND, VEHICLES_KIND
 
-BIN_RAD = np.pi / 9.0  # width of a bin of directions: in one, lanes show the same shift of a pose
+_BIN_RAD = np.pi / 9.0  # width of a bin of directions: in one, lanes show the same shift of a pose
 _BEND_M, _BEND_RAD = 5.0, 0.1  # a lane that bends by so much within so far is left out
 _LEAST_ROWS = 5  # least detections of a vehicle on a lane for the median of their distances from it
-SURE_SIGMAS = 4.0  # least sigmas of a reported shift: hardly one of hundreds of sensors by chance
-LEAST_OF_WORST = 0.75  # least share of the largest shift of any sensor of a reported one
+_SURE_SIGMAS = 4.0  # least sigmas of a reported shift: hardly one of hundreds of sensors by chance
+_LEAST_OF_WORST = 0.75  # least share of the largest shift of any sensor of a reported one
 _SIDES = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 _SEEN_S = 0.5  # a state is seen within so many seconds of a detection (the contract)
 _DRIVING_MPS = 3.0  # slower vehicles may turn in, park or load beside the lanes
-LEAST_JUDGED = 8  # least vehicles by which a pose is judged
-MOST_OFF_LANE = 0.2  # share of a sensor's vehicles on no lanelet above which its pose is doubtful
+_LEAST_JUDGED = 8  # least vehicles by which a pose is judged
+_MOST_OFF_LANE = 0.2  # share of a sensor's vehicles on no lanelet above which its pose is doubtful
 # Shift of all vehicles of a sensor from the centres of lanes, or from those of other sensors, above
 # which its pose is doubtful.
-MOST_BESIDE_M = 0.6
+_MOST_BESIDE_M = 0.6
 # Sigma of the mean distance of a lane's drivers from its centre, as recorded at three junctions; of
 # a driver's distance from that mean; of a pose.
 _LANE_M, _BESIDE_M, _SHIFT_M = 0.25, 0.7, 1.0
-POSE_HINT = "gis-radar track, gis-radar localize"
+_POSE_HINT = "gis-radar track, gis-radar localize"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,8 +207,8 @@ def _driven_detections(
     at = step[drives]
     towards = table["towards"].to_numpy()[at]
     left_m = table["d_m"].to_numpy(np.float64, na_value=np.nan)[at]
-    way = np.round(np.nan_to_num(towards) / BIN_RAD).astype(np.int64) % round(2 * np.pi / BIN_RAD)
-    middle = BIN_RAD * way
+    way = np.round(np.nan_to_num(towards) / _BIN_RAD).astype(np.int64) % round(2 * np.pi / _BIN_RAD)
+    middle = _BIN_RAD * way
     return pd.DataFrame(
         {
             "vehicle": number,
@@ -282,11 +282,11 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str]) -> list[str]:
     judged: dict[int, tuple[float, float, Floats, float]] = {}
     for number in np.unique(seen["sensor"]).tolist():
         mine = seen[seen["sensor"] == number]
-        if mine["vehicle"].nunique() >= LEAST_JUDGED:
+        if mine["vehicle"].nunique() >= _LEAST_JUDGED:
             counts = mine.groupby("vehicle")[["size", "on"]].sum()
             off = float((counts["on"] < 0.5 * counts["size"]).mean())
             left = mine[mine["count"] >= _LEAST_ROWS]
-            enough = left["vehicle"].nunique() >= LEAST_JUDGED
+            enough = left["vehicle"].nunique() >= _LEAST_JUDGED
             beside = float(left["left_m"].abs().median()) if enough else np.nan
             judged[number] = off, beside, *_shift(left)
     shifts = {number: float(np.hypot(*each[2])) for number, each in judged.items()}
@@ -296,13 +296,13 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str]) -> list[str]:
             each[1] for other, each in judged.items() if other != number and np.isfinite(each[1])
         ]
         apart = beside - float(np.median(others)) if others else 0.0
-        least = max(MOST_BESIDE_M, SURE_SIGMAS * sigma, LEAST_OF_WORST * max(shifts.values()))
-        if off > MOST_OFF_LANE:
+        least = max(_MOST_BESIDE_M, _SURE_SIGMAS * sigma, _LEAST_OF_WORST * max(shifts.values()))
+        if off > _MOST_OFF_LANE:
             what = Text("{:.0%} of its vehicles follow no lanelet", off)
         elif shifts[number] > least:
             side = _SIDES[round(float(np.arctan2(shift[1], shift[0])) / (0.25 * np.pi)) % 8]
             what = Text("its vehicles drive {:.1f} m {} of the lanes", shifts[number], Text(side))
-        elif apart > MOST_BESIDE_M:
+        elif apart > _MOST_BESIDE_M:
             what = Text(
                 "its vehicles drive {:.1f} m farther from their lanes' centres than "
                 "those of others",
@@ -311,7 +311,7 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str]) -> list[str]:
         else:
             continue
         doubt = Text("its pose may be off")
-        lines.append(Text("{}: {}: {} ({})", sensors[number], what, doubt, POSE_HINT))
+        lines.append(Text("{}: {}: {} ({})", sensors[number], what, doubt, _POSE_HINT))
     return lines
 
 

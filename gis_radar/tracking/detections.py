@@ -13,7 +13,7 @@ from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections
 
-LEAST_COS = 0.3  # least cosine of the elevation: steeper below, range rates give no speed
+_LEAST_COS = 0.3  # least cosine of the elevation: steeper below, range rates give no speed
 # Heights over the road of vehicles' detections: multipath by the road lies below it, the highest
 # trucks are 4 m.
 LOW_M, HIGH_M = -1.0, 4.5
@@ -21,11 +21,11 @@ HEIGHT_RAD = 0.035  # tolerance of the height by the elevation: 2 sigma of a rec
 MOVING_MPS = 0.15  # least absolute range rate of what moves: seven sigma of a recorded ARS548
 # The same in sigmas of the sensor's own noise, where that is more: of 500 fixed detections a frame,
 # one seems to move every three minutes.
-STILL_SIGMAS = 5.0
+_STILL_SIGMAS = 5.0
 # The noise is measured in the first NOISE_S by detections slower than SLOW_MPS, at least so many (a
 # sigma to 3 %). SLOW_MPS is also the upper bound of the threshold.
-NOISE_S, SLOW_MPS, LEAST_SLOW = 20.0, 0.3, 1000
-PEAK_SHARE = 0.5  # least share of them below a third of SLOW_MPS; of uniform ones a third is
+NOISE_S, SLOW_MPS, _LEAST_SLOW = 20.0, 0.3, 1000
+_PEAK_SHARE = 0.5  # least share of them below a third of SLOW_MPS; of uniform ones a third is
 AZIMUTH_RAD = 0.004  # sigma of a bearing, including the bias of each target
 
 
@@ -138,7 +138,7 @@ def map_detections(
     kept = np.flatnonzero(on & np.isfinite(read.range_rate))
     away = points[kept, :2] - sensor_place[:2]
     ground_range = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-6)
-    cos_elevation = np.maximum(ground_range / np.maximum(range_m[kept], 1e-6), LEAST_COS)
+    cos_elevation = np.maximum(ground_range / np.maximum(range_m[kept], 1e-6), _LEAST_COS)
     rate = read.range_rate[kept]
     return MapDetections(
         time=read.time[kept],
@@ -162,11 +162,11 @@ def still_rate(range_rate: Floats) -> float:
         zero, whose width is the noise; where only moving ones are recorded there is none.
     """
     slow = np.abs(range_rate[np.abs(range_rate) < SLOW_MPS])
-    peak = (slow < SLOW_MPS / 3.0).mean() if len(slow) >= LEAST_SLOW else 0.0
-    if peak < PEAK_SHARE:
+    peak = (slow < SLOW_MPS / 3.0).mean() if len(slow) >= _LEAST_SLOW else 0.0
+    if peak < _PEAK_SHARE:
         return MOVING_MPS
     sigma = float(np.median(slow)) / 0.6745  # the median of a normal's absolute value
-    return float(np.clip(STILL_SIGMAS * sigma, MOVING_MPS, SLOW_MPS))
+    return float(np.clip(_STILL_SIGMAS * sigma, MOVING_MPS, SLOW_MPS))
 
 
 @compiled

@@ -25,7 +25,7 @@ OVERLAP_M = 0.5
 # clearance of a bridge.
 # A longer vehicle is the strip of its width along the path its front took (the contract): the
 # longest single vehicle without a joint.
-STRIP_M = 12.0
+_STRIP_M = 12.0
 # Distance of the points of such a path: on a curve of 10 m radius its chord is 1 cm off the arc.
 PATH_STEP_M = 1.0
 _LOOKUP_CELL_M = 2.0  # side of a cell of the look-up; twice or half of it is as fast
@@ -212,7 +212,7 @@ def footprints_of(
     middle = states[["easting", "northing"]].to_numpy(float) - origin
     boxes = np.column_stack([middle, np.cos(heading), np.sin(heading), length / 2, width / 2])
     boxes = np.ascontiguousarray(boxes)  # another layout would be compiled anew
-    path, points, begins = book.extend(number, boxes, length > STRIP_M)
+    path, points, begins = book.extend(number, boxes, length > _STRIP_M)
     return Footprints(
         step=states["step"].to_numpy(np.int64), boxes=boxes, level_m=level_m,
         seen=states["seen"].to_numpy(np.bool_), path=path, points=points, begins=begins,

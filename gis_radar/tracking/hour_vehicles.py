@@ -28,7 +28,7 @@ from gis_radar.tracking.occupancy import OccupancyEngine
 from gis_radar.tracking.tables import PASSAGES_KIND, TRACKS_KIND, VEHICLES_KIND
 from gis_radar.tracking.tracker import vehicles_in
 
-NUMBERS_PER_HOUR = 1_000_000  # an hour's vehicles have numbers from so many times the hour on
+_NUMBERS_PER_HOUR = 1_000_000  # an hour's vehicles have numbers from so many times the hour on
 
 _TimedBlock: TypeAlias = tuple[tuple[int, int], Block]
 
@@ -208,7 +208,7 @@ class _HourResults:
         passages = pd.concat([PASSAGES_KIND.empty(), *self.passages], ignore_index=True)
         passages = passages[passages["step"].between(begin, end - 1)]
         heavy = passages["vehicle"].map({n: row["p_heavy"] for n, row in self.vehicles.items()})
-        before = (self.window.hour - 1) * NUMBERS_PER_HOUR
+        before = (self.window.hour - 1) * _NUMBERS_PER_HOUR
         continued = [(before + k, final[n]) for k, n in enumerate(self.over_begin)]
         return HourVehicles(
             tracks=_ends_and_fourths(_renumbered(tracks, final), vehicles),
@@ -225,7 +225,7 @@ class _HourResults:
         """
         rest = sorted(self.vehicles.keys() - set(self.over_end))
         rest.sort(key=lambda n: self.vehicles[n]["first_step"])
-        base = self.window.hour * NUMBERS_PER_HOUR
+        base = self.window.hour * _NUMBERS_PER_HOUR
         return {n: base + k for k, n in enumerate([*self.over_end, *rest])}
 
 

@@ -23,20 +23,20 @@ HALF_STEPS = STEPS_PER_SECOND // 2
 # Dynamics, ch. 4).
 GAP_S, GAP_SPREAD = 1.8, 0.6
 # Prior variances of place, m2, and speed, m2/s2.
-UNKNOWN_S, UNKNOWN_V = 25.0, 9.0
-MOST_MISSES = 6  # places in a row outside the gate after which the filter starts again
-STILL_COS = 0.05  # least cosine of the aspect; below it, a range rate is no evidence of the speed
+_UNKNOWN_S, _UNKNOWN_V = 25.0, 9.0
+_MOST_MISSES = 6  # places in a row outside the gate after which the filter starts again
+_STILL_COS = 0.05  # least cosine of the aspect; below it, a range rate is no evidence of the speed
 _SPACING_M = 1.0  # distance along the road of the points through which a path is fitted
 _ALONG_M = 0.3  # sigma of a detection along the road
-RANGE_RATE_MPS = 0.4  # sigma of a range rate, including what wheels and turning add
-ACCEL_VAR = 2.0  # variance that a driver's choice adds to the speed per second, m2/s3
-REPEAT_FACTOR = 4.0  # factor on the sigma of places, as a scatterer lasts for several frames
+_RANGE_RATE_MPS = 0.4  # sigma of a range rate, including what wheels and turning add
+_ACCEL_VAR = 2.0  # variance that a driver's choice adds to the speed per second, m2/s3
+_REPEAT_FACTOR = 4.0  # factor on the sigma of places, as a scatterer lasts for several frames
 _MOST_WEIGHT = 8.0  # most weight sideways of the detections in two metres of a path, 1/m2
 # Weight for the length of detections of a slower vehicle: some may be of objects beside it.
 _DRIVING_MPS, _STILL_TRUST = 1.0, 0.3
 # A detection whose range rate differs from the motion's by more than both this and this share of
 # the speed does not count for the length, as it may be of a wheel or in a turn.
-LEAST_OFF_MPS, OFF_SHARE = 0.4, 0.05
+_LEAST_OFF_MPS, _OFF_SHARE = 0.4, 0.05
 
 
 @dataclass(kw_only=True, eq=False)
@@ -171,11 +171,11 @@ def fit_motion(detections: MapDetections, rows: Integers, states: Floats) -> Mot
     cos = np.cos(heading) * sight[:, 0] + np.sin(heading) * sight[:, 1]
     sin = np.abs(np.cos(heading) * sight[:, 1] - np.sin(heading) * sight[:, 0])
     noise = np.hypot(_ALONG_M, AZIMUTH_RAD * detections.range_m[rows] * sin)
-    rate = detections.range_rate[rows] / np.where(np.abs(cos) < STILL_COS, STILL_COS, cos)
-    rate_var = (RANGE_RATE_MPS / np.maximum(np.abs(cos), STILL_COS)) ** 2
+    rate = detections.range_rate[rows] / np.where(np.abs(cos) < _STILL_COS, _STILL_COS, cos)
+    rate_var = (_RANGE_RATE_MPS / np.maximum(np.abs(cos), _STILL_COS)) ** 2
     same_step = np.bincount(step, minlength=count)[step]
     # The error of a direction lasts about a second: all range rates of that time share it.
-    across = states[rows, 3] * sin / np.maximum(np.abs(cos), STILL_COS)
+    across = states[rows, 3] * sin / np.maximum(np.abs(cos), _STILL_COS)
     rate_var += (DIRECTION_RAD * across) ** 2 * STEPS_PER_SECOND * same_step
     ends = np.column_stack([-np.sign(cos), np.abs(cos), sin])  # the end that is seen, and how much
     size, shift = Size(), 0.0
@@ -185,7 +185,7 @@ def fit_motion(detections: MapDetections, rows: Integers, states: Floats) -> Mot
         half = 0.5 * size.length_m
         variance = noise**2 + (1.0 - share) * half**2 / 3.0 + share * (1.0 - share) * half**2
         # scatterers last: what one frame shows the next shows again
-        variance *= REPEAT_FACTOR * np.sqrt(same_step)
+        variance *= _REPEAT_FACTOR * np.sqrt(same_step)
         middle = s - ends[:, 0] * share * half
         smoothed = _smooth(
             count, step, rate, rate_var, middle, variance, float(middle[:5].mean()),
@@ -194,8 +194,8 @@ def fit_motion(detections: MapDetections, rows: Integers, states: Floats) -> Mot
         place = time * STEPS_PER_SECOND - first
         along = s - np.interp(place, np.arange(count), smoothed[0])
         speed = np.interp(place, np.arange(count), smoothed[1])
-        rate_error = np.abs(rate - speed) * np.maximum(np.abs(cos), STILL_COS)
-        fits = rate_error < LEAST_OFF_MPS + OFF_SHARE * speed
+        rate_error = np.abs(rate - speed) * np.maximum(np.abs(cos), _STILL_COS)
+        fits = rate_error < _LEAST_OFF_MPS + _OFF_SHARE * speed
         # a standing vehicle may seem as long as all still things there
         trust = np.where(speed > _DRIVING_MPS, 1.0, _STILL_TRUST) * fits
         size, shift = size_of(along, ends, noise, time, trust)
@@ -287,10 +287,10 @@ def _smooth(  # pragma: no cover - compiled
     its variance; `s`, `v` are the first place and speed. Returns place, speed, variance of place.
     """
     dt = 1.0 / 20.0
-    q_ss, q_sv, q_vv = ACCEL_VAR * dt**3 / 3.0, ACCEL_VAR * dt**2 / 2.0, ACCEL_VAR * dt
+    q_ss, q_sv, q_vv = _ACCEL_VAR * dt**3 / 3.0, _ACCEL_VAR * dt**2 / 2.0, _ACCEL_VAR * dt
     mean, cov = np.empty((count, 2)), np.empty((count, 3))
     predicted, predicted_cov = np.empty((count, 2)), np.empty((count, 3))
-    a, b, c = UNKNOWN_S, 0.0, UNKNOWN_V
+    a, b, c = _UNKNOWN_S, 0.0, _UNKNOWN_V
     k, misses, fitted = 0, 0, 0
     for i in range(count):
         if i > 0:
@@ -298,8 +298,8 @@ def _smooth(  # pragma: no cover - compiled
             a += 2.0 * dt * b + dt * dt * c + q_ss
             b += dt * c + q_sv
             c += q_vv
-        if misses >= max(MOST_MISSES, fitted):  # the track so far was of something else
-            a, c, misses, fitted = a + UNKNOWN_S, c + UNKNOWN_V, 0, 0
+        if misses >= max(_MOST_MISSES, fitted):  # the track so far was of something else
+            a, c, misses, fitted = a + _UNKNOWN_S, c + _UNKNOWN_V, 0, 0
         predicted[i, 0], predicted[i, 1] = s, v
         predicted_cov[i, 0], predicted_cov[i, 1], predicted_cov[i, 2] = a, b, c
         while k < len(step) and step[k] == i:

@@ -23,10 +23,10 @@ from gis_radar.tracking.visibility import Visibility
 # Height of the box of a car, of a van and of a heavy vehicle: a compact car; panel vans are 2.2 to
 # 2.8 m; a box body or trailer is 3.5 to 4 m. All 0.2 m lower or higher change the visible time of
 # streets full of queues by 2 %.
-CAR_HEIGHT_M, VAN_HEIGHT_M, HEAVY_HEIGHT_M = 1.5, 2.3, 3.5
+_CAR_HEIGHT_M, _VAN_HEIGHT_M, _HEAVY_HEIGHT_M = 1.5, 2.3, 3.5
 # A longer vehicle that is not heavy is a van: cars end at 5.1 m, vans with a high roof begin at
 # 5.3 m.
-VAN_M = 5.2
+_VAN_M = 5.2
 
 
 class OccupancyEngine:
@@ -84,10 +84,10 @@ class OccupancyEngine:
 
     def _heights(self, vehicles: pd.DataFrame) -> Floats:
         """Return the height of the box of each vehicle, metres."""
-        van = vehicles["length_m"].to_numpy(float) > VAN_M
+        van = vehicles["length_m"].to_numpy(float) > _VAN_M
         heavy = vehicles["p_heavy"].to_numpy(float) >= HEAVY
-        light = np.where(van, VAN_HEIGHT_M, CAR_HEIGHT_M)
-        return np.where(heavy, HEAVY_HEIGHT_M, light)
+        light = np.where(van, _VAN_HEIGHT_M, _CAR_HEIGHT_M)
+        return np.where(heavy, _HEAVY_HEIGHT_M, light)
 
     def _occupy(self, prints: Footprints) -> Integers:
         """Advance the runs of occupied tiles; return those that ended."""

@@ -11,15 +11,15 @@ import numpy as np
 from gis_radar.base import Floats, Integers, compiled, heading_difference
 from gis_radar.tracking.size import LONGEST_M
 
-TIGHTEST_M = 5.0  # radius of the turning circle of a small car
+_TIGHTEST_M = 5.0  # radius of the turning circle of a small car
 _FASTEST_MPS = 70.0  # largest speed, 250 km/h
-TURN_ERROR_RAD = 0.35  # largest error of the difference of two states' headings
+_TURN_ERROR_RAD = 0.35  # largest error of the difference of two states' headings
 # Sigma of a vehicle's direction about that of its path, radians: 3 degrees, by errors of maps in
 # bends, lane changes, and swinging bodies.
 DIRECTION_RAD = 0.05
-SMOOTHING_M = 3  # sigma of the normal kernel by which a path is smoothed, whole metres
+_SMOOTHING_M = 3  # sigma of the normal kernel by which a path is smoothed, whole metres
 _ROUNDING_M = 1e-6  # more than distances of a few kilometres are off by rounding
-ANCHORS = 5  # states that are tried as a start of the path: hardly all of them are outliers
+_ANCHORS = 5  # states that are tried as a start of the path: hardly all of them are outliers
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +161,7 @@ def _progress(states: Floats, spacing_m: float) -> Integers:
     """Return rows of states `spacing_m` apart, both ways from the start that gives most."""
     last = len(states) - 1
     tracks: list[Integers] = []
-    for anchor in np.unique(np.linspace(0, last, ANCHORS).astype(np.int64)).tolist():
+    for anchor in np.unique(np.linspace(0, last, _ANCHORS).astype(np.int64)).tolist():
         after = _progress_from(states, anchor, 1, spacing_m)
         before = _progress_from(states, anchor, -1, spacing_m)
         tracks.append(np.concatenate([before[:0:-1], after]))
@@ -182,7 +182,7 @@ def _progress_from(
         turn = abs(heading_difference(states[k, 2], states[last, 2]))
         way_m, lapse = np.hypot(dx, dy), abs(states[k, 3] - states[last, 3])
         # no vehicle turns within less distance, or is faster: such a state is an outlier
-        able = turn < TURN_ERROR_RAD + way_m / TIGHTEST_M
+        able = turn < _TURN_ERROR_RAD + way_m / _TIGHTEST_M
         able = able and way_m < LONGEST_M + _FASTEST_MPS * lapse
         if ahead_m >= spacing_m and able:
             kept[count] = k
@@ -229,9 +229,9 @@ def _every_metre(line: Floats) -> Floats:
 
 
 def _filtered(line: Floats) -> Floats:
-    """Smooth a line by a normal kernel of `SMOOTHING_M`, mirrored about its end points."""
-    reach = 3 * SMOOTHING_M
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / SMOOTHING_M) ** 2)
+    """Smooth a line by a normal kernel of `_SMOOTHING_M`, mirrored about its end points."""
+    reach = 3 * _SMOOTHING_M
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / _SMOOTHING_M) ** 2)
     padded = np.vstack(
         [2 * line[0] - line[reach:0:-1], line, 2 * line[-1] - line[-2 : -reach - 2 : -1]]
     )

@@ -12,8 +12,8 @@ from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
 _MOST = 8  # most lanelets at one point
 # Sigma of the front's distance from the lanelet's centre, and of the heading from the lanelet's.
 _LEFT_M, _TURN_RAD = 1.0, 0.3
-MOST_RAD = 1.0  # largest difference of headings at which a vehicle follows a lanelet
-OFF_LANE_COST = 9.0  # cost of a step off all lanelets: that of three sigma beside one
+_MOST_RAD = 1.0  # largest difference of headings at which a vehicle follows a lanelet
+_OFF_LANE_COST = 9.0  # cost of a step off all lanelets: that of three sigma beside one
 # Cost of a change to a lanelet that is no successor: half a second beside the lane.
 _CHANGE_COST = 30.0
 
@@ -78,11 +78,11 @@ def _likeliest(
         number = lanes_at(fronts[i, 0], fronts[i, 1], field, lanes)
         for j in range(_MOST + 1):
             if j == _MOST:
-                emission = OFF_LANE_COST
+                emission = _OFF_LANE_COST
                 candidates[i, j, 0] = -1.0
             elif j < number:
                 turn = abs(heading_difference(lanes[j, 3], heading[i]))
-                if turn > MOST_RAD:
+                if turn > _MOST_RAD:
                     continue
                 emission = (lanes[j, 2] / _LEFT_M) ** 2 + (turn / _TURN_RAD) ** 2
                 candidates[i, j] = lanes[j, :3]

@@ -24,13 +24,13 @@ LONG_M = 7.0  # longer vehicles are lorries and buses
 # Share of detections of the end of a vehicle, if the sensor sees it squarely; others: of all the
 # body.
 END_SHARE = 0.75
-SCATTERER_M, ASPECT_RAD = 0.5, 0.3  # detections nearer along the body and in aspect are of one
+_SCATTERER_M, _ASPECT_RAD = 0.5, 0.3  # detections nearer along the body and in aspect are of one
 # Weight of each detection of a scatterer, whose sum is 1 at most; less where a metre of the body is
-# detected in fewer than LASTING_HALVES half seconds.
-REPEAT_WEIGHT, LASTING_HALVES = 0.25, 4.0
+# detected in fewer than _LASTING_HALVES half seconds.
+_REPEAT_WEIGHT, _LASTING_HALVES = 0.25, 4.0
 # Grid of lengths, and of the middle ahead of its first guess, metres.
 LENGTHS = np.concatenate([np.arange(2.0, 7.1, 0.5), np.arange(8.0, 19.1, 1.0)])
-SHIFTS = np.arange(-6.0, 6.1, 0.5)
+_SHIFTS = np.arange(-6.0, 6.1, 0.5)
 
 
 def width_of(length: float) -> float:
@@ -49,7 +49,7 @@ def length_prior(lengths: Floats) -> Floats:
     return np.asarray(np.log(density))
 
 
-_LOG_PRIOR = length_prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
+_LOG_PRIOR = length_prior(LENGTHS)[:, None] - 0.5 * (_SHIFTS / 3.0) ** 2
 _LENGTH_WIDTHS = np.gradient(LENGTHS)
 
 
@@ -82,11 +82,11 @@ def size_of(
     along, ends, noise, weight = _scatterers(
         along[fits], ends[fits], noise[fits], time[fits], trust[fits]
     )
-    coarse = _log_likelihood(along, ends, noise, weight, LENGTHS, SHIFTS)
+    coarse = _log_likelihood(along, ends, noise, weight, LENGTHS, _SHIFTS)
     coarse += _LOG_PRIOR
     top = np.unravel_index(int(coarse.argmax()), coarse.shape)
     fine_l = np.maximum(LENGTHS[top[0]] + np.arange(-0.75, 0.76, 0.25), 1.5)
-    fine_d = SHIFTS[top[1]] + np.arange(-0.5, 0.51, 0.125)
+    fine_d = _SHIFTS[top[1]] + np.arange(-0.5, 0.51, 0.125)
     fine = _log_likelihood(along, ends, noise, weight, fine_l, fine_d)
     fine += length_prior(fine_l)[:, None] - 0.5 * (fine_d / 3.0) ** 2
     share = np.exp(coarse - coarse.max())
@@ -110,20 +110,20 @@ def _scatterers(
     From one side a sensor sees the same few scatterers of a body, and how often it detects each is
     no evidence of the length. Detections in one half second only may be of a passing vehicle.
     """
-    aspect = np.arctan2(ends[:, 2], -ends[:, 0] * ends[:, 1]) / ASPECT_RAD
-    cell = np.clip(np.floor(along / SCATTERER_M), -400, 400).astype(np.int64)
+    aspect = np.arctan2(ends[:, 2], -ends[:, 0] * ends[:, 1]) / _ASPECT_RAD
+    cell = np.clip(np.floor(along / _SCATTERER_M), -400, 400).astype(np.int64)
     key = np.floor(aspect).astype(np.int64) * 1000 + cell
     _, which, count = np.unique(key, return_inverse=True, return_counts=True)
-    metre = cell // int(1.0 / SCATTERER_M)
+    metre = cell // int(1.0 / _SCATTERER_M)
     half = (2.0 * (time - time.min())).astype(np.int64)
     halves = int(half.max()) + 1
     seen = np.bincount(np.unique(metre * halves + half) // halves + 400, None, 801)
-    lasts = np.minimum(seen[metre + 400] / LASTING_HALVES, 1.0)
+    lasts = np.minimum(seen[metre + 400] / _LASTING_HALVES, 1.0)
     table = np.column_stack([along, ends, noise])
     mean = np.stack([np.bincount(which, column) for column in table.T], axis=1) / count[:, None]
     most = np.zeros(len(count))
     np.maximum.at(most, which, trust)
-    weight = np.minimum(np.bincount(which, lasts * trust) * REPEAT_WEIGHT, most)
+    weight = np.minimum(np.bincount(which, lasts * trust) * _REPEAT_WEIGHT, most)
     return mean[:, 0], mean[:, 1:4], mean[:, 4], weight
 
 

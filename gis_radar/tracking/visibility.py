@@ -27,13 +27,13 @@ from gis_radar.tracking.footprints import MOST_PARTS, CrossLines, Footprints, cl
 HIDDEN_S = 10.0  # a tile stays visible for so long while other vehicles hide it (the contract)
 # A run of visible steps is split into seen and unseen where other vehicles hide the tile for so
 # long: a passing vehicle hides it for less, through which tracks continue.
-UNSEEN_S = 1.0
+_UNSEEN_S = 1.0
 # Steps between two checks of the lines of sight, which are also checked when sensors change: a
 # vehicle at 15 m/s moves 3 m in 0.2 s, which is little against 10 s of hiding.
 CHECK_STEPS = 4
 # Height of a sensor over the road where tiles have no heights: a mast or a signal head stands 4 to
 # 6 m high.
-SENSOR_OVER_ROAD_M = 5.0
+_SENSOR_OVER_ROAD_M = 5.0
 BINS = 720  # bins of azimuth around a sensor: half a degree, a tenth of a car at 20 m
 
 
@@ -66,7 +66,7 @@ class Rays:
         """Return the rays to some tiles, whose (n, 3) targets may have unknown heights."""
         x, y = pose.position[:2] - origin
         height = float(pose.position[2])
-        road_m = height - SENSOR_OVER_ROAD_M
+        road_m = height - _SENSOR_OVER_ROAD_M
         if np.isfinite(targets[:, 2]).any():
             road_m = float(np.nanmedian(targets[:, 2]))
         level = np.where(np.isnan(targets[:, 2]), road_m, targets[:, 2]) + TARGET_M
@@ -187,7 +187,7 @@ class Visibility:
                 np.array([each.lowest_m for each in rays]),
                 observed, np.flatnonzero(observed), self._hidden, self._begun, self._seen,
                 self._stamps, round(HIDDEN_S * STEPS_PER_SECOND),
-                round(UNSEEN_S * STEPS_PER_SECOND), CHECK_STEPS, self._checked, *queries,
+                round(_UNSEEN_S * STEPS_PER_SECOND), CHECK_STEPS, self._checked, *queries,
             )
         )  # fmt: skip
         first_check = begin if self._checked < 0 else self._checked

@@ -16,7 +16,7 @@ from gis_radar.base.languages.po import read_catalogue
 
 LANGUAGES = ("en", "de")
 # the environment variable that the plugin sets for its worker
-LANGUAGE_VARIABLE = "GIS_RADAR_LANGUAGE"
+_LANGUAGE_VARIABLE = "GIS_RADAR_LANGUAGE"
 _SYSTEM_VARIABLES = ("LANGUAGE", "LC_ALL", "LC_MESSAGES", "LANG")  # as gettext asks them
 
 
@@ -35,7 +35,7 @@ def users_language(*, chosen_only: bool = False) -> str:
     chosen_only : bool
         Whether only `GIS_RADAR_LANGUAGE` counts, and not the language of the system.
     """
-    names = (LANGUAGE_VARIABLE,) if chosen_only else (LANGUAGE_VARIABLE, *_SYSTEM_VARIABLES)
+    names = (_LANGUAGE_VARIABLE,) if chosen_only else (_LANGUAGE_VARIABLE, *_SYSTEM_VARIABLES)
     wanted = next((os.environ[name] for name in names if os.environ.get(name)), "")
     short = (each[:2] for each in wanted.split(":"))
     return next((each for each in short if each in LANGUAGES), LANGUAGES[0])

@@ -22,11 +22,11 @@ from gis_radar.scans import SightTiles
 # poses, maps and bearings (1 sigma: metres, and share of the range).
 _EDGE_M, _EDGE_SHARE = 0.5, 0.01
 OTHERS = 0.1  # share of detections that are of anything else than vehicles on lanes
-AREA_M = 8.0  # width and height over which those are uniform
+_AREA_M = 8.0  # width and height over which those are uniform
 # Height over the road of reflections: mean, 1 sigma, 1 sigma of elevation as a share of the range.
 MEAN_REFLECTION_M, _HEIGHT_M, _HEIGHT_SHARE = 0.7, 1.0, 0.012
 _SAME_M = 0.3  # poses so near to each other, as those of a pose track, share sampled lanes
-MOST_CACHED = 4  # places whose lanes are held in memory, 25 MB each
+_MOST_CACHED = 4  # places whose lanes are held in memory, 25 MB each
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ class LaneMap:
             if reach == reach_m and np.hypot(east - key[0], north - key[1]) < _SAME_M:
                 key = east, north, reach
         if key not in self._cache:
-            while len(self._cache) >= MOST_CACHED:
+            while len(self._cache) >= _MOST_CACHED:
                 del self._cache[next(iter(self._cache))]
             self._cache[key] = None
             with suppress(NoAnswerError):
@@ -124,7 +124,7 @@ def score(
         Whether range rates have lost their sign, so that each may have either.
     """
     points, rates = excerpt.points, excerpt.range_rate
-    log_likelihood = np.full(len(points), np.log(OTHERS / AREA_M**2))
+    log_likelihood = np.full(len(points), np.log(OTHERS / _AREA_M**2))
     on_lane, height_over_m = np.zeros(len(points), dtype=bool), np.full(len(points), np.nan)
     for index, pose in enumerate(excerpt.poses):
         rows, near = np.flatnonzero(excerpt.pose == index), lanes.around(pose, excerpt.reach_m)
@@ -165,8 +165,8 @@ def _lane_likelihoods(
     spread = np.hypot(_HEIGHT_M, _HEIGHT_SHARE * reach)
     normal = np.exp(-0.5 * ((height_over_m - MEAN_REFLECTION_M) / spread) ** 2)
     normal /= np.sqrt(2.0 * np.pi) * spread
-    height_density = np.where(np.isnan(height_over_m) | (not heights), 1.0 / AREA_M, normal)
+    height_density = np.where(np.isnan(height_over_m) | (not heights), 1.0 / _AREA_M, normal)
     lane = matches.found * (1.0 - OTHERS) * lane_density * height_density
-    elsewhere = OTHERS / AREA_M**2
+    elsewhere = OTHERS / _AREA_M**2
     on_lane = lane > elsewhere
     return np.log(lane + elsewhere), on_lane, np.where(on_lane, height_over_m, np.nan)

@@ -26,13 +26,13 @@ from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Detections, Recording
 
 _SEGMENT_S = 20.0  # length of a segment: a vehicle crosses the view in it
-LEAST_SEGMENTS = 5  # together as long as the window of a localization
-MOST_SEGMENTS = 33  # for quiet nights; of 5, 9, 17, 33 segments the earlier are among the later
-ENOUGH_VEHICLES = 30  # an excerpt with so many is complete: no further segments are read
+_LEAST_SEGMENTS = 5  # together as long as the window of a localization
+_MOST_SEGMENTS = 33  # for quiet nights; of 5, 9, 17, 33 segments the earlier are among the later
+_ENOUGH_VEHICLES = 30  # an excerpt with so many is complete: no further segments are read
 LEAST_VEHICLES = 10  # fewer give no verdict
-CYCLING_MPS = 7.0  # 25 km/h: cyclists ride at 5 m/s on average, motors of pedelecs stop at 7
+_CYCLING_MPS = 7.0  # 25 km/h: cyclists ride at 5 m/s on average, motors of pedelecs stop at 7
 _SAME_PLACE_M = 1.0  # poses of a pose track that are farther apart are different places
-PER_TRACK = 40  # most detections that a track keeps: more add no information
+_PER_TRACK = 40  # most detections that a track keeps: more add no information
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +139,7 @@ def read_excerpts(
 ) -> Iterator[Excerpt]:
     """Yield excerpts of a sensor's recordings, each with more segments than the one before.
 
-    The first one has `ENOUGH_VEHICLES` where the recordings do; callers read on when they need
+    The first one has `_ENOUGH_VEHICLES` where the recordings do; callers read on when they need
     more traffic. The choice of segments depends on the recordings' first and last times and on
     their traffic alone.
 
@@ -157,13 +157,13 @@ def read_excerpts(
     InputError
         If a recording is damaged.
     """
-    spans, count = [recorded_between(each) for each in recordings], LEAST_SEGMENTS
+    spans, count = [recorded_between(each) for each in recordings], _LEAST_SEGMENTS
     length_s = sum(end - begin for begin, end in spans)
     while True:
         rows = _read_rows(recordings, _segment_begins(spans, count), clock or NO_OFFSET)
         excerpt = _excerpt(rows, tracks)
-        last = _SEGMENT_S * count >= length_s or count >= MOST_SEGMENTS
-        if last or excerpt.vehicles >= ENOUGH_VEHICLES or excerpt.fault is not None:
+        last = _SEGMENT_S * count >= length_s or count >= _MOST_SEGMENTS
+        if last or excerpt.vehicles >= _ENOUGH_VEHICLES or excerpt.fault is not None:
             excerpt = replace(excerpt, scene_change=_scene_change(rows, tracks) if tracks else None)
             del rows  # the caller may keep this generator for long before asking for more
             yield excerpt
@@ -247,26 +247,26 @@ def _excerpt(rows: Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
 
 
 def _thinned(track: Integers) -> Integers:
-    """Return indices of detections on tracks, thinned evenly to `PER_TRACK` a track, ascending."""
+    """Return indices of detections on tracks, thinned evenly to `_PER_TRACK` a track, ascending."""
     rows = np.flatnonzero(track != NONE)
     rows = rows[np.argsort(track[rows], kind="stable")]
     first, count = np.unique(track[rows], return_index=True, return_counts=True)[1:]
     rank = np.arange(len(rows)) - np.repeat(first, count)
-    step = np.repeat(-(-count // PER_TRACK), count)
+    step = np.repeat(-(-count // _PER_TRACK), count)
     return np.sort(rows[rank % np.maximum(step, 1) == 0])
 
 
 def _maybe_cyclists(moving: Moving, track: Integers, vehicle: Integers) -> Booleans:
     """Return for each track whether it may be of a cyclist or walker, who need not keep to lanes.
 
-    These are tracks of objects never faster than `CYCLING_MPS`, if more than `MOST_WALKERS` of all
+    These are tracks of objects never faster than `_CYCLING_MPS`, if more than `MOST_WALKERS` of all
     objects are so slow and `LEAST_VEHICLES` are faster: in a jam all vehicles are slow.
     """
     if len(vehicle) == 0:
         return np.zeros(0, dtype=bool)
     top = np.zeros(int(vehicle.max()) + 1)
     np.maximum.at(top, vehicle, top_speeds(moving, track))
-    slow = top <= CYCLING_MPS
+    slow = top <= _CYCLING_MPS
     leave_out = slow.mean() > MOST_WALKERS and (~slow).sum() >= LEAST_VEHICLES
     return np.asarray(slow[vehicle] & leave_out)
 

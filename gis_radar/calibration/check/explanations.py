@@ -25,7 +25,7 @@ from gis_radar.calibration.findings import FITS, NOT_ONE_PLACE, Cause, Finding, 
 from gis_radar.poses import Pose
 
 # Least share of vehicles on lanes at which a pose fits: right poses have 0.85 and more.
-FIT_SHARE = 0.75
+_FIT_SHARE = 0.75
 # A mistake must put _LEAST_GAIN more of the vehicles on lanes than the given pose (a right pose
 # leaves a fifth of them off, too), LEAST_ON_LANES of all, and have a z score of _LEAST_Z over it.
 # Mistakes within a z score of _AS_LIKELY of the best are as likely. One is only named if the pose
@@ -33,16 +33,16 @@ FIT_SHARE = 0.75
 _LEAST_GAIN, LEAST_ON_LANES, _LEAST_Z, _AS_LIKELY = 0.2, 0.65, 4.0, 3.0
 FOUND_SHARE = 0.8  # least share of a searched pose: a search explains a part of any traffic
 # Where no mistake fits, a pose is wrong if its share exceeds that of turned sensors by less than
-# OVER_CHANCE, or is below LEAST_ON_LANES; up to FIT_SHARE it is doubted, as maps lack lanes.
-OVER_CHANCE = 0.1
+# _OVER_CHANCE, or is below LEAST_ON_LANES; up to _FIT_SHARE it is doubted, as maps lack lanes.
+_OVER_CHANCE = 0.1
 # Share of the vehicles that right poses put on lanes, and the probability with which a sample of
 # few vehicles may fall short of it (three standard deviations).
-RIGHT_SHARE, SHORT_BY_CHANCE = 0.84, 0.00135
-MOST_CAUSES = 2  # if more causes are equally likely, none is named
+_RIGHT_SHARE, _SHORT_BY_CHANCE = 0.84, 0.00135
+_MOST_CAUSES = 2  # if more causes are equally likely, none is named
 _HIGH_M = 1.5  # larger errors of the median height over the road may be of height or tilt
 # Where all range rates have one sign, signs are lost if so many vehicles (number, and share of all)
 # drive along lanes only with the other sign: few vehicles drive against a lane.
-BACKWARDS, BACKWARDS_SHARE = 5, 0.1
+_BACKWARDS, _BACKWARDS_SHARE = 5, 0.1
 
 BESIDE_LANES = Cause(
     Text("many vehicles drive beside the lanes"),
@@ -79,7 +79,7 @@ def compare_explanations(
         "with this pose {:.0%} of {} recorded vehicles drive along lanes of the map",
         given.share, len(given.on_lane),
     )  # fmt: skip
-    if given.share >= FIT_SHARE and not height_off:
+    if given.share >= _FIT_SHARE and not height_off:
         lost = excerpt.one_sign and _drive_backwards(excerpt, lanes, given)
         return wrong(evidence, *SIGNLESS.causes) if lost else judged(FITS, evidence)
     mistakes = usual_mistakes(excerpt, others, units_known=units_known)
@@ -87,7 +87,7 @@ def compare_explanations(
     least = given.share + (0.0 if height_off else _LEAST_GAIN)
     named = best_mistakes(excerpt, lanes, given, mistakes, least)
     named = [each for each in named if fits_if(excerpt, lanes, each[0])]
-    if given.share < FIT_SHARE and (not named or AGAINST in named[0][0].causes):
+    if given.share < _FIT_SHARE and (not named or AGAINST in named[0][0].causes):
         poses = search_poses(excerpt, lanes)
         found = best_mistakes(excerpt, lanes, given, poses, max(least, FOUND_SHARE))[:1]
         found = [each for each in found if fits_if(excerpt, lanes, each[0])]
@@ -95,11 +95,11 @@ def compare_explanations(
             named = found + named  # a map with swapped bounds is no likelier than a pose
     if named:
         return explained(excerpt, evidence, named)
-    if given.share >= FIT_SHARE:
+    if given.share >= _FIT_SHARE:
         return judged(FITS, evidence)
     turned = [each.score(excerpt, lanes) for each in other_yaws(excerpt.usual)]
     random_share = max(each.share for each in turned)
-    if given.share < least_share(len(given.on_lane), random_share + OVER_CHANCE):
+    if given.share < least_share(len(given.on_lane), random_share + _OVER_CHANCE):
         by_chance = Text("{}, {:.0%} with the sensor turned at random", evidence, random_share)
         return wrong(by_chance, NOT_ONE_PLACE)
     return judged(FITS, evidence, BESIDE_LANES)
@@ -118,7 +118,7 @@ def explained(excerpt: Excerpt, evidence: str, named: ScoredMistakes) -> Finding
         The mistakes, likeliest first.
     """
     best, with_best = named[0]
-    if best.is_twofold(excerpt.usual) or len(named) > MOST_CAUSES:
+    if best.is_twofold(excerpt.usual) or len(named) > _MOST_CAUSES:
         with_other = Text("{}, {:.0%} with another pose", evidence, with_best.share)
         return wrong(with_other, NOT_ONE_PLACE)
     if_so = Text("{}, {:.0%} after this correction", evidence, with_best.share)
@@ -135,14 +135,14 @@ def least_share(vehicles: int, random_share: float = 0.0) -> float:
     random_share : float
         Share with the sensor turned at random, plus a margin.
     """
-    usual_least = scipy.stats.binom.ppf(SHORT_BY_CHANCE, vehicles, RIGHT_SHARE) / vehicles
-    return float(min(max(LEAST_ON_LANES, min(random_share, FIT_SHARE)), usual_least))
+    usual_least = scipy.stats.binom.ppf(_SHORT_BY_CHANCE, vehicles, _RIGHT_SHARE) / vehicles
+    return float(min(max(LEAST_ON_LANES, min(random_share, _FIT_SHARE)), usual_least))
 
 
 def _drive_backwards(excerpt: Excerpt, lanes: LaneMap, given: Score) -> bool:
     """Return whether many vehicles drive along lanes only with range rates of the other sign."""
     backwards = int((SIGNLESS.score(excerpt, lanes).driving & ~given.driving).sum())
-    return backwards >= max(BACKWARDS, BACKWARDS_SHARE * len(given.on_lane))
+    return backwards >= max(_BACKWARDS, _BACKWARDS_SHARE * len(given.on_lane))
 
 
 def best_mistakes(

@@ -11,12 +11,12 @@ from gis_radar.calibration.findings import Cause, Finding, wrong
 from gis_radar.calibration.registration.traces import MIN_SPEED_MPS
 from gis_radar.recordings import constant_value, detection_keys
 
-FROZEN_FRAMES = 20  # least number of equal frames in a row that is a fault; 1 s at 20 Hz
-LEAST_REPEATED = 2  # smaller frames equal the one before by chance
+_FROZEN_FRAMES = 20  # least number of equal frames in a row that is a fault; 1 s at 20 Hz
+_LEAST_REPEATED = 2  # smaller frames equal the one before by chance
 # Share of repeated detections that is accepted, and a number: of a few, two may be alike by chance.
-MOST_DUPLICATES, LEAST_DUPLICATES = 0.1, 30
+_MOST_DUPLICATES, _LEAST_DUPLICATES = 0.1, 30
 # So many detections faster than this (m/s) cannot be vehicles, in m/s or in km/h.
-TOO_FAST_MPS, LEAST_TOO_FAST = 300.0, 30
+_TOO_FAST_MPS, _LEAST_TOO_FAST = 300.0, 30
 # So many detections within this range (m, 99 % of them): a radar on a mast sees farther.
 _LEAST_REACH_M, _LEAST_CHECKED = 5.0, 1000
 # What stands has one range rate: of slower detections than _SLOW_MPS, at least _LEAST_SLOW, half
@@ -56,15 +56,15 @@ def _frozen(rows: Rows) -> Finding | None:
     """Return the finding on the longest run of equal frames."""
     present = np.isfinite(rows.points[:, 0])
     frames, first, count = np.unique(rows.time[present], return_index=True, return_counts=True)
-    if len(frames) < FROZEN_FRAMES:
+    if len(frames) < _FROZEN_FRAMES:
         return None
     values = np.column_stack([rows.points, rows.range_rate])[present]
     sums = np.add.reduceat(np.nan_to_num(values, posinf=0.0, neginf=0.0), first)
     same = (np.diff(count) == 0) & (np.diff(sums, axis=0) == 0.0).all(axis=1)
-    changes = np.flatnonzero(np.append(~(same & (count[1:] >= LEAST_REPEATED)), True))
+    changes = np.flatnonzero(np.append(~(same & (count[1:] >= _LEAST_REPEATED)), True))
     runs = np.diff(changes, prepend=-1)  # frames from one change to the next
     longest = int(runs.argmax())
-    if runs[longest] < FROZEN_FRAMES:
+    if runs[longest] < _FROZEN_FRAMES:
         return None
     last = int(changes[longest])
     begin, end = frames[last - runs[longest] + 1], frames[last]
@@ -88,7 +88,7 @@ def _duplicated(rows: Rows, moves: Booleans) -> Finding | None:
     values = rows.source, rows.time, rows.points, rows.range_rate
     keys = detection_keys(*(each[moves] for each in values))
     twice = len(keys) - len(np.unique(keys))
-    if twice < LEAST_DUPLICATES or twice <= MOST_DUPLICATES * len(keys):
+    if twice < _LEAST_DUPLICATES or twice <= _MOST_DUPLICATES * len(keys):
         return None
     cause = Cause(
         Text("a file was joined with a copy of itself"), Text("leave each detection once")
@@ -99,14 +99,14 @@ def _duplicated(rows: Rows, moves: Booleans) -> Finding | None:
 def _too_fast(rows: Rows) -> Finding | None:
     """Return the finding on many range rates that no vehicle has."""
     speeds = np.abs(rows.range_rate)
-    fast, infinite = int((speeds > TOO_FAST_MPS).sum()), int(np.isinf(speeds).sum())
-    if fast < LEAST_TOO_FAST:
+    fast, infinite = int((speeds > _TOO_FAST_MPS).sum()), int(np.isinf(speeds).sum())
+    if fast < _LEAST_TOO_FAST:
         return None
     if 2 * infinite > fast:  # a wrong unit leaves them finite
         cause = Text("the recording is damaged, or was converted wrongly")
         advice = Text("a detection without a range rate has NaN there")
         return wrong(Text("{:,} range rates are infinite", infinite), Cause(cause, advice))
-    evidence = Text("{:,} detections are faster than {:g} m/s", fast, TOO_FAST_MPS)
+    evidence = Text("{:,} detections are faster than {:g} m/s", fast, _TOO_FAST_MPS)
     looks = Text("range rates look like cm/s or mm/s")
     return wrong(evidence, Cause(looks, Text("range_rate is m/s")))
 

@@ -31,24 +31,24 @@ from gis_radar.poses import ANGLES, Pose
 _LEAST_FITNESS = 0.75  # least share of the samples that lie on lanes at a pose that is fitted
 # Place and heading are surveyed each by itself, and one mistake is of one of them: 1 sigma of the
 # other, as 0.3 m, here or 60 m ahead, is a usual survey (east and north, metres; degrees).
-SURVEYED_M, SURVEYED_DEG = 0.2, 0.3
-SINGLE = 0.0027  # least likelihood (three standard errors) of the other one at a single mistake
+_SURVEYED_M, _SURVEYED_DEG = 0.2, 0.3
+_SINGLE = 0.0027  # least likelihood (three standard errors) of the other one at a single mistake
 # Prior in place of NEAR where map or radar has no heights: height, roll and pitch stay as given.
 _LEVEL = np.array([*NEAR[:2], 0.01, 1e-4, 1e-4, NEAR[5]])
-TURN_Z = 5  # of the state: the turn about the vertical
+_TURN_Z = 5  # of the state: the turn about the vertical
 # Starts: the given pose, a metre to each side, and of those that are turned by so many degrees
 # there or a metre aside the one of the lowest cost.
-SIDES_M = (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)
-TURNED_DEG = (-1.0, 1.0)
+_SIDES_M = (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)
+_TURNED_DEG = (-1.0, 1.0)
 # A pose is doubted if it is farther off than maps, drivers' habits and a careful survey together
 # (metres; degrees of yaw, pitch, roll; standard errors), and refused if it is TOO_FAR times as far
-# off, and FAR_SIGMAS, as standard errors assume usual habits of drivers.
+# off, and _FAR_SIGMAS, as standard errors assume usual habits of drivers.
 OFF_M, OFF_DEG, OFF_SIGMAS = 0.7, (0.7, 1.5, 2.5), 3.0
-TOO_FAR, FAR_SIGMAS = 2.0, 5.0
+TOO_FAR, _FAR_SIGMAS = 2.0, 5.0
 # A pose fits only if the traffic would show an error larger than this (metres; degrees of yaw,
 # pitch, roll): a third of a lane's width, here or 60 m ahead, and tilts that would be refused.
-SHOWS_M, SHOWS_DEG = 1.0, (1.0, TOO_FAR * OFF_DEG[1], TOO_FAR * OFF_DEG[2])
-LIKELY = 2.0  # standard errors by which a pose may be farther off than it is measured to be
+_SHOWS_M, _SHOWS_DEG = 1.0, (1.0, TOO_FAR * OFF_DEG[1], TOO_FAR * OFF_DEG[2])
+_LIKELY = 2.0  # standard errors by which a pose may be farther off than it is measured to be
 _FARTHEST_M, _FARTHEST_DEG = 20.0, 20.0  # farther off is another place, turned farther other lanes
 
 
@@ -126,10 +126,10 @@ def fit_pose(excerpt: Excerpt, lanes: LaneMap) -> FittedPose | None:
 
 def _likeliest(scene: Scene, prior: Prior) -> Fit:
     """Return the likeliest fit of several starts, as many stop beside the right place."""
-    steps = np.zeros((len(SIDES_M) * (1 + len(TURNED_DEG)), SIZE))
-    steps[:, PLANE] = [(*to, turn) for turn in np.radians((0.0, *TURNED_DEG)) for to in SIDES_M]
+    steps = np.zeros((len(_SIDES_M) * (1 + len(_TURNED_DEG)), SIZE))
+    steps[:, PLANE] = [(*to, turn) for turn in np.radians((0.0, *_TURNED_DEG)) for to in _SIDES_M]
     starts = [prior.mean.moved(step) for step in steps]
-    level, turned = starts[: len(SIDES_M)], starts[len(SIDES_M) :]
+    level, turned = starts[: len(_SIDES_M)], starts[len(_SIDES_M) :]
     few = few_samples(scene)
     likeliest = min(turned, key=lambda start: cost_at(few, start, scale_m=LOOK_SCALE_M))
     return solve_likeliest(scene, [*level, likeliest], prior, schedule=WINDOW_SCHEDULE)
@@ -149,7 +149,7 @@ def mistakes_apart(seen: Measurement, centre: State) -> list[tuple[Measurement, 
     """
     away, spread = _away(seen, centre), seen.covariance
     found = []
-    for right, sigma in (([TURN_Z], np.radians(SURVEYED_DEG)), (PLACE, SURVEYED_M)):
+    for right, sigma in (([_TURN_Z], np.radians(_SURVEYED_DEG)), (PLACE, _SURVEYED_M)):
         own = spread[np.ix_(right, right)] + sigma**2 * np.eye(len(right))
         gain = spread[:, right] @ np.linalg.inv(own)
         step = away.copy()
@@ -177,7 +177,7 @@ def single_mistakes(seen: Measurement, centre: State) -> list[Measurement]:
         The given pose.
     """
     found = sorted(mistakes_apart(seen, centre), key=lambda each: -each[1])
-    return [one for one, chance in found if chance > SINGLE] or [seen]
+    return [one for one, chance in found if chance > _SINGLE] or [seen]
 
 
 def _measured(fit: Fit, prior: Prior) -> Measurement:
@@ -234,7 +234,7 @@ class Off:
     @property
     def too_far(self) -> bool:
         """Whether the pose is refused."""
-        return self.far and self.amount > max(TOO_FAR * self.least, FAR_SIGMAS * self.sigma)
+        return self.far and self.amount > max(TOO_FAR * self.least, _FAR_SIGMAS * self.sigma)
 
 
 def offs_of(pose: Pose, seen: Measurement, centre: State) -> list[Off]:
@@ -302,15 +302,15 @@ def hidden(pose: Pose, seen: Measurement, centre: State) -> list[Text]:
     off_m, sigma_m = _aside(of_place, centre)
     values, axes = np.linalg.eigh(of_place.covariance[:2, :2])
     widest = OFF_SIGMAS * float(np.sqrt(values[-1])), axes[:, -1]
-    likely = off_m + LIKELY * sigma_m, (of_place.position - centre.position)[:2]
+    likely = off_m + _LIKELY * sigma_m, (of_place.position - centre.position)[:2]
     most_m, axis = max(widest, likely, key=lambda each: each[0])
     found = []
-    if most_m > SHOWS_M:
+    if most_m > _SHOWS_M:
         sides = side(*axis), side(*-axis)
         found.append(Text("{:.1f} m to the {} or {}", min(most_m, _FARTHEST_M), *sides))
     turns = turns_of(pose, of_yaw)
-    for name, (turn, sigma), least in zip(ANGLES, turns, SHOWS_DEG, strict=True):
-        most_deg = max(OFF_SIGMAS * sigma, abs(turn) + LIKELY * sigma)
+    for name, (turn, sigma), least in zip(ANGLES, turns, _SHOWS_DEG, strict=True):
+        most_deg = max(OFF_SIGMAS * sigma, abs(turn) + _LIKELY * sigma)
         if most_deg > least:
             found.append(Text("{:.1f} deg of {}", min(most_deg, _FARTHEST_DEG), name))
     return found

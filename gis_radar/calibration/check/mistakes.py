@@ -21,12 +21,12 @@ from gis_radar.poses import ANGLES, Pose
 # Searched poses that differ by less are equal (metres; degrees of yaw, pitch, roll).
 _SAME_PLACE_M, _SAME_DEG = 2.0, (2.0, 3.0, 5.0)
 # A pose with a single mistake has either place or yaw right, up to these errors of the search.
-ONE_MISTAKE_M, ONE_MISTAKE_DEG = 3.0, 3.0
-CHANGE_SIGN = "change the sign of {} of all detections"
-STEP_DEG, NEAR_DEG = 10.0, 20.0  # of tried yaws: step, and least distance from the given yaw
+_ONE_MISTAKE_M, _ONE_MISTAKE_DEG = 3.0, 3.0
+_CHANGE_SIGN = "change the sign of {} of all detections"
+_STEP_DEG, _NEAR_DEG = 10.0, 20.0  # of tried yaws: step, and least distance from the given yaw
 XYZ = (1, 2, 3)  # axes of a right recording
 _FARTHEST_M = 20.0  # the search finds poses up to 15 m off; farther off is another place
-TILTED_DEG = 10.0  # of roll or pitch: at a wrong place the search is off by 4 deg
+_TILTED_DEG = 10.0  # of roll or pitch: at a wrong place the search is off by 4 deg
 SEARCHED = 3  # number of likeliest poses taken from a search
 _DATUM_M = 10.0  # larger errors of a height may be of its datum
 
@@ -96,7 +96,7 @@ class Mistake:
     def is_twofold(self, pose: Pose) -> bool:
         """Return whether a searched mistake is more than one, of axes, place and yaw of a pose."""
         off_m, turn = self.off(pose)
-        wrong = self.axes != XYZ, off_m > ONE_MISTAKE_M, abs(turn) > ONE_MISTAKE_DEG
+        wrong = self.axes != XYZ, off_m > _ONE_MISTAKE_M, abs(turn) > _ONE_MISTAKE_DEG
         return self.searched and sum(wrong) > 1
 
     def is_equivalent(self, other: Mistake, pose: Pose) -> bool:
@@ -112,7 +112,7 @@ class Mistake:
         ]
         alike = all(getattr(self, n) == getattr(other, n) for n in ("axes", "backwards", "scale"))
         apart_m = float(np.linalg.norm(mine.position - others.position))
-        same_yaw = all(m.searched and abs(m.off(pose)[1]) < ONE_MISTAKE_DEG for m in (self, other))
+        same_yaw = all(m.searched and abs(m.off(pose)[1]) < _ONE_MISTAKE_DEG for m in (self, other))
         return alike and ((apart_m < _SAME_PLACE_M and all(turns)) or same_yaw)
 
     def by(self, pose: Pose, there: Pose) -> Mistake:
@@ -140,17 +140,17 @@ MIRRORED = _of_axes(
     Text("left and right are swapped, in the recording or in the map"),
     Text("change the sign of y of all detections, or mirror the map"), 1, -2, 3,
 )  # fmt: skip
-AXES_IN_PLANE = (  # mistakes of axes that are found from x and y alone
+_AXES_IN_PLANE = (  # mistakes of axes that are found from x and y alone
     _of_axes(Text("x and y are swapped"), Text("swap x and y"), 2, 1, 3),
     _of_axes(
         Text("x points to the right and y forward"),
         Text("turn the axes: x forward, y to the left"), 2, -1, 3,
     ),
-    _of_axes(Text("x points backward"), Text(CHANGE_SIGN, "x"), -1, 2, 3),
+    _of_axes(Text("x points backward"), Text(_CHANGE_SIGN, "x"), -1, 2, 3),
     MIRRORED,
 )  # fmt: skip
-AXES_WITH_Z = (  # mistakes of axes that need elevations
-    _of_axes(Text("z points down"), Text(CHANGE_SIGN, "z"), 1, 2, -3),
+_AXES_WITH_Z = (  # mistakes of axes that need elevations
+    _of_axes(Text("z points down"), Text(_CHANGE_SIGN, "z"), 1, 2, -3),
     _of_axes(Text("y and z are swapped"), Text("swap y and z"), 1, 3, 2),
 )
 
@@ -213,14 +213,14 @@ def usual_mistakes(
                  lambda yaw: yaw + compass - pose.yaw),
         of_angle("yaw", Text("its yaw is a bearing from grid north"), pose, lambda yaw: 90.0 - yaw),
         of_angle("yaw", Text("its yaw counts clockwise"), pose, lambda yaw: -yaw),
-        *AXES_IN_PLANE,
+        *_AXES_IN_PLANE,
         Mistake(causes=against, backwards=True),
     ]  # fmt: skip
     if np.isfinite(excerpt.points[:, 2]).any():
         mistakes += [
             of_angle("pitch", Text("pitch has the wrong sign"), pose, lambda pitch: -pitch),
             of_angle("roll", Text("roll has the wrong sign"), pose, lambda roll: -roll),
-            *AXES_WITH_Z,
+            *_AXES_WITH_Z,
             Mistake(causes=(rolled,), pose=lambda p: replace(p, roll=p.roll + 180.0)),
         ]
     mistakes += [SIGNLESS] if excerpt.one_sign else []
@@ -240,7 +240,7 @@ def _of_another(name: str, other: Pose) -> Mistake:
 
 def other_yaws(pose: Pose) -> Iterator[Mistake]:
     """Yield the pose with yaws all around the circle: they explain traffic by chance only."""
-    for turn in np.arange(NEAR_DEG, 360.0 - NEAR_DEG + 0.1, STEP_DEG).tolist():
+    for turn in np.arange(_NEAR_DEG, 360.0 - _NEAR_DEG + 0.1, _STEP_DEG).tolist():
         yield NO_MISTAKE.by(pose, replace(pose, yaw=pose.yaw + turn))
 
 
@@ -282,16 +282,16 @@ def other_pose(pose: Pose, there: Pose) -> Mistake:
     """Return the mistake that a sensor with the given pose `pose` has the pose `there`."""
     mistake = NO_MISTAKE.by(pose, there)
     off_m, turn = mistake.off(pose)
-    is_away, is_turned = off_m > ONE_MISTAKE_M, abs(turn) > ONE_MISTAKE_DEG
+    is_away, is_turned = off_m > _ONE_MISTAKE_M, abs(turn) > _ONE_MISTAKE_DEG
     tilt = max(abs(there.pitch - pose.pitch), abs(within_half_turn(there.roll - pose.roll)))
     parts = []
     if is_away:
         to = side(*(there.position - pose.position)[:2])
         parts.append(Text("{:.1f} m to the {}", off_m, to))
-    if is_turned or not (is_away or tilt > TILTED_DEG):
+    if is_turned or not (is_away or tilt > _TILTED_DEG):
         way = sense(turn)
         parts.append(Text("turned {:.1f} deg {}, seen from above", abs(turn), way))
-    if tilt > TILTED_DEG:
+    if tilt > _TILTED_DEG:
         parts.append(Text("tilted by {:.0f} deg", tilt))
     cause = Cause(
         Text("its pose is off: compared with it, the sensor is {}", Text(", ").join(parts)),

@@ -35,7 +35,8 @@ from gis_radar.calibration.registration.hypotheses import LOOK_SCALE_M, few_samp
 from gis_radar.calibration.registration.solver import cost_at
 from gis_radar.calibration.unit_mistakes import LEAST_WRONG, RangeScale
 
-TRIED_SIGMAS = np.linspace(-2.0, 2.0, 9)  # tried scales of range, in standard errors of the measure
+# Tried scales of range, in standard errors of the measure
+_TRIED_SIGMAS = np.linspace(-2.0, 2.0, 9)
 
 
 def judge_offset(
@@ -93,7 +94,7 @@ def _fitting_scale(
         scaled = replace(few.samples, points=few.samples.points / factor)
         return cost_at(few.of(scaled), fitted.centre, scale_m=LOOK_SCALE_M)
 
-    factors: list[float] = (measured.factor + measured.sigma * TRIED_SIGMAS).tolist()
+    factors: list[float] = (measured.factor + measured.sigma * _TRIED_SIGMAS).tolist()
     best = min(factors, key=cost)
     if abs(best - 1.0) <= LEAST_WRONG or not fits_if(excerpt, lanes, Mistake(scale=best)):
         return ()

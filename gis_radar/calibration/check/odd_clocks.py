@@ -19,9 +19,10 @@ from gis_radar.calibration.timing.lane_detections import LaneDetections, placed_
 
 # Clocks contradict each other from this offset on; a car drives its length in it.
 CONTRADICTION_S, _CLOCK_SIGMAS = 0.3, 5.0
-LEAST_PART = 1.0 / 3.0  # of the detections: less has too few vehicles
-LEAST_SHARED = 0.5  # of a third: the other sensor has so many at the same times if no clock was set
-PARTNERS = 3  # comparisons that suffice for a sensor: two of them are the majority
+_LEAST_PART = 1.0 / 3.0  # of the detections: less has too few vehicles
+# Of a third: the other sensor has so many at the same times if no clock was set
+_LEAST_SHARED = 0.5
+_PARTNERS = 3  # comparisons that suffice for a sensor: two of them are the majority
 
 
 def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
@@ -57,7 +58,7 @@ def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
 def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str, str], ClockOffset]:
     """Measure clock offsets between sensors, those with most common places first.
 
-    Two sensors that have `PARTNERS` comparisons each are compared only if no chain of comparisons
+    Two sensors that have `_PARTNERS` comparisons each are compared only if no chain of comparisons
     links them yet: a comparison takes a second, and a hundred sensors make five thousand pairs.
 
     Parameters
@@ -78,7 +79,7 @@ def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str,
     offsets, partners = dict[tuple[str, str], ClockOffset](), Counter[str]()
     linked = {name: {name} for name in seen}
     for one, other in sorted(shared, key=lambda pair: -shared[pair]):
-        if other in linked[one] and min(partners[one], partners[other]) >= PARTNERS:
+        if other in linked[one] and min(partners[one], partners[other]) >= _PARTNERS:
             continue
         found = _offset_between(seen[one], seen[other])
         if found is None:  # no common view
@@ -97,7 +98,7 @@ def _offset_between(one: LaneDetections, other: LaneDetections) -> ClockOffset |
     if len(one) == 0 or len(other) == 0:
         return None
     found = list[ClockOffset]()
-    for pair in ((one, other), _parts(one, other, 0.0), _parts(one, other, 1.0 - LEAST_PART)):
+    for pair in ((one, other), _parts(one, other, 0.0), _parts(one, other, 1.0 - _LEAST_PART)):
         with suppress(NoAnswerError):
             found.append(measured_offset(*pair))
     return max(found, key=_excess, default=None)
@@ -113,13 +114,13 @@ def _parts(
     third if neither recorded at the times of the other's, as where a clock was set by an hour.
     """
     thirds = [
-        each.take(np.arange(int(begin * len(each)), int((begin + LEAST_PART) * len(each))))
+        each.take(np.arange(int(begin * len(each)), int((begin + _LEAST_PART) * len(each))))
         for each in (one, other)
     ]
     share, best = 0.0, (thirds[0], thirds[1])
     for third in (each for each in thirds if len(each) > 0):
         pair = _within(one, third), _within(other, third)
-        if min(map(len, pair)) > max(share, LEAST_SHARED) * len(third):
+        if min(map(len, pair)) > max(share, _LEAST_SHARED) * len(third):
             share, best = min(map(len, pair)) / len(third), pair
     return best
 

@@ -42,13 +42,13 @@ from gis_radar.recordings import Recording
 
 _STAGE = "checking poses and recordings"
 
-LEAST_SIDE = 8  # least number of vehicles on either side of a change
+_LEAST_SIDE = 8  # least number of vehicles on either side of a change
 # Least log likelihood ratio of a change over none: odds of 3,000, and of 20 where a mistake
 # explains the traffic on one side.
-CHANGED, EXPLAINED = 8.0, 3.0
+_CHANGED, _EXPLAINED = 8.0, 3.0
 _SIDES = "until {}: {}", "from {} on: {}"  # of a moment
 # Ends of causes from a moment on that do not move static surroundings, and are the only ones named.
-RATE_CAUSES = f": {AGAINST.text}", f": {ABSOLUTE.text}"
+_RATE_CAUSES = f": {AGAINST.text}", f": {ABSOLUTE.text}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -278,18 +278,18 @@ def _fault_from_moment(
     first_rows = np.unique(excerpt.vehicle, return_index=True)[1]
     order = np.argsort(excerpt.time[first_rows], kind="stable")
     driving = score(excerpt, lanes).driving[order]
-    split, gain = _best_split(driving, LEAST_SIDE)
+    split, gain = _best_split(driving, _LEAST_SIDE)
     sides = driving[:split], driving[split:]
-    if gain < EXPLAINED or all(each.mean() < least_share(len(each)) for each in sides):
+    if gain < _EXPLAINED or all(each.mean() < least_share(len(each)) for each in sides):
         return None  # where neither side fits, the fault is there all the time
     when = float(excerpt.time[first_rows[order[split]]])
-    if min(each.vehicles for each in excerpt.split_at(when)) < LEAST_SIDE:
+    if min(each.vehicles for each in excerpt.split_at(when)) < _LEAST_SIDE:
         return None  # most vehicles are there from one moment on, as in a queue
     faults = _faults_of_sides(excerpt, when, lanes, others)
-    if len(faults) != 1 or (gain < CHANGED and faults[0].cause.endswith(UNKNOWN_CAUSE)):
+    if len(faults) != 1 or (gain < _CHANGED and faults[0].cause.endswith(UNKNOWN_CAUSE)):
         return None
     same_scene = excerpt.scene_change is not None  # compared without a change: same place and axes
-    return None if same_scene and not faults[0].cause.endswith(RATE_CAUSES) else faults[0]
+    return None if same_scene and not faults[0].cause.endswith(_RATE_CAUSES) else faults[0]
 
 
 def _faults_of_sides(
@@ -298,7 +298,7 @@ def _faults_of_sides(
     """Return what is wrong until a moment and from it on, where there is traffic enough to tell."""
     faults = []
     for side, template in zip(excerpt.split_at(when), _SIDES, strict=True):
-        if side.vehicles >= LEAST_SIDE:
+        if side.vehicles >= _LEAST_SIDE:
             found = compare_explanations(side, lanes, others)
             if found.verdict == WRONG:
                 faults.append(replace(found, cause=Text(template, iso(when), found.cause)))

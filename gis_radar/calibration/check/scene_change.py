@@ -16,13 +16,13 @@ from gis_radar.base import Booleans, Floats, Integers
 _STATIC_MPS = 0.15  # largest range rate of static targets, as in the comparison with scans
 # side of a cell: positions of a target and corrections of a pose vary by decimetres
 _SCENE_CELL_M = 2.0
-PERIOD_S = 10.0  # length of a period: two in a segment of an excerpt
-LEAST_PERIOD_S = 5  # least number of seconds with detections in a period that is compared
+_PERIOD_S = 10.0  # length of a period: two in a segment of an excerpt
+_LEAST_PERIOD_S = 5  # least number of seconds with detections in a period that is compared
 # Least share of the seconds of a period in which a static cell is detected: parked cars and walls
 # are in 46 to 84 % of the frames, people who wait or walk by leave sooner.
-STANDING_SHARE = 0.4
+_STANDING_SHARE = 0.4
 _LEAST_CELLS = 30  # fewer static cells may be a queue of vehicles
-LEAST_PERIODS = 2  # least number of periods on either side of a change
+_LEAST_PERIODS = 2  # least number of periods on either side of a change
 # Of the static cells of one period, another period of the same sensor has 70 to 95 %, another
 # sensor 5 to 20 % (eleven sensors of four junctions). On either side of a change periods share at
 # least ALIKE of their cells; across it less than STAYING times that.
@@ -65,19 +65,19 @@ def detect_scene_change(time: Floats, places: Floats, range_rate: Floats) -> Sce
     if len(still) == 0:
         return None
     periods, stands = _standing_cells(time[still], places[still])
-    if len(periods) < 2 * LEAST_PERIODS:
+    if len(periods) < 2 * _LEAST_PERIODS:
         return None
     common = _common_shares(stands)
     best: SceneChange | None = None
-    for first in range(LEAST_PERIODS, len(periods) - LEAST_PERIODS + 1):
+    for first in range(_LEAST_PERIODS, len(periods) - _LEAST_PERIODS + 1):
         for gap in (0, 1):  # the change may lie within a period, which is then left out
             begin = first + gap
-            if len(periods) - begin < LEAST_PERIODS:
+            if len(periods) - begin < _LEAST_PERIODS:
                 continue
             share = float(common[:first, begin:].mean())
             usual = min(_mean_share(common[:first, :first]), _mean_share(common[begin:, begin:]))
             if usual >= _ALIKE and share < min(_STAYING * usual, best.share if best else 1.0):
-                moment = float(periods[first]) * PERIOD_S + float(time[still[0]])
+                moment = float(periods[first]) * _PERIOD_S + float(time[still[0]])
                 best = SceneChange(time=moment, share=share, usual=usual)
     return best or SceneChange(time=None, share=_mean_share(common), usual=_mean_share(common))
 
@@ -91,12 +91,12 @@ def _standing_cells(time: Floats, places: Floats) -> tuple[Integers, Booleans]:
     cell = np.unique(east * (int(north.max()) + 1) + north, return_inverse=True)[1]
     count = int(cell.max()) + 1
     seen, cell_of = np.divmod(np.unique(second * count + cell), count)
-    periods, period_of = np.unique(seen // int(PERIOD_S), return_inverse=True)
+    periods, period_of = np.unique(seen // int(_PERIOD_S), return_inverse=True)
     hits = np.bincount(period_of * count + cell_of, minlength=len(periods) * count)
     hits = hits.reshape(len(periods), count)
-    seconds = np.bincount(np.searchsorted(periods, np.unique(seen) // int(PERIOD_S)))
-    stands = hits >= STANDING_SHARE * seconds[:, None]
-    usable = (seconds >= LEAST_PERIOD_S) & (stands.sum(axis=1) >= _LEAST_CELLS)
+    seconds = np.bincount(np.searchsorted(periods, np.unique(seen) // int(_PERIOD_S)))
+    stands = hits >= _STANDING_SHARE * seconds[:, None]
+    usable = (seconds >= _LEAST_PERIOD_S) & (stands.sum(axis=1) >= _LEAST_CELLS)
     return periods[usable], stands[usable]
 
 

@@ -67,15 +67,15 @@ from gis_radar.recordings import Detections, Recording, as_recording
 LOST_S = 100.0
 # 1 sigma of a start pose that states none: measured with tape, compass and spirit level.
 BY_HAND = (1.0, 1.0, 1.0, math.radians(2.0), math.radians(2.0), math.radians(2.0))
-LEAST_CYCLE = 0.5  # least length of the last cycle, as a share of a full one, to give a pose
+_LEAST_CYCLE = 0.5  # least length of the last cycle, as a share of a full one, to give a pose
 # Least sigma of a start pose; keeps the covariance regular.
-LEAST_SIGMA = (1e-3, 1e-3, 1e-3, math.radians(1e-3), math.radians(1e-3), math.radians(1e-3))
+_LEAST_SIGMA = (1e-3, 1e-3, 1e-3, math.radians(1e-3), math.radians(1e-3), math.radians(1e-3))
 # Share of the variance of a localized pose that is noise of its window; the rest, by errors of map
 # and model, is common to all windows.
-NOISE_SHARE = 0.3
+_NOISE_SHARE = 0.3
 
 _STAGE = "following the pose"
-SAME_MAP = ("lane", "track")  # methods whose poses share the map's errors
+_SAME_MAP = ("lane", "track")  # methods whose poses share the map's errors
 _HINT = Text("find the pose with gis-radar localize")
 
 
@@ -161,7 +161,7 @@ def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detectio
                 due = begin + CYCLE_S * (count + 1.0)
         yield rows, None
         reporter.progress(_STAGE, done, recording.rows)
-    if due - last < (1.0 - LEAST_CYCLE) * CYCLE_S:
+    if due - last < (1.0 - _LEAST_CYCLE) * CYCLE_S:
         yield rows.take(np.zeros(len(rows), dtype=bool)), due
 
 
@@ -184,18 +184,18 @@ def start_estimate(pose: Pose, time: float) -> Estimate:
         If covariance or sigma are invalid.
     """
     evidence = pose.parsed_evidence()
-    shares_errors = evidence.method in SAME_MAP
+    shares_errors = evidence.method in _SAME_MAP
     covariance = _stated_covariance(evidence)
     if covariance is None or (shares_errors and _uses_data_after(evidence, time, pose.sensor)):
         shares_errors = False
         covariance = np.diag(np.square(BY_HAND))
     turn_covariance = covariance_from_angles(pose.quaternion, covariance) + np.diag(
-        np.square(LEAST_SIGMA)
+        np.square(_LEAST_SIGMA)
     )
     position = np.array([0.0, 0.0, pose.height])
     common = np.zeros((6, 6))
     if shares_errors:
-        common = -by_common_error(turn_covariance - NOISE_SHARE * turn_covariance)
+        common = -by_common_error(turn_covariance - _NOISE_SHARE * turn_covariance)
     return Estimate(
         time=time,
         position=position,

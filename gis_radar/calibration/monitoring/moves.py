@@ -44,19 +44,20 @@ def chi2_quantile(level: float) -> float:
 # widens the pose's sigma; median.
 MOVE_GATE = chi2_quantile(1.0 - FALSE_ALARMS / (HOUR_S / CYCLE_S * len(LENGTHS_S)))
 SUSPECT = chi2_quantile(0.95)
-MEDIAN = chi2_quantile(0.5)
+_MEDIAN = chi2_quantile(0.5)
 # Number of the last tests from which the ratio of chi-square to its expectation is measured at a
 # sensor, and number of assumed tests with a ratio of 1. With simulated drivers it is 2 to 3; if it
 # is ignored, there is a false move in some minutes.
-SCATTER_TESTS = 60
-ASSUMED_TESTS = 4
-NEWEST_VEHICLES = 8  # least vehicles in a tested part; it grows until it holds them
-LEAST_BEFORE_S = 30.0  # seconds of data before a tested part from which the pose is known
-SETTLED_S = 15.0  # a shorter deviation is a shake
+_SCATTER_TESTS = 60
+_ASSUMED_TESTS = 4
+_NEWEST_VEHICLES = 8  # least vehicles in a tested part; it grows until it holds them
+_LEAST_BEFORE_S = 30.0  # seconds of data before a tested part from which the pose is known
+_SETTLED_S = 15.0  # a shorter deviation is a shake
 _LATEST_S = 8.0  # newest seconds in which the new pose must still be the better one
 SLICE_S = 1.0  # resolution of the time of a move: half a second to either side
-_BACK_S = 75.0  # how far back a move is looked for: within the window of 100 s, less LEAST_BEFORE_S
-CHANGE_ROUNDS = 2  # rounds in which time and pose of a move are estimated alternately
+# How far back a move is looked for: within the window of 100 s, less _LEAST_BEFORE_S
+_BACK_S = 75.0
+_CHANGE_ROUNDS = 2  # rounds in which time and pose of a move are estimated alternately
 FAR_WINDOW = replace(FAR, rounds=12)  # fit after a suspected move
 
 
@@ -147,7 +148,7 @@ class Scatter:
     """
 
     def __init__(self) -> None:
-        self._last: deque[float] = deque(maxlen=SCATTER_TESTS)
+        self._last: deque[float] = deque(maxlen=_SCATTER_TESTS)
 
     def add(self, chi2: float) -> None:
         """Add the chi-square of a test."""
@@ -156,7 +157,7 @@ class Scatter:
     @property
     def ratio(self) -> float:
         """Ratio of variances, at least 1."""
-        return max(float(np.median([MEDIAN] * ASSUMED_TESTS + [*self._last])) / MEDIAN, 1.0)
+        return max(float(np.median([_MEDIAN] * _ASSUMED_TESTS + [*self._last])) / _MEDIAN, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +200,7 @@ class MoveTest:
         suspected, ratio = None, self.scatter.ratio
         for length_s in LENGTHS_S:
             newest_part = self.newest(length_s)
-            if newest_part.moving.begin - self.traffic.moving.begin < LEAST_BEFORE_S:
+            if newest_part.moving.begin - self.traffic.moving.begin < _LEAST_BEFORE_S:
                 break  # too little data for the pose before
             expected = self.expected(newest_part.moving.begin)
             fit = self.fitter.fit(
@@ -238,17 +239,17 @@ class MoveTest:
         Parameters
         ----------
         length_s : float
-            Least length in seconds; it grows until the part holds `NEWEST_VEHICLES`.
+            Least length in seconds; it grows until the part holds `_NEWEST_VEHICLES`.
         """
         part = self.traffic.between(self.now - length_s, np.inf)
-        least = NEWEST_VEHICLES
+        least = _NEWEST_VEHICLES
         while part.vehicles < least and self.now - length_s > self.traffic.moving.begin:
             length_s *= 1.5
             part = self.traffic.between(self.now - length_s, np.inf)
         return part
 
     def lasting_change(self, expected: Estimate, fit: WindowFit) -> Change | None:
-        """Return the change of the pose, if it lasts for `SETTLED_S` and is significant.
+        """Return the change of the pose, if it lasts for `_SETTLED_S` and is significant.
 
         Parameters
         ----------
@@ -258,14 +259,14 @@ class MoveTest:
             Fit of the newest part.
         """
         fitter, traffic = self.fitter, self.traffic
-        for _ in range(CHANGE_ROUNDS):
+        for _ in range(_CHANGE_ROUNDS):
             new = fit.fit.state
             old = expected.state(new.reflection)
             since = self.change_time(old, new)
             part = traffic.between(since, np.inf)
             expected = self.expected(since)  # without the data of the new pose
             refitted = fitter.fit(part, expected, new.reflection, near=KNOCK, start=new)
-            if self.now - since < SETTLED_S or refitted is None or not refitted.trusted:
+            if self.now - since < _SETTLED_S or refitted is None or not refitted.trusted:
                 return None
             fit = refitted
         latest = traffic.between(self.now - _LATEST_S, np.inf).samples()

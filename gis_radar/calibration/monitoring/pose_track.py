@@ -33,7 +33,7 @@ _LINE, _NEAR, _FAR, _MOVE, _REJECT, _QUIET = (
 MOVED, REJECTED, NOTHING = "moved", "rejected", ""
 _DPI = 150
 _SIZE_IN = (11.0, 8.0)
-LEAST_SPAN = (0.1, 0.05)  # least span of an axis, metres and degrees, lest noise fill it
+_LEAST_SPAN = (0.1, 0.05)  # least span of an axis, metres and degrees, lest noise fill it
 
 
 def _draw_bands(
@@ -211,7 +211,7 @@ class Track:
         value = np.degrees(np.unwrap(np.radians(value))) if angle else value
         sigma = np.array([pose.evidence["sigma"][component] for pose in poses])
         _draw_events(ax, time, events, idle)
-        _draw_bands(ax, time, value, sigma, events == MOVED, LEAST_SPAN[angle])
+        _draw_bands(ax, time, value, sigma, events == MOVED, _LEAST_SPAN[angle])
         ax.set_ylabel(f"{component}, {'deg' if angle else 'm'}")
         ax.grid(axis="y", color="#eeeeee", linewidth=0.6)
         ax.set_axisbelow(True)

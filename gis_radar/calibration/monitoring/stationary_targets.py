@@ -26,21 +26,21 @@ from gis_radar.recordings import Detections
 # Reach and cells of the map of hits by range and azimuth: finer than the variation of a target.
 _REACH_M = 300.0
 _TARGET_CELL_M = 0.2
-CELL_RAD = math.radians(0.4)
+_CELL_RAD = math.radians(0.4)
 # *Recorded* means in recordings of an ARS548, in which a target varies from frame to frame by 0.01
 # m, 0.05 and 0.1 to 2 degrees, and over seconds by 0.1 m, 0.15 and 1 degree.
 BLOCK_S = 20.0  # length of a block, over which positions are medians: longer than a shake
 SEARCH_BLOCKS = 15  # blocks between searches for new targets: five minutes
 # Time constant, in blocks, of mean positions: 10 minutes, twice the longest test; over an hour the
 # allowed drift of a mast would hide half a degree.
-REFERENCE_BLOCKS = 30
+_REFERENCE_BLOCKS = 30
 BLOCKS = (6, 15)  # numbers of newest blocks that are tested for a move; longer than gusts
-LEAST_TARGETS = 12  # least number of targets of a test
-WANTED_M = 0.3  # shift that must be detected
+_LEAST_TARGETS = 12  # least number of targets of a test
+_WANTED_M = 0.3  # shift that must be detected
 # Least score of a significant move, from 120 hours of changing days of one radar
 # (`bench/alarm.py --seed 1`); false alarms on other hours are in docs/limits.md.
 LEAST_MOVE_SCORE = 28.0
-FIRST_SEARCH = 6  # blocks before the first search for targets: two minutes
+_FIRST_SEARCH = 6  # blocks before the first search for targets: two minutes
 # Least number of hits a frame of a target. Recorded: cells hit in half of the frames or more hold
 # 46 to 84 % of the stationary detections.
 _LEAST_RATE = 0.3
@@ -55,26 +55,27 @@ GONE_BLOCKS = 180  # a target absent for so many blocks, an hour, is dropped
 LEAST_AGE = 6  # least number of blocks in a mean that is used; no verdict before seven minutes
 # Number of tests in a row that must find a move: the estimated noise of some dozen targets is far
 # too small in one of some thousand tests.
-LASTING_BLOCKS = 3
+_LASTING_BLOCKS = 3
 # Least share of all targets that must be present for a test: fewer are in snow, or after a blow
 # that moves all out of their gates.
-LEAST_PRESENT = 0.5
+_LEAST_PRESENT = 0.5
 # Start values of the targets' noise in the fit of the common move; recorded.
 START_SIGMA_M = 0.1
 START_SIGMA_RAD = (math.radians(0.15), math.radians(1.0))
 # Least noise of a target in range, azimuth and elevation: the resolution of recorded values.
-LEAST_SCATTER = (0.004, math.radians(0.005), math.radians(0.02))
+_LEAST_SCATTER = (0.004, math.radians(0.005), math.radians(0.02))
 # Scale of the Cauchy weights of residuals, in units of the noise: a car may replace another.
-OUTLIER = 2.0
+_OUTLIER = 2.0
 _ROUNDS = 10  # iterations of weights and noise; both converge in seven
 # A move would be noticed if its standard deviation is below this share of it.
-SENSITIVE_SHARE = 0.34
+_SENSITIVE_SHARE = 0.34
 # Number of newest blocks that are tested for a blow, and from which the size of a move is measured.
-BLOW_BLOCKS = 1
-LATEST_BLOCKS = 3
+_BLOW_BLOCKS = 1
+_LATEST_BLOCKS = 3
 
 NONE = -1
-PLANE_AND_ANGLES = [0, 1, 3, 4, 5]  # tested components of a move; height moves nothing off its lane
+# Tested components of a move; height moves nothing off its lane
+_PLANE_AND_ANGLES = [0, 1, 3, 4, 5]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,13 +160,13 @@ class Watch:
             return None
         self._block_since = time
         self._targets.end_block()
-        self._newest = self._targets.verdict(BLOW_BLOCKS)
+        self._newest = self._targets.verdict(_BLOW_BLOCKS)
         tested = (each.displacement for each in self._targets.tested)
         move = max(tested, key=lambda each: each.score, default=None)
         if move is None or move.score <= LEAST_MOVE_SCORE:
             return None
         # measured by the latest blocks only: earlier ones may be from before the move
-        latest = self._targets.verdict(LATEST_BLOCKS)
+        latest = self._targets.verdict(_LATEST_BLOCKS)
         if latest is not None:
             move = replace(
                 move, move=latest.displacement.move, covariance=latest.displacement.covariance
@@ -220,11 +221,11 @@ class StationaryTargets:
         self._search_blocks = search_blocks
         self._batches: list[Floats] = []  # stationary detections since the last block: polar
         self._frames = self._searched = self._blocks = 0  # frames of block and map; ended blocks
-        cells = (round(_REACH_M / _TARGET_CELL_M), round(2 * np.pi / CELL_RAD))
+        cells = (round(_REACH_M / _TARGET_CELL_M), round(2 * np.pi / _CELL_RAD))
         self._hits = np.zeros(cells, dtype=np.int64)
         self._recent: deque[Floats] = deque()  # positions in the newest blocks, not yet in the mean
         self.tested: list[Verdict] = []  # verdicts at the end of the last block
-        self._scores = {n: deque[float](maxlen=LASTING_BLOCKS) for n in BLOCKS}
+        self._scores = {n: deque[float](maxlen=_LASTING_BLOCKS) for n in BLOCKS}
         self.set_targets(np.empty((0, 3)), np.empty(0))
 
     def set_targets(self, place: Floats, rate: Floats) -> None:
@@ -297,13 +298,13 @@ class StationaryTargets:
         while len(self._recent) > min(most_recent, BLOCKS[-1]):
             self._add_to_mean(self._recent.popleft())
         self.tested = [each for each in map(self._lasting_verdict, BLOCKS) if each is not None]
-        first = self._blocks == FIRST_SEARCH
+        first = self._blocks == _FIRST_SEARCH
         if first or self._blocks % self._search_blocks == 0:
             self._search()
 
     def _cell_indices(self, polar: Floats) -> tuple[Integers, Integers]:
         """Return row (range) and column (azimuth) in the map of hits."""
-        size = [_TARGET_CELL_M, CELL_RAD]
+        size = [_TARGET_CELL_M, _CELL_RAD]
         cell = ((polar[:, :2] + [0.0, np.pi]) / size).astype(np.int64)
         far, round_ = self._hits.shape
         return np.minimum(cell[:, 0], far - 1), cell[:, 1] % round_
@@ -322,7 +323,7 @@ class StationaryTargets:
     def _add_to_mean(self, seen: Floats) -> None:
         """Add a block to the running means."""
         present = np.isfinite(seen[:, 0])
-        self._age[present] = np.minimum(self._age[present] + 1.0, REFERENCE_BLOCKS)
+        self._age[present] = np.minimum(self._age[present] + 1.0, _REFERENCE_BLOCKS)
         self.place[present] += (seen[present] - self.place[present]) / self._age[present, None]
 
     def _search(self) -> None:
@@ -349,8 +350,8 @@ class StationaryTargets:
         rows, columns = self._cell_indices(self.place)
         high = round(GATE_M / _TARGET_CELL_M)
         for number, (row, column) in enumerate(zip(rows, columns, strict=True)):
-            across = GATE_RAD + WANTED_M / self.place[number, 0]
-            wide = round(across / CELL_RAD)
+            across = GATE_RAD + _WANTED_M / self.place[number, 0]
+            wide = round(across / _CELL_RAD)
             beside = np.arange(column - wide, column + wide + 1) % label.shape[1]
             label[max(row - high, 0) : row + high + 1, beside] = number
         return label
@@ -379,7 +380,7 @@ class StationaryTargets:
         present = np.isfinite(newest[..., 0])
         old = self._age >= LEAST_AGE
         usable = old & (2 * present.sum(axis=0) >= blocks) & present.any(axis=0)
-        if usable.sum() < max(LEAST_TARGETS, LEAST_PRESENT * old.sum()):
+        if usable.sum() < max(_LEAST_TARGETS, _LEAST_PRESENT * old.sum()):
             return None
         gap = np.nanmean(newest[:, usable], axis=0) - self.place[usable]
         move, covariance = self._fit_move(self.place[usable], gap)
@@ -390,7 +391,7 @@ class StationaryTargets:
         covariance = covariance + lag * BLOCK_S * np.diag(np.square(DRIFT) / HOUR_S)
         chi2 = float(move @ np.linalg.solve(covariance, move))
         count = int(usable.sum())
-        sigma = np.sqrt(np.diag(covariance))[PLANE_AND_ANGLES]
+        sigma = np.sqrt(np.diag(covariance))[_PLANE_AND_ANGLES]
         score = count * float(np.log1p(chi2 / count))
         displacement = Displacement(
             score=score,
@@ -401,13 +402,13 @@ class StationaryTargets:
         return Verdict(
             displacement=displacement,
             at_rest=score < LEAST_MOVE_SCORE
-            and bool((sigma < SENSITIVE_SHARE * KNOCK[PLANE_AND_ANGLES]).all()),
+            and bool((sigma < _SENSITIVE_SHARE * KNOCK[_PLANE_AND_ANGLES]).all()),
         )
 
     def _fit_move(self, place: Floats, gap: Floats) -> tuple[Floats, Floats]:
         """Fit the common move, robustly; return it and its covariance."""
         sigma = np.array([START_SIGMA_M, *START_SIGMA_RAD])
-        least = np.array(LEAST_SCATTER)
+        least = np.array(_LEAST_SCATTER)
         prior = np.diag(np.square(KNOCK) ** -1.0)
         design = by_move(place).reshape(-1, len(prior))
         weight = np.ones(gap.shape)
@@ -419,7 +420,7 @@ class StationaryTargets:
             residual = gap - (design @ move).reshape(gap.shape)
             # normalised median of absolute residuals
             sigma = np.maximum(1.4826 * np.median(np.abs(residual), axis=0), least)
-            weight = 1.0 / (1.0 + np.square(residual / (OUTLIER * sigma)))
+            weight = 1.0 / (1.0 + np.square(residual / (_OUTLIER * sigma)))
         return move, covariance
 
 
@@ -435,7 +436,7 @@ def _peaks_of_hits(hits: Integers, least: float) -> tuple[Floats, Floats]:
     order = np.argsort(-hits_near[row, column], kind="stable")
     row, column = row[order], column[order]
     place = np.column_stack(
-        [(row + 0.5) * _TARGET_CELL_M, (column + 0.5) * CELL_RAD - np.pi, np.zeros(len(row))]
+        [(row + 0.5) * _TARGET_CELL_M, (column + 0.5) * _CELL_RAD - np.pi, np.zeros(len(row))]
     )
     return place, hits_near[row, column]
 

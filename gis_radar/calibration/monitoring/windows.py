@@ -41,16 +41,17 @@ NEAR = np.array([1.0, 1.0, 1.0, *np.radians([2.0, 2.0, 2.0])])
 # Schedule of the fit of a window, which starts within decimetres.
 WINDOW_SCHEDULE = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=12)
 # Information of the data below this share of the prior's is taken for none and set to UNKNOWN.
-LEAST_DATA = 0.05
+_LEAST_DATA = 0.05
 _UNKNOWN = 1e-4
-REACH_GROWS = 1.2  # factor on the range of traces for sampling lanes, so that it is seldom repeated
+# Factor on the range of traces for sampling lanes, so that it is seldom repeated
+_REACH_GROWS = 1.2
 # A pose a lane off contradicts the start pose with this z score (1 more than for ambiguous
 # localizations) and distance.
-OTHER_LANE = 3.5
-OTHER_LANE_M = 1.0
-# Schedule of a first fit from a lane off; fits that return to within half of OTHER_LANE_M are not
+_OTHER_LANE = 3.5
+_OTHER_LANE_M = 1.0
+# Schedule of a first fit from a lane off; fits that return to within half of _OTHER_LANE_M are not
 # continued.
-LANE_OFF = Schedule(scales_m=(0.75, 0.3), rounds=3)
+_LANE_OFF = Schedule(scales_m=(0.75, 0.3), rounds=3)
 _FARTHEST = 4.0  # largest distance of a searched pose, in sigmas of its prior
 
 
@@ -77,7 +78,7 @@ def data_alone(fit: Fit, prior: Prior) -> Measurement:
     )
     values, vectors = np.linalg.eigh(np.linalg.inv(total))
     data = values - 1.0
-    informed = data > LEAST_DATA
+    informed = data > _LEAST_DATA
     offset = fit.state.difference(prior.mean)[POSE_PART] / unit
     factor = np.where(informed, values / np.where(informed, data, 1.0), 0.0)
     step = np.zeros(SIZE)
@@ -197,7 +198,7 @@ class WindowFitter:
         """Return the lanes within reach of samples."""
         reach_m = float(np.percentile(np.hypot(*samples.points[:, :2].T), 99.5))
         if self._lanes is None or reach_m > self._reach_m:
-            grow, reporter = REACH_GROWS, self._reporter
+            grow, reporter = _REACH_GROWS, self._reporter
             self._reach_m, self._reporter = grow * reach_m, QUIET  # remarks only once
             self._lanes = lanes_around(self._problem, samples, reporter, grow=grow)
         return self._lanes
@@ -309,16 +310,16 @@ class WindowFitter:
         def apart_m(one: Fit, other: Fit) -> float:
             return float(np.hypot(*one.state.difference(other.state)[:2]))
 
-        refitted = fit_at(state_found, LANE_OFF)
+        refitted = fit_at(state_found, _LANE_OFF)
         starts = [
-            (state, fit_at(state, LANE_OFF)) for state in _states_a_lane_off(scene, window_fit.fit)
+            (state, fit_at(state, _LANE_OFF)) for state in _states_a_lane_off(scene, window_fit.fit)
         ]
-        distinct = [state for state, fit in starts if apart_m(fit, refitted) > OTHER_LANE_M / 2.0]
+        distinct = [state for state, fit in starts if apart_m(fit, refitted) > _OTHER_LANE_M / 2.0]
         own = fit_at(state_found) if distinct else refitted
         for other in map(fit_at, distinct):
             away_m = apart_m(other, own)
             z_score = advantage(other, own, scene.samples)
-            if z_score > OTHER_LANE and away_m > OTHER_LANE_M:
+            if z_score > _OTHER_LANE and away_m > _OTHER_LANE_M:
                 raise NoAnswerError(
                     "{}: the traffic fits clearly better with the sensor {:.1f} m from "
                     "its start pose",

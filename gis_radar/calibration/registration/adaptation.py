@@ -25,31 +25,31 @@ from gis_radar.calibration.registration.traces import SPELL_S, Samples
 
 # Lower edge of reflections over the road and 1 sigma of it: ground clearance is 0.12 to 0.3 m.
 _EDGE_M = 0.2
-EDGE_SIGMA_M = 0.07
+_EDGE_SIGMA_M = 0.07
 # Nodes of the quadrature over the gamma distribution of heights above the edge.
-NODES = gammaincinv(2.0, (np.arange(16) + 0.5) / 16)
+_NODES = gammaincinv(2.0, (np.arange(16) + 0.5) / 16)
 # Share of reflections that come from bodies, and their lowest and highest height above the edge.
-TALL_SHARE = 0.2
+_TALL_SHARE = 0.2
 _TALL_M = (0.2, 2.8)
 # Share of outliers, and the interval of heights over which they are uniform.
-STRAY_HEIGHTS = 0.05
+_STRAY_HEIGHTS = 0.05
 _STRAY_M = 8.0
 _NEAR_M = 80.0  # farther samples are left out: 0.6 degrees are 0.8 m there
 _MOST_SAMPLES = 1500  # more do not improve the estimate
 NOISE_M = 0.05  # 1 sigma of the heights of scan and map
 # Edge (m), scale (m) and elevation noise (radians): start of the fit, and its bounds.
 START = (0.2, 0.2, math.radians(0.5))
-LOWER_BOUND = (-1.5, 0.05, math.radians(0.1))
-UPPER_BOUND = (2.0, 0.6, math.radians(2.0))
+_LOWER_BOUND = (-1.5, 0.05, math.radians(0.1))
+_UPPER_BOUND = (2.0, 0.6, math.radians(2.0))
 LEAST_SAMPLES = 200  # least number of samples within _NEAR_M to estimate heights
 # Number of tried factors on the side strength, from 1 / MOST_FACTOR to MOST_FACTOR.
-FACTORS = 17
+_FACTORS = 17
 MOST_FACTOR = 4.0
-FACTOR_SIGMA = math.log(2.0)  # 1 sigma of the logarithm of such a factor in the prior
-DERIVATIVE_STEP = 1e-4  # of numerical derivatives
+_FACTOR_SIGMA = math.log(2.0)  # 1 sigma of the logarithm of such a factor in the prior
+_DERIVATIVE_STEP = 1e-4  # of numerical derivatives
 # Tried shares of the elevation's variance that are correlated; iterations of the random effects.
-BENT_SHARES: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
-EFFECT_ROUNDS = 4
+_BENT_SHARES: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+_EFFECT_ROUNDS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,13 +120,13 @@ def split_elevation_noise(scene: Scene, fit: Fit, model: Model) -> Model:
             elevation=model.elevation * float(np.sqrt(1.0 - share)),
             bent=model.elevation * float(np.sqrt(share)),
         )
-        for share in BENT_SHARES
+        for share in _BENT_SHARES
     ]
 
     def cost(tried: Model) -> float:
         compared = _comparison(scene, fit, placed, tried)
         effect = np.zeros_like(fit.effects[1])
-        for _ in range(EFFECT_ROUNDS):
+        for _ in range(_EFFECT_ROUNDS):
             rows = height(compared, effect)
             normal = assemble([rows], [effect])
             ((gradient, _, covariance),) = normal.shared
@@ -162,11 +162,11 @@ def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
     def cost(factor: float) -> float:
         tried = replace(model, side_strength=model.side_strength * factor)
         compared = _comparison(scene, fit, placed, tried)
-        prior = (np.log(factor) / FACTOR_SIGMA) ** 2
+        prior = (np.log(factor) / _FACTOR_SIGMA) ** 2
         rows = lateral(compared, fit.effects[0])
         return float(rows.weight @ rows.loss + 0.5 * prior)
 
-    factors = np.geomspace(1.0 / MOST_FACTOR, MOST_FACTOR, FACTORS)
+    factors = np.geomspace(1.0 / MOST_FACTOR, MOST_FACTOR, _FACTORS)
     return float(model.side_strength * min(factors, key=cost))
 
 
@@ -218,7 +218,7 @@ def heights(scene: Scene, fit: Fit, *, weight: Floats | None = None) -> Heights 
 
     start, low, high = (
         np.array([edge, np.log(scale), np.log(noise)])
-        for edge, scale, noise in (START, LOWER_BOUND, UPPER_BOUND)
+        for edge, scale, noise in (START, _LOWER_BOUND, _UPPER_BOUND)
     )
     fitted = minimize(cost, start, method="L-BFGS-B", bounds=Bounds(low, high))
     parameters: Floats = np.asarray(fitted.x)
@@ -227,7 +227,7 @@ def heights(scene: Scene, fit: Fit, *, weight: Floats | None = None) -> Heights 
     shift = parameters[0] - _EDGE_M
     return Heights(
         mean_m=float(fit.state.reflection - shift),
-        sigma_m=float(np.hypot(EDGE_SIGMA_M, error)),
+        sigma_m=float(np.hypot(_EDGE_SIGMA_M, error)),
         elevation=float(np.exp(parameters[2])),
     )
 
@@ -236,11 +236,11 @@ def _log_density(parameters: Floats, over: Floats, reach: Floats) -> Floats:
     """Return the log density of heights, given edge, log scale and log noise of elevations."""
     edge, scale = parameters[0], np.exp(parameters[1])
     sigma = np.hypot(NOISE_M, np.exp(parameters[2]) * reach)
-    away = (over[:, None] - edge - scale * NODES) / sigma[:, None]
+    away = (over[:, None] - edge - scale * _NODES) / sigma[:, None]
     low = np.exp(-0.5 * away**2).mean(axis=1) / (sigma * np.sqrt(2.0 * np.pi))
     begin, end = _TALL_M
     tall = ndtr((over - edge - begin) / sigma) - ndtr((over - edge - end) / sigma)
-    share, stray = TALL_SHARE, STRAY_HEIGHTS
+    share, stray = _TALL_SHARE, _STRAY_HEIGHTS
     vehicle = (1.0 - share) * low + share * tall / (end - begin)
     return np.asarray(np.log((1.0 - stray) * vehicle + stray / _STRAY_M))
 
@@ -257,8 +257,10 @@ def _clustered_error(
     def density(shift: Floats) -> Floats:
         return _log_density(parameters + shift, over, reach)
 
-    shifts = DERIVATIVE_STEP * np.eye(len(parameters))
-    scores = np.column_stack([(density(d) - density(-d)) / (2.0 * DERIVATIVE_STEP) for d in shifts])
+    shifts = _DERIVATIVE_STEP * np.eye(len(parameters))
+    scores = np.column_stack(
+        [(density(d) - density(-d)) / (2.0 * _DERIVATIVE_STEP) for d in shifts]
+    )
     weighted = weight[:, None] * scores
     bread = np.linalg.inv(scores.T @ weighted + 1e-9 * np.eye(len(parameters)))
     _, number = np.unique(track, return_inverse=True)

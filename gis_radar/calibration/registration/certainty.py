@@ -33,15 +33,16 @@ MAP_SIGMA_M = 0.15
 # one metre is the paper's accuracy; with 2 degrees a far trace is a lane off.
 UNFIXED = (1.0, 1.0, 0.5, math.radians(2.0), math.radians(2.0), math.radians(1.0))
 # Distances along the least-known direction at which the likelihood's profile is taken.
-VALLEY_STEPS_M: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0)
-VALLEY = Schedule(scales_m=(0.3, 0.0), rounds=4)  # fit at each step along the least-known direction
+_VALLEY_STEPS_M: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0)
+# Fit at each step along the least-known direction
+_VALLEY = Schedule(scales_m=(0.3, 0.0), rounds=4)
 # Rise of the cost at one standard deviation, and at ten, from which on a place is excluded.
-LEAST_RISE = 0.5
-CLEAR_RISE = 50.0
+_LEAST_RISE = 0.5
+_CLEAR_RISE = 50.0
 
 FINE = Schedule(scales_m=(0.2, 0.1, 0.0), rounds=30)  # fit to all samples
 # The same from a lower place of the valley: with wider spreads the fit would leave it again.
-THERE = Schedule(scales_m=(0.0,), rounds=30)
+_THERE = Schedule(scales_m=(0.0,), rounds=30)
 # Standard deviations by which the vehicles must prefer an answer to every other (99.4 %,
 # one-sided).
 CLEAR = 2.5
@@ -254,10 +255,10 @@ def agreed_rise(fit: Fit | Rest, other: Rest, groups: Groups) -> float:
 
 def _fitted_there(scene: Scene, there: Rest, hold: Floats, prior: Prior, model: Model) -> Fit:
     """Return the fit at a place along a valley, fixed along it where it would leave the place."""
-    free = solve(scene, there, prior, schedule=THERE, model=model)
-    if abs(hold @ free.state.difference(there.state)) < VALLEY_STEPS_M[0] and free.converged:
+    free = solve(scene, there, prior, schedule=_THERE, model=model)
+    if abs(hold @ free.state.difference(there.state)) < _VALLEY_STEPS_M[0] and free.converged:
         return free
-    return solve(scene, there, prior, schedule=THERE, model=model, hold=hold)
+    return solve(scene, there, prior, schedule=_THERE, model=model, hold=hold)
 
 
 def with_information_along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
@@ -315,17 +316,17 @@ def _profile(
 ) -> list[tuple[float, Rest]]:
     """Return fits at some distances along a valley, metres, all else fitted anew.
 
-    The last one is the first whose cost has risen by CLEAR_RISE from the nearest: what lies beyond
+    The last one is the first whose cost has risen by _CLEAR_RISE from the nearest: what lies beyond
     is no part of the valley. The rise is not taken from the fit itself, which is the lowest of many
     local optima.
     """
     found, state, at_m = list[tuple[float, Rest]](), fit.state, 0.0
-    for step_m in VALLEY_STEPS_M:
+    for step_m in _VALLEY_STEPS_M:
         start = state.moved_along_arc((step_m - at_m) * state.to_heading(way, fit.state))
-        here = settle(scene, start, prior, schedule=VALLEY, model=model, hold=hold)
+        here = settle(scene, start, prior, schedule=_VALLEY, model=model, hold=hold)
         state, at_m = here.state, step_m
         found.append((step_m, here))
-        if here.cost - found[0][1].cost > CLEAR_RISE:
+        if here.cost - found[0][1].cost > _CLEAR_RISE:
             break
     return found
 
@@ -338,8 +339,8 @@ def _deviation(fit: Fit, side: list[tuple[float, Rest]]) -> float:
     """
     (near_m, near), sigma_m = side[0], 0.0
     for step_m, other in side[1:]:
-        if other.cost - fit.cost <= CLEAR_RISE:  # else the cost excludes it, however far it is
-            rise = max(agreed_rise(near, other, fit.groups), LEAST_RISE)
+        if other.cost - fit.cost <= _CLEAR_RISE:  # else the cost excludes it, however far it is
+            rise = max(agreed_rise(near, other, fit.groups), _LEAST_RISE)
             sigma_m = max(sigma_m, math.sqrt((step_m**2 - near_m**2) / (2.0 * rise)))
     return sigma_m
 

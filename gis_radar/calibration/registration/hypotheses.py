@@ -39,51 +39,51 @@ from gis_radar.calibration.registration.traces import Samples
 GUESS_M = 15.0  # largest error of a guess (docs/limits.md)
 HEADING_TOLERANCE = math.radians(30.0)  # to either side of a heading: documented 25 degrees + slack
 # Schedules of the first fit of every candidate, and of each finalist, to a part of the samples.
-ROUGH = Schedule(scales_m=(1.5, 0.75, 0.3), rounds=4)
-SETTLE = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=4)
-FINALISTS = 4  # most hypotheses that are fitted to all samples
+_ROUGH = Schedule(scales_m=(1.5, 0.75, 0.3), rounds=4)
+_SETTLE = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=4)
+_FINALISTS = 4  # most hypotheses that are fitted to all samples
 # Hypotheses within this z score of the best are improved, which gains about 0.5; it exceeds the z
 # score of a clear answer.
-CLOSE_Z = 3.5
-BEYOND_GUESS_M = 2.0  # margin of the search beyond the largest error of a guess
-TILT = math.radians(6.0)  # 1 sigma of the tilt of masts and roads
+_CLOSE_Z = 3.5
+_BEYOND_GUESS_M = 2.0  # margin of the search beyond the largest error of a guess
+_TILT = math.radians(6.0)  # 1 sigma of the tilt of masts and roads
 # 1 sigma of reflections about the road plane: vehicles, and elevation noise (radians).
-LEVEL_SPREAD_M = 0.5
-LEVEL_ELEVATION = math.radians(0.6)
-LEVEL_ROUNDS = 12  # reweighted fits of the plane; it converges in five to eight
-SCORED_SAMPLES = 900  # samples that the search scores; cost in proportion
+_LEVEL_SPREAD_M = 0.5
+_LEVEL_ELEVATION = math.radians(0.6)
+_LEVEL_ROUNDS = 12  # reweighted fits of the plane; it converges in five to eight
+_SCORED_SAMPLES = 900  # samples that the search scores; cost in proportion
 _SIGHTS = 64  # bins of the direction of sight, 5.6 degrees
 # 1 sigma across a lane in the search; steps of its grid of places, and of headings (1.7 m at 50 m).
 SPREAD_M = 2.0
 _STEP_M = 2.0
-YAW_STEP = math.radians(2.0)
+_YAW_STEP = math.radians(2.0)
 # A lane disagrees with the Doppler's sign if the cosine between lane and sight is below minus this
 # (15 degrees).
-OPPOSITE_COSINE = 0.25
+_OPPOSITE_COSINE = 0.25
 # Peaks of the search that are closer are one.
 _NEAR_M = 3.0
-NEAR_RAD = math.radians(5.0)
+_NEAR_RAD = math.radians(5.0)
 # Prior of the mean height of reflections: between wheel hubs and belt lines. The check of a given
 # pose takes 0.7, with which the sample's height is right to 0.05 m, with 0.6 to 0.1 m.
 PRIOR_REFLECTION_M = 0.6
-REFLECTION_SIGMA_M = 0.25
-ROUGH_SAMPLES = 1000  # enough to rank hypotheses; cost in proportion
-MOST_BEHIND = 5.0  # hypotheses whose z score is farther behind the best are no finalists
+_REFLECTION_SIGMA_M = 0.25
+_ROUGH_SAMPLES = 1000  # enough to rank hypotheses; cost in proportion
+_MOST_BEHIND = 5.0  # hypotheses whose z score is farther behind the best are no finalists
 # Fits that are closer are one: easting, northing, height; rotations about the axes.
 _SAME_M = (0.3, 0.3, 0.5)
-SAME_RAD = (math.radians(0.5), math.radians(0.5), math.radians(0.3))
+_SAME_RAD = (math.radians(0.5), math.radians(0.5), math.radians(0.3))
 # Grid of starts around an optimum: step, half a vehicle's width, and number of steps to each side
 # in place and in yaw (its steps in metres at LEVER_M).
-LOOK_M = 0.5
-LOOK_STEPS = (3, 2)
+_LOOK_M = 0.5
+_LOOK_STEPS = (3, 2)
 # On this grid: standard deviation added to that of the model, as large as that of drivers; number
 # of samples; number of local minima from which fits start.
 LOOK_SCALE_M = 0.3
-LOOK_SAMPLES = 400
-LOOK_PLACES = 4
+_LOOK_SAMPLES = 400
+_LOOK_PLACES = 4
 # Number of peaks that are fitted, without and with a heading; cost in proportion.
 _CANDIDATES = 10
-KNOWN_CANDIDATES = 4
+_KNOWN_CANDIDATES = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,11 +117,11 @@ def level(scene: Scene) -> Levelling:
     x, y, z = samples.points.T
     rows = np.column_stack([x, y, np.ones(len(x))])
     reach = np.linalg.norm(samples.points, axis=1)
-    sigma = np.hypot(LEVEL_SPREAD_M, LEVEL_ELEVATION * reach)
-    prior = np.diag([TILT**-2, TILT**-2, 0.0])
+    sigma = np.hypot(_LEVEL_SPREAD_M, _LEVEL_ELEVATION * reach)
+    prior = np.diag([_TILT**-2, _TILT**-2, 0.0])
     weight = sigma**-2
     plane = np.array([0.0, 0.0, float(np.median(z))])
-    for _ in range(LEVEL_ROUNDS):
+    for _ in range(_LEVEL_ROUNDS):
         weight = sigma**-2 / (1.0 + ((z - rows @ plane) / (2.0 * sigma)) ** 2) ** 2
         plane = np.linalg.solve(rows.T @ (weight[:, None] * rows) + prior, rows.T @ (weight * z))
     up = np.array([-plane[0], -plane[1], 1.0]) / np.sqrt(1.0 + plane[0] ** 2 + plane[1] ** 2)
@@ -171,9 +171,9 @@ def search(
         Largest number of candidates.
     """
     lanes, samples = scene.lanes, scene.samples
-    chosen = np.random.default_rng(0).permutation(len(samples))[:SCORED_SAMPLES]
+    chosen = np.random.default_rng(0).permutation(len(samples))[:_SCORED_SAMPLES]
     points, away = levelled[chosen, :2].copy(), samples.range_rate[chosen] > 0.0
-    places, yaws = _places(GUESS_M + BEYOND_GUESS_M, _STEP_M), _yaws(heading, YAW_STEP)
+    places, yaws = _places(GUESS_M + _BEYOND_GUESS_M, _STEP_M), _yaws(heading, _YAW_STEP)
     layers = closeness(lanes)
     scores = _mean_closeness(layers, lanes.corner, LANE_CELL_M, points, away, places, yaws)
     return _peaks(np.asarray(scores), places, yaws, most)
@@ -217,13 +217,13 @@ def closeness(lanes: Lanes) -> NDArray[np.uint8]:
     layers = np.zeros((sights, *near.shape[1:]), dtype=np.uint8)
     near_bytes = np.rint(near * 255.0).astype(np.uint8)
     for sight in range(sights):
-        agree = np.cos(directions - sight * (2.0 * np.pi / sights)) > -OPPOSITE_COSINE
+        agree = np.cos(directions - sight * (2.0 * np.pi / sights)) > -_OPPOSITE_COSINE
         layers[sight] = near_bytes[agree].max(axis=0)
     return layers
 
 
 def _peaks(scores: Floats, places: Floats, yaws: Floats, most: int) -> list[Candidate]:
-    """Return the best candidates, at least `_NEAR_M` or `NEAR_RAD` from each other."""
+    """Return the best candidates, at least `_NEAR_M` or `_NEAR_RAD` from each other."""
     order = np.argsort(-scores, axis=None)[: 400 * most]
     peaks: list[Candidate] = []
     for index in order:
@@ -231,7 +231,7 @@ def _peaks(scores: Floats, places: Floats, yaws: Floats, most: int) -> list[Cand
         place, yaw = places[i], float(yaws[j])
         close = any(
             np.hypot(*(place - other.place)) < _NEAR_M
-            and abs(math.remainder(yaw - other.yaw, math.tau)) < NEAR_RAD
+            and abs(math.remainder(yaw - other.yaw, math.tau)) < _NEAR_RAD
             for other in peaks
         )
         if not close:
@@ -322,7 +322,7 @@ def find_hypotheses(scene: Scene, *, heading: tuple[float, float] | None) -> lis
         Radians; without it all headings are tried.
     """
     levelling, part = level(scene), rough(scene)
-    most = _CANDIDATES if heading is None else KNOWN_CANDIDATES
+    most = _CANDIDATES if heading is None else _KNOWN_CANDIDATES
     candidates = _search_levelled(scene, levelling, heading, most)
     hypotheses = [_rough_fit(part, _start(part, levelling, c), c.score) for c in candidates]
     return _ranked(hypotheses)
@@ -348,13 +348,13 @@ def _search_levelled(
 
 
 def rough(scene: Scene) -> Scene:
-    """Return the scene with random `ROUGH_SAMPLES`, enough to rank hypotheses."""
-    return _draw_samples(scene, ROUGH_SAMPLES)
+    """Return the scene with random `_ROUGH_SAMPLES`, enough to rank hypotheses."""
+    return _draw_samples(scene, _ROUGH_SAMPLES)
 
 
 def few_samples(scene: Scene) -> Scene:
-    """Return the scene with random `LOOK_SAMPLES`, enough to compare a grid of starts."""
-    return _draw_samples(scene, LOOK_SAMPLES)
+    """Return the scene with random `_LOOK_SAMPLES`, enough to compare a grid of starts."""
+    return _draw_samples(scene, _LOOK_SAMPLES)
 
 
 def _draw_samples(scene: Scene, most: int) -> Scene:
@@ -367,14 +367,14 @@ def _draw_samples(scene: Scene, most: int) -> Scene:
 def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Fit the first hypotheses to all samples, and return them the best first.
 
-    Those within `CLOSE_Z` of the best are improved by :func:`look_around` and fitted with prior and
-    model adapted to the recording.
+    Those within `_CLOSE_Z` of the best are improved by :func:`look_around` and fitted with prior
+    and model adapted to the recording.
     """
     part, best = rough(scene), hypotheses[0]
-    contenders = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < MOST_BEHIND]
+    contenders = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < _MOST_BEHIND]
     settled = _ranked([
-        replace(h, fit=solve(part, h.fit.state, h.prior, schedule=SETTLE))
-        for h in contenders[:FINALISTS]
+        replace(h, fit=solve(part, h.fit.state, h.prior, schedule=_SETTLE))
+        for h in contenders[:_FINALISTS]
     ])  # fmt: skip
     fine = _ranked([_fit_fine(scene, h) for h in settled])
     looked_around = _improve_near_best(fine, scene, partial(look_around, scene))
@@ -384,8 +384,8 @@ def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
 def _improve_near_best(
     ranked: Sequence[Hypothesis], scene: Scene, better: Callable[[Hypothesis], Hypothesis]
 ) -> list[Hypothesis]:
-    """Improve the hypotheses within `CLOSE_Z` of the best, and return all, the best first."""
-    near = [advantage(ranked[0].fit, h.fit, scene.samples) < CLOSE_Z for h in ranked]
+    """Improve the hypotheses within `_CLOSE_Z` of the best, and return all, the best first."""
+    near = [advantage(ranked[0].fit, h.fit, scene.samples) < _CLOSE_Z for h in ranked]
     improved = [better(h) if close else h for h, close in zip(ranked, near, strict=True)]
     return _ranked(improved)
 
@@ -395,7 +395,7 @@ def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
 
     The cost has many local optima within a metre, by the choice of face and lane of each sample.
     """
-    offsets_m, turns_m = (np.arange(-n, n + 1) * LOOK_M for n in LOOK_STEPS)
+    offsets_m, turns_m = (np.arange(-n, n + 1) * _LOOK_M for n in _LOOK_STEPS)
     few = few_samples(scene)
     grid = np.stack(np.meshgrid(offsets_m, offsets_m, turns_m / LEVER_M, indexing="ij"), axis=-1)
     steps = np.zeros((grid.size // 3, SIZE))
@@ -405,10 +405,10 @@ def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
         costs = np.array([cost_at(few, start, scale_m=LOOK_SCALE_M) for start in starts])
         costs = costs.reshape(grid.shape[:3])
         lowest = np.argwhere(costs == minimum_filter(costs, size=3))
-        order = np.argsort(costs[tuple(lowest.T)])[:LOOK_PLACES]
+        order = np.argsort(costs[tuple(lowest.T)])[:_LOOK_PLACES]
         chosen = np.ravel_multi_index(tuple(lowest[order].T), costs.shape)
         chosen_starts = [starts[k] for k in chosen]
-        better = solve_likeliest(scene, chosen_starts, best.prior, schedule=SETTLE)
+        better = solve_likeliest(scene, chosen_starts, best.prior, schedule=_SETTLE)
         if better.cost > best.fit.cost - LOOK_GAIN:
             break
         best = replace(best, fit=better)
@@ -461,23 +461,23 @@ def prior_at(state: State) -> Prior:
         The start, with the tilt of the levelling; the guess is the local (0, 0).
     """
     information = np.zeros((SIZE, SIZE))
-    sigma = np.array([GUESS_M / 2, GUESS_M / 2, GUESS_M, TILT, TILT, np.pi])
+    sigma = np.array([GUESS_M / 2, GUESS_M / 2, GUESS_M, _TILT, _TILT, np.pi])
     information[POSE_PART, POSE_PART] = np.diag(sigma**-2)
-    information[REFLECTION, REFLECTION] = REFLECTION_SIGMA_M**-2
+    information[REFLECTION, REFLECTION] = _REFLECTION_SIGMA_M**-2
     mean = replace(state, position=np.array([0.0, 0.0, state.position[2]]))
     return Prior(mean=mean, information=information)
 
 
 def _rough_fit(scene: Scene, start: State, score: float) -> Hypothesis:
-    """Return the hypothesis fitted from a start, with the schedule `ROUGH`."""
+    """Return the hypothesis fitted from a start, with the schedule `_ROUGH`."""
     prior = prior_at(start)
-    fit = solve(scene, start, prior, schedule=ROUGH)
+    fit = solve(scene, start, prior, schedule=_ROUGH)
     return Hypothesis(fit=fit, prior=prior, score=score)
 
 
 def _ranked(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Return hypotheses the best first, without those equal to a better one (`_SAME_M`, ...)."""
-    same = np.array([*_SAME_M, *SAME_RAD])
+    same = np.array([*_SAME_M, *_SAME_RAD])
     distinct: list[Hypothesis] = []
     for h in sorted(hypotheses, key=lambda h: h.loss):
         gaps = [np.abs(h.fit.state.difference(k.fit.state)[POSE_PART]) / same for k in distinct]

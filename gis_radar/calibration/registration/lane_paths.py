@@ -27,15 +27,15 @@ from gis_radar.calibration.registration.residuals import (
 _MOST_LANES = 6  # lanes of a sample among which a path chooses: three, and their successors
 # Negative log likelihood of a change of lanes: one vehicle in fifty in a track of eight seconds.
 CHANGE_COST = 4.0
-# Another lane continues the path, without a change, if it begins within SIDE_STEP_M across the
-# path, and turns by no more than a bend of LEAST_RADIUS_M or a kink of KINK (radians).
-SIDE_STEP_M = 1.0
-LEAST_RADIUS_M = 6.0
-KINK = 0.5
-_LEAST_KINK_COSINE = math.cos(KINK)
-# Cost of each metre farther than PAST_M past the last sample of a lane, up to that of a sample on
+# Another lane continues the path, without a change, if it begins within _SIDE_STEP_M across the
+# path, and turns by no more than a bend of _LEAST_RADIUS_M or a kink of _KINK (radians).
+_SIDE_STEP_M = 1.0
+_LEAST_RADIUS_M = 6.0
+_KINK = 0.5
+_LEAST_KINK_COSINE = math.cos(_KINK)
+# Cost of each metre farther than _PAST_M past the last sample of a lane, up to that of a sample on
 # no vehicle.
-PAST_COST, PAST_M = 1.0, 1.5 * LANE_STEP_M
+_PAST_COST, _PAST_M = 1.0, 1.5 * LANE_STEP_M
 
 
 def match_paths(
@@ -113,7 +113,7 @@ def _cost_past_end(
 ) -> float:  # pragma: no cover
     """Return the cost of a point past the end of a lane, given the lane's nearest sample."""
     ahead = (x - points[lane, 0]) * along[lane, 0] + (y - points[lane, 1]) * along[lane, 1]
-    return float(min(PAST_COST * max(abs(ahead) - PAST_M, 0.0), NO_VEHICLE))
+    return float(min(_PAST_COST * max(abs(ahead) - _PAST_M, 0.0), NO_VEHICLE))
 
 
 @compiled
@@ -203,9 +203,9 @@ def _transition_cost(  # pragma: no cover - compiled
     east, north = along[leaving, 0] + along[entering, 0], along[leaving, 1] + along[entering, 1]
     cosine = along[leaving, 0] * along[entering, 0] + along[leaving, 1] * along[entering, 1]
     across = y * east - x * north
-    if across**2 > SIDE_STEP_M**2 * (east**2 + north**2):
+    if across**2 > _SIDE_STEP_M**2 * (east**2 + north**2):
         return CHANGE_COST
     if cosine < _LEAST_KINK_COSINE:
-        most_turn = min(KINK + np.hypot(x, y) / LEAST_RADIUS_M, np.pi)
+        most_turn = min(_KINK + np.hypot(x, y) / _LEAST_RADIUS_M, np.pi)
         return CHANGE_COST if cosine < np.cos(most_turn) else 0.0
     return 0.0

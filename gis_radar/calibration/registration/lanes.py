@@ -20,28 +20,28 @@ from gis_radar.hdmap import SAME_LEVEL_M, is_driven
 LANE_STEP_M = 1.0
 LANE_CELL_M = 1.0
 LANE_BINS = 16  # bins of direction, 22.5 degrees each: the grid keeps crossing lanes apart
-LANE_REACH_M = 12.0  # largest distance from a lane of a point that matches it: three lanes
+_LANE_REACH_M = 12.0  # largest distance from a lane of a point that matches it: three lanes
 MARGIN_M = 20.0  # reach of the lanes beyond the farthest traces and the error of the guess
-# A sample's height is the median of up to SCAN_POINTS scanned points within SCAN_NEAR_M.
-SCAN_NEAR_M = 2.0
-SCAN_POINTS = 12
-SLOPE_REACH = 3  # number of samples to either side from which a slope is computed
-MOST_SLOPE = 0.2  # steeper slopes are errors: roads rise 12 % at most (RAL), ramps 20 %
-UNLIMITED_MPS = 55.0  # top speed where the map has no limit, 200 km/h
+# A sample's height is the median of up to _SCAN_POINTS scanned points within _SCAN_NEAR_M.
+_SCAN_NEAR_M = 2.0
+_SCAN_POINTS = 12
+_SLOPE_REACH = 3  # number of samples to either side from which a slope is computed
+_MOST_SLOPE = 0.2  # steeper slopes are errors: roads rise 12 % at most (RAL), ramps 20 %
+_UNLIMITED_MPS = 55.0  # top speed where the map has no limit, 200 km/h
 # Top speed as a multiple of the limit, and its least value (54 km/h).
-SPEEDING = 1.5
-MIN_TOP_MPS = 15.0
+_SPEEDING = 1.5
+_MIN_TOP_MPS = 15.0
 BORDER_M = 1.0  # a sample nearer to its lane's middle is in no other lane: less than half a lane
 NEXT_LANE_M = 5.5  # largest distance between the centre lines of neighbouring lanes
 _PARALLEL = 0.87  # least cosine between their directions (30 degrees)
-NO_DIRECTION_M = 1e-9  # shorter vectors have no direction
+_NO_DIRECTION_M = 1e-9  # shorter vectors have no direction
 # A lane bends if the mean of its unit vectors is shorter: that of an arc of 30 degrees.
-BENT_BELOW = 0.9886
+_BENT_BELOW = 0.9886
 # 1 sigma, among streets, of the error of lanes in the map, and of the scan's heights.
 STREET_SIGMA_M = (0.3, 0.2)
 # 1 sigma, among lanes, of the mean offset of drivers from the middle of their lane: on straight
 # lanes, and in bends; from three recorded junctions.
-LANE_SIGMA_M = (0.18, 0.36)
+_LANE_SIGMA_M = (0.18, 0.36)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class Lanes:
         South-west corner of the grid, local, metres.
     nearest : (rows, columns, bins) int32 array
         Index of the sample nearest to a cell's centre among those of a bin of direction; -1 where
-        none is within `LANE_REACH_M`. A cell's bins are a line of the processor's cache.
+        none is within `_LANE_REACH_M`. A cell's bins are a line of the processor's cache.
     distance : (bins, rows, columns) float32 array
         Distance to that sample, metres.
     directed : bool
@@ -100,7 +100,7 @@ class Lanes:
         """Whether the lane of each sample bends by more than 30 degrees."""
         _, lane = np.unique(self.lane, return_inverse=True)
         mean = [(np.bincount(lane, way) / np.bincount(lane))[lane] for way in self.along.T]
-        return np.asarray(np.hypot(*mean) < BENT_BELOW)
+        return np.asarray(np.hypot(*mean) < _BENT_BELOW)
 
     @cached_property
     def next_lanes(self) -> Integers:
@@ -174,8 +174,8 @@ def sample_lanes(
     local[:, 2] = height
     slope = _slopes(local, along, lane)
     limit = table["speed_limit_kmh"].to_numpy(np.float64)[lane] / 3.6
-    top = np.maximum(limit * SPEEDING, MIN_TOP_MPS)
-    top = np.where(np.isnan(limit), UNLIMITED_MPS, top)
+    top = np.maximum(limit * _SPEEDING, _MIN_TOP_MPS)
+    top = np.where(np.isnan(limit), _UNLIMITED_MPS, top)
     width = (table.geometry.area / table["centre"].length).to_numpy()[lane]
     two_way = ~table["one_way"].to_numpy(bool)[lane]
     near = np.hypot(local[:, 0], local[:, 1]) < reach_m
@@ -228,8 +228,8 @@ def _scanned_heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
         return map_height, np.zeros(len(map_height), dtype=bool)
     gap, index = scipy.spatial.cKDTree(road[:, :2]).query(
         local[:, :2],
-        k=min(SCAN_POINTS, len(road)),
-        distance_upper_bound=SCAN_NEAR_M,
+        k=min(_SCAN_POINTS, len(road)),
+        distance_upper_bound=_SCAN_NEAR_M,
     )
     gap, index = (np.asarray(a).reshape(len(local), -1) for a in (gap, index))
     z = np.where(np.isfinite(gap), road[np.minimum(index, len(road) - 1), 2], np.nan)
@@ -246,20 +246,20 @@ def _slopes(points: Floats, along: Floats, lane: Integers) -> Floats:
     """Return the slope along the lane at each sample (m/m); 0 where heights are unknown."""
     last = len(points) - 1
     ahead, behind = (
-        np.clip(np.arange(len(points)) + shift, 0, last) for shift in (SLOPE_REACH, -SLOPE_REACH)
+        np.clip(np.arange(len(points)) + shift, 0, last) for shift in (_SLOPE_REACH, -_SLOPE_REACH)
     )
     ahead = np.where(lane[ahead] == lane, ahead, np.arange(len(points)))
     behind = np.where(lane[behind] == lane, behind, np.arange(len(points)))
     gap = points[ahead] - points[behind]
     run = np.sum(gap[:, :2] * along, axis=1)
     rise = np.divide(gap[:, 2], run, out=np.zeros(len(points)), where=run > LANE_STEP_M)
-    return np.asarray(np.clip(np.nan_to_num(rise), -MOST_SLOPE, MOST_SLOPE))
+    return np.asarray(np.clip(np.nan_to_num(rise), -_MOST_SLOPE, _MOST_SLOPE))
 
 
 def _nearest_samples(points: Floats, along: Floats) -> tuple[Floats, np.ndarray, np.ndarray]:
     """Return the grid's corner, and the nearest sample of each cell and bin, with its distance."""
-    cell_m, reach = LANE_CELL_M, LANE_REACH_M / LANE_CELL_M
-    corner = np.floor(points[:, :2].min(axis=0)) - LANE_REACH_M
+    cell_m, reach = LANE_CELL_M, _LANE_REACH_M / LANE_CELL_M
+    corner = np.floor(points[:, :2].min(axis=0)) - _LANE_REACH_M
     place = (points[:, :2] - corner) / cell_m
     columns, rows = np.floor(place.max(axis=0)).astype(np.int64) + 1 + int(reach)
     nearest = np.full((rows, columns, LANE_BINS), -1, dtype=np.int32)
@@ -315,7 +315,7 @@ class Scene:
 
     lanes: Lanes
     samples: Samples
-    lane_sigma_m: tuple[float, float] = LANE_SIGMA_M
+    lane_sigma_m: tuple[float, float] = _LANE_SIGMA_M
     keeps_lanes: bool = True
 
     def of(self, samples: Samples) -> Scene:
@@ -379,6 +379,6 @@ def _transform(  # pragma: no cover - compiled
             points[i, j] = arms[i, j] + position[j]
         flat[i] = np.hypot(arms[i, 0], arms[i, 1])
         sight[i, 0], sight[i, 1] = 1.0, 0.0
-        if flat[i] > NO_DIRECTION_M:
+        if flat[i] > _NO_DIRECTION_M:
             sight[i, 0], sight[i, 1] = arms[i, 0] / flat[i], arms[i, 1] / flat[i]
     return points, arms, flat, sight

@@ -20,8 +20,8 @@ from gis_radar.calibration.registration.lanes import (
 # Largest difference of height between sample and lane, metres, plus a share of the range: 3
 # degrees of tilt.
 _LEVEL_M = 4.0
-LEVEL_SHARE = 0.05
-SLACK_MPS = 0.5  # tolerance of range rates: noise, and the rotation of a long vehicle
+_LEVEL_SHARE = 0.05
+_SLACK_MPS = 0.5  # tolerance of range rates: noise, and the rotation of a long vehicle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +140,7 @@ def _match_lanes(  # noqa: C901, PLR0917 - calls of compiled functions cost  # p
         # scalars: numba would allocate arrays, and load an array's value again after each write
         px, py, pz, rate = points[i, 0], points[i, 1], points[i, 2], range_rate[i]
         sight_x, sight_y = sight[i, 0], sight[i, 1]
-        level_m, count, best = _LEVEL_M + LEVEL_SHARE * reach[i], 0, np.inf
+        level_m, count, best = _LEVEL_M + _LEVEL_SHARE * reach[i], 0, np.inf
         east, north = px - corner[0], py - corner[1]
         home = _cell(east, north, rows, columns)
         for b in range(bins):
@@ -163,7 +163,7 @@ def _match_lanes(  # noqa: C901, PLR0917 - calls of compiled functions cost  # p
                     # above the lane's top speed; `&`, as branches would be guessed wrongly
                     cosine = along[q, 0] * sight_x + along[q, 1] * sight_y
                     forward, top = rate if cosine >= 0.0 else -rate, abs(cosine) * top_speed[q]
-                    allowed = (forward >= -SLACK_MPS) & (forward <= top + SLACK_MPS)
+                    allowed = (forward >= -_SLACK_MPS) & (forward <= top + _SLACK_MPS)
                     allowed &= (abs(cosine) >= least_cosine) & (not abs(z) > level_m)  # or NaN
                     if not allowed:
                         if side > 0:

@@ -22,16 +22,16 @@ from gis_radar.calibration.registration.traces import SPELL_S, Samples
 
 STRAY_SHARE = 0.1  # share of detections that are on no vehicle: ghosts and multipath
 # Width and height over which these spread evenly.
-STRAY_WIDTH_M = 8.0
+_STRAY_WIDTH_M = 8.0
 STRAY_HEIGHT_M = 8.0
 # Loss of a sample on no vehicle.
-NO_VEHICLE = float(-np.log(STRAY_SHARE * np.sqrt(2.0 * np.pi) / STRAY_WIDTH_M))
+NO_VEHICLE = float(-np.log(STRAY_SHARE * np.sqrt(2.0 * np.pi) / _STRAY_WIDTH_M))
 # Places where a front or rear reflects, in half widths: the middles of its thirds.
 FRONT_PLACES: tuple[float, ...] = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
 # Margin inside the edge of the view in which no height counts: there only the tall are seen.
 VIEW_EDGE = math.radians(1.0)
 
-SPELL_M = 0.02  # 1 sigma of each spell by itself, which keeps covariances regular
+_SPELL_M = 0.02  # 1 sigma of each spell by itself, which keeps covariances regular
 
 
 @dataclass(frozen=True)
@@ -281,7 +281,7 @@ def height_covariance(samples: Samples, model: Model) -> Floats:
     angle = model.bent * reach
     covariance = model.vehicle**2 + angle[:, :, None] * angle[:, None, :] * alike
     seen = reach > 0.0
-    own = np.where(seen, SPELL_M**2, 1.0)
+    own = np.where(seen, _SPELL_M**2, 1.0)
     return np.asarray(
         np.where(seen[:, :, None] & seen[:, None, :], covariance, 0.0)
         + own[:, :, None] * np.eye(len(number))

@@ -46,22 +46,22 @@ class Schedule:
 
 FAR = Schedule(scales_m=(1.5, 0.75, 0.3, 0.0), rounds=6)  # for starts up to a lane off
 # A step shorter than either ends a stage: far below the noise.
-SETTLED_M = 5e-3
-SETTLED_SIGMAS = 0.02
+_SETTLED_M = 5e-3
+_SETTLED_SIGMAS = 0.02
 # Where no shortened step lowers the cost, one shorter than either is convergence, too: the expected
 # gain was one at most, and changing faces make bumps of that size.
-AT_REST_M = 0.1
-AT_REST_SIGMAS = 1.5
-# A step that does not lower the cost is divided by SHRINK, down to this share.
-SHRINK = 3.0
+_AT_REST_M = 0.1
+_AT_REST_SIGMAS = 1.5
+# A step that does not lower the cost is divided by _SHRINK, down to this share.
+_SHRINK = 3.0
 _LEAST_SHARE = 0.05
 # Share of the weights' information that is used where the curvature is not positive definite.
-LEAST_CURVATURE = 0.05
+_LEAST_CURVATURE = 0.05
 FLOOR = 1e-6  # least information in any direction, 1/m^2: a kilometre
 
-FAMILIES = (lateral, height)
+_FAMILIES = (lateral, height)
 # Constants of the model; the others are of the lateral family.
-OF_HEIGHT = {
+_OF_HEIGHT = {
     "elevation", "low", "vehicle", "bent", "lasting", "body_share", "body_over", "body",
 }  # fmt: skip
 
@@ -262,13 +262,13 @@ def _descended(
                     here.point.state.moved(share * step),
                     [b + share * more for b, more in zip(here.point.effects, effects, strict=True)],
                 )
-                there, share = cost.at(moved), share / SHRINK
+                there, share = cost.at(moved), share / _SHRINK
             length_m = float(np.abs(step[:6] * lever_m).max())
             if there is None or there.total > here.total:
-                converged = length_m < AT_REST_M or sigmas < AT_REST_SIGMAS
+                converged = length_m < _AT_REST_M or sigmas < _AT_REST_SIGMAS
                 break
             here = there
-            converged = length_m < SETTLED_M or sigmas < SETTLED_SIGMAS
+            converged = length_m < _SETTLED_M or sigmas < _SETTLED_SIGMAS
             if converged:
                 break
         point = here.point
@@ -356,7 +356,7 @@ class _Cost:
     def families(self, placed: Placed, matches: Matches, effects: list[Floats]) -> list[Residuals]:
         """Return all residuals of samples that lie on their lanes."""
         compared = self.compared(placed, matches)
-        return [family(compared, effect) for family, effect in zip(FAMILIES, effects, strict=True)]
+        return [family(compared, effect) for family, effect in zip(_FAMILIES, effects, strict=True)]
 
     def compared(self, placed: Placed, matches: Matches) -> LaneComparison:
         """Return samples and lanes as the residuals compare them."""
@@ -391,7 +391,7 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
     known = assemble(here.families, effects).information + cost.prior.information
     information = at_least(
         normal.information + cost.prior.information,
-        LEAST_CURVATURE * known + FLOOR * np.eye(len(known)),
+        _LEAST_CURVATURE * known + FLOOR * np.eye(len(known)),
     )
     by_offset = _by_offset(here)
     groups, biases = biases_of(cost.scene, here.matches, normal.offsets)
@@ -451,12 +451,12 @@ def _considered(cost: _Cost, here: _Here) -> Floats:
 
     def gradient(model: Model, which: int) -> Floats:
         compared = replace(cost, model=model).compared(here.placed, here.matches)
-        family = FAMILIES[which](compared, effects[which])
+        family = _FAMILIES[which](compared, effects[which])
         return assemble([family], [effects[which]], curved=True).gradient
 
     changes = []
     for name, less, more in cost.model.variations():
-        which = FAMILIES.index(height if name in OF_HEIGHT else lateral)
+        which = _FAMILIES.index(height if name in _OF_HEIGHT else lateral)
         changes.append((gradient(more, which) - gradient(less, which)) / 2.0)
     return np.array(changes)
 

@@ -14,36 +14,36 @@ WINDOW_FRAMES = 2000  # of the window, 100 s at 20 Hz (the paper's n_f)
 LEAST_FRAMES = 100  # fewer are refused: 5 s show no traffic
 MIN_SPEED_MPS = 0.15  # least absolute range rate of moving detections (the paper)
 _SEGMENT_S = 8.0  # longer tracks are cut: a dense stream of vehicles may be linked without end
-WALK_MPS = 2.7  # slower tracks, by range rates and by displacement, may be of walkers
+_WALK_MPS = 2.7  # slower tracks, by range rates and by displacement, may be of walkers
 _MOST_SAMPLES = 6000  # most samples in all; cost grows in proportion
-LINK_S = 0.35  # longest gap in a track: a far vehicle is detected in one frame of four
+_LINK_S = 0.35  # longest gap in a track: a far vehicle is detected in one frame of four
 RANGE_M = 1.5  # largest difference between change of range and Doppler: faces of one vehicle
 # Largest displacement across the line of sight: a vehicle's size, and a speed without Doppler.
 _ACROSS_M = 1.5
-ACROSS_MPS = 6.0
+_ACROSS_MPS = 6.0
 _MOST_RATE_CHANGE_MPS = 1.5  # largest difference of range rates in a track, as of a turning vehicle
 # A track of fewer points is a false alarm, a slow track with a shorter path is a leaf.
 _MIN_POINTS = 6
-MIN_PATH_M = 3.0
-LEAF_MPS = 1.5  # leaves have a lower median range rate
+_MIN_PATH_M = 3.0
+_LEAF_MPS = 1.5  # leaves have a lower median range rate
 # Slow tracks are left out if they are a larger share of all: in gridlock up to 0.11 are slow, with
 # 48 walkers in view 0.2 and more. The fit tolerates smaller shares as outliers.
 MOST_WALKERS = 0.15
 # Side of voxels, wider than a vehicle, and most samples of a track in each: enough to keep the
 # proportion of its faces.
 _VOXEL_M = 6.0
-PER_VOXEL = 8
+_PER_VOXEL = 8
 CROWD_M = 10.0  # length over which samples of a vehicle share its offset (`Model.wander`)
-# A track is of a vehicle that was hidden for up to _HIDDEN_S if it begins within VEHICLE_M of the
-# vehicle's predicted position, plus STRAY_MPS times the time hidden.
+# A track is of a vehicle that was hidden for up to _HIDDEN_S if it begins within _VEHICLE_M of the
+# vehicle's predicted position, plus _STRAY_MPS times the time hidden.
 _HIDDEN_S = 6.0
-VEHICLE_M = 5.0
-STRAY_MPS = 1.0
+_VEHICLE_M = 5.0
+_STRAY_MPS = 1.0
 # Time over which the motion at a track's begin and end is averaged, and largest difference of range
 # rates of one vehicle's tracks: more than _MOST_RATE_CHANGE_MPS, as it may turn while it is hidden.
-PACE_S = 0.5
-PACE_MPS = 3.0
-PACE_POINTS = 4  # least detections in PACE_S: the median of three may be of a limb
+_PACE_S = 0.5
+_PACE_MPS = 3.0
+_PACE_POINTS = 4  # least detections in _PACE_S: the median of three may be of a limb
 # Length of a spell, within which samples of a vehicle share an error of elevation (`Model.bent`):
 # much shorter than `Model.lasting`.
 SPELL_S = 1.0
@@ -218,10 +218,10 @@ def _is_vehicle(number: Integers, time: Floats, moving: Moving) -> Booleans:
     early, late = rows.head(2).groupby("n").mean(), rows.tail(2).groupby("n").mean()
     path = np.hypot(late["x"] - early["x"], late["y"] - early["y"])
     extent = np.hypot(rows["x"].max() - rows["x"].min(), rows["y"].max() - rows["y"].min())
-    moves = (path >= MIN_PATH_M) & (path >= 0.5 * extent)
-    streams = (rows["rate"].median() >= LEAF_MPS) & (extent >= MIN_PATH_M)
+    moves = (path >= _MIN_PATH_M) & (path >= 0.5 * extent)
+    streams = (rows["rate"].median() >= _LEAF_MPS) & (extent >= _MIN_PATH_M)
     plausible = (rows.size() >= _MIN_POINTS) & (moves | streams)
-    fast = plausible & (_top_speed(number, time, moving) > WALK_MPS)
+    fast = plausible & (_top_speed(number, time, moving) > _WALK_MPS)
     # in a queue vehicles are as slow as walkers: drop slow tracks only where they are many
     walkers = 1.0 - fast.sum() / max(plausible.sum(), 1)
     return np.asarray(fast if walkers > MOST_WALKERS else plausible)
@@ -233,14 +233,14 @@ def _top_speed(number: Integers, time: Floats, moving: Moving) -> Floats:
 
 
 def _top_range_rate(number: Integers, time: Floats, moving: Moving) -> Floats:
-    """Return the highest absolute range rate of each track, m/s, of medians over `PACE_S`.
+    """Return the highest absolute range rate of each track, m/s, of medians over `_PACE_S`.
 
     A walker's limbs are up to 2.5 times as fast as the trunk; the median leaves them out.
     """
     rate = pd.Series(np.abs(moving.range_rate))
-    spell = np.floor(time / PACE_S).astype(np.int64)
+    spell = np.floor(time / _PACE_S).astype(np.int64)
     by_spell = rate.groupby([number, spell])
-    lasting = by_spell.median().where(by_spell.size() >= PACE_POINTS)
+    lasting = by_spell.median().where(by_spell.size() >= _PACE_POINTS)
     fastest = lasting.groupby(level=0).max().fillna(rate.groupby(number).median())
     return np.asarray(fastest, dtype=np.float64)
 
@@ -265,7 +265,7 @@ def _speed_of_line(number: Integers, time: Floats, moving: Moving) -> Floats:
 
 
 def top_speeds(moving: Moving, tracks: Integers) -> Floats:
-    """Return the top speed of each track, m/s, over at least `PACE_S`.
+    """Return the top speed of each track, m/s, over at least `_PACE_S`.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ def top_speeds(moving: Moving, tracks: Integers) -> Floats:
 
 
 def thin(moving: Moving, tracks: Integers, *, most: int = _MOST_SAMPLES) -> Samples:
-    """Return up to `PER_VOXEL` random detections of each track and voxel, at most `most` in all.
+    """Return up to `_PER_VOXEL` random detections of each track and voxel, at most `most` in all.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def thin(moving: Moving, tracks: Integers, *, most: int = _MOST_SAMPLES) -> Samp
     rows = rows[rng.permutation(len(rows))]
     cells = np.floor(moving.points[rows, :2] / _VOXEL_M).astype(np.int64)
     frame = pd.DataFrame({"k": tracks[rows], "i": cells[:, 0], "j": cells[:, 1]})
-    keep = rows[(frame.groupby(["k", "i", "j"]).cumcount() < PER_VOXEL).to_numpy()][:most]
+    keep = rows[(frame.groupby(["k", "i", "j"]).cumcount() < _PER_VOXEL).to_numpy()][:most]
     keep.sort()
     return Samples(
         points=moving.points[keep],
@@ -349,24 +349,24 @@ def _first_tracks(  # pragma: no cover - compiled
     for j in np.argsort(time[first[:-1]]):
         begin = time[first[j]]
         _, now, x, y, _, _, slow = straight_line(
-            time, points, rate, first[j], first[j + 1], begin, begin + PACE_S
+            time, points, rate, first[j], first[j + 1], begin, begin + _PACE_S
         )
-        best = VEHICLE_M
+        best = _VEHICLE_M
         for i in range(count):
             ended = time[first[i + 1] - 1]
             if i == j or time[first[i]] > begin or ended < begin - _HIDDEN_S:
                 continue
             # motion of track i around the begin of track j, or at its own end
-            until = min(ended, begin + PACE_S)
+            until = min(ended, begin + _PACE_S)
             known, then, a, b, east, north, pace = straight_line(
-                time, points, rate, first[i], first[i + 1], until - 2.0 * PACE_S, until
+                time, points, rate, first[i], first[i + 1], until - 2.0 * _PACE_S, until
             )
             c, d = a + east * (now - then), b + north * (now - then)
-            off = np.hypot(c - x, d - y) - STRAY_MPS * max(begin - ended, 0.0)
+            off = np.hypot(c - x, d - y) - _STRAY_MPS * max(begin - ended, 0.0)
             # predict the change of range rate by the changed line of sight
             pace += (east * c + north * d) / max(np.hypot(c, d), 1.0)
             pace -= (east * a + north * b) / max(np.hypot(a, b), 1.0)
-            if known > 2.0 and off < best and abs(pace - slow) < PACE_MPS:
+            if known > 2.0 and off < best and abs(pace - slow) < _PACE_MPS:
                 best = off
                 parent[j] = parent[i]
     return parent
@@ -426,14 +426,14 @@ def _track_roots(  # pragma: no cover - compiled
     for i in range(len(time)):
         for j in range(i + 1, len(time)):
             lapse = time[j] - time[i]
-            if lapse > LINK_S:
+            if lapse > _LINK_S:
                 break
             moved = reach[j] - reach[i] - 0.5 * (rate[i] + rate[j]) * lapse
             if abs(rate[i] - rate[j]) > _MOST_RATE_CHANGE_MPS or abs(moved) > RANGE_M:
                 continue
             turn = abs(bearing[j] - bearing[i])
             turn = min(turn, 2.0 * np.pi - turn)
-            if turn * reach[i] > _ACROSS_M + ACROSS_MPS * lapse:
+            if turn * reach[i] > _ACROSS_M + _ACROSS_MPS * lapse:
                 continue
             a, b = i, j
             while parent[a] != a:

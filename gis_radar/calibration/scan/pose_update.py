@@ -40,13 +40,13 @@ from gis_radar.poses import COMPONENTS, Pose
 _ALONG_M, _STEP_M, _PLACE_DRAWS = 20.0, 0.25, 200
 # Least share of displacement in an open direction, the rest is rotation: below it, the sensor moves
 # on a circle of less than 13 m radius.
-LEAST_LENGTH = 0.25
-MOST_SHARE = 0.25  # largest variance by the scan along it, as a share of that by traffic
+_LEAST_LENGTH = 0.25
+_MOST_SHARE = 0.25  # largest variance by the scan along it, as a share of that by traffic
 _SMALL = 1e-9  # avoids a division by 0
-OFFSET_DRAWS = 20  # of patches, for the covariance: it is known to a sixth then
-START_SPREAD = np.array([1.0, 1.0, 1.0])  # largest offset of a climb's start: m, m, deg
-OPEN_M = 0.5  # 1 sigma of the maxima above which a direction is open; that of the starts is 0.58 m
-MOST_CHI2 = 16.0  # larger chi-squares of up to three components are a contradiction (99.9 %)
+_OFFSET_DRAWS = 20  # of patches, for the covariance: it is known to a sixth then
+_START_SPREAD = np.array([1.0, 1.0, 1.0])  # largest offset of a climb's start: m, m, deg
+_OPEN_M = 0.5  # 1 sigma of the maxima above which a direction is open; that of the starts is 0.58 m
+_MOST_CHI2 = 16.0  # larger chi-squares of up to three components are a contradiction (99.9 %)
 
 
 def fix_open_direction(pose: Pose, check: ScanCheck) -> tuple[Pose, Pose]:
@@ -77,12 +77,12 @@ def fix_open_direction(pose: Pose, check: ScanCheck) -> tuple[Pose, Pose]:
     variances, axes = np.linalg.eigh(covariance[np.ix_(PLANE, PLANE)] * np.outer(lever, lever))
     direction = axes[:, -1] / lever
     length = float(np.hypot(*direction[:2]))
-    if length < LEAST_LENGTH:
+    if length < _LEAST_LENGTH:
         return pose, pose  # mainly a rotation: the check itself tries all headings
     direction /= length  # the step of easting, northing (m), yaw (rad) for a metre
     variance_m2 = length**2 * float(variances[-1])
     best = _best_place_along(pose, check, direction, variance_m2)
-    if best is None or best[1] > MOST_SHARE * variance_m2:
+    if best is None or best[1] > _MOST_SHARE * variance_m2:
         return pose, pose
     place, noise_m2 = best
     row = np.zeros(6)
@@ -197,7 +197,7 @@ def _updated(
         Covariance of the measurement.
     """
     inverse = np.linalg.inv(rows @ covariance @ rows.T + noise)
-    if gap @ inverse @ gap > MOST_CHI2:
+    if gap @ inverse @ gap > _MOST_CHI2:
         return None
     gain = covariance @ rows.T @ inverse
     updated = covariance - gain @ rows @ covariance
@@ -227,15 +227,15 @@ def offset_covariance(alignment: Alignment, best: PoseOffset) -> Floats | None:
     rng, tops = np.random.default_rng(0), []
     standing, patch = alignment.standing, alignment.standing.patch
     cells = [np.flatnonzero(patch == k) for k in range(int(patch.max()) + 1)]
-    for _ in range(OFFSET_DRAWS):
+    for _ in range(_OFFSET_DRAWS):
         rows = np.concatenate([cells[k] for k in rng.integers(0, len(cells), len(cells))])
         drawn = Standing(points=standing.points[rows], rustles=standing.rustles[rows])
-        start = np.array(best.place) + rng.uniform(-START_SPREAD, START_SPREAD)
+        start = np.array(best.place) + rng.uniform(-_START_SPREAD, _START_SPREAD)
         tops.append(replace(alignment, standing=drawn).climb(start.tolist()).place)
     covariance = np.cov(tops, rowvar=False)
     lengths = np.diag([1.0, 1.0, math.radians(LEVER_M)])
     longest_spread_m = math.sqrt(float(np.linalg.eigvalsh(lengths @ covariance @ lengths)[-1]))
-    return None if longest_spread_m > OPEN_M else np.asarray(covariance)
+    return None if longest_spread_m > _OPEN_M else np.asarray(covariance)
 
 
 def _offset_to_map(pose: Pose) -> Floats:

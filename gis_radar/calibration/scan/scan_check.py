@@ -49,19 +49,24 @@ _LANE_M, _ASKEW_DEG = 3.0, 3.0  # offsets from here on (a lane's width) are anot
 BETTER_SIGMAS, CLEAR_SIGMAS = 3.0, 2.0
 LEAST_CELLS = 60  # fewer static cells are not compared
 LEAST_COVERED = 0.5  # least share of the cells over which the scan has points
-COARSE_CELLS = 2  # side of the coarse cells in the search over all headings, in cells
-TURN_DEG = 1.0  # step of heading in that search
-ALONG_DEG = 15.0  # between the directions in which patches are moved along what stands
+_COARSE_CELLS = 2  # side of the coarse cells in the search over all headings, in cells
+_TURN_DEG = 1.0  # step of heading in that search
+_ALONG_DEG = 15.0  # between the directions in which patches are moved along what stands
 _CANDIDATES = 8  # peaks of that search that are refined
 # Steps of the hill climbing, metres and degrees.
-CLIMBING_STEPS: tuple[tuple[float, float], ...] = ((1.0, 1.0), (0.5, 0.5), (0.25, 0.25), (0.1, 0.1))
+_CLIMBING_STEPS: tuple[tuple[float, float], ...] = (
+    (1.0, 1.0),
+    (0.5, 0.5),
+    (0.25, 0.25),
+    (0.1, 0.1),
+)
 # Smaller offsets are the same pose: nearer to its lane than to the next one.
 SAME_M = 1.75
 SAME_DEG = 1.5
-LEAST_PATCHES = 12  # static cells in fewer patches are not compared
+_LEAST_PATCHES = 12  # static cells in fewer patches are not compared
 # Limits of the radius that is compared: 300 m is the longest range of the sensors.
-LEAST_REACH_M = 60.0
-MOST_REACH_M = 300.0
+_LEAST_REACH_M = 60.0
+_MOST_REACH_M = 300.0
 _MARGIN_M = 20.0  # width of the scan read beyond that radius, for shifted poses
 
 HERE = (0.0, 0.0, 0.0)  # the offset of the checked pose
@@ -152,7 +157,7 @@ class Alignment:
         """
         best = self.offset(place)
         farthest_m = SHIFT_M * np.sqrt(2.0)
-        for shift_m, turn_deg in CLIMBING_STEPS:
+        for shift_m, turn_deg in _CLIMBING_STEPS:
             step = np.array([shift_m, shift_m, turn_deg])
             for _ in range(30):
                 neighbours = self.offsets(best.place + _MOVES * step)
@@ -171,13 +176,13 @@ class Alignment:
 
     def search_headings(self) -> tuple[list[PoseOffset], float]:
         """Return the highest local maxima over all headings and shifts, and the mean score."""
-        turns = np.arange(-180.0, 180.0, TURN_DEG)
-        scores = _scores_of_shifts(self, turns.tolist(), COARSE_CELLS)
+        turns = np.arange(-180.0, 180.0, _TURN_DEG)
+        scores = _scores_of_shifts(self, turns.tolist(), _COARSE_CELLS)
         size = (7, 5, 5)
         top = scipy.ndimage.maximum_filter(scores, size, mode=("wrap", "nearest", "nearest"))
         order = np.argsort(-np.where(scores == top, scores, -1.0), axis=None)[:_CANDIDATES]
         turn, ahead, left = np.unravel_index(order, scores.shape)
-        middle, cell_m = scores.shape[1] // 2, CELL_M * COARSE_CELLS
+        middle, cell_m = scores.shape[1] // 2, CELL_M * _COARSE_CELLS
         places = np.column_stack([(ahead - middle) * cell_m, (left - middle) * cell_m, turns[turn]])
         return self.offsets(places), float(scores.mean())
 
@@ -190,7 +195,7 @@ _ALONG = np.array([
         for shift_m in np.arange(-SHIFT_M, SHIFT_M + CELL_M / 2.0, CELL_M)
         if abs(shift_m) >= _LANE_M
     ]
-    for turn in np.radians(np.arange(0.0, 180.0, ALONG_DEG))
+    for turn in np.radians(np.arange(0.0, 180.0, _ALONG_DEG))
 ])  # fmt: skip
 
 
@@ -252,7 +257,7 @@ def require_scans_near(
         If none of them reaches within 300 m, or one is damaged; CrsError if one has no projected,
         metric coordinate system.
     """
-    reach_m = MOST_REACH_M
+    reach_m = _MOST_REACH_M
     box = box_with_margin((place[0], place[1], place[0], place[1]), reach_m)
     # no early exit: all are opened, so that a damaged one is refused
     near = [open_scan(scan, crs=scan_crs).touches(box, crs) for scan in scans]
@@ -319,7 +324,7 @@ def check_against_scan(
     pose, scans = as_pose(pose), paths_of(scans)
     slow = read_slow(recording, reporter=reporter)
     level = LevelFrame(pose=pose)
-    reach_m = float(np.clip(slow.reach_m, LEAST_REACH_M, MOST_REACH_M))
+    reach_m = float(np.clip(slow.reach_m, _LEAST_REACH_M, _MOST_REACH_M))
     structure = read_structure(
         scans, level, reach_m=reach_m + _MARGIN_M, scan_crs=scan_crs, reporter=reporter
     )
@@ -342,7 +347,7 @@ def _why_not_comparable(slow: Slow, cells: Standing, structure: Structure) -> st
     """Return why recording and scan cannot be compared; empty where they can."""
     if len(slow.points) == 0:
         return "the recording has no still detections with an elevation"
-    if len(cells) < LEAST_CELLS or cells.patches < LEAST_PATCHES:
+    if len(cells) < LEAST_CELLS or cells.patches < _LEAST_PATCHES:
         return Text("little stands in view: {} cells in {} places", len(cells), cells.patches)
     if not structure.visible.any():
         return "the scan shows neither canopy nor walls here"

@@ -31,12 +31,12 @@ SHIFT_M = 10.0  # reach, ahead and to the sides, of the search for better poses
 _DPI = 216  # of the picture
 _SIZE_IN = (6.6, 6.6)  # inches
 _MARGIN_M = 12.0  # of the picture around the static cells
-TALLEST_M = 15.0  # height from which on colours are darkest
+_TALLEST_M = 15.0  # height from which on colours are darkest
 _ON, _LEAVES, _OFF, _SENSOR = "#1e1b6b", "#0e93c9", "#dc2626", "#111827"
 _BARE, _UNSEEN = "#f4f2ec", "#ffffff"
-CANOPY, ROOF, TALL = ("#d3e8c4", "#4f9a51"), ("#e6ddd3", "#a8927e"), ("#dfe5d3", "#83997a")
-WALL = "#6b5c4f"
-RUSTLING = 0.15  # least share of moving detections of a cell that is drawn as leaves
+_CANOPY, _ROOF, _TALL = ("#d3e8c4", "#4f9a51"), ("#e6ddd3", "#a8927e"), ("#dfe5d3", "#83997a")
+_WALL = "#6b5c4f"
+_RUSTLING = 0.15  # least share of moving detections of a cell that is drawn as leaves
 _FITS = 0.3  # least closeness of a cell that is drawn as fitting the scan
 _LINE, _LEGEND_LINE = 46, 22  # most letters in a line of the title, and of the legend
 
@@ -239,27 +239,27 @@ def _colours(structure: Structure) -> Floats:
     """Return the colour of each cell, (n, n, 3)."""
     from matplotlib.colors import to_rgb  # noqa: PLC0415 - where it draws
 
-    over = np.nan_to_num((structure.top - structure.ground - TALL_M) / TALLEST_M, nan=-1.0)
+    over = np.nan_to_num((structure.top - structure.ground - TALL_M) / _TALLEST_M, nan=-1.0)
     shade = np.clip(over, 0.0, 1.0)[..., None]
     image = np.where(np.isnan(structure.top)[..., None], to_rgb(_UNSEEN), to_rgb(_BARE))
-    kinds: tuple[tuple[Booleans, tuple[str, str]], ...] = ((over > 0.0, TALL),)
+    kinds: tuple[tuple[Booleans, tuple[str, str]], ...] = ((over > 0.0, _TALL),)
     if structure.classified:
-        kinds = ((structure.roof, ROOF), (structure.canopy, CANOPY))
+        kinds = ((structure.roof, _ROOF), (structure.canopy, _CANOPY))
     for which, (light, dark) in kinds:
         colour = (1.0 - shade) * to_rgb(light) + shade * to_rgb(dark)
         image = np.where(which[..., None], colour, image)
     walls = structure.edge & ~structure.canopy
-    return np.where(walls[..., None], 0.55 * image + 0.45 * np.array(to_rgb(WALL)), image)
+    return np.where(walls[..., None], 0.55 * image + 0.45 * np.array(to_rgb(_WALL)), image)
 
 
 def _structure_handles(structure: Structure) -> list[Any]:
     from matplotlib.patches import Patch  # noqa: PLC0415 - where it draws
 
     shown: tuple[tuple[str, str], ...] = (
-        (TALL[1], "canopy and roofs"), (WALL, "walls and rims of crowns"),
+        (_TALL[1], "canopy and roofs"), (_WALL, "walls and rims of crowns"),
     )  # fmt: skip
     if structure.classified:
-        shown = ((CANOPY[1], "canopy"), (ROOF[1], "roofs"), (WALL, "walls"))
+        shown = ((_CANOPY[1], "canopy"), (_ROOF[1], "roofs"), (_WALL, "walls"))
     return [Patch(color=colour, label=tr(label)) for colour, label in shown]
 
 
@@ -271,7 +271,7 @@ def _draw_standing(ax: Any, check: ScanCheck) -> list[Any]:
         return []
     east, north = check.level.to_map(found.points[:, :2]).T
     off = check.closeness < _FITS if len(check.closeness) else np.zeros(len(found), bool)
-    leaves = ~off & (found.rustles > RUSTLING)
+    leaves = ~off & (found.rustles > _RUSTLING)
     kinds: tuple[tuple[Booleans, str, str, float, str], ...] = (
         (~off & ~leaves, _ON, "o", 3.0, "stands"),
         (leaves, _LEAVES, "o", 3.0, "moves in place, as leaves do"),

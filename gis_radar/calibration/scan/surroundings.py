@@ -30,19 +30,19 @@ from gis_radar.scans import (
 )
 
 # Sensitivity (a sensor of a simulated town, at its true pose and 3.5 m beside it): with TALL_M,
-# OVERHEAD_M or LEAST_SPANS halved or doubled, as CLOSE_M of the scan check, the verdicts stay
+# _OVERHEAD_M or _LEAST_SPANS halved or doubled, as CLOSE_M of the scan check, the verdicts stay
 # `confirms` and `doubts`; the score moves by up to 0.09 at the true pose, and beside it by up to
 # 0.10, with CLOSE_M doubled by 0.24.
 _SLOW_MPS = 1.0  # largest absolute range rate of static targets: leaves in wind reach it
-# A cell is static with detections in LEAST_SPANS of SPANS equal spans of the window: people and
+# A cell is static with detections in _LEAST_SPANS of _SPANS equal spans of the window: people and
 # vehicles that wait or pass are detected in fewer.
-LEAST_SPANS = 8
-OVERHEAD_M = 2.0  # least height over the ground of detections: above parked cars, people, shrubs
+_LEAST_SPANS = 8
+_OVERHEAD_M = 2.0  # least height over the ground of detections: above parked cars, people, shrubs
 TALL_M = 2.5  # least step of height in the scan at a wall or crown: above vans and hedges
-SPANS = 20
-PATCH_M = 8.0  # side of the patches that are independent: a tree, or a section of wall
-JUMP_CELLS = 3  # width over which a step of height is measured, in cells of 0.5 m
-GAP_CELLS = 3  # gaps of the scan up to this distance are filled, in cells
+_SPANS = 20
+_PATCH_M = 8.0  # side of the patches that are independent: a tree, or a section of wall
+_JUMP_CELLS = 3  # width over which a step of height is measured, in cells of 0.5 m
+_GAP_CELLS = 3  # gaps of the scan up to this distance are filled, in cells
 _GROUND_CELLS = 4  # side of a cell of the ground, in cells
 
 
@@ -102,7 +102,7 @@ class Slow:
     rustles : (n,) bool array
         Whether their range rate is that of leaves in wind, not 0.
     span : (n,) array
-        Number of the span of the window, 0 to `SPANS` - 1.
+        Number of the span of the window, 0 to `_SPANS` - 1.
     frames : int
         Length of the window, frames.
     range_m : float
@@ -143,8 +143,8 @@ class Standing:
 
     @property
     def patch(self) -> Integers:
-        """Number of each cell's patch, a square of `PATCH_M`."""
-        squares = np.floor(self.points[:, :2] / PATCH_M).astype(np.int64)
+        """Number of each cell's patch, a square of `_PATCH_M`."""
+        squares = np.floor(self.points[:, :2] / _PATCH_M).astype(np.int64)
         return np.asarray(np.unique(squares, axis=0, return_inverse=True)[1])
 
     @property
@@ -180,7 +180,7 @@ def read_slow(recording: str | Path | Recording, *, reporter: Reporter = QUIET) 
     return Slow(
         points=single_precision,
         rustles=np.abs(slow.range_rate.astype(np.float32)) > MIN_SPEED_MPS,
-        span=frame * SPANS // len(window),
+        span=frame * _SPANS // len(window),
         frames=len(window),
         range_m=ranges.reached_m(),
     )
@@ -193,7 +193,7 @@ def standing(
     *,
     reach_m: float,
 ) -> Standing:
-    """Return the static cells, with detections in `LEAST_SPANS` of the window's spans.
+    """Return the static cells, with detections in `_LEAST_SPANS` of the window's spans.
 
     Parameters
     ----------
@@ -211,12 +211,12 @@ def standing(
     rows, columns = level.cells(points[near], len(ground))
     over = points[near, 2] - ground[rows, columns]
     # those far below are kept, too: there a roof was taken for the ground
-    tall = ~(np.abs(over) < OVERHEAD_M)
+    tall = ~(np.abs(over) < _OVERHEAD_M)
     points, span, rustles = points[near][tall], slow.span[near][tall], slow.rustles[near][tall]
     cells, place = np.unique(rows[tall] * len(ground) + columns[tall], return_inverse=True)
-    hit = np.zeros((len(cells), SPANS), bool)
+    hit = np.zeros((len(cells), _SPANS), bool)
     hit[place, span] = True
-    static = hit.sum(axis=1) >= LEAST_SPANS
+    static = hit.sum(axis=1) >= _LEAST_SPANS
     counts = np.bincount(place, minlength=len(cells))[static]
     means = [
         np.bincount(place, values, minlength=len(cells))[static] / counts
@@ -304,7 +304,7 @@ def _structure(columns: ScanColumns, *, classified: bool) -> Structure:
     """Return the structures in the columns of a scan, with small gaps filled."""
     distance, index = nearest_known(np.isfinite(columns.top))
     top, plants, building = (
-        np.where(distance <= GAP_CELLS, grid[index], np.nan)
+        np.where(distance <= _GAP_CELLS, grid[index], np.nan)
         for grid in (columns.top, columns.plants, columns.building)
     )
     ground = ground_under(
@@ -314,8 +314,8 @@ def _structure(columns: ScanColumns, *, classified: bool) -> Structure:
         widest_roof_m=WIDEST_ROOF_M,
         classified=classified,
     )
-    below = scipy.ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), JUMP_CELLS)
-    low = scipy.ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), JUMP_CELLS)
+    below = scipy.ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), _JUMP_CELLS)
+    low = scipy.ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), _JUMP_CELLS)
     high = _without_isolated(np.nan_to_num(top - low, nan=0.0) > TALL_M)
     # the wall is between the last high cell and the first low one: take both
     edge = high | (

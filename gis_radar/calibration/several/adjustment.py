@@ -23,9 +23,9 @@ from gis_radar.calibration.several.correspondences import (
 )
 from gis_radar.poses import COMPONENTS, Pose
 
-HALF_LENGTH_SIGMA_M = 0.25  # 1 sigma of the mean half length of vehicles
-HALF_WIDTH_SIGMA_M = 0.1  # 1 sigma of their mean half width
-SIDE_SIGMA = math.log(1.5)  # 1 sigma of the logarithm of the side strength
+_HALF_LENGTH_SIGMA_M = 0.25  # 1 sigma of the mean half length of vehicles
+_HALF_WIDTH_SIGMA_M = 0.1  # 1 sigma of their mean half width
+_SIDE_SIGMA = math.log(1.5)  # 1 sigma of the logarithm of the side strength
 # 1 sigma, along and across, of the gap between two radars that all vehicles on a stretch of a lane
 # share: 0.2 to 0.3 and 0.1 m at the true poses of two simulators.
 STRETCH_SIGMA_M = (0.3, 0.1)
@@ -33,11 +33,11 @@ CLOCK_SIGMA_S = 0.02  # 1 sigma of a clock's offset: NTP on a local network
 # The same of clocks that are not synchronised; with larger offsets, vehicles are not paired.
 FREE_CLOCK_S = 1.0
 # Degrees of freedom of Student's t for a pair's gap: about one pair of ten is wrong.
-FREEDOM_T = 4.0
+_FREEDOM_T = 4.0
 
 _ITERATIONS = 8  # of weights and poses in turn; they converge in three or four
 _POSES = 2 * PLANAR  # unknowns: the poses of both sensors
-UNKNOWNS = _POSES + FACES + 2  # with face constants and both clocks: 11
+_UNKNOWNS = _POSES + FACES + 2  # with face constants and both clocks: 11
 Edge = tuple[int, int]
 
 
@@ -67,7 +67,7 @@ class Correspondences:
 
     def chi2(self, step: Floats) -> Floats:
         """Return the chi-square of each pair's mean gap after a step of the first 11 unknowns."""
-        gap = self.gap + self.slope[:, :, :UNKNOWNS] @ step
+        gap = self.gap + self.slope[:, :, :_UNKNOWNS] @ step
         return np.asarray(np.einsum("pi,pij,pj->p", gap, np.linalg.inv(self.covariance), gap))
 
     def normal_equations(self, weight: Floats, step: Floats) -> tuple[Floats, Floats]:
@@ -83,15 +83,17 @@ class Correspondences:
             Step from the current poses at which the gradient is evaluated.
         """
         information = weight[:, None, None] * self.information
-        gradient = weight[:, None] * self.gradient + information[:, :, :UNKNOWNS] @ step
-        reduced, gradients = np.zeros((UNKNOWNS, UNKNOWNS)), gradient[:, :UNKNOWNS].copy()
+        gradient = weight[:, None] * self.gradient + information[:, :, :_UNKNOWNS] @ step
+        reduced, gradients = np.zeros((_UNKNOWNS, _UNKNOWNS)), gradient[:, :_UNKNOWNS].copy()
         prior = np.diag(np.square(STRETCH_SIGMA_M) ** -1.0)
         for number in np.unique(self.stretch):
             rows = self.stretch == number
             here = information[rows].sum(axis=0)
-            gain = here[:UNKNOWNS, UNKNOWNS:] @ np.linalg.inv(here[UNKNOWNS:, UNKNOWNS:] + prior)
-            reduced += here[:UNKNOWNS, :UNKNOWNS] - gain @ here[UNKNOWNS:, :UNKNOWNS]
-            gradients[rows] -= gradient[rows, UNKNOWNS:] @ gain.T
+            gain = here[:_UNKNOWNS, _UNKNOWNS:] @ np.linalg.inv(
+                here[_UNKNOWNS:, _UNKNOWNS:] + prior
+            )
+            reduced += here[:_UNKNOWNS, :_UNKNOWNS] - gain @ here[_UNKNOWNS:, :_UNKNOWNS]
+            gradients[rows] -= gradient[rows, _UNKNOWNS:] @ gain.T
         return reduced, gradients
 
 
@@ -244,7 +246,7 @@ def shared_covariance(covariances: Sequence[Floats]) -> Floats:
 
 def _nuisance_information(clocks_s: Sequence[float]) -> Floats:
     """Return the inverse variances of the face constants and of the clocks."""
-    faces = [HALF_LENGTH_SIGMA_M, HALF_WIDTH_SIGMA_M, SIDE_SIGMA]
+    faces = [_HALF_LENGTH_SIGMA_M, _HALF_WIDTH_SIGMA_M, _SIDE_SIGMA]
     return np.array([*faces, *clocks_s]) ** -2.0
 
 
@@ -257,7 +259,7 @@ def _unknowns_of(edge: Edge, n: int) -> list[int]:
 
 def _weights(matched: Correspondences, step: Floats) -> Floats:
     """Return the Student's t weight of each pair by its chi-square."""
-    return np.asarray((FREEDOM_T + 2.0) / (FREEDOM_T + matched.chi2(step)))
+    return np.asarray((_FREEDOM_T + 2.0) / (_FREEDOM_T + matched.chi2(step)))
 
 
 def _contradiction(
@@ -268,7 +270,7 @@ def _contradiction(
     nuisance: Floats,
 ) -> float:
     """Return the chi-square of the poses of a pair by correspondences less by localization."""
-    information, gradients = matched.normal_equations(weight, np.zeros(UNKNOWNS))
+    information, gradients = matched.normal_equations(weight, np.zeros(_UNKNOWNS))
     gradient = gradients.sum(axis=0) - information[:, :_POSES] @ away.ravel()
     inner = np.linalg.inv(information[_POSES:, _POSES:] + np.diag(nuisance))
     gain = information[:_POSES, _POSES:] @ inner

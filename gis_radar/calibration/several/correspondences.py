@@ -18,38 +18,39 @@ from gis_radar.calibration.registration.state import State
 from gis_radar.calibration.registration.traces import NONE, Moving, Samples
 
 MOMENT_S = 0.2  # length of a moment: two or more frames of each radar; a vehicle moves 2 to 3 m
-LEAST_MOMENTS = 5  # least number of common moments of a pair of tracks: one second
+_LEAST_MOMENTS = 5  # least number of common moments of a pair of tracks: one second
 # Least cosine between line of sight and lane at which the Doppler gives the speed (70 degrees).
 _LEAST_DOPPLER_COSINE = math.cos(math.radians(70.0))
 # Least length of the mean unit vector of travel of a moment; shorter if detections are on several
 # lanes.
-LEAST_STRAIGHT = 0.95
+_LEAST_STRAIGHT = 0.95
 _LONGEST_M = 7.0  # largest extent of a moment along the lane: longer ones are several vehicles
 # Least cosine between the directions of travel of a pair (30 degrees: a bend, and a guess's yaw).
-LEAST_AGREEMENT = math.cos(math.radians(30.0))
+_LEAST_AGREEMENT = math.cos(math.radians(30.0))
 _SPEED_MPS = 2.5  # largest difference of speeds: wheels, noise of the Doppler over the cosine
 _LEVEL_M = 3.0  # largest difference of heights: bridges are higher
 # Least share of two tracks' common moments in which speed, direction and height agree.
-LEAST_AGREEING_SHARE = 0.7
+_LEAST_AGREEING_SHARE = 0.7
 FARTHEST_TRACK_M = 60.0  # tracks farther apart are not compared: no pose is that far off
 # Distance from the middle of a vehicle to the reflections at its ends, and 1 sigma among vehicles:
 # half of 4.5 m, less 0.1 to 0.35 m, as wheels and the underbody reflect from behind a face (1.9 and
 # 2.0 m at the true poses of two simulators).
 HALF_LENGTH_M = 2.05
-HALF_LENGTH_SPREAD_M = 0.6
+_HALF_LENGTH_SPREAD_M = 0.6
 # 1 sigma, along and across, of a vehicle's constant offset between two radars, which see different
 # parts of it: mirrors, wheels, rounded corners.
 _SPOT_M = (0.7, 0.35)
-STRETCH_M = 30.0  # length of a stretch of a lane, on which all vehicles share an offset
+_STRETCH_M = 30.0  # length of a stretch of a lane, on which all vehicles share an offset
 # 1 sigma of one moment without its faces: error of range, and of the time within the moment.
-MOMENT_SIGMA_M = 0.3
-MEMORY_S = 1.0  # time within which the errors of moments are correlated, as reflecting parts change
-SHARE = min(MOMENT_S / MEMORY_S, 1.0)  # weight of a moment by that correlation
+_MOMENT_SIGMA_M = 0.3
+# Time within which the errors of moments are correlated, as reflecting parts change
+_MEMORY_S = 1.0
+SHARE = min(MOMENT_S / _MEMORY_S, 1.0)  # weight of a moment by that correlation
 LEAST_PAIRS = 4  # fewer pairs neither place a sensor nor contradict a pose
 
 PLANAR = 3  # number of unknowns of a pose in the plane: easting, northing, yaw
 Names = tuple[str, str]  # of two sensors
-FLAT = slice(0, 2)  # easting and northing
+_FLAT = slice(0, 2)  # easting and northing
 FACES = 3  # number of face constants: half length, half width, logarithm of the side strength
 
 
@@ -126,7 +127,7 @@ def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -
         "track": samples.track, "moment": moment, "speed": speed,
         "late": moving.time[linked] - (moment + 0.5) * MOMENT_S,
         **dict(zip("xyz", placed.arms.T, strict=True)), "e": along[:, 0], "n": along[:, 1],
-        "s": np.sum(along * placed.arms[:, FLAT], axis=1),
+        "s": np.sum(along * placed.arms[:, _FLAT], axis=1),
     }  # fmt: skip
     table = pd.DataFrame(columns)[matches.found]
     typical = table.groupby("track")["speed"].median()
@@ -139,10 +140,10 @@ def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -
     direction = means[["e", "n"]].to_numpy()
     straight = np.hypot(*direction.T)
     # leave out means over several vehicles: a queue linked to one track, or crossing lanes
-    good = (extent < _LONGEST_M) & np.isfinite(pace) & (straight > LEAST_STRAIGHT)
-    direction = direction / np.maximum(straight, LEAST_STRAIGHT)[:, None]
+    good = (extent < _LONGEST_M) & np.isfinite(pace) & (straight > _LEAST_STRAIGHT)
+    direction = direction / np.maximum(straight, _LEAST_STRAIGHT)[:, None]
     arm = means[list("xyz")].to_numpy(copy=True)
-    arm[:, FLAT] -= direction * (pace * means["late"].to_numpy())[:, None]
+    arm[:, _FLAT] -= direction * (pace * means["late"].to_numpy())[:, None]
     return Moments(
         track=number[good], moment=means.index.get_level_values("moment").to_numpy()[good],
         arm=arm[good], place=state.position, along=direction[good], speed=pace[good],
@@ -160,7 +161,7 @@ def faces(moments: Moments) -> tuple[Floats, Floats, Floats]:
     (m,) array
         Share of detections on the side, 0 to 1; the others are on front or rear.
     """
-    sight = moments.arm[:, FLAT] / np.maximum(np.hypot(*moments.arm[:, FLAT].T), 1e-9)[:, None]
+    sight = moments.arm[:, _FLAT] / np.maximum(np.hypot(*moments.arm[:, _FLAT].T), 1e-9)[:, None]
     cosine = np.sum(sight * moments.along, axis=1)
     sine = sight[:, 1] * moments.along[:, 0] - sight[:, 0] * moments.along[:, 1]
     side_weight = MODEL.side_strength * np.abs(sine)
@@ -242,16 +243,16 @@ def compare_moments(one: Moments, other: Moments) -> Rows:
     cosine = np.sum(one.along[a] * other.along[b], axis=1)
     rise = np.abs(one.points[a, 2] - other.points[b, 2])
     agree = (
-        (cosine > LEAST_AGREEMENT)
+        (cosine > _LEAST_AGREEMENT)
         & (np.abs(one.speed[a] - other.speed[b]) < _SPEED_MPS)
         & (rise < _LEVEL_M)
     )
-    near = np.hypot(*(one.points[a] - other.points[b])[:, FLAT].T) < FARTHEST_TRACK_M
+    near = np.hypot(*(one.points[a] - other.points[b])[:, _FLAT].T) < FARTHEST_TRACK_M
     pairs = table.groupby(["one", "other"], sort=True)
     number = pairs.ngroup().to_numpy()
     share = np.bincount(number, weights=agree) / np.maximum(np.bincount(number), 1)
-    keep = agree & near & (share[number] > LEAST_AGREEING_SHARE)
-    enough = np.bincount(number[keep], minlength=len(share)) >= LEAST_MOMENTS
+    keep = agree & near & (share[number] > _LEAST_AGREEING_SHARE)
+    enough = np.bincount(number[keep], minlength=len(share)) >= _LEAST_MOMENTS
     keep &= enough[number]
     order = np.flatnonzero(keep)[np.argsort(number[keep], kind="stable")]
     _, pair = np.unique(number[order], return_inverse=True)
@@ -263,7 +264,7 @@ def _in_reach(one: Moments, other: Moments) -> bool:
     """Return whether the bounding boxes of two sensors' vehicles come within `FARTHEST_TRACK_M`."""
     if not len(one) or not len(other):
         return False
-    a, b = one.points[:, FLAT], other.points[:, FLAT]
+    a, b = one.points[:, _FLAT], other.points[:, _FLAT]
     apart_m = np.maximum(a.min(axis=0) - b.max(axis=0), b.min(axis=0) - a.max(axis=0))
     return bool((apart_m < FARTHEST_TRACK_M).all())
 
@@ -283,10 +284,10 @@ def _gap_rows(
     along = one.along[a]
     axes = np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
     half = np.array([HALF_LENGTH_M, MODEL.half_width])
-    gap = np.einsum("rij,rj->ri", axes, (one.points[a] - other.points[b])[:, FLAT])
+    gap = np.einsum("rij,rj->ri", axes, (one.points[a] - other.points[b])[:, _FLAT])
     poses, constants = np.zeros((len(a), 2, 2 * PLANAR)), np.zeros((len(a), 2, FACES))
     clocks, bearings = np.zeros((len(a), 2, 2)), np.zeros((len(a), 2, 2))
-    variance = np.full((len(a), 2), MOMENT_SIGMA_M**2)
+    variance = np.full((len(a), 2), _MOMENT_SIGMA_M**2)
     for k, (moments, rows, sign) in enumerate(((one, a, 1.0), (other, b, -1.0))):
         ahead, left, side = (each[rows] for each in faces(moments))
         arm, ends, sides = moments.arm[rows, :2], (1.0 - side) * ahead, side * left
@@ -306,14 +307,14 @@ def _gap_rows(
         variance += half**2 * (share / 3.0 + mixed[:, None]) / moments.count[rows][:, None]
     return Rows(
         pair=pair, tracks=tracks, gap=gap, poses=poses, constants=constants, clocks=clocks,
-        bearings=bearings, variance=variance, place=one.points[a][:, FLAT],
+        bearings=bearings, variance=variance, place=one.points[a][:, _FLAT],
     )  # fmt: skip
 
 
 def stretches(rows: Rows) -> Integers:
     """Return for each pair the number of its stretch of road and direction of travel."""
-    place = np.floor(rows.means(rows.place) / STRETCH_M)
-    along = rows.means(rows.poses[:, 0, FLAT])
+    place = np.floor(rows.means(rows.place) / _STRETCH_M)
+    along = rows.means(rows.poses[:, 0, _FLAT])
     quarter = np.round(np.arctan2(along[:, 1], along[:, 0]) / (np.pi / 2.0)) % 4
     labels = np.column_stack([place, quarter])
     return np.asarray(np.unique(labels, axis=0, return_inverse=True)[1].ravel())
@@ -326,7 +327,7 @@ def effects(rows: Rows) -> tuple[Floats, Floats]:
     """
     spots = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
     derivatives = np.concatenate([spots, rows.constants[:, :, :1], rows.bearings], axis=2)
-    spread = [*_SPOT_M, HALF_LENGTH_SPREAD_M, MODEL.bearing, MODEL.bearing]
+    spread = [*_SPOT_M, _HALF_LENGTH_SPREAD_M, MODEL.bearing, MODEL.bearing]
     return derivatives, np.square(spread)
 
 

@@ -56,10 +56,10 @@ from gis_radar.hdmap import LaneletMap
 from gis_radar.poses import Pose
 
 # Length of the part of long recordings that is used, seconds: 2000 frames.
-COMMON_S = 100.0
+_COMMON_S = 100.0
 
 _STAGE = "finding the poses together"
-READING = "reading what moved"
+_READING = "reading what moved"
 WITHOUT = Text("the other sensors have their poses; does each guess belong to its recording?")
 _AWAY = "it did not record while the others did"
 
@@ -373,11 +373,11 @@ def adjust_poses(
         for path in sensor_paths:
             with _note_error(reasons, name):
                 spans[name].append(read_span(path, corrections[name]))
-    until = best_end(spans, COMMON_S) if end is None else end
+    until = best_end(spans, _COMMON_S) if end is None else end
     stations = []
     for done, (name, sensor_spans) in enumerate(spans.items()):
-        reporter.progress(READING, done, len(spans))
-        overlapping = [each for each in sensor_spans if each.shared_s(until - COMMON_S, until)]
+        reporter.progress(_READING, done, len(spans))
+        overlapping = [each for each in sensor_spans if each.shared_s(until - _COMMON_S, until)]
         moving = read_until([], until)
         with _note_error(reasons, name):
             moving = read_until(overlapping, until, corrections[name])
@@ -386,7 +386,7 @@ def adjust_poses(
         clock_s = _known_sigma_s(corrections[name])
         stations.append(Station(name=name, moving=moving, poses=poses[name], clock_s=clock_s))
     refuse_equal({each.name: each.moving for each in stations})
-    reporter.progress(READING, len(spans), len(spans))
+    reporter.progress(_READING, len(spans), len(spans))
     places = np.array([pose.position[:2] for each in stations for pose in each.poses])
     lanes = _lanes_of_all([each.moving for each in stations], places, roads, road_points)
     solved = solve_network(stations, lanes)

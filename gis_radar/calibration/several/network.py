@@ -60,15 +60,15 @@ from gis_radar.poses import Pose
 
 # Largest and least clock offset that is searched: with larger ones radars have no common time,
 # smaller ones are estimated in the adjustment of the poses.
-MOST_OFFSET_S = 10.0
-LEAST_OFFSET_S = 0.25
+_MOST_OFFSET_S = 10.0
+_LEAST_OFFSET_S = 0.25
 _CLOCK_SIGMAS = 4.0  # least offset of a clock that is reported, in standard deviations
 # Least number of pairs that moves a pose certain by itself: a cluster-robust covariance needs 20 to
 # 50 clusters (Cameron, Miller 2015), and few vehicles may all be on one lane.
 FIRM_PAIRS = 20
-FIXED_M = 1.0  # largest 1 sigma, in any direction, of a pose that counts as fixed
+_FIXED_M = 1.0  # largest 1 sigma, in any direction, of a pose that counts as fixed
 _PAIRING_ROUNDS = 6  # rounds of pairing and adjustment; two or three are enough
-CONVERGED = 1e-4  # a smaller step ends the adjustment, metres and radians
+_CONVERGED = 1e-4  # a smaller step ends the adjustment, metres and radians
 CLASH_HINT = Text("check both guesses, and the clocks of both sensors: gis-radar clocks")
 
 
@@ -146,7 +146,7 @@ class _Member:
     def fixed(self) -> bool:
         """Whether single localization fixes the pose."""
         poses = self.station.poses
-        return len(poses) == 1 and longest_m(planar_covariance(poses[0])) < FIXED_M
+        return len(poses) == 1 and longest_m(planar_covariance(poses[0])) < _FIXED_M
 
 
 class _Network:
@@ -204,7 +204,7 @@ class _Network:
             if len(member.station.poses) == 1
         }
         firm = sorted(longest, key=lambda name: longest[name])
-        fixed = [name for name in firm if longest[name] < FIXED_M] or firm[:1]
+        fixed = [name for name in firm if longest[name] < _FIXED_M] or firm[:1]
         for name in fixed:
             (choice,), _ = self._locate(self.all[name])
             for other, at in self.placed.items():
@@ -253,11 +253,11 @@ class _Network:
         """Return a sensor's clock measured against a placed one; None where it does not differ."""
         for name, other in self.placed.items():
             try:
-                offset = measured_offset(other.driven, choice.driven, max_offset_s=MOST_OFFSET_S)
+                offset = measured_offset(other.driven, choice.driven, max_offset_s=_MOST_OFFSET_S)
             except NoAnswerError:
                 continue
             clock = adjust_network({(name, ""): offset}, name)[0][""]
-            return clock if abs(clock.offset_s) > LEAST_OFFSET_S or clock.drift_ppm else None
+            return clock if abs(clock.offset_s) > _LEAST_OFFSET_S or clock.drift_ppm else None
         return None
 
     def _compare_certain(self, name: str, choice: Choice, other: str, at: Choice) -> None:
@@ -341,7 +341,7 @@ class _Network:
             for name, step in zip(names, result.step, strict=True):
                 self.all[name].away = self.all[name].away + step
             gate = result.covariance
-            if np.abs(result.step).max() < CONVERGED:
+            if np.abs(result.step).max() < _CONVERGED:
                 break
         return result, correspondences
 

@@ -32,18 +32,18 @@ STEP_M = 1.0
 _REACH_M = 6.0
 # Shifts nearer than this, a vehicle's length, are one answer: the adjustment merges them.
 _APART_M = 5.0
-CLEAR_Z = 2.5  # least z score of a shift over all others (as for one sensor), and over chance
-# As CLEAR_Z, over shifts with another clock offset: in simulation wrong shifts reached 1.0, right
+_CLEAR_Z = 2.5  # least z score of a shift over all others (as for one sensor), and over chance
+# As _CLEAR_Z, over shifts with another clock offset: in simulation wrong shifts reached 1.0, right
 # ones with traffic in both directions 1.9 to 4.
-CLOCK_Z = 1.5
+_CLOCK_Z = 1.5
 # Time shifts of one sensor that give the score by chance, as its vehicles are then other ones.
-CHANCE_S: tuple[float, ...] = (-15.0, -8.0, 8.0, 15.0)
+_CHANCE_S: tuple[float, ...] = (-15.0, -8.0, 8.0, 15.0)
 # Largest tried clock offset: at 12 m/s a vehicle drives FARTHEST_TRACK_M in it.
 REACH_S = FARTHEST_TRACK_M / 12.0
 OFFSET_Z = 2.0  # least z score of another clock offset over the current one
 CONTRADICTION_CHI2 = 16.3  # three degrees of freedom: one of 1000 sites is refused in error
 
-MOST_SCORED = 30  # shifts of highest upper bound whose score is computed
+_MOST_SCORED = 30  # shifts of highest upper bound whose score is computed
 GRID_YAW = math.radians(0.5)  # 1 sigma of yaw within which a shift on the grid finds its pairs
 
 
@@ -141,7 +141,7 @@ class Placing:
     scores_in_time : Floats
         Scores by track of the best shift without clock offset; empty where there is none.
     beyond : Shift or None
-        Shift outside the confidence region with a z score above `CLEAR_Z`.
+        Shift outside the confidence region with a z score above `_CLEAR_Z`.
     """
 
     inside: Shift | None
@@ -155,12 +155,12 @@ class Placing:
         """Reason why the best shift is ambiguous; None where it is not, or where there is none."""
         if self.inside is None:
             return None
-        if self.clock_z < CLOCK_Z:
+        if self.clock_z < _CLOCK_Z:
             return Text(
                 "its vehicles fit those of others in several places, each with another offset of "
                 "its clock: traffic in both directions, a measured clock or a scan tells them apart"
             )
-        if self.z_score < CLEAR_Z:
+        if self.z_score < _CLEAR_Z:
             return Text("its vehicles fit those of others in several places")
         return None
 
@@ -192,12 +192,12 @@ def find_place(
             inside += score.best(number, steps[within])
             if ahead == 0 and len(choices) == 1:
                 beyond += score.best(number, steps[~within])
-        for ahead in [round(each / MOMENT_S) for each in CHANCE_S]:
+        for ahead in [round(each / MOMENT_S) for each in _CHANCE_S]:
             chance += _ShiftScorer(choice, others, tracks, ahead).best(number, steps)[:1]
 
     def above_chance(shift: Shift) -> bool:
         z_scores = (preference(shift.scores, each.scores) for each in chance)
-        return min(z_scores, default=math.inf) > CLEAR_Z
+        return min(z_scores, default=math.inf) > _CLEAR_Z
 
     inside, beyond = [s for s in inside if above_chance(s)], [s for s in beyond if above_chance(s)]
     unshifted = max((s for s in inside if not s.ahead), key=total_score, default=None)
@@ -238,7 +238,7 @@ def _contradiction(best: Shift | None, beyond: Sequence[Shift]) -> Shift | None:
             shift
             for shift in beyond
             if np.hypot(*(shift.step - best.step)[:2]) > 2.0 * STEP_M
-            and preference(shift.scores, best.scores) > CLEAR_Z
+            and preference(shift.scores, best.scores) > _CLEAR_Z
         ]
     return max(beyond, key=total_score, default=None)
 
@@ -321,11 +321,11 @@ class _ShiftScorer:
             return []
         bounds = np.array([self._upper_bound(step) for step in steps])
         order = np.argsort(-bounds, kind="stable")
-        first = self._best_of(choice, steps[order[:MOST_SCORED]])
+        first = self._best_of(choice, steps[order[:_MOST_SCORED]])
         apart = np.hypot(*(steps[order, :2] - first.step[:2]).T) > _APART_M
         shifts = [first]
         if apart.any():
-            shifts.append(self._best_of(choice, steps[order[apart][:MOST_SCORED]]))
+            shifts.append(self._best_of(choice, steps[order[apart][:_MOST_SCORED]]))
         return [each for each in shifts if sum(each.pairs.values()) >= LEAST_PAIRS]
 
     def _best_of(self, choice: int, steps: Floats) -> Shift:

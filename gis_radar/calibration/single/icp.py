@@ -19,15 +19,15 @@ from gis_radar.calibration.single.result import STAGE, Localization, Problem, co
 
 # Step of the pose in numerical derivatives of the cost: longer than the gap between traces and
 # kerb, within which the cost is constant.
-PROFILE_M = 2.0
+_PROFILE_M = 2.0
 MAST_M = 5.0  # height of the sensor over the road where the guess has no height
-HEADINGS = 8  # number of start headings where none is given, evenly spaced
+_HEADINGS = 8  # number of start headings where none is given, evenly spaced
 _VOXEL_M = 0.5  # edge of the voxels of traces and road (the paper)
 # Parameters of DBSCAN of the traces' voxels; the lanes of a street are one cluster.
 _EPS_M, _MIN_POINTS = 2.0, 10
-DISTANCES_M = (10.0, 1.0, 0.5)  # largest distance of correspondences, stage by stage (the paper)
+_DISTANCES_M = (10.0, 1.0, 0.5)  # largest distance of correspondences, stage by stage (the paper)
 _ITERATIONS = 60  # most iterations of each stage
-MOST_GUESSES_OFF = 2.0  # largest distance of an accepted pose from the guess, in units of GUESS_M
+_MOST_GUESSES_OFF = 2.0  # largest distance of an accepted pose from the guess, in units of GUESS_M
 
 
 def voxels(points: Floats, size_m: float) -> Floats:
@@ -116,11 +116,11 @@ def start_states(place: Floats, yaw: float | None, count: int) -> list[State]:
 
 
 def _run_icp(o3d: Any, source: Any, target: Any, start: State) -> Any:
-    """Return Open3D's result of ICP from a start, in stages of `DISTANCES_M`."""
+    """Return Open3D's result of ICP from a start, in stages of `_DISTANCES_M`."""
     T_map_sensor = np.eye(4)  # noqa: N806 - frames name a transform
     T_map_sensor[:3, :3], T_map_sensor[:3, 3] = start.R_map_sensor, start.position
     pipeline = o3d.pipelines.registration
-    for distance_m in DISTANCES_M:
+    for distance_m in _DISTANCES_M:
         result = pipeline.registration_icp(
             source,
             target,
@@ -136,7 +136,7 @@ def _run_icp(o3d: Any, source: Any, target: Any, start: State) -> Any:
 def pose_information(source: Floats, road: Floats, state: State) -> Floats:
     """Return the (6, 6) information of a registration about its pose, in the order of a step.
 
-    It is the curvature of the cost by second differences over steps of `PROFILE_M` (a voxel in
+    It is the curvature of the cost by second differences over steps of `_PROFILE_M` (a voxel in
     height), with correspondences found anew at each step: fixed ones would fix a trace even along
     the road. The cost is the squared distance from the road over that of a voxel; traces within a
     cell of `CROWD_M` count as one.
@@ -157,10 +157,10 @@ def pose_information(source: Floats, road: Floats, state: State) -> Floats:
 
     def cost(step: Floats) -> float:
         points = state.moved(np.append(step, 0.0)).to_map(source)
-        gap = tree.query(points, distance_upper_bound=PROFILE_M)[0]
-        return float(weight @ np.minimum(gap, PROFILE_M) ** 2)
+        gap = tree.query(points, distance_upper_bound=_PROFILE_M)[0]
+        return float(weight @ np.minimum(gap, _PROFILE_M) ** 2)
 
-    sizes = np.array([PROFILE_M, PROFILE_M] + [_VOXEL_M] * 3 + [PROFILE_M])
+    sizes = np.array([_PROFILE_M, _PROFILE_M] + [_VOXEL_M] * 3 + [_PROFILE_M])
     sizes /= [1.0, 1.0, 1.0, *[LEVER_M] * 3]
     steps = np.diag(sizes)
     bend = np.diag([cost(step) + cost(-step) for step in steps])
@@ -199,10 +199,10 @@ def by_icp(problem: Problem, moving: Moving, reporter: Reporter) -> Localization
         raise NoAnswerError("{}: no road within {:.0f} m of the guess", problem.name, reach_m)
     reporter.progress(STAGE, 2, 3)
     height = problem.guess[2] if len(problem.guess) == 3 else _mast_top(local, MAST_M)
-    starts = start_states(np.array([0.0, 0.0, height]), problem.heading, HEADINGS)
+    starts = start_states(np.array([0.0, 0.0, height]), problem.heading, _HEADINGS)
     state, fitness = register_icp(source, voxels(local, _VOXEL_M), starts)
     away_m = float(np.hypot(*state.position[:2]))
-    if away_m > MOST_GUESSES_OFF * GUESS_M:
+    if away_m > _MOST_GUESSES_OFF * GUESS_M:
         raise NoAnswerError(
             "{}: the registration went {:.0f} m from the guess",
             problem.name,

@@ -29,13 +29,13 @@ LEAST_TRACKS = 5  # fewer vehicles do not fix the seven components of the state
 # Least share of samples on lanes: right poses have 0.8 to 0.99, poses a lane off 0.6 to 0.8.
 LEAST_FITNESS = 0.6
 # Largest chi-square of the difference of equivalent poses (99.9 %, 3 components).
-SAME_CHI2 = 16.0
+_SAME_CHI2 = 16.0
 # Optima nearer to each other are one answer with a larger sigma: lanes are farther apart, and
 # offsets of drivers from the middle of their lanes split an optimum by as much.
-ONE_ANSWER_M = 1.0
-ONE_ANSWER_RAD = math.radians(3.0)
-LEAST_SCANNED = 0.3  # least share of lane samples in reach with a height of the scanned road
-ANSWER_SLACK_M = 5.0  # an accepted pose is within GUESS_M and this of the guess
+_ONE_ANSWER_M = 1.0
+_ONE_ANSWER_RAD = math.radians(3.0)
+_LEAST_SCANNED = 0.3  # least share of lane samples in reach with a height of the scanned road
+_ANSWER_SLACK_M = 5.0  # an accepted pose is within GUESS_M and this of the guess
 
 
 def by_lanes(problem: Problem, moving: Moving, reporter: Reporter) -> Localization:
@@ -112,7 +112,7 @@ def lanes_around(
         place=problem.guess[:2],
         reach_m=reach_m + GUESS_M + MARGIN_M,
     )
-    if lanes.scanned < LEAST_SCANNED:
+    if lanes.scanned < _LEAST_SCANNED:
         raise InputError(
             "the road's points lie on {:.0%} of the lanes around the guess",
             lanes.scanned,
@@ -157,7 +157,7 @@ def _least_z_score(
         # poses that differ along a direction of large sigma only, as in a bend, are equivalent
         chi2 = gap @ np.linalg.solve(known.covariance[np.ix_(PLANE, PLANE)], gap)
         z_score_over = advantage(best, other.fit, scene.samples)
-        if chi2 > SAME_CHI2 and z_score_over < z_score:
+        if chi2 > _SAME_CHI2 and z_score_over < z_score:
             z_score, rival = z_score_over, other
     return z_score, rival
 
@@ -165,7 +165,7 @@ def _least_z_score(
 def _within_reach(problem: Problem, answers: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
     """Return the hypotheses near the guess; refuse where one farther off is clearly better."""
     distances_m = [float(np.hypot(*h.fit.state.position[:2])) for h in answers]
-    farthest_m = GUESS_M + ANSWER_SLACK_M
+    farthest_m = GUESS_M + _ANSWER_SLACK_M
     inside = [h for h, away_m in zip(answers, distances_m, strict=True) if away_m < farthest_m]
     if not inside or (
         inside[0] is not answers[0]
@@ -212,9 +212,9 @@ def _refuse_unfit(problem: Problem, answer: Hypothesis) -> None:
 
 
 def _is_same_answer(answer: Hypothesis, rival: Hypothesis) -> bool:
-    """Return whether two optima are within `ONE_ANSWER_M` and `ONE_ANSWER_RAD`."""
+    """Return whether two optima are within `_ONE_ANSWER_M` and `_ONE_ANSWER_RAD`."""
     gap = rival.fit.state.difference(answer.fit.state)
-    return bool(np.hypot(*gap[:2]) < ONE_ANSWER_M and abs(gap[5]) < ONE_ANSWER_RAD)
+    return bool(np.hypot(*gap[:2]) < _ONE_ANSWER_M and abs(gap[5]) < _ONE_ANSWER_RAD)
 
 
 def _not_ruled_out(answer: Hypothesis, others: list[Hypothesis], scene: Scene) -> list[Hypothesis]:

@@ -56,8 +56,8 @@ from gis_radar.scans import (
     road_crs,
 )
 
-FIGURE_TILE_M = 2.0  # length of the tiles in the figure of a sensor's sight
-MOST_RECORDINGS = 5  # most recordings that are tried for a pose: enough for a quiet day or two
+_FIGURE_TILE_M = 2.0  # length of the tiles in the figure of a sensor's sight
+_MOST_RECORDINGS = 5  # most recordings that are tried for a pose: enough for a quiet day or two
 METHODS: dict[str, Callable[[Problem, Moving, Reporter], Localization]] = {
     "lane": by_lanes,
     "icp": by_icp,
@@ -289,7 +289,7 @@ def _sight(
     reporter: Reporter,
 ) -> tuple[Sight, SightTiles] | None:
     """Return the sensor's sight and its tiles, for the figure; warn where scans give none."""
-    tiles_2m = make_tiles(roads, length_m=FIGURE_TILE_M, road=points, reporter=SILENT)
+    tiles_2m = make_tiles(roads, length_m=_FIGURE_TILE_M, road=points, reporter=SILENT)
     tiles = SightTiles.of(tiles_2m)
     try:
         return find_sight(pose, tiles, SightScan(scans, tiles, scan_crs=scan_crs)), tiles
@@ -401,4 +401,4 @@ def _recordings_to_try(recordings: str | Path | Sequence[str | Path]) -> list[Pa
     paths = paths_of(recordings)
     if not paths:
         raise UsageError("no recording is given")
-    return paths if len(paths) <= MOST_RECORDINGS else [*paths[: MOST_RECORDINGS - 1], paths[-1]]
+    return paths if len(paths) <= _MOST_RECORDINGS else [*paths[: _MOST_RECORDINGS - 1], paths[-1]]

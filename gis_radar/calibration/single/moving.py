@@ -21,7 +21,7 @@ from gis_radar.recordings import (
 
 _STAGE = "reading traces"
 # Two sensors with so many detections have none in common but by chance.
-LEAST_EQUAL, MOST_EQUAL = 100, 0.5
+_LEAST_EQUAL, _MOST_EQUAL = 100, 0.5
 NO_OFFSET = SensorClock(offset_s=0.0)  # the clock of a sensor without an offset
 
 
@@ -206,7 +206,7 @@ def refuse_equal(moving: Mapping[str, Moving]) -> None:
     keys = {name: detection_keys(each.points, each.range_rate) for name, each in moving.items()}
     for name, other, common in keys_in_common(keys):
         fewer = min(len(np.unique(keys[each])) for each in (name, other))
-        if fewer >= LEAST_EQUAL and len(common) > MOST_EQUAL * fewer:
+        if fewer >= _LEAST_EQUAL and len(common) > _MOST_EQUAL * fewer:
             raise InputError(
                 "{} and {} have the same detections", name, other,
                 hint="give each sensor its own recording",

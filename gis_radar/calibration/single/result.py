@@ -39,13 +39,13 @@ STAGE = "finding the pose"
 
 _DPI = 216  # of the picture
 _SIZE_IN = (6.6, 6.6)  # inches, of one panel
-WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.8), (7.8, 10.6)  # with one or two more panels: a page's width
+_WITH_ONE_IN, _WITH_TWO_IN = (7.8, 4.8), (7.8, 10.6)  # with one or two more panels: a page's width
 _LETTERS_PT = 9.0
-LARGER = 1.3  # factor on the letters of a panel that is as wide as two
+_LARGER = 1.3  # factor on the letters of a panel that is as wide as two
 _LINE = 46  # most letters in a line of a title
 _MARGIN_M = 12.0  # of the picture around the traces
-ROAD_POINTS = 60_000  # most points of the road that are drawn
-ARROW_EVERY_M = 12.0
+_ROAD_POINTS = 60_000  # most points of the road that are drawn
+_ARROW_EVERY_M = 12.0
 # Colours; AWAY and NEAR of the traces differ in lightness, too.
 _ROAD, _LANE, _AWAY, _NEAR, _PLAIN = ("#c9c5bd", "#6f7780", "#e8850c", "#1e2f97", "#7c3aed")
 
@@ -236,14 +236,14 @@ class Localization:
 
         drawn = {"scan_check": scan_check, "sight": sight}
         beside = [name for name, each in drawn.items() if each is not None]
-        size_in = (_SIZE_IN, WITH_ONE_IN, WITH_TWO_IN)[len(beside)]
+        size_in = (_SIZE_IN, _WITH_ONE_IN, _WITH_TWO_IN)[len(beside)]
         rows = [["traces", *beside]] if len(beside) < 2 else [["traces", "traces"], beside]
         with picture_file(path, size_in, _DPI, tight=True, font_pt=_LETTERS_PT) as figure:
             panels = figure.subplot_mosaic(rows)
             self.plot(roads, road_points, ax=panels["traces"]).set_anchor("N")
             if len(beside) == 2:  # shown as wide as the others on a phone, it needs larger letters
                 for text in panels["traces"].findobj(match=Text):
-                    text.set_fontsize(LARGER * text.get_fontsize())
+                    text.set_fontsize(_LARGER * text.get_fontsize())
             if scan_check is not None:
                 scan_check.plot(panels["scan_check"])
             if sight is not None:
@@ -311,7 +311,7 @@ def _draw_road(ax: Any, road: Floats, extent: Extent) -> None:
     """Draw the points of the scanned road within an extent."""
     low, high = extent
     inside = road[((road[:, :2] > low) & (road[:, :2] < high)).all(axis=1)]
-    shown = inside[:: max(len(inside) // ROAD_POINTS, 1)]
+    shown = inside[:: max(len(inside) // _ROAD_POINTS, 1)]
     ax.scatter(shown[:, 0], shown[:, 1], s=0.6, color=_ROAD, linewidths=0, label=tr("scanned road"))
 
 
@@ -325,7 +325,7 @@ def _draw_lanes(ax: Any, roads: LaneletMap, extent: Extent) -> None:
     ax.add_collection(LineCollection(bounds, colors=_LANE, linewidths=0.5))
     centres = near.loc[near["one_way"].to_numpy(bool), "centre"]
     for line in centres:
-        for at in np.arange(ARROW_EVERY_M / 2, line.length, ARROW_EVERY_M):
+        for at in np.arange(_ARROW_EVERY_M / 2, line.length, _ARROW_EVERY_M):
             here, ahead = line.interpolate(at), line.interpolate(min(at + 2.0, line.length))
             ax.annotate(
                 "",

@@ -25,65 +25,65 @@ from gis_radar.calibration.timing.lane_detections import LaneDetections
 # search does not change the offset.
 # Largest offset that is searched, beyond the difference of the recordings' begins: over an hour,
 # the usual mistake of a time zone.
-MAX_OFFSET_S = 4000.0
+_MAX_OFFSET_S = 4000.0
 _BIN_S = 0.25  # width of the bins of time in which agreement is counted
 # Size of the cells of place and speed in which agreement is counted: a vehicle passes about one in
 # a bin.
 _AGREEMENT_CELL_M = 4.0
-CELL_MPS = 3.0
+_CELL_MPS = 3.0
 # Width of a peak (1.25 s, a vehicle's time in a cell), of its background (40 s, within a cycle of
 # signals), and least distance of another peak (5 s).
-PEAK_BINS = 5
-AROUND_BINS = 161
-APART_BINS = 20
+_PEAK_BINS = 5
+_AROUND_BINS = 161
+_APART_BINS = 20
 # Least score of the best lag, in robust standard deviations of all lags, and least number of cells
 # with a vehicle of both sensors at it.
-ROUGH_SCORE, ROUGH_PAIRS = 8.0, 20
-ROUGH_RATIO = 1.25  # least ratio of the best lag's score to that of the next peak
+_ROUGH_SCORE, ROUGH_PAIRS = 8.0, 20
+_ROUGH_RATIO = 1.25  # least ratio of the best lag's score to that of the next peak
 # Largest differences of time and speed of a pair: error of the rough offset, and turning vehicles.
 _PAIR_S = 0.35
-PAIR_MPS = 1.5
+_PAIR_MPS = 1.5
 # Fewer pairs or vehicles, or a larger sigma (five steps), are refused.
 _LEAST_PAIRS, _LEAST_VEHICLES, _MAX_SIGMA_S = 50, 8, 0.25
 # Largest gap along the lane in each iteration, the last one in all further ones: a car's length and
 # the error of both poses.
 _PAIR_M: tuple[float, ...] = (12.0, 9.0, 7.0)
-VEHICLE_S = 4.0  # detections of a lanelet within this time count as one vehicle: a short headway
+_VEHICLE_S = 4.0  # detections of a lanelet within this time count as one vehicle: a short headway
 # Most detections of a pair of sensors in the fit and in the validation; time grows in proportion.
-MOST_FITTED = 15_000
-MOST_CHECKED = 20_000
+_MOST_FITTED = 15_000
+_MOST_CHECKED = 20_000
 # Distance from a vehicle's middle to the reflections of its front or rear, and 1 sigma.
 _FACE_M = 1.2
-FACE_SIGMA_M = 1.0
+_FACE_SIGMA_M = 1.0
 # 1 sigma of the bias of a place, by errors of poses, and least 1 sigma of a vehicle's gap, by the
 # scatter of reflections.
 PLACE_SIGMA_M = 0.7
-VEHICLE_SIGMA_M = 0.5
-DRIFT_SIGMA = 100e-6  # prior sigma of a drift: quartz clocks of radars keep within 100 ppm
-# A drift above ODD_DRIFT and ODD_DRIFT_SIGMAS standard errors is not that of a quartz clock, and is
-# fitted with the wide prior ODD_DRIFT_SIGMA. One ARS430 was 0.8 % slow; above MOST_DRIFT the unit
-# of time is wrong.
+_VEHICLE_SIGMA_M = 0.5
+_DRIFT_SIGMA = 100e-6  # prior sigma of a drift: quartz clocks of radars keep within 100 ppm
+# A drift above ODD_DRIFT and _ODD_DRIFT_SIGMAS standard errors is not that of a quartz clock, and
+# is fitted with the wide prior _ODD_DRIFT_SIGMA. One ARS430 was 0.8 % slow; above _MOST_DRIFT the
+# unit of time is wrong.
 ODD_DRIFT = 1e-3
-ODD_DRIFT_SIGMAS = 5.0
-ODD_DRIFT_SIGMA = 0.01
-MOST_DRIFT = 0.012
-HUBER = 1.5  # residuals of more standard deviations have lower weight (Huber 1964)
+_ODD_DRIFT_SIGMAS = 5.0
+_ODD_DRIFT_SIGMA = 0.01
+_MOST_DRIFT = 0.012
+_HUBER = 1.5  # residuals of more standard deviations have lower weight (Huber 1964)
 # Most rounds of pairing in the fit, and reweightings in each.
 _PAIRING_ROUNDS = 12
-WEIGHT_ROUNDS = 8
-CONVERGED_S = 2e-4  # a smaller change of the offset ends the fit
-MAX_CHANGE_S = 2.0  # a fit farther from the rough offset is of another lag
+_WEIGHT_ROUNDS = 8
+_CONVERGED_S = 2e-4  # a smaller change of the offset ends the fit
+_MAX_CHANGE_S = 2.0  # a fit farther from the rough offset is of another lag
 # In the validation two detections are of one vehicle if place, time and speed differ by less.
 _NEAR_M = 8.0
 _NEAR_S = 0.2
-NEAR_MPS = 1.0
+_NEAR_MPS = 1.0
 # Differences from the offset at which far fewer detections must agree.
-DECOYS_S: tuple[float, ...] = (-3.0, -2.0, -1.5, 1.5, 2.0, 3.0)
+_DECOYS_S: tuple[float, ...] = (-3.0, -2.0, -1.5, 1.5, 2.0, 3.0)
 _LEAST_SHARE = 0.45  # least share of detections that agree at the offset
-LEAST_RATIO = 1.3  # least ratio of that share to the one at any decoy
+_LEAST_RATIO = 1.3  # least ratio of that share to the one at any decoy
 _LEAST_CHECKED = 50  # least detections of a sensor at places and times that the other one saw
 
-VALUES_AT_ONCE = 1 << 22  # float32 values of a block of cells: 16 MiB
+_VALUES_AT_ONCE = 1 << 22  # float32 values of a block of cells: 16 MiB
 
 
 class NoCommonTrafficError(NoAnswerError):
@@ -91,7 +91,7 @@ class NoCommonTrafficError(NoAnswerError):
 
 
 def measured_offset(
-    one: LaneDetections, other: LaneDetections, *, max_offset_s: float = MAX_OFFSET_S
+    one: LaneDetections, other: LaneDetections, *, max_offset_s: float = _MAX_OFFSET_S
 ) -> ClockOffset:
     """Measure how far the clock of `other` is ahead of that of `one`.
 
@@ -113,7 +113,7 @@ def measured_offset(
 
 
 def rough_offset(
-    one: LaneDetections, other: LaneDetections, *, max_offset_s: float = MAX_OFFSET_S
+    one: LaneDetections, other: LaneDetections, *, max_offset_s: float = _MAX_OFFSET_S
 ) -> float:
     """Estimate how many seconds the clock of `other` is ahead of that of `one`, to half a second.
 
@@ -149,9 +149,9 @@ def rough_offset(
 
 def _best_lag(agreement: Floats, shift_s: Floats, allowed: Booleans) -> float:
     """Return the shift (s) of the highest peak; refuse one that does not exceed all others."""
-    width, least_apart = PEAK_BINS, APART_BINS
+    width, least_apart = _PEAK_BINS, _APART_BINS
     summed = scipy.ndimage.uniform_filter1d(agreement, width, mode="constant") * width
-    background = scipy.ndimage.uniform_filter1d(summed, AROUND_BINS, mode="constant")
+    background = scipy.ndimage.uniform_filter1d(summed, _AROUND_BINS, mode="constant")
     score = (summed - background) / np.sqrt(background + 1.0)
     filled = allowed & (background > 0.0)
     if summed[allowed].max(initial=0.0) < ROUGH_PAIRS or filled.sum() < least_apart:
@@ -161,7 +161,7 @@ def _best_lag(agreement: Floats, shift_s: Floats, allowed: Booleans) -> float:
     best = int(score.argmax())
     elsewhere = np.abs(np.arange(len(score)) - best) > least_apart
     second = float(score[elsewhere & allowed].max(initial=0.0))
-    if score[best] < max(ROUGH_SCORE, ROUGH_RATIO * second):
+    if score[best] < max(_ROUGH_SCORE, _ROUGH_RATIO * second):
         raise NoAnswerError("no lag stands out in their common traffic")
     peak = slice(max(best - width // 2, 0), best + width // 2 + 1)
     weight = np.maximum(agreement[peak] - background[best] / width, 1e-9)
@@ -171,7 +171,7 @@ def _best_lag(agreement: Floats, shift_s: Floats, allowed: Booleans) -> float:
 def _cell_numbers(seen: LaneDetections) -> Integers:
     """Return the number of each detection's cell of lanelet, place and speed."""
     place = (seen.s_m / _AGREEMENT_CELL_M).astype(np.int64)
-    speed = (seen.speed / CELL_MPS).astype(np.int64)
+    speed = (seen.speed / _CELL_MPS).astype(np.int64)
     return (seen.lanelet * 100_000 + place) * 100 + speed
 
 
@@ -186,7 +186,7 @@ def _agreement_by_lag(
     lags = int(bins_one.max() + bins_other.max() + 1)
     length = scipy.fft.next_fast_len(lags, real=True)
     total = np.zeros(length // 2 + 1, np.complex128)
-    block = max(VALUES_AT_ONCE // length, 1)
+    block = max(_VALUES_AT_ONCE // length, 1)
     for begin in range(0, len(common), block):
         cells = common[begin : begin + block]
         spectra = [
@@ -247,20 +247,20 @@ def fine_offset(one: LaneDetections, other: LaneDetections, rough_s: float) -> C
     NoAnswerError
         If there is no trustworthy offset.
     """
-    one, at = _overlapping(one, other, rough_s, MOST_FITTED)
-    values, sigma, pairs = _fit(one, other, np.array([rough_s, 0.0]), at, DRIFT_SIGMA)
+    one, at = _overlapping(one, other, rough_s, _MOST_FITTED)
+    values, sigma, pairs = _fit(one, other, np.array([rough_s, 0.0]), at, _DRIFT_SIGMA)
     # one step with a wide prior shows clocks that run slow by up to a percent
-    change, wide_sigma = _solve(pairs, values[1], ODD_DRIFT_SIGMA)
+    change, wide_sigma = _solve(pairs, values[1], _ODD_DRIFT_SIGMA)
     drift = abs(values[1] + change[1])
-    if drift > max(ODD_DRIFT, ODD_DRIFT_SIGMAS * wide_sigma[1]):
+    if drift > max(ODD_DRIFT, _ODD_DRIFT_SIGMAS * wide_sigma[1]):
         start = values + change
-        values, sigma, pairs = _fit(one, other, start, at, ODD_DRIFT_SIGMA)
-        if abs(values[1]) > MOST_DRIFT:
+        values, sigma, pairs = _fit(one, other, start, at, _ODD_DRIFT_SIGMA)
+        if abs(values[1]) > _MOST_DRIFT:
             raise NoAnswerError("their clocks run apart by {:.1%}", abs(values[1]))
     vehicles = pairs.vehicles
     if not sigma[0] <= _MAX_SIGMA_S:
         raise NoAnswerError("their common traffic gives the offset only to {:.2g} s", sigma[0])
-    if abs(values[0] - rough_s) > MAX_CHANGE_S:
+    if abs(values[0] - rough_s) > _MAX_CHANGE_S:
         raise NoAnswerError("their common traffic fits no single offset")
     return ClockOffset(
         offset_s=float(values[0]), sigma_s=float(sigma[0]), drift=float(values[1]),
@@ -279,7 +279,7 @@ def _fit(
             raise NoAnswerError("only {} vehicles are seen by both", pairs.vehicles)
         change, sigma = _solve(pairs, values[1], drift_sigma)
         values = values + change
-        if turn >= len(gaps_m) and abs(change[0]) < CONVERGED_S:
+        if turn >= len(gaps_m) and abs(change[0]) < _CONVERGED_S:
             break
     return values, sigma, pairs
 
@@ -326,13 +326,13 @@ def _pair_detections(
     low, high = (np.searchsorted(keys[order], key + side) for side in (-_PAIR_S, _PAIR_S))
     first = np.repeat(np.arange(len(one)), high - low)
     second = order[ranges(low, high - low)]
-    alike = np.abs(one.speed[first] - other.speed[second]) <= PAIR_MPS
+    alike = np.abs(one.speed[first] - other.speed[second]) <= _PAIR_MPS
     first, second = first[alike], second[alike]
     speed = (one.speed[first] + other.speed[second]) / 2
     gap_m = other.s_m[second] - one.s_m[first] - speed * (time[second] - one.time[first])
     close = np.abs(gap_m) <= apart_m
     first, second = first[close], second[close]
-    block = (one.time[first] // VEHICLE_S).astype(np.int64)
+    block = (one.time[first] // _VEHICLE_S).astype(np.int64)
     return _Pairs(
         gap_m=gap_m[close],
         speed=speed[close],
@@ -353,20 +353,20 @@ def _solve(pairs: _Pairs, drift: float, drift_sigma: float) -> tuple[Floats, Flo
     vehicle_weight = 1.0 / np.bincount(pairs.vehicle)[pairs.vehicle]
     size = 3 + places
     prior = np.full(size, PLACE_SIGMA_M**-2)
-    prior[:3] = 0.0, drift_sigma**-2, FACE_SIGMA_M**-2
+    prior[:3] = 0.0, drift_sigma**-2, _FACE_SIGMA_M**-2
     mean = np.zeros(size)
     mean[1:3] = -drift, 2 * _FACE_M  # the prior is on the drift, not on its change
     columns = np.column_stack([-pairs.speed, -pairs.speed * pairs.late_s, pairs.sides])
     scale_m, robust = 2.0, np.ones(len(vehicle_weight))
-    for _ in range(WEIGHT_ROUNDS):
+    for _ in range(_WEIGHT_ROUNDS):
         weight = robust * vehicle_weight / scale_m**2
         matrix, right_side = _normal_equations(columns, pairs.place, pairs.gap_m, weight, size)
         matrix[np.diag_indices(size)] += prior
         solution = np.linalg.solve(matrix, right_side + prior * mean)
         residual = pairs.gap_m - columns @ solution[:3] - solution[3 + pairs.place]
         by_vehicle = np.bincount(pairs.vehicle, vehicle_weight * residual)
-        scale_m = max(1.4826 * float(np.median(np.abs(by_vehicle))), VEHICLE_SIGMA_M)
-        robust = 1.0 / np.maximum(np.abs(residual) / (HUBER * scale_m), 1.0)
+        scale_m = max(1.4826 * float(np.median(np.abs(by_vehicle))), _VEHICLE_SIGMA_M)
+        robust = 1.0 / np.maximum(np.abs(residual) / (_HUBER * scale_m), 1.0)
     sigma = np.sqrt(np.diag(np.linalg.inv(matrix))[:2])
     return np.asarray(solution[:2]), np.asarray(sigma)
 
@@ -404,9 +404,9 @@ def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float)
     Raises
     ------
     NoAnswerError
-        If the share that agrees is below `_LEAST_SHARE`, or `LEAST_RATIO` of that at a decoy.
+        If the share that agrees is below `_LEAST_SHARE`, or `_LEAST_RATIO` of that at a decoy.
     """
-    lags_s = offset_s + np.array([0.0, *DECOYS_S])
+    lags_s = offset_s + np.array([0.0, *_DECOYS_S])
     one_by_other, other_by_one = (
         np.array(list(_shares_seen_by_both(*pair)))
         for pair in ((one, other, lags_s), (other, one, -lags_s))
@@ -414,7 +414,7 @@ def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float)
     share, *decoys = (one_by_other + other_by_one) / 2
     if not share >= _LEAST_SHARE:
         raise NoAnswerError("at no lag do they see the same vehicles")
-    if not share >= LEAST_RATIO * np.nanmax([0.0, *decoys]):
+    if not share >= _LEAST_RATIO * np.nanmax([0.0, *decoys]):
         raise NoAnswerError("their common traffic looks alike at other lags too")
 
 
@@ -423,12 +423,12 @@ def _shares_seen_by_both(
 ) -> Iterator[float]:
     """Yield for each lag the share of detections of `one`, where `other` sees, that both see."""
     begin, common = other.time[0], one.take(np.isin(one.places, other.places))
-    scales = {"near_m": _NEAR_M, "near_s": _NEAR_S, "near_mps": NEAR_MPS}
+    scales = {"near_m": _NEAR_M, "near_s": _NEAR_S, "near_mps": _NEAR_MPS}
     tree = scipy.spatial.cKDTree(other.scaled(other.time - begin, **scales))
     for lag_s in lags_s:
         time = common.time + lag_s
         within = np.flatnonzero((time > begin + _NEAR_S) & (time < other.time[-1] - _NEAR_S))
-        rows = within[:: max(-(-len(within) // MOST_CHECKED), 1)]
+        rows = within[:: max(-(-len(within) // _MOST_CHECKED), 1)]
         points = common.take(rows).scaled(time[rows] - begin, **scales)
         distance, _ = tree.query(points, p=np.inf, distance_upper_bound=1.0)
         yield float(np.isfinite(distance).mean()) if len(within) >= _LEAST_CHECKED else np.nan

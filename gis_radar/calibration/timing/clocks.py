@@ -42,11 +42,11 @@ from gis_radar.calibration.timing.lane_detections import (
 from gis_radar.poses import Pose, PoseTrack, as_track
 from gis_radar.recordings import Recording, as_recording
 
-CONTRADICTION_SIGMAS = 4.0  # larger residuals of a pair of sensors give a warning
+_CONTRADICTION_SIGMAS = 4.0  # larger residuals of a pair of sensors give a warning
 # A drift of fewer standard errors is set to 0: over hours it would only add noise.
-DRIFT_SIGMAS = 3.0
+_DRIFT_SIGMAS = 3.0
 
-MOST_DRIFT_PPM = 12_000.0  # larger drifts are mistakes of units: a bad quartz has 100
+_MOST_DRIFT_PPM = 12_000.0  # larger drifts are mistakes of units: a bad quartz has 100
 _NUMBERS = ("offset_s", "sigma_s", "drift_ppm", "drift_sigma_ppm")  # of a clock in a file of clocks
 
 
@@ -75,9 +75,9 @@ class SensorClock:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.offset_s) and math.isfinite(self.at)):
             raise InputError("clock offset is {} s, expected a number", self.offset_s)
-        if not abs(self.drift_ppm) <= MOST_DRIFT_PPM:
+        if not abs(self.drift_ppm) <= _MOST_DRIFT_PPM:
             raise InputError(
-                "clock drift is {} ppm, expected at most {:g}", self.drift_ppm, MOST_DRIFT_PPM
+                "clock drift is {} ppm, expected at most {:g}", self.drift_ppm, _MOST_DRIFT_PPM
             )
 
     def corrected(self, time: Floats) -> Floats:
@@ -283,7 +283,7 @@ def measure_clocks(
             reason,
             hint="sensors must see the same moving traffic; longer recordings help",
         )
-    if misfit > CONTRADICTION_SIGMAS:
+    if misfit > _CONTRADICTION_SIGMAS:
         reporter.warn(
             "the offsets of the pairs contradict each other by {:.1f} standard "
             "deviations: is a pose wrong?",
@@ -378,7 +378,7 @@ def adjust_network(edges: Edges, reference: str) -> tuple[dict[str, SensorClock]
     drift, drift_sigma, _ = _least_squares(
         design, np.array([f.drift for f in offsets]), np.array([f.drift_sigma for f in offsets])
     )
-    drift = np.where(np.abs(drift) > DRIFT_SIGMAS * drift_sigma, drift, 0.0)
+    drift = np.where(np.abs(drift) > _DRIFT_SIGMAS * drift_sigma, drift, 0.0)
     offset = np.array([f.offset_s for f in offsets]) - design @ drift * (at - middle)
     offset, offset_sigma, misfit = _least_squares(
         design, offset, np.array([f.sigma_s for f in offsets])

@@ -16,7 +16,7 @@ from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Detections, Recording
 
 _STAGE = "reading traffic"
-LEAST_MPS = 1.5  # least speed along a lane: above walkers and leaves
+_LEAST_MPS = 1.5  # least speed along a lane: above walkers and leaves
 # Least cosine between lane and line of sight (60 deg): across the sight the range rate gives no
 # speed. Twice the value leaves no traffic.
 _LEAST_SPEED_COSINE = 0.5
@@ -95,7 +95,7 @@ class LaneDetections:
 def lane_detections(
     lanes: Lanes, time: Floats, points: Floats, rate: Floats, sensor: Floats
 ) -> LaneDetections:
-    """Match detections to lanes; return those on a lane with a speed of at least `LEAST_MPS`.
+    """Match detections to lanes; return those on a lane with a speed of at least `_LEAST_MPS`.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def lane_detections(
     cosine = np.sum(lanes.along[sample] * sight[rows], axis=1)
     speed = rate[rows] / cosine
     along_lane = (np.abs(left_m) <= lanes.width_m[sample] / 2.0) & (np.abs(ahead_m) <= LANE_STEP_M)
-    along_lane &= speed >= LEAST_MPS
+    along_lane &= speed >= _LEAST_MPS
     return LaneDetections(
         time=time[rows[along_lane]],
         lanelet=lanes.lane[sample[along_lane]],
@@ -205,7 +205,7 @@ def read_lane_detections(
 
 def _along_lanes(rows: Detections, track: PoseTrack, lanes: Lanes) -> list[LaneDetections]:
     """Return the detections that move along a lane, for each pose of the track."""
-    rows = rows.take(rows.present & (np.abs(rows.range_rate) >= LEAST_MPS * _LEAST_SPEED_COSINE))
+    rows = rows.take(rows.present & (np.abs(rows.range_rate) >= _LEAST_MPS * _LEAST_SPEED_COSINE))
     pose_index = track.at(rows.time)
     by_pose = []
     for index in np.unique(pose_index).tolist():

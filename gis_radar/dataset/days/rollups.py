@@ -39,7 +39,7 @@ from gis_radar.dataset.files.tables import (
 )
 from gis_radar.measures import SPEED_CLASSES
 
-DAYS_PER_WEEK = 7
+_DAYS_PER_WEEK = 7
 _HIGHEST = "queue_max_m"  # the only column that is a maximum, not a sum
 _StaleMonth: TypeAlias = tuple[Keys, dict[int, HourRecord]]
 """Keys of the dates of a month whose file is missing or out of date, and records of its hours."""
@@ -62,7 +62,7 @@ class Sums:
         needed = {*table.names} if columns is None else {*columns, *_WEIGHTS}
         self.names = [name for name in table.names if name in needed - {*table.order}]
         self._id, *cells = table.order
-        self._cells = HOURS_PER_DAY * (DAYS_PER_WEEK if len(cells) > 1 else 1)
+        self._cells = HOURS_PER_DAY * (_DAYS_PER_WEEK if len(cells) > 1 else 1)
         self._ids: Integers = np.empty(0, np.int64)
         self._values: dict[str, Floats] = {}
 

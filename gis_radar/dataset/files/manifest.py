@@ -38,7 +38,7 @@ _OWNED = (  # begins of the names of files that a killed run may have left
     MAP, TILES_FILE, "recordings.parquet", "poses.parquet", "sights.parquet", ".",
 )  # fmt: skip
 BRING_BACK = Text("bring back the file that measure wrote")
-MAKE_ONE = Text("a folder that gis-radar measure wrote is needed")
+_MAKE_ONE = Text("a folder that gis-radar measure wrote is needed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,9 +128,9 @@ class Manifest:
         path = Path(folder) / MANIFEST
         if not path.is_file():
             inside = Path(folder) / "dataset"
-            hint = Text("did you mean {}?", inside) if cls.is_there(inside) else MAKE_ONE
+            hint = Text("did you mean {}?", inside) if cls.is_there(inside) else _MAKE_ONE
             raise InputError("{}: is no dataset: lacks {}", folder, MANIFEST, hint=hint)
-        document = read_json(path, what="the manifest of a dataset", hint=MAKE_ONE)
+        document = read_json(path, what="the manifest of a dataset", hint=_MAKE_ONE)
         try:
             if document["schema"] > SCHEMA:
                 raise InputError(
@@ -144,7 +144,7 @@ class Manifest:
             stated = document.pop("digest", None)  # without it, edits are not found
             manifest = cls(**{**restored(document), "origin": (easting, northing)})
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=MAKE_ONE) from error
+            raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=_MAKE_ONE) from error
         _check_types(path, manifest)
         if stated is not None and stated != manifest.digest:
             raise InputError("{}: was edited after it was written", path, hint=BRING_BACK)
@@ -156,14 +156,14 @@ def _check_types(path: Path, manifest: Manifest) -> None:
     """Refuse entries of another type."""
     for name in ("map", "fingerprint", "crs", "timezone", "heights"):
         if not isinstance(getattr(manifest, name), str):
-            raise InputError("{}: damaged: {} is no text", path, name, hint=MAKE_ONE)
+            raise InputError("{}: damaged: {} is no text", path, name, hint=_MAKE_ONE)
     for name in ("settings", "checks"):
         if not isinstance(getattr(manifest, name), dict):
-            raise InputError("{}: damaged: {} are none", path, name, hint=MAKE_ONE)
+            raise InputError("{}: damaged: {} are none", path, name, hint=_MAKE_ONE)
     for sensor, check in manifest.checks.items():
         if not is_record(check):
             raise InputError(
-                "{}: damaged: what was checked of {} is no record", path, sensor, hint=MAKE_ONE
+                "{}: damaged: what was checked of {} is no record", path, sensor, hint=_MAKE_ONE
             )
 
 

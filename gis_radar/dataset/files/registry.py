@@ -41,9 +41,10 @@ from gis_radar.measures import PlacedRecording, PoseSight, digest_of_sights
 from gis_radar.poses import PoseTrack
 from gis_radar.recordings import Recording, has_height, open_recording
 
-LONGEST_GAP_S = 24 * 3600.0
+_LONGEST_GAP_S = 24 * 3600.0
 """Longest time without frames within a recording; in a longer gap its clock was set."""
-LEAST_RATES = 0.5  # least share of detections with range rates; formats have them of all or of none
+# Least share of detections with range rates; formats have them of all or of none
+_LEAST_RATES = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -347,12 +348,12 @@ def entry_of(source: PlacedRecording, validity_s: float) -> RecordingEntry:
 def _read_summary(recording: Recording) -> tuple[float, float, int, bool, bool]:
     """Return first and last time, rows, and whether detections have range rates and elevation."""
     spans = recording.time_spans() if recording.time_spans is not None else None
-    stated = spans is not None and all(last - first <= LONGEST_GAP_S for first, last in spans)
+    stated = spans is not None and all(last - first <= _LONGEST_GAP_S for first, last in spans)
     first = last = math.nan
     rows, has_rates, has_elevation, detections, rates = 0, False, True, 0, 0
     for batch in recording.read():
         time = batch.time if rows == 0 else np.concatenate([[last], batch.time])
-        if len(gap := np.flatnonzero(np.diff(time) > LONGEST_GAP_S)):
+        if len(gap := np.flatnonzero(np.diff(time) > _LONGEST_GAP_S)):
             _refuse_gap(recording, *time[gap[0] : gap[0] + 2].tolist())
         first, last = (float(time[0]) if rows == 0 else first), float(time[-1])
         rows += len(batch)
@@ -360,12 +361,12 @@ def _read_summary(recording: Recording) -> tuple[float, float, int, bool, bool]:
             has_elevation = has_height(batch)
         detections += int(batch.present.sum())
         rates += int(np.isfinite(batch.range_rate[batch.present]).sum())
-        has_rates = rates > LEAST_RATES * detections
+        has_rates = rates > _LEAST_RATES * detections
         if stated and has_rates:
             break
     if stated and spans is not None and recording.rows is not None:
         for (_, before), (after, _) in pairwise(spans):
-            if after - before > LONGEST_GAP_S:
+            if after - before > _LONGEST_GAP_S:
                 _refuse_gap(recording, before, after)
         first, last, rows = spans[0][0], spans[-1][1], recording.rows
     return first, last, rows, has_rates or detections == 0, has_elevation

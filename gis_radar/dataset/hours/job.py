@@ -48,8 +48,9 @@ HOUR_METHOD = 17
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # equal frames of two sensors that may be chance
-LEAST_RICH = 10  # detections of a frame that is not equal to an earlier one of its sensor by chance
-LEAST_COMPARED = 2  # least detections of frames that are compared: fewer may be equal by chance
+# Detections of a frame that is not equal to an earlier one of its sensor by chance
+_LEAST_RICH = 10
+_LEAST_COMPARED = 2  # least detections of frames that are compared: fewer may be equal by chance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,7 +228,7 @@ def read_sensors(
 def _count_repeated(sensors: Sequence[SensorHour]) -> None:
     """Count for each recording the frames that are equal to an earlier one of their sensor."""
     for each in sensors:
-        rich = np.flatnonzero(each.frames.detections >= LEAST_RICH)
+        rich = np.flatnonzero(each.frames.detections >= _LEAST_RICH)
         first = rich[np.unique(each.frames.hash[rich], return_index=True)[1]]
         repeated = np.bincount(each.source[np.setdiff1d(rich, first)], minlength=len(each.evidence))
         for counts, number in zip(each.evidence, repeated.tolist(), strict=True):
@@ -244,7 +245,7 @@ def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
     """
     by_name = {each.sensor: each for each in sensors}
     keys = {
-        name: each.frames.hash[each.frames.detections >= LEAST_COMPARED]
+        name: each.frames.hash[each.frames.detections >= _LEAST_COMPARED]
         for name, each in by_name.items()
     }
     for name, other, equal in keys_in_common(keys):

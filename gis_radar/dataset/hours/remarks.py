@@ -39,18 +39,18 @@ from gis_radar.scans import (
 from gis_radar.tracking import warn_of_poses
 
 # Time without frames to warn of, seconds and as a share: frames lost now and then leave less empty.
-LONG_PAUSE_S, LONG_PAUSE_SHARE = 60.0, 0.1
-LONG_CYCLE = 2.0  # least stated cycle to warn of, in measured ones: a frame is lost now and then
-SLOW_CYCLE = 1.1  # least cycle to warn of, in validities: 10 % of the steps have no valid frame
-# A warning is given where RANGE_SHARE of the detections lies within REACH_SHARE of the view's range
-# (the contract).
-RANGE_SHARE, REACH_SHARE = 0.999, 0.8
-# A warning is given where OUTSIDE_SHARE of the first detections are outside the view; of eleven
+_LONG_PAUSE_S, _LONG_PAUSE_SHARE = 60.0, 0.1
+_LONG_CYCLE = 2.0  # least stated cycle to warn of, in measured ones: a frame is lost now and then
+_SLOW_CYCLE = 1.1  # least cycle to warn of, in validities: 10 % of the steps have no valid frame
+# A warning is given where _RANGE_SHARE of the detections lies within _REACH_SHARE of the view's
+# range (the contract).
+_RANGE_SHARE, _REACH_SHARE = 0.999, 0.8
+# A warning is given where _OUTSIDE_SHARE of the first detections are outside the view; of eleven
 # simulated sensors at most 0.4 % are, and with half the azimuth 10 % and more.
-OUTSIDE_SHARE, LEAST_VIEWED = 0.05, 100
-# Seconds to which times may have been rounded, longest first, where there are `LEAST_TIMES`.
-ROUNDED_S, LEAST_TIMES, ROUNDED_SHARE = (1.0, 0.1), 20, 1e-4
-FAR_SHARE = 0.001  # share of detections beyond any radar to warn of: more than ghosts
+_OUTSIDE_SHARE, _LEAST_VIEWED = 0.05, 100
+# Seconds to which times may have been rounded, longest first, where there are `_LEAST_TIMES`.
+_ROUNDED_S, _LEAST_TIMES, _ROUNDED_SHARE = (1.0, 0.1), 20, 1e-4
+_FAR_SHARE = 0.001  # share of detections beyond any radar to warn of: more than ghosts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +156,7 @@ def _view_warnings(examined: Examined) -> Iterator[str]:
     file, sensor = examined.source.recording.path.name, examined.entry.sensor
     ranges = RangeCounts()
     ranges.counts = examined.evidence.ranges
-    reached_m = ranges.reached_m(RANGE_SHARE)
+    reached_m = ranges.reached_m(_RANGE_SHARE)
     view = examined.source.track.poses[0].view or View()
     if examined.evidence.hits == 0 and examined.evidence.rows:  # else another one holds its frames
         yield Text(
@@ -166,7 +166,7 @@ def _view_warnings(examined: Examined) -> Iterator[str]:
             sensor,
         )
     beyond = float(ranges.counts[int(FARTHEST_RADAR_M) :].sum() / max(ranges.counts.sum(), 1))
-    if beyond > FAR_SHARE:
+    if beyond > _FAR_SHARE:
         yield Text(
             "{}: {:.1%} of the detections are over {:,.0f} m away, beyond any radar, and count "
             "nowhere: are some positions in another unit than metres?",
@@ -176,7 +176,7 @@ def _view_warnings(examined: Examined) -> Iterator[str]:
         )
     rows = examined.first_rows
     outside = ~view.sees(rows.points[rows.present])
-    if len(outside) >= LEAST_VIEWED and (share := float(outside.mean())) > OUTSIDE_SHARE:
+    if len(outside) >= _LEAST_VIEWED and (share := float(outside.mean())) > _OUTSIDE_SHARE:
         yield Text(
             "{}: {:.0%} of the detections lie outside the view of {} (azimuth {:g}, elevation "
             "{:g} deg, range {:g} m) and count nowhere: angles are full opening angles, in degrees",
@@ -189,12 +189,12 @@ def _view_warnings(examined: Examined) -> Iterator[str]:
         )
     limit = Text("the view's max_range_m or {}", "--max-range")
     whole = not examined.source.recording.selected
-    if whole and 0 < reached_m < REACH_SHARE * view.max_range_m:
+    if whole and 0 < reached_m < _REACH_SHARE * view.max_range_m:
         yield Text(
             "{}: {:g} % of the detections lie within {:.0f} m, but the view of {} "
             "reaches {:g} m: what lies beyond reads as observed and empty; set {}",
             file,
-            100 * RANGE_SHARE,
+            100 * _RANGE_SHARE,
             reached_m,
             sensor,
             view.max_range_m,
@@ -207,7 +207,7 @@ def _cycle_warnings(examined: Examined) -> Iterator[str]:
     file, sensor = examined.source.recording.path.name, examined.entry.sensor
     validity_s, cycle_us = examined.entry.validity_s, examined.evidence.times.cycle_us
     valid_us = (1 + valid_steps(validity_s)) * STEP_US
-    if SLOW_CYCLE * valid_us < cycle_us < np.inf:
+    if _SLOW_CYCLE * valid_us < cycle_us < np.inf:
         cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - valid_us / cycle_us)
         stated = Text("--cycle {}={}ms", sensor, cycle_ms)
         yield Text(
@@ -223,7 +223,7 @@ def _cycle_warnings(examined: Examined) -> Iterator[str]:
         )
 
     stated_us = validity_s / CYCLES_VALID * 1e6
-    if validity_s != VALIDITY_S and stated_us > LONG_CYCLE * cycle_us:
+    if validity_s != VALIDITY_S and stated_us > _LONG_CYCLE * cycle_us:
         yield Text(
             "{}: {} delivers every {} ms, but its cycle is given as {} ms: up to {} ms without a "
             "frame count as observed",
@@ -240,7 +240,7 @@ def _pause_warnings(examined: Examined) -> Iterator[str]:
     times = examined.evidence.times
     span_s = (times.last_us - times.first_us) / 1e6
     filled_s = times.frames * times.cycle_us / 1e6
-    if span_s - filled_s > max(LONG_PAUSE_S, LONG_PAUSE_SHARE * span_s):
+    if span_s - filled_s > max(_LONG_PAUSE_S, _LONG_PAUSE_SHARE * span_s):
         yield Text(
             "{}: its frames fill {:,.0f} of {:,.0f} s: the others are missing, or the clock of {} "
             "was set on the way",
@@ -257,9 +257,9 @@ def _rounding_warnings(examined: Examined) -> Iterator[str]:
     Frames whose stated cycle is as long are valid for longer than it.
     """
     time = np.unique(examined.first_rows.time)
-    for grid_s in ROUNDED_S:
+    for grid_s in _ROUNDED_S:
         off = np.abs(time / grid_s - np.rint(time / grid_s))
-        if len(time) >= LEAST_TIMES and off.max() < ROUNDED_SHARE:
+        if len(time) >= _LEAST_TIMES and off.max() < _ROUNDED_SHARE:
             if examined.entry.validity_s <= grid_s:
                 yield Text(
                     "{}: its first times are all multiples of {:g} s: were they rounded? Then "

@@ -22,7 +22,7 @@ from gis_radar.dataset.files.tables import FRAMES, HITS, OBSERVED, OCCUPIED, TAB
 
 EXACT = (FRAMES, HITS, OBSERVED, VISIBLE, OCCUPIED, TRACKS)
 """Tables that :func:`keep` deletes: they hold single steps, and take nearly all of the space."""
-DAY_TOLERANCE_S = 1.0
+_DAY_TOLERANCE_S = 1.0
 """Seconds that a recording may reach beyond its day: clocks of loggers are no more exact."""
 
 
@@ -37,9 +37,9 @@ def _recordings_of_day(
     for entry in entries:
         first, last = entry.first_time, entry.last_time
         is_in = begin <= first and last < end
-        if not is_in and min(last, end) - max(first, begin) <= DAY_TOLERANCE_S:
+        if not is_in and min(last, end) - max(first, begin) <= _DAY_TOLERANCE_S:
             continue  # of the day before or after
-        if first < begin - DAY_TOLERANCE_S or last >= end + DAY_TOLERANCE_S:
+        if first < begin - _DAY_TOLERANCE_S or last >= end + _DAY_TOLERANCE_S:
             raise InputError(
                 "{}: reaches from {} to {}, out of {}",
                 entry.path, *(datetime.fromtimestamp(at, zone).isoformat(" ", "seconds")

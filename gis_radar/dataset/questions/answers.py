@@ -17,7 +17,7 @@ from gis_radar.base import UsageError, atomic_write
 
 # Columns of map ids, which reach 9e18; JSON readers hold integers up to 9e15 exactly, so that all
 # ids are text.
-MAP_IDS = frozenset({"lanelet_id", "lanelets", "lane", "from_lane", "to_lane", "stop_line"})
+_MAP_IDS = frozenset({"lanelet_id", "lanelets", "lane", "from_lane", "to_lane", "stop_line"})
 
 
 def plain_schema(schema: pa.Schema) -> pa.Schema:
@@ -62,7 +62,7 @@ def csv_texts(table: pa.Table) -> pa.Table:
 def json_texts(table: pa.Table) -> pa.Table:
     """Return an answer with times as ISO 8601 text, no finer than needed, and the map's ids."""
     columns = [
-        _ids_as_text(column) if name in MAP_IDS else _short_times(column)
+        _ids_as_text(column) if name in _MAP_IDS else _short_times(column)
         for name, column in zip(table.column_names, table.columns, strict=True)
     ]
     return pa.table(columns, names=table.column_names)

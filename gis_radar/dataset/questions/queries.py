@@ -22,7 +22,7 @@ from gis_radar.dataset.questions.views import quoted, views_of_sites
 
 Answer: TypeAlias = tuple[pa.Schema, Iterator[pa.RecordBatch]]
 """The columns of an answer, and its rows in batches."""
-PROPOSAL = ("Candidate bindings:", "Did you mean")
+_PROPOSAL = ("Candidate bindings:", "Did you mean")
 _ROWS_AT_ONCE = 1 << 17  # rows of a batch of an answer
 _CONFIG = {
     "autoinstall_known_extensions": "false",
@@ -189,5 +189,5 @@ def _errors_of(folder: Path) -> Iterator[None]:
 
 def _first_line_and_proposals(error: Exception) -> str:
     """Return the first line of an error of DuckDB, and the names that it proposes."""
-    proposed = [line for line in str(error).splitlines()[1:] if line.startswith(PROPOSAL)]
+    proposed = [line for line in str(error).splitlines()[1:] if line.startswith(_PROPOSAL)]
     return "; ".join([first_line(error), *proposed])

@@ -12,8 +12,8 @@ from gis_radar.base import Text, UsageError, first_line
 from gis_radar.dataset.files.tables import TABLES
 
 LAYERS = ("tiles", "lanes", "stop_lines")
-ASKABLE = (*TABLES, *LAYERS)
-ASK_ONE = Text("ask one SELECT of the tables {}", ", ".join(ASKABLE))
+_ASKABLE = (*TABLES, *LAYERS)
+ASK_ONE = Text("ask one SELECT of the tables {}", ", ".join(_ASKABLE))
 # Allowed nodes of a parsed query; others may write: DuckDB takes COPY in a WITH, to any file.
 _NODES = {"SELECT_NODE", "SET_OPERATION_NODE", "RECURSIVE_CTE_NODE", "CTE_NODE"}
 _TABLE_FUNCTIONS = {"range", "generate_series", "unnest"}
@@ -43,7 +43,7 @@ def tables_of(connection: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
     for node in nodes:
         _refuse_forbidden(node)
         kind, name = node.get("type"), str(node.get("table_name", "")).lower()
-        if kind == "BASE_TABLE" and name in ASKABLE:
+        if kind == "BASE_TABLE" and name in _ASKABLE:
             tables.add(name)
         elif (kind == "BASE_TABLE" and name not in ctes) or (kind == "SHOW_REF" and name):
             raise UsageError("the query names {}, which is no table here", repr(name), hint=ASK_ONE)

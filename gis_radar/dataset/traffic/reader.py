@@ -51,7 +51,7 @@ from gis_radar.measures import (
     turn_lines,
 )
 
-LEAST_STEPS = 60 * STEPS_PER_SECOND  # least length of an interval: shorter ones have no volume
+_LEAST_STEPS = 60 * STEPS_PER_SECOND  # least length of an interval: shorter ones have no volume
 _DAY_STEPS = 24 * STEPS_PER_HOUR
 _WITH_LANE, _WITH_TURN = ["lane"], ["from_lane", "to_lane"]
 _LANE_COLUMNS = (
@@ -260,7 +260,7 @@ def _checked_steps(interval: str) -> int:
         If it is no length, under a minute, or does not divide a day.
     """
     steps = interval_steps(interval)
-    part = steps >= LEAST_STEPS and STEPS_PER_QUARTER % steps == 0
+    part = steps >= _LEAST_STEPS and STEPS_PER_QUARTER % steps == 0
     if not part and (steps % STEPS_PER_QUARTER or _DAY_STEPS % steps):
         raise UsageError(
             "interval {} is neither a part of 15 min nor a multiple of it that divides a day",

@@ -23,7 +23,7 @@ from gis_radar.measures import LaneNetwork, bound_name, place_on
 
 _NAME_FIELDS = ("name", "section", "id")  # columns that may hold a section's name, in this order
 ALONG = math.sin(math.radians(30.0))  # sine of the angle below which a section runs along a lane
-HALF_LANE_M = 1.75  # half of the usual width of a lane
+_HALF_LANE_M = 1.75  # half of the usual width of a lane
 _SAME_M = 0.01  # distance below which two places are one
 _FIGURES = ["visible_share", "counted", "volume", "volume_se", "heavy", "speed_time_mean_kmh"]
 
@@ -217,7 +217,7 @@ def _by_direction(
 def _part_of(line: shapely.LineString, crossed: list[_Crossing]) -> shapely.LineString:
     """Return the part of a section on the lanes of one direction, half a lane beyond them."""
     at_m = [each.at_m for each in crossed]
-    first, last = max(min(at_m) - HALF_LANE_M, 0.0), min(max(at_m) + HALF_LANE_M, line.length)
+    first, last = max(min(at_m) - _HALF_LANE_M, 0.0), min(max(at_m) + _HALF_LANE_M, line.length)
     return shapely.LineString(shapely.ops.substring(line, first, last).coords)
 
 

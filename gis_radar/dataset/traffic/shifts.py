@@ -32,7 +32,7 @@ POSE_M = 0.14
 MAP_M = float(np.sqrt(0.3**2 - POSE_M**2))
 _ALIKE = 0.9  # least cosine between lanes of one direction: 26 degrees
 _BESIDE_M = 1.0  # distance beyond a lane's edge of the point that is in the next lane
-MOST_SCALE = 0.01  # largest error of a scale of range that passes a localization
+_MOST_SCALE = 0.01  # largest error of a scale of range that passes a localization
 # Cosine between lane and line of sight up to which a sensor looks straight across: a vehicle that
 # sets off at 1.5 m/s then has a range rate under 0.15 m/s, like one that stands.
 _ACROSS = 0.1
@@ -215,6 +215,6 @@ def _variances(pose: Pose, centre: Floats, direction: Floats) -> Floats:
     for side in (direction, np.column_stack([-direction[:, 1], direction[:, 0]])):
         turned = side[:, 1] * arm[:, 0] - side[:, 0] * arm[:, 1]
         moves = np.column_stack([side, turned])
-        longer = min(evidence.range_scale_sigma, MOST_SCALE) * (side * arm).sum(axis=1)
+        longer = min(evidence.range_scale_sigma, _MOST_SCALE) * (side * arm).sum(axis=1)
         variances.append(np.einsum("ni,ij,nj->n", moves, covariance, moves) + longer**2)
     return np.column_stack(variances)

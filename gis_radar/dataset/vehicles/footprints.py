@@ -52,7 +52,7 @@ _SCHEMA = pa.schema([
 # many rows.
 EVERY_STEPS = 10
 SHOWN_S = EVERY_STEPS * STEP_S  # how long a row is shown
-STANDING_KMH = 5.0  # a slower vehicle is standing: as traffic engineering counts stops
+_STANDING_KMH = 5.0  # a slower vehicle is standing: as traffic engineering counts stops
 
 
 def write_footprints(dataset: DatasetFiles, path: str | Path, *, reporter: Reporter = QUIET) -> int:
@@ -133,7 +133,7 @@ class _Rows:
         end_ms = begin_ms + EVERY_STEPS * (STEP_US // 1000)
         speed_kmh = states["speed"].to_numpy(float) * 3.6
         heavy = vehicles["p_heavy"].to_numpy(float) >= HEAVY
-        standing = np.abs(speed_kmh) < STANDING_KMH
+        standing = np.abs(speed_kmh) < _STANDING_KMH
         columns = [
             states["vehicle"].to_numpy(np.int64),
             begin_ms,

@@ -28,7 +28,7 @@ from gis_radar.dataset.files.tables import TRACKS, VEHICLES
 if TYPE_CHECKING:
     import movingpandas
 
-CM = 0.01  # metres
+_CM = 0.01  # metres
 VehicleStates = tuple[pd.DataFrame, pd.DataFrame]
 """The vehicles of an hour, and their states."""
 
@@ -111,19 +111,19 @@ def _states(
     after = np.minimum(before + 1, np.repeat(ends, count))
     states = pd.DataFrame({"vehicle": np.repeat(vehicle[begins], count), "step": wanted})
     for name, column, unit, zero in (
-        ("easting", "x_cm", CM, origin[0]), ("northing", "y_cm", CM, origin[1]),
-        ("speed", "speed_cms", CM, 0),
+        ("easting", "x_cm", _CM, origin[0]), ("northing", "y_cm", _CM, origin[1]),
+        ("speed", "speed_cms", _CM, 0),
     ):  # fmt: skip
         values = rows[column].to_numpy(np.float64) * unit + zero
         states[name] = values[before] + share * (values[after] - values[before])
-    heading = rows["heading_cdeg"].to_numpy(np.float64) * CM
+    heading = rows["heading_cdeg"].to_numpy(np.float64) * _CM
     turn = (heading[after] - heading[before] + 180.0) % 360.0 - 180.0
     states["heading"] = (heading[before] + share * turn + 180.0) % 360.0 - 180.0
     lanelet = rows["lanelet_id"]
     same = (lanelet.iloc[before].to_numpy() == lanelet.iloc[after].to_numpy()).astype(np.float64)
     states["lanelet_id"] = lanelet.iloc[before].array
     for name, column in (("s_m", "s_cm"), ("d_m", "d_cm")):
-        values = rows[column].to_numpy(np.float64, na_value=np.nan) * CM
+        values = rows[column].to_numpy(np.float64, na_value=np.nan) * _CM
         change = np.nan_to_num(values[after] - values[before])
         states[name] = values[before] + share * np.nan_to_num(same) * change
     states["seen"] = rows["seen"].to_numpy(np.bool_)[before]

@@ -60,7 +60,7 @@ from gis_radar.recordings import open_recording
 from gis_radar.scans import SightScan, SightTiles
 from gis_radar.tracking import map_of_tiles
 
-DATASET, PROVISIONAL, SIGHT = "dataset", "provisional", "sight"
+DATASET, _PROVISIONAL, SIGHT = "dataset", "provisional", "sight"
 QUARTER_US = HOUR_US // 4
 LOOKAHEAD_US = 60_000_000  # frames after a provisional quarter that its vehicles are found by
 
@@ -165,7 +165,7 @@ def resume_hours(site: MeasuredSite, spooled: Sequence[Path]) -> JobResult:
         hour = hour_of_time(time_of_name(path.stem))
         if hour not in done.hours and _is_newer(path, site.dataset, hour):
             done.hours.append(hour)
-    for path in sorted((site.folder / PROVISIONAL).glob("2*")):
+    for path in sorted((site.folder / _PROVISIONAL).glob("2*")):
         if Manifest.is_there(path / DATASET):
             quarter = time_of_name(path.name) // QUARTER_US
             done.quarters += _quarters_in(site, path / DATASET, [quarter])
@@ -222,7 +222,7 @@ def make_hours(
 def _remove_provisional(site: MeasuredSite, before_hour: int) -> None:
     """Remove the quarters of hours that are measured, and those of over a day ago."""
     made = read_hours(site.dataset)
-    for path in (site.folder / PROVISIONAL).glob("2*"):
+    for path in (site.folder / _PROVISIONAL).glob("2*"):
         hour = time_of_name(path.name) // HOUR_US
         if hour in made or hour < before_hour - QUARTERS_KEPT // 4:
             shutil.rmtree(path, ignore_errors=True)
@@ -322,7 +322,7 @@ def make_quarter(site: MeasuredSite, spooled: Sequence[Path], quarter: int) -> J
     """
     done = make_recordings(site, spooled)
     begin_us = quarter * QUARTER_US
-    path = site.folder / PROVISIONAL / name_of_time(begin_us)
+    path = site.folder / _PROVISIONAL / name_of_time(begin_us)
     span = (begin_us - HOUR_OFFSET_US, begin_us + QUARTER_US + LOOKAHEAD_US)
     with output_errors(path):
         shutil.rmtree(path, ignore_errors=True)

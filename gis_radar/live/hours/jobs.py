@@ -44,10 +44,10 @@ from gis_radar.live.state_file import StateFile
 SETTLE_S = 30.0  # longest wait for frames of all sensors, and the time after a late frame
 RETRY_S = 60.0  # time after which a job that failed is tried again
 NICE = 15  # niceness of the worker: the map has priority
-BACKLOG_S = 900.0  # backlog of hours from which on it is logged, and at each doubling
+_BACKLOG_S = 900.0  # backlog of hours from which on it is logged, and at each doubling
 _POLL_S = 0.1  # between two looks whether the last job has ended
 DOUBTS_FILE = "doubts.json"
-MOST_LOGGED = 1_000  # most warnings remembered, which are not logged again
+_MOST_LOGGED = 1_000  # most warnings remembered, which are not logged again
 
 Work = Callable[[MeasuredSite, Sequence[Path]], JobResult]
 
@@ -124,7 +124,7 @@ class HourJobs:
         self._running_quarter = 0  # quarter since 1970 at the last call of `poll`
         self._measured_quarter = 0  # the last measured one
         self._logged: set[str] = set()
-        self._retry_at, self._warned_s = 0.0, BACKLOG_S
+        self._retry_at, self._warned_s = 0.0, _BACKLOG_S
 
     def resume(self, spooled: Sequence[Path]) -> None:
         """Start with the hours that an earlier run left to be made."""
@@ -165,7 +165,7 @@ class HourJobs:
         failed = self._unmeasured.items()
         to_retry = (h for h, each in failed if now >= each.tried_in + each.quarters_to_wait)
         hours = sorted({*due, *to_retry})
-        if quarter is not None and self.behind_s < BACKLOG_S:  # first, as the page shows it
+        if quarter is not None and self.behind_s < _BACKLOG_S:  # first, as the page shows it
             left_out = quarter - self._measured_quarter - 1 if self._measured_quarter else 0
             self.quarters_left_out += max(left_out, 0)
             self._measured_quarter = quarter
@@ -208,7 +208,7 @@ class HourJobs:
                 self.behind_s / 60,
             )
         elif not due:
-            self._warned_s = BACKLOG_S
+            self._warned_s = _BACKLOG_S
 
     def begin(self, spooled: Sequence[Path]) -> None:
         """Start the waiting job, now that the spool is closed up to here."""
@@ -293,7 +293,7 @@ class HourJobs:
             words = " ".join(word for word in line.split() if not word[0].isdigit())
             if words not in self._logged:
                 self._logged = (
-                    {words} if len(self._logged) >= MOST_LOGGED else self._logged | {words}
+                    {words} if len(self._logged) >= _MOST_LOGGED else self._logged | {words}
                 )
                 self._reporter.warn(line)
 

@@ -41,8 +41,8 @@ from gis_radar.recordings import open_recording
 HOUR_US = 3_600_000_000
 HOUR_OFFSET_US = HOUR_MARGIN_STEPS * STEP_US  # from a full hour to begin and end of recordings
 RECORDINGS_FOLDER, PARTS_FOLDER = "recordings", "parts"
-FRAMES_AT_ONCE = 20_000  # most frames of a sensor in memory: a quarter of an hour
-REPEATED = ["time", "z", "range_rate", "rcs", "pose"]  # columns with few values, as sent
+_FRAMES_AT_ONCE = 20_000  # most frames of a sensor in memory: a quarter of an hour
+_REPEATED = ["time", "z", "range_rate", "rcs", "pose"]  # columns with few values, as sent
 _POSES = b"gis_radar.poses"  # key of the file's metadata
 _SCHEMA = pa.schema(
     [("time", pa.float64()), *((name, pa.float32()) for name in ("x", "y", "z")),
@@ -147,7 +147,7 @@ def _frames(
                 rows += [(each, pose.hex()) for each in frames]
             else:  # the record of its pose is damaged
                 file.damaged = True
-        if len(rows) >= FRAMES_AT_ONCE:
+        if len(rows) >= _FRAMES_AT_ONCE:
             yield rows
             rows = []
     if rows:
@@ -200,7 +200,7 @@ def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
         pq.write_table(
             table.replace_schema_metadata({_POSES: json.dumps(named, sort_keys=True)}),
             fresh, compression="zstd", row_group_size=ROWS_IN_GROUP,
-            use_dictionary=REPEATED, use_byte_stream_split=["x", "y"],
+            use_dictionary=_REPEATED, use_byte_stream_split=["x", "y"],
         )  # fmt: skip
 
 

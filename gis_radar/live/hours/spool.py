@@ -22,7 +22,7 @@ from gis_radar.live.wire.payload import check_of, stream_of, unpack_message
 
 # Kinds of records; a skipped one is a message that is not counted.
 HEAD_RECORD, POSE_RECORD, FRAMES_RECORD, SKIPPED_RECORD = range(4)
-ENDING = ".spool"
+_ENDING = ".spool"
 _BEGIN = struct.Struct(">II")  # begin of a record: its length, and the CRC-32 of its content
 _MOST_RECORD = 1 << 24  # most bytes of a record: the marks of thousands of sensors
 _ZEROS = bytes(8)  # may stand at the end after a power loss
@@ -192,7 +192,7 @@ class Spool:
         """
         before = (self._handle, self._size, self._written, self._path)
         numbers = [int(each.stem) for each in spool_files(self.folder)]
-        path = self.folder / f"{max(numbers, default=0) + 1:08d}{ENDING}"
+        path = self.folder / f"{max(numbers, default=0) + 1:08d}{_ENDING}"
         with output_errors(path):
             handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         self._handle, self._size, self._written, self._path = handle, 0, set(), path
@@ -236,7 +236,7 @@ def marks_in(head: bytes) -> dict[str, dict[str, Mark]]:
 
 def spool_files(folder: Path) -> list[Path]:
     """Return the files of a spool, in order."""
-    return sorted(each for each in folder.glob(f"*{ENDING}") if each.stem.isdigit())
+    return sorted(each for each in folder.glob(f"*{_ENDING}") if each.stem.isdigit())
 
 
 class SpoolFile:

@@ -12,7 +12,7 @@ from gis_radar.base import STEP_US, Booleans, Integers, iso_from_step
 from gis_radar.measures import valid_steps
 
 MOST_STEPS = 1_200  # most steps closed at once: after a longer pause the map starts from zero
-BACK_STEPS = 40  # clocks set back by more, 2 s, make the map start from zero
+_BACK_STEPS = 40  # clocks set back by more, 2 s, make the map start from zero
 
 
 class SensorReport(NamedTuple):
@@ -68,7 +68,7 @@ class Windows:
         last = (now_us - self._lateness_us) // STEP_US - 1
         if self._closed is None:
             self._closed = min(self._open, default=last + 1) - 1
-        if last < self._closed - BACK_STEPS:
+        if last < self._closed - _BACK_STEPS:
             # else no step would be closed until it is as late again
             self._closed = last - 1
             self._open = {step: seen for step, seen in self._open.items() if step >= last}

@@ -25,13 +25,13 @@ from gis_radar.tracking import (
 
 HEAVY_M = 7.0  # longer vehicles count as heavy (contract)
 _LENGTHS_M, _HEAVY_WIDTH_M, _WIDTH_M = (4.6, 18.75), 2.5, 1.85
-SURE_HITS = 6  # least detections of a shown vehicle
-FOLLOWED_S = 60.0  # longest time after its last detection that a vehicle is shown as followed
+_SURE_HITS = 6  # least detections of a shown vehicle
+_FOLLOWED_S = 60.0  # longest time after its last detection that a vehicle is shown as followed
 STANDING_S = 180.0  # time that a vehicle which stood when the filter lost it is still shown
-LEAVING_MPS = 0.7  # a vehicle that was faster when it was lost has left
+_LEAVING_MPS = 0.7  # a vehicle that was faster when it was lost has left
 _SAME_M = 2.5  # a vehicle found nearer than this to the place of a standing one is the same
 # Cross sections kept of a vehicle, and vehicles kept to distinguish walkers from.
-RCS_KEPT, VEHICLES_KEPT = 40, 400
+_RCS_KEPT, _VEHICLES_KEPT = 40, 400
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,11 +149,11 @@ class NowFilter:
             self._still_rcs += 0.05 * (known - self._still_rcs)
         for each in np.unique(number[number >= 0]).tolist():
             rows = number == each
-            found = self._known.pop(each, None) or _Learned(rcs=deque(maxlen=RCS_KEPT))
+            found = self._known.pop(each, None) or _Learned(rcs=deque(maxlen=_RCS_KEPT))
             found.rcs.extend(detections.rcs[rows].tolist())
             found.max_speed = max(found.max_speed, float(states[rows, columns.SPEED].max()))
             self._known[each] = found  # the latest is last
-        while len(self._known) > VEHICLES_KEPT:
+        while len(self._known) > _VEHICLES_KEPT:
             del self._known[next(iter(self._known))]
 
     def _persons(self) -> set[int]:
@@ -169,8 +169,8 @@ class NowFilter:
     def _show(self) -> None:
         """Update the shown vehicles by the filter's bodies, and hold those that it has lost."""
         bodies = self._filter.bodies
-        recent = bodies[:, columns.LAST_TIME] > self._reached - FOLLOWED_S
-        sure = (bodies[:, columns.DETECTION_COUNT] >= SURE_HITS) & recent
+        recent = bodies[:, columns.LAST_TIME] > self._reached - _FOLLOWED_S
+        sure = (bodies[:, columns.DETECTION_COUNT] >= _SURE_HITS) & recent
         persons = self._persons() if len(bodies) else set()
         alive: dict[int, Floats] = {}
         for body in bodies[sure]:
@@ -181,7 +181,7 @@ class NowFilter:
                 alive[number] = np.array([*centre, heading, body[columns.SPEED], front + rear])
         places = np.array([each[:2] for each in alive.values()]).reshape(-1, 2)
         for number, row in self._shown.items():
-            if number not in alive and row[3] < LEAVING_MPS:
+            if number not in alive and row[3] < _LEAVING_MPS:
                 self._standing[number] = np.array([*row, self._reached])
         for number in [*self._standing]:
             near = self._near(self._standing[number][:2], places)

@@ -25,11 +25,11 @@ from gis_radar.sample import sample_folder
 from gis_radar.scans import SightTiles
 from gis_radar.tracking import map_detections
 
-NOW_S, REORDER_S = 0.5, 0.3  # period of the results; how long frames wait for other sensors
-LONGEST_SHOWN_S = 5.0  # older results are not shown
+_NOW_S, _REORDER_S = 0.5, 0.3  # period of the results; how long frames wait for other sensors
+_LONGEST_SHOWN_S = 5.0  # older results are not shown
 MOST_WAITING = 20_000  # most messages that wait for the process: 10 s of a hundred sensors
-RESTART_S = 30.0  # time until a process that ended is started again
-SAMPLE_FRAMES = 100  # frames of the sample that are followed: in 5 s vehicles are found
+_RESTART_S = 30.0  # time until a process that ended is started again
+_SAMPLE_FRAMES = 100  # frames of the sample that are followed: in 5 s vehicles are found
 
 
 class PlacedMessage(NamedTuple):
@@ -93,14 +93,14 @@ class VehicleFollower:
         self._graph, self._newest = graph, -np.inf
 
     def advance(self, messages: Sequence[PlacedMessage]) -> VehiclesAnswer:
-        """Process messages, in order of time; return the vehicles `REORDER_S` before the newest."""
+        """Process messages by time; return the vehicles `_REORDER_S` before the newest."""
         for sensor, pose, road_m, content in messages:
             for frame in unpack_detections(content)[1]:
                 rows = frame.as_rows()
                 self._newest = max(self._newest, frame.time_us / 1e6)
                 present = rows_of(rows, rows.present)
                 self._filter.take(map_detections(present, pose, sensor, self._graph, road_m=road_m))
-        self._filter.advance(min(self._newest, time.time()) - REORDER_S)
+        self._filter.advance(min(self._newest, time.time()) - _REORDER_S)
         found = VehiclesAnswer(self._filter.now(), self._filter.late)
         self._filter.late = 0
         return found
@@ -126,7 +126,7 @@ def run_vehicles_once() -> None:
     roads, pose = read_map(sample / "junction.osm"), read_pose(sample / "R1.json")
     selector = DetectionSelector(SightTiles.of(make_tiles(roads)))
     following = VehicleFollower(lane_graph(roads.lanelets))
-    for frame in islice(frames_of_recording(sample / "R1.parquet"), SAMPLE_FRAMES):
+    for frame in islice(frames_of_recording(sample / "R1.parquet"), _SAMPLE_FRAMES):
         found = selector.find(frame, pose, road_m=np.nan)
         content = pack_detections([found], pose=bytes(POSE_BYTES))
         following.advance([PlacedMessage(0, pose, np.nan, content)])
@@ -155,7 +155,7 @@ class LiveVehicles:
     """
 
     def __init__(
-        self, graph: LaneGraph, sensors: Sequence[str], *, again_s: float = RESTART_S,
+        self, graph: LaneGraph, sensors: Sequence[str], *, again_s: float = _RESTART_S,
         reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.dropped = self.late = self.restarts = 0
@@ -196,7 +196,7 @@ class LiveVehicles:
                 self._restart_later(error)
         if self._pool is None and now >= self._start_at and self._start_at > 0.0:
             self.make_ready()
-        if self._pool is not None and self._waiting and now - self._answered_s >= NOW_S:
+        if self._pool is not None and self._waiting and now - self._answered_s >= _NOW_S:
             messages, self._waiting = self._waiting, []
             self._submitted = len(messages)
             try:
@@ -225,8 +225,8 @@ class LiveVehicles:
         self._now = VehiclesNow.none()
 
     def now(self) -> VehiclesNow:
-        """Return the vehicles of now; none once the last answer is older than `LONGEST_SHOWN_S`."""
-        is_recent = time.monotonic() - self._answered_s < LONGEST_SHOWN_S
+        """Return the vehicles of now; none if the last answer is older than `_LONGEST_SHOWN_S`."""
+        is_recent = time.monotonic() - self._answered_s < _LONGEST_SHOWN_S
         return self._now if is_recent else VehiclesNow.none()
 
     def figures(self) -> dict[str, float]:

@@ -32,11 +32,11 @@ _CONFORMANCE = [
     f"http://www.opengis.net/spec/ogcapi-features-1/1.0/conf/{part}"
     for part in ("core", "oas30", "geojson")
 ]
-JSON, GEOJSON = "application/json", "application/geo+json"
-OPENAPI = "application/vnd.oai.openapi+json;version=3.0"
+JSON, _GEOJSON = "application/json", "application/geo+json"
+_OPENAPI = "application/vnd.oai.openapi+json;version=3.0"
 _IDS = ("lanelet_id", "lane")  # text in JSON: they reach 9e18, exact numbers of readers only 9e15
 _LIMIT, _MOST = 1_000, 20_000  # features of a page by default, and at most
-COLLECTIONS = {  # title and description; the method of _Layers with this name returns the layer
+_COLLECTIONS = {  # title and description; the method of _Layers with this name returns the layer
     "tiles": ("Tiles", "Slices of 0.5 m of a lane that were observed in the last 15 minutes"),
     "vehicles": ("Vehicles", "Those of now: speed in m/s"),
     "lanes": ("Lanes", "Hit share of the last 15 minutes, traffic of the last measured quarter"),
@@ -86,7 +86,7 @@ class _Service:
             "description": "Which tiles of the roads are hit, now and lately",
             "links": [
                 _link(at, "self", JSON, "this page"),
-                _link(f"{at}/api", "service-desc", OPENAPI, "the API"),
+                _link(f"{at}/api", "service-desc", _OPENAPI, "the API"),
                 _link(f"{at}/conformance", "conformance", JSON, "conformance"),
                 _link(f"{at}/collections", "data", JSON, "the layers"),
             ],
@@ -97,11 +97,11 @@ class _Service:
         return JSONResponse({"conformsTo": _CONFORMANCE})
 
     def api(self, request: Request) -> Response:
-        return JSONResponse(_openapi(_root(request), self._title), media_type=OPENAPI)
+        return JSONResponse(_openapi(_root(request), self._title), media_type=_OPENAPI)
 
     def collections(self, request: Request) -> Response:
         at = _root(request)
-        found = [self._described(name, at) for name in COLLECTIONS]
+        found = [self._described(name, at) for name in _COLLECTIONS]
         links = [_link(f"{at}/collections", "self", JSON, "the layers")]
         return JSONResponse({"collections": found, "links": links})
 
@@ -109,9 +109,9 @@ class _Service:
         return JSONResponse(self._described(_chosen(request), _root(request)))
 
     def _described(self, name: str, at: str) -> dict[str, Any]:
-        title, description = COLLECTIONS[name]
+        title, description = _COLLECTIONS[name]
         here = f"{at}/collections/{name}"
-        links = [_link(f"{here}/items", "items", GEOJSON, title),
+        links = [_link(f"{here}/items", "items", _GEOJSON, title),
                  _link(here, "self", JSON, "this layer")]  # fmt: skip
         extent = {"spatial": {"bbox": [self._bounds], "crs": CRS84}}
         return {
@@ -124,11 +124,11 @@ class _Service:
         limit = min(_whole_number(request.query_params, "limit", _LIMIT, least=1), _MOST)
         offset = _whole_number(request.query_params, "offset", 0, least=0)
         shown = layer.iloc[offset : offset + limit]
-        links = [_link(str(request.url), "self", GEOJSON, "these features")]
+        links = [_link(str(request.url), "self", _GEOJSON, "these features")]
         if offset + limit < len(layer):
             after = request.url.include_query_params(offset=offset + limit, limit=limit)
             here = f"{_root(request)}/collections/{_chosen(request)}/items"
-            links.append(_link(f"{here}?{after.query}", "next", GEOJSON, "the next ones"))
+            links.append(_link(f"{here}?{after.query}", "next", _GEOJSON, "the next ones"))
         content = {
             "type": "FeatureCollection",
             "features": _features(shown),
@@ -136,7 +136,7 @@ class _Service:
             "numberReturned": len(shown),
             "links": links,
         }
-        return JSONResponse(content, media_type=GEOJSON)
+        return JSONResponse(content, media_type=_GEOJSON)
 
     def item(self, request: Request) -> Response:
         layer, number = self._layer(request), request.path_params["number"]
@@ -144,11 +144,11 @@ class _Service:
             raise HTTPException(404, f"{_chosen(request)} has no feature {number}")
         at = f"{_root(request)}/collections/{_chosen(request)}"
         links = [
-            _link(f"{at}/items/{number}", "self", GEOJSON, "this feature"),
+            _link(f"{at}/items/{number}", "self", _GEOJSON, "this feature"),
             _link(at, "collection", JSON, "its layer"),
         ]
         feature = _features(layer.loc[[number]])[0] | {"links": links}
-        return JSONResponse(feature, media_type=GEOJSON)
+        return JSONResponse(feature, media_type=_GEOJSON)
 
     def _layer(self, request: Request) -> gpd.GeoDataFrame:
         layer: gpd.GeoDataFrame = getattr(self._layers, _chosen(request))()
@@ -159,7 +159,7 @@ class _Service:
 def _chosen(request: Request) -> str:
     """Return the name of the requested collection."""
     name: str = request.path_params["name"]
-    if name not in COLLECTIONS:
+    if name not in _COLLECTIONS:
         raise HTTPException(404, f"there is no collection {name[:40]!r}")
     return name
 

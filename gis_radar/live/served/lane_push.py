@@ -26,7 +26,7 @@ from gis_radar.site import SensorThingsTable
 
 _FIRST_RETRY_S, _SLOWEST_RETRY_S = 30.0, 900.0
 _MOST_WAITING = 50_000  # most waiting measures: two days of 50 lanes by 15 minutes
-DIGITS = 3
+_DIGITS = 3
 
 
 class LanePush:
@@ -161,7 +161,7 @@ def _measures(quarter: QuarterMeasures) -> Iterator[LaneMeasure]:
         for lane, result, parameter in table.itertuples(index=False, name=None):
             yield LaneMeasure(
                 int(lane), name, end - STEPS_PER_QUARTER, end,
-                round(measure.scale * result, DIGITS), round(parameter, DIGITS),
+                round(measure.scale * result, _DIGITS), round(parameter, _DIGITS),
             )  # fmt: skip
 
 

@@ -53,16 +53,16 @@ from gis_radar.products import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colou
 from gis_radar.site import PageTable
 
 _LOGGER = logging.getLogger(__name__)
-EVENTS_PER_S = 3.0  # as a person can follow; a step is 50 ms
-MOST_QUEUED = 8  # most events that a slow reader may lag behind; then the whole map is sent again
+_EVENTS_PER_S = 3.0  # as a person can follow; a step is 50 ms
+_MOST_QUEUED = 8  # most events that a slow reader may lag behind; then the whole map is sent again
 MOST_READERS = 200  # p99 of 50 readers at 4 Hz is 10 ms; a city's page needs a proxy
-COOKIE = "gis_radar"
-WEB = Path(__file__).parents[1] / "web"
+_COOKIE = "gis_radar"
+_WEB = Path(__file__).parents[1] / "web"
 _TEMPLATE = Environment(
     autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-).from_string((WEB / "page.html").read_text(encoding="utf-8"))
+).from_string((_WEB / "page.html").read_text(encoding="utf-8"))
 # Parts of German words before which a phone may break them: browsers do not know all syllables.
-SYLLABLE_BREAKS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|fahrten|stau|zyklen)")
+_SYLLABLE_BREAKS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|fahrten|stau|zyklen)")
 # Colour of a tile that is hit now: no colour of the ramp is blue, nor one as light as this for the
 # red-green blind, to whom the ramp's purple is a deep blue.
 HIT_COLOUR = "#0090e0"
@@ -113,7 +113,7 @@ def make_app(live: ShownMap, token: str = "") -> Starlette:
         Route("/events", changes),
         Route("/metrics", answers.metrics),
         *feature_routes(live),
-        Mount("/web", StaticFiles(directory=WEB)),
+        Mount("/web", StaticFiles(directory=_WEB)),
     ]
     return Starlette(
         routes=routes,
@@ -180,10 +180,10 @@ class _Guard:
         if self._is_token(given) and request.url.path == "/":
             asked = request.url.remove_query_params("token").query
             answer = RedirectResponse(f"/?{asked}" if asked else "/", 303)
-            answer.set_cookie(COOKIE, given, httponly=True, samesite="strict")
+            answer.set_cookie(_COOKIE, given, httponly=True, samesite="strict")
             return answer
         bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
-        shown = (given, bearer, request.cookies.get(COOKIE, ""))
+        shown = (given, bearer, request.cookies.get(_COOKIE, ""))
         if any(self._is_token(each) for each in shown):
             return None
         return refusal(request, 401, "a token is needed", {"WWW-Authenticate": "Bearer"})
@@ -214,7 +214,7 @@ class Changes:
             return
         if not self._readers:
             self._shown = whole_event(self._live.place, self._live.snapshot())
-        queue: asyncio.Queue[str | None] = asyncio.Queue(MOST_QUEUED)
+        queue: asyncio.Queue[str | None] = asyncio.Queue(_MOST_QUEUED)
         queue.put_nowait("retry: 2000\n\n" + _event("map", self._shown))
         self._readers.add(queue)
         try:
@@ -224,9 +224,9 @@ class Changes:
             self._readers.discard(queue)
 
     async def run(self) -> None:
-        """Send changes of the map `EVENTS_PER_S` times a second while there are readers."""
+        """Send changes of the map `_EVENTS_PER_S` times a second while there are readers."""
         while True:
-            await asyncio.sleep(1.0 / EVENTS_PER_S)
+            await asyncio.sleep(1.0 / _EVENTS_PER_S)
             if self._readers:
                 try:
                     self._send(self._live.snapshot())
@@ -366,7 +366,7 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
         return _TEMPLATE.render(
             place=place, followed=followed, legends=_legends(language, followed=followed),
             language=language, tr=tr, words=words, colours=colours, languages=LANGUAGES,
-            seamed=lambda text: SYLLABLE_BREAKS.sub("\u00ad", text),
+            seamed=lambda text: _SYLLABLE_BREAKS.sub("\u00ad", text),
         )  # fmt: skip
 
 

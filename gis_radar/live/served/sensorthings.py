@@ -26,10 +26,10 @@ from gis_radar.live.wire.settings import LOOPBACK, read_secret
 from gis_radar.site import SensorThingsTable
 
 _TIMEOUT_S = 30.0
-OBSERVATIONS_AT_ONCE = 500  # observations in a request
-COMPARED_INTERVALS = 100  # intervals of a lane that are requested from a server: one page of FROST
-MEASUREMENT = "http://www.opengis.net/def/observationType/OGC-OM/2.0/OM_Measurement"
-QUDT = "https://qudt.org/vocab/unit"
+_OBSERVATIONS_AT_ONCE = 500  # observations in a request
+_COMPARED_INTERVALS = 100  # intervals of a lane that are requested from a server: one page of FROST
+_MEASUREMENT = "http://www.opengis.net/def/observationType/OGC-OM/2.0/OM_Measurement"
+_QUDT = "https://qudt.org/vocab/unit"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class Measure:
     name, about : str
         Name and description of its ObservedProperty.
     unit : tuple of str
-        Name and symbol of its unit, and the name in the QUDT vocabulary.
+        Name and symbol of its unit, and the name in the _QUDT vocabulary.
     parameter : str
         Name of the parameter beside each result.
     scale : float
@@ -272,7 +272,7 @@ class LaneServer:
         """
         refused = 0
         rows = self._not_stored(measures) if again else iter(measures)
-        while part := list(islice(rows, OBSERVATIONS_AT_ONCE)):
+        while part := list(islice(rows, _OBSERVATIONS_AT_ONCE)):
             refused += self._create(part)
         return refused
 
@@ -285,11 +285,11 @@ class LaneServer:
     def _stored_begins(self, lane: int, measure: str) -> tuple[set[int], float]:
         """Return begins (steps) of the intervals on the server, and since when all count."""
         path = f"Datastreams({_key(self._stream(lane, measure))})/Observations"
-        asked = f"$orderby=phenomenonTime%20desc&$top={COMPARED_INTERVALS}&$select=phenomenonTime"
+        asked = f"$orderby=phenomenonTime%20desc&$top={_COMPARED_INTERVALS}&$select=phenomenonTime"
         rows, more = self._service.rows(f"{path}?{asked}")
         texts = (str(each.get("phenomenonTime", "")).partition("/")[0] for each in rows)
         begins = {step for text in texts if (step := _step_of(text)) is not None}
-        is_complete = not begins or not (more or len(rows) >= COMPARED_INTERVALS)
+        is_complete = not begins or not (more or len(rows) >= _COMPARED_INTERVALS)
         return begins, -math.inf if is_complete else min(begins)
 
     def _create(self, measures: Sequence[LaneMeasure]) -> int:
@@ -338,8 +338,8 @@ class LaneServer:
         }
         return {
             "name": name, "description": f"{about.name.capitalize()} of lane {lane}",
-            "observationType": MEASUREMENT,
-            "unitOfMeasurement": {"name": unit, "symbol": symbol, "definition": f"{QUDT}/{word}"},
+            "observationType": _MEASUREMENT,
+            "unitOfMeasurement": {"name": unit, "symbol": symbol, "definition": f"{_QUDT}/{word}"},
             **{entity: {"@iot.id": found} for entity, found in ids.items()},
         }  # fmt: skip
 

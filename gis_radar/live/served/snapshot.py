@@ -44,8 +44,8 @@ from gis_radar.products import BREAKS, lane_totals, lanes_with_tiles
 
 NO_CLASS = -1  # in place of a class
 DEGREES = 7  # digits after the point of a degree: a centimetre
-RINGS = 1_000  # most rings of views in the cache: poses of a following sensor change every 5 s
-RATE_S = 10.0  # time over which frames are counted
+_RINGS = 1_000  # most rings of views in the cache: poses of a following sensor change every 5 s
+_RATE_S = 10.0  # time over which frames are counted
 _GEOGRAPHIC = "OGC:CRS84"  # longitude, latitude: as web maps and OGC API - Features use
 
 
@@ -120,7 +120,7 @@ class Place:
         """Return the outline of a sensor's view: a ring of longitudes and latitudes."""
         key = (pose.easting, pose.northing, pose.yaw, pose.pitch, pose.roll, pose.view)
         if key not in self._rings:
-            if len(self._rings) >= RINGS:
+            if len(self._rings) >= _RINGS:
                 self._rings.clear()
             ring = np.asarray(pose.outline().exterior.coords)[:, :2]
             east, north = self._to_degrees.transform(*ring.T)
@@ -303,12 +303,12 @@ class ShownMap:
         return self._fusion.metrics()
 
     def _rates(self) -> dict[str, float]:
-        """Return the frames a second of each sensor over the last `RATE_S`."""
+        """Return the frames a second of each sensor over the last `_RATE_S`."""
         now = time.monotonic()
         counts = {name: each.health.counts["frames"] for name, each in self._fusion.sensors.items()}
         with self._lock:
             self._frames.append((now, counts))
-            while now - self._frames[0][0] > RATE_S and len(self._frames) > 1:
+            while now - self._frames[0][0] > _RATE_S and len(self._frames) > 1:
                 self._frames.popleft()
             since, before = self._frames[0]
         passed_s = max(now - since, 1e-3)

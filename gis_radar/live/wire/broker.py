@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 LIVE = "pip install gis_radar[live]"
 TOPICS = "v1"  # the version of the tree of topics
 FUSION = "fusion"  # fusion's name in topics, and its user name at the broker
-PORTS = {"mqtt": 1883, "mqtts": 8883}
-KEEP_ALIVE_S = 10  # a cut link is noticed after 1.5 times this
+_PORTS = {"mqtt": 1883, "mqtts": 8883}
+_KEEP_ALIVE_S = 10  # a cut link is noticed after 1.5 times this
 _SLOWEST_RETRY_S = 30
 IN_FLIGHT = 100  # messages sent before the broker has confirmed the first
 _TAKEN_OVER, _REFUSED = 142, range(128, 256)  # reason codes of MQTT 5
 # Short links in this time that no restart explains: another program has the same name.
-SHORT_LINKS, SHORT_LINKS_WITHIN_S = 3, 120.0
+_SHORT_LINKS, _SHORT_LINKS_WITHIN_S = 3, 120.0
 _POLL_S = 0.005  # between two looks at an empty queue
-SHORT_LINK_S = 10.0  # duration below which a link is short
+_SHORT_LINK_S = 10.0  # duration below which a link is short
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class BrokerAddress:
             )
         try:
             parts = urlsplit(address)
-            port = PORTS[parts.scheme] if parts.port is None else parts.port
+            port = _PORTS[parts.scheme] if parts.port is None else parts.port
             fits = bool(parts.hostname and port) and not (
                 parts.path.strip("/") or parts.query or parts.fragment
             )
@@ -150,7 +150,7 @@ class Link:
         self._address, self._name, self._topics = address, name, topics
         self._reporter, self._logged = reporter, ""
         self._received: SimpleQueue[Received] = SimpleQueue()
-        self._taken: deque[float] = deque(maxlen=SHORT_LINKS)
+        self._taken: deque[float] = deque(maxlen=_SHORT_LINKS)
         self._connected, self._refusing, self._since = False, False, 0.0
         self._client = self._new_client(will)
 
@@ -184,7 +184,7 @@ class Link:
     def open(self) -> None:
         """Start connecting in the background."""
         self._client.connect_async(
-            self._address.host, self._address.port, keepalive=KEEP_ALIVE_S, clean_start=True,
+            self._address.host, self._address.port, keepalive=_KEEP_ALIVE_S, clean_start=True,
             properties=self._properties,
         )  # fmt: skip
         self._client.loop_start()
@@ -267,9 +267,9 @@ class Link:
             return
         now = time.monotonic()
         # Mosquitto 2.0 sends no reason code when another program takes the name over.
-        if _code(reason) == _TAKEN_OVER or now - self._since < SHORT_LINK_S:
+        if _code(reason) == _TAKEN_OVER or now - self._since < _SHORT_LINK_S:
             self._taken.append(now)
-        if len(self._taken) == SHORT_LINKS and now - self._taken[0] < SHORT_LINKS_WITHIN_S:
+        if len(self._taken) == _SHORT_LINKS and now - self._taken[0] < _SHORT_LINKS_WITHIN_S:
             # reconnect slowly: the other program is served meanwhile, and both report it
             self._client.reconnect_delay_set(_SLOWEST_RETRY_S // 2, _SLOWEST_RETRY_S)
             self._log_once("the broker ends each link soon: has another program the same name?")

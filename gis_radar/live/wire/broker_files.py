@@ -17,9 +17,9 @@ from gis_radar.live.wire.outbox import UNACKNOWLEDGED
 from gis_radar.live.wire.payload import MOST_BYTES
 from gis_radar.live.wire.settings import LiveSite, read_live_site, webhook_address
 
-CONFIG, ACCESS, PASSWORDS = "mosquitto.conf", "access", "passwords"
+_CONFIG_FILE, ACCESS, _PASSWORDS = "mosquitto.conf", "access", "passwords"
 # Begins of names in the folder; files of TLS, `server.*`, come from elsewhere and stay.
-_OWNED = (CONFIG, ACCESS, PASSWORDS, "gis-radar-", "password_of_", "server.")
+_OWNED = (_CONFIG_FILE, ACCESS, _PASSWORDS, "gis-radar-", "password_of_", "server.")
 _ROUNDS, _SALT_BYTES = 101, 12  # as in Mosquitto's own mosquitto_passwd
 _HEADER_BYTES = 1024  # bytes of a message beside its content: topic and properties
 
@@ -53,9 +53,9 @@ def write_broker_files(
     known = {user: _password(place / f"password_of_{user}") for user in users}
     with atomic_folder(place, owned=_OWNED) as part:
         texts = {
-            CONFIG: broker_config(site, place.resolve()),
+            _CONFIG_FILE: broker_config(site, place.resolve()),
             ACCESS: broker_access(site.live.site),
-            PASSWORDS: password_lines(known),
+            _PASSWORDS: password_lines(known),
             **{f"password_of_{user}": f"{password}\n" for user, password in known.items()},
             **units(site, Path(path).resolve(), place.resolve(), options),
         }
@@ -106,7 +106,7 @@ def broker_config(site: LiveSite, folder: Path) -> str:
     # Twice the messages that all sensors together may have sent unacknowledged.
     queued = 2 * UNACKNOWLEDGED * len(site.sensor)
     return _CONFIG.format(
-        port=address.port, passwords=folder / PASSWORDS, access=folder / ACCESS,
+        port=address.port, passwords=folder / _PASSWORDS, access=folder / ACCESS,
         size=MOST_BYTES + _HEADER_BYTES, in_flight=IN_FLIGHT, queued=queued,
         queued_bytes=queued * 2048,
     ) + (_TLS.format(folder=folder) if address.tls else "")  # fmt: skip
@@ -189,7 +189,7 @@ def units(site: LiveSite, file: Path, folder: Path, options: Sequence[str] = ())
     at_sensor = {"user": _USER, "folder": _SENSOR_FOLDER}
     name = site.live.site
     services = {
-        "broker": (f"Broker of {name}", (broker, "-c", str(folder / CONFIG)), here),
+        "broker": (f"Broker of {name}", (broker, "-c", str(folder / _CONFIG_FILE)), here),
         "live": (f"Live map of {name}", (program, "live", file.name, *options), here),
         # The instance is the sensor: gis-radar-edge@R1 runs R1.toml.
         "edge@": (f"Radar %i of {name}", (_PROGRAM, "edge", "%i.toml"), at_sensor),

@@ -17,8 +17,8 @@ from gis_radar.base import GisRadarError, InputError, OutputError, Text
 from gis_radar.live.wire.payload import STREAM_BYTES, VERSION
 
 _LOCK_S = 1.0  # wait for another program to release the file
-LAST_NUMBER = 1 << 62  # largest number of a message, so that the next ones fit in 64 bits
-CHECK_EVERY = 64  # messages between two checks of the size
+_LAST_NUMBER = 1 << 62  # largest number of a message, so that the next ones fit in 64 bits
+_CHECK_EVERY = 64  # messages between two checks of the size
 _APPLICATION = b"grbu"  # mark of a buffer in the file's header
 _TABLE = """CREATE TABLE IF NOT EXISTS {} (
     number INTEGER PRIMARY KEY CHECK (number BETWEEN 1 AND {}),
@@ -27,14 +27,14 @@ _SCHEMA = f"""
 PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL;
 PRAGMA locking_mode = EXCLUSIVE; PRAGMA wal_autocheckpoint = 400;
 CREATE TABLE IF NOT EXISTS notes (name TEXT PRIMARY KEY, value BLOB NOT NULL) WITHOUT ROWID;
-{_TABLE.format("messages", LAST_NUMBER, "content", "content")}
-{_TABLE.format("poses", LAST_NUMBER, "message", "message")}
+{_TABLE.format("messages", _LAST_NUMBER, "content", "content")}
+{_TABLE.format("poses", _LAST_NUMBER, "message", "message")}
 """
 _TABLE_CHECKS = ("SELECT number, content FROM messages", "SELECT number, message FROM poses")
 # Begins of SQLite's error names that mean no damage: the file is in use, or the disk full or gone.
 _NOT_DAMAGE = ("BUSY", "LOCKED", "FULL", "IOERR", "READONLY", "CANTOPEN", "NOMEM", "PERM", "AUTH")
 _HEADER = (b"SQLite format 3\0", slice(68, 72))  # begin of the file, and place of the mark in it
-OTHER_TILES, DAMAGED = "what waited speaks of other tiles", "it is damaged"
+_OTHER_TILES, DAMAGED = "what waited speaks of other tiles", "it is damaged"
 
 
 class Waiting(NamedTuple):
@@ -99,7 +99,7 @@ class DiskBuffer:
         with _errors(path):
             self._refuse_foreign()
             if (found_mark := self._open()) not in {mark, b""}:
-                self._put_aside(DAMAGED if found_mark is None else OTHER_TILES)
+                self._put_aside(DAMAGED if found_mark is None else _OTHER_TILES)
                 self._open()
             self._database.execute("INSERT OR REPLACE INTO notes VALUES ('of', ?)", (mark,))
         first, last, pose = self._row(
@@ -184,7 +184,7 @@ class DiskBuffer:
         FullError
             If the buffer or the disk is full: the message is not taken.
         """
-        if self._appended % CHECK_EVERY == 0 and self.bytes_used > self._most_bytes:
+        if self._appended % _CHECK_EVERY == 0 and self.bytes_used > self._most_bytes:
             raise FullError(
                 "{}: the buffer is full ({:,.0f} MB)",
                 self.path,

@@ -27,10 +27,10 @@ from gis_radar.scans import SightTiles
 from gis_radar.tracking import HEIGHT_RAD, HIGH_M, LOW_M, NOISE_S, SLOW_MPS, still_rate
 
 _UNITS, _RATES = 250, 500  # units in a metre, and in a metre a second
-UNKNOWN_Z, UNKNOWN_DB = -2_500_000, -128  # no elevation, no cross section
-UNKNOWN_RATE = -2_500_000
+UNKNOWN_Z, _UNKNOWN_DB = -2_500_000, -128  # no elevation, no cross section
+_UNKNOWN_RATE = -2_500_000
 FARTHEST = 25_000_000  # largest coordinate: 100 km
-MOST_DETECTIONS = 20_000  # most detections of a frame: a radar sends hundreds
+_MOST_DETECTIONS = 20_000  # most detections of a frame: a radar sends hundreds
 _COLUMNS = 5
 _MOST_LOW = 40  # most bits of a remainder
 _LAST_SHIFT = 56  # shift of the last byte of a varint under 2**63
@@ -50,9 +50,9 @@ class FrameDetections:
         Sensor frame, 4 mm: x forward, y left, z up; `UNKNOWN_Z` for a z that is not measured.
     rates : (n,) int64 array
         Range rate, 2 mm/s, positive when receding, cut towards zero; 0 within the noise,
-        `UNKNOWN_RATE` where it is not known.
+        `_UNKNOWN_RATE` where it is not known.
     rcs_db : (n,) int64 array
-        Cross section, dBm2; `UNKNOWN_DB` where it is not known.
+        Cross section, dBm2; `_UNKNOWN_DB` where it is not known.
     """
 
     time_us: int
@@ -70,10 +70,10 @@ class FrameDetections:
             )  # fmt: skip
         points = self.points / _UNITS
         points[self.points[:, 2] == UNKNOWN_Z, 2] = np.nan
-        rcs = np.where(self.rcs_db == UNKNOWN_DB, np.nan, self.rcs_db.astype(np.float64))
+        rcs = np.where(self.rcs_db == _UNKNOWN_DB, np.nan, self.rcs_db.astype(np.float64))
         # the middle of the rates that are cut to the same number
         rates = (self.rates + 0.5 * np.sign(self.rates)) / _RATES
-        rates[self.rates == UNKNOWN_RATE] = np.nan
+        rates[self.rates == _UNKNOWN_RATE] = np.nan
         time = np.full(len(points), self.time_us / 1e6)
         return Detections(
             time=time, points=_as_float32(points), range_rate=_as_float32(rates), rcs=rcs,
@@ -130,9 +130,9 @@ class DetectionSelector:
             time_us=int(np.rint(time * 1e6)),
             points=_rounded(_UNITS * points, UNKNOWN_Z),
             rates=_rounded(
-                np.where(still, 0.0, np.trunc(np.round(_RATES * rate, 3))), UNKNOWN_RATE
+                np.where(still, 0.0, np.trunc(np.round(_RATES * rate, 3))), _UNKNOWN_RATE
             ),
-            rcs_db=_rounded(rcs, UNKNOWN_DB),
+            rcs_db=_rounded(rcs, _UNKNOWN_DB),
         )
 
     def _learn(self, frame: Detections, time: float) -> None:
@@ -199,7 +199,7 @@ def unpack_detections(content: bytes) -> tuple[bytes, tuple[FrameDetections, ...
     for _ in range(count):
         time_us += read.take()
         size = read.take()
-        if size > min(MOST_DETECTIONS, 8 * (len(content) - read.at)):
+        if size > min(_MOST_DETECTIONS, 8 * (len(content) - read.at)):
             raise InputError("a frame of {} detections in {} bytes", size, len(content))
         columns = np.empty((_COLUMNS, size), np.int64)
         if size:

@@ -21,15 +21,15 @@ from gis_radar.live.wire.payload import (
     pack_message,
 )
 
-AT_ONCE = 100  # most messages read from the buffer at once
+_AT_ONCE = 100  # most messages read from the buffer at once
 # Messages sent ahead of the acknowledgement at first, and after a loss: 2 s of a radar, the way to
 # fusion's disk and back. More follow as acknowledgements come (slow start, RFC 5681): if many
 # sensors sent all again at once, copies of stored messages would fill the broker.
-FIRST_AHEAD = 40
+_FIRST_AHEAD = 40
 UNACKNOWLEDGED = 400  # most messages ahead of the acknowledgement: 20 s of a radar
 # Time without an acknowledgement after which messages are sent again, and twice that each further
 # time, up to the longest: an outage of a night then costs a few MB of traffic.
-RESEND_S, SLOWEST_RESEND_S = 15.0, 300.0
+_RESEND_S, _SLOWEST_RESEND_S = 15.0, 300.0
 STATUS_S = 2.0  # between two reports of a sensor's state
 ONLINE_STATUS, OFFLINE_STATUS = "online", "offline"
 
@@ -70,11 +70,11 @@ class Outbox:
         self.lost, self.stored = 0, buffer.stored
         self._buffer, self._link, self._topics = buffer, link, topics
         self._figures, self._reporter = figures, reporter
-        self._ahead = FIRST_AHEAD
+        self._ahead = _FIRST_AHEAD
         self._sent, self._connections, self._pose_sent = self.stored, 0, b""
         self._session, self._resend, self._refused = "", 0, ""
         self._progress = self._reported = time.monotonic()
-        self._resend_wait_s = RESEND_S
+        self._resend_wait_s = _RESEND_S
         self._drop_error = ""
         self._full = self._too_long = False
 
@@ -135,7 +135,7 @@ class Outbox:
             )
             self._link.publish(self._topics.of("status"), status, retain=True)
         if self._unacknowledged and now - self._progress > self._resend_wait_s:
-            self._resend_wait_s = min(2 * self._resend_wait_s, SLOWEST_RESEND_S)
+            self._resend_wait_s = min(2 * self._resend_wait_s, _SLOWEST_RESEND_S)
             self._rewind()
         self._send()
 
@@ -143,7 +143,7 @@ class Outbox:
         """Send waiting messages, as many ahead of the acknowledgement as allowed now."""
         ahead = min(self._ahead, UNACKNOWLEDGED)
         while not self.empty and (room := ahead - self._unacknowledged) > 0:
-            waiting = list(self._buffer.read_after(self._sent, min(room, AT_ONCE)))
+            waiting = list(self._buffer.read_after(self._sent, min(room, _AT_ONCE)))
             if not waiting:
                 return
             if not self._unacknowledged:
@@ -169,7 +169,7 @@ class Outbox:
 
     def _rewind(self) -> None:
         """Start to send all messages that fusion has not stored again, slowly at first."""
-        self._ahead = FIRST_AHEAD
+        self._ahead = _FIRST_AHEAD
         self._sent, self._progress, self._pose_sent = self.stored, time.monotonic(), b""
 
     def _drop(self) -> None:
@@ -204,7 +204,7 @@ class Outbox:
             self._ahead = min(self._ahead + acknowledgement.stored - self.stored, UNACKNOWLEDGED)
             self.stored = acknowledgement.stored
             self._drop()
-            self._progress, self._resend_wait_s = time.monotonic(), RESEND_S
+            self._progress, self._resend_wait_s = time.monotonic(), _RESEND_S
             self._sent = max(self._sent, self.stored)
         if (acknowledgement.session, acknowledgement.resend) != (self._session, self._resend):
             self._session, self._resend = acknowledgement.session, acknowledgement.resend

@@ -22,7 +22,7 @@ VERSION = 2
 DETECTIONS_TOPIC, POSE_TOPIC = "detections", "pose"  # topics
 _LIVE, _FIRST = 0x80, 0x40  # flags: sent at once; no earlier message is in the sensor's buffer
 _HEAD = struct.Struct(">BB4s")
-HEAD_BYTES = _HEAD.size  # bytes before the number
+_HEAD_BYTES = _HEAD.size  # bytes before the number
 STREAM_BYTES, POSE_BYTES = 4, 4  # bytes of a stream's id, and of a pose's key
 MOST_BYTES = 65_536  # most bytes of a message; a frame takes 350
 MOST_FRAMES = 100  # most frames of a message
@@ -88,7 +88,7 @@ def unpack_message(data: bytes) -> tuple[Envelope, bytes]:
 
 def stream_of(message: bytes) -> str:
     """Return the stream of a message in hexadecimal digits."""
-    return message[HEAD_BYTES - STREAM_BYTES : HEAD_BYTES].hex()
+    return message[_HEAD_BYTES - STREAM_BYTES : _HEAD_BYTES].hex()
 
 
 class VersionError(InputError):

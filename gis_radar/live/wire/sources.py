@@ -28,7 +28,7 @@ from gis_radar.recordings import (
 )
 
 IDLE_S = 0.02  # between two looks while there is no frame
-SET_BACK_S = 0.5  # a frame earlier by less came out of order; by more, the clock was set back
+_SET_BACK_S = 0.5  # a frame earlier by less came out of order; by more, the clock was set back
 _WAITING_FRAMES = 1_000  # most frames of a radar that wait to be processed: 50 s
 Frames = Iterator[Detections | None]
 
@@ -171,7 +171,7 @@ class Radar:
         usable = frame.without_unusable(self.counts)
         time_us = round(self._time(usable) * 1e6)
         back_s = (self._last_us - time_us) / 1e6
-        if 0.0 <= back_s < SET_BACK_S:
+        if 0.0 <= back_s < _SET_BACK_S:
             self.counts["frames_out_of_order"] += 1
             return None
         if back_s > 0.0:  # else all would be left out until it is as late again

@@ -31,7 +31,7 @@ from gis_radar.products.comparison.result import Comparison, Period
 from gis_radar.products.comparison.rows import AlikeRows, compared_rows
 
 INTERVAL, _FINER = "15min", "1min"
-FEW_HOURS = 12  # periods up to so long have too few quarters of an hour: `_FINER` is used
+_FEW_HOURS = 12  # periods up to so long have too few quarters of an hour: `_FINER` is used
 
 
 def compare(
@@ -160,7 +160,7 @@ def _rows(
             min(methods)[1],
             hint="compare periods that were measured alike",
         )
-    few = max(map(len, records)) <= FEW_HOURS
+    few = max(map(len, records)) <= _FEW_HOURS
     exact = not any(hour.dropped for each in records for hour in each.values())
     interval = _FINER if few and exact else INTERVAL
     return [_rows_of(*source, interval, days, language) for source in sources]
@@ -239,9 +239,9 @@ def _compared(
     )  # fmt: skip
 
 
-ACTIVE_SHARE = 0.9  # least recorded share of an interval of a sensor that counts as present
-SEPARATOR = "\x1f"  # separator of sensors' names, which may hold a comma
-ALIKE_SHARE = 0.9  # least share, of the lane's tiles seen in either period, that is seen in both
+_ACTIVE_SHARE = 0.9  # least recorded share of an interval of a sensor that counts as present
+_SEPARATOR = "\x1f"  # separator of sensors' names, which may hold a comma
+_ALIKE_SHARE = 0.9  # least share, of the lane's tiles seen in either period, that is seen in both
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -307,7 +307,7 @@ def _seconds(times: pd.Series) -> Floats:
 
 def _joined_names(sensors: Sequence[str], row: Booleans) -> str | None:
     return (
-        SEPARATOR.join(name for name, is_there in zip(sensors, row, strict=True) if is_there)
+        _SEPARATOR.join(name for name, is_there in zip(sensors, row, strict=True) if is_there)
         or None
     )
 
@@ -322,8 +322,8 @@ def _activity(
         overlap = np.minimum(end, last) - np.maximum(begin, first)
         seconds[:, sensors.index(sensor)] += np.maximum(overlap, 0.0)
     share = seconds / (end - begin)[:, None]
-    active = share >= ACTIVE_SHARE
-    return active, (share > 1.0 - ACTIVE_SHARE) & ~active
+    active = share >= _ACTIVE_SHARE
+    return active, (share > 1.0 - _ACTIVE_SHARE) & ~active
 
 
 def _tiles_by_lane(
@@ -343,7 +343,7 @@ def _tiles_by_lane(
 
 def shown_names(watchers: str) -> str:
     """Return the joined names of sensors separated by commas, for texts."""
-    return ", ".join(watchers.split(SEPARATOR))
+    return ", ".join(watchers.split(_SEPARATOR))
 
 
 def seen_alike(before: LaneSights, after: LaneSights, lane: int) -> tuple[str | None, str]:
@@ -357,8 +357,8 @@ def seen_alike(before: LaneSights, after: LaneSights, lane: int) -> tuple[str | 
         seen = (shown_names(next(iter(count.index), "-")) for count in counts)
         return None, " / ".join(seen)
     watchers = str(max(sorted(both), key=lambda name: min(count[name] for count in counts)))
-    for sensor in watchers.split(SEPARATOR):
+    for sensor in watchers.split(_SEPARATOR):
         first, second = (each.tiles[sensor, lane] for each in (before, after))
-        if len(first & second) < ALIKE_SHARE * len(first | second):
+        if len(first & second) < _ALIKE_SHARE * len(first | second):
             return None, f"{sensor}: {len(first)} / {len(second)}"
     return watchers, ""

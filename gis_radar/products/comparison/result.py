@@ -44,7 +44,7 @@ _LAYER = "comparison"
 # Classes of the difference in percent: colours without red and green, grey where none is reported.
 _MOST = 999.0  # largest percentage shown, also for what was 0 before
 _BREAKS = (-1000.0, -25.0, -10.0, -1e-9, 1e-9, 10.0, 25.0, 1000.0)
-COLOURS = ("#7f3b08", "#d08020", "#f0c080", "#9a9a9a", "#b2abd2", "#8073ac", "#2d004b")
+_COLOURS = ("#7f3b08", "#d08020", "#f0c080", "#9a9a9a", "#b2abd2", "#8073ac", "#2d004b")
 _NOT_COMPARED: dict[str, Any] = {"color": "#dddddd", "linewidth": 1.2}
 _SECTIONS = {
     1: Text("Better"), -1: Text("Worse"), 0: Text("Volumes and speeds"),
@@ -189,7 +189,7 @@ def _write_layer(table: gpd.GeoDataFrame, path: Path) -> None:
 
 def change_classes() -> Iterator[LineClass]:
     """Yield the classes of change, percent."""
-    for (low, high), colour in zip(pairwise(_BREAKS), COLOURS, strict=True):
+    for (low, high), colour in zip(pairwise(_BREAKS), _COLOURS, strict=True):
         if low < 0.0 < high:
             label = tr("no change is told")
         elif low == _BREAKS[0] or high == _BREAKS[-1]:
@@ -215,8 +215,8 @@ def draw_changes(comparison: Comparison, path: Path) -> None:
             known = table[table[f"{measure}_before"].notna()]
             table.plot(ax=ax, **_NOT_COMPARED)
             change = known[f"{measure}_change"].to_numpy(np.float64)
-            k = np.clip(np.searchsorted(_BREAKS, change, side="right") - 1, 0, len(COLOURS) - 1)
-            known.plot(ax=ax, color=np.array(COLOURS)[k].tolist(), linewidth=2.6)
+            k = np.clip(np.searchsorted(_BREAKS, change, side="right") - 1, 0, len(_COLOURS) - 1)
+            known.plot(ax=ax, color=np.array(_COLOURS)[k].tolist(), linewidth=2.6)
             ax.set_title(tr(COMPARED[measure].title))
             ax.set_axis_off()
             ax.set_aspect("equal")

@@ -164,7 +164,7 @@ def with_verdicts(table: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-LONGEST_MIN = 5  # minutes over which a queue's farthest back is taken, several cycles
+_LONGEST_MIN = 5  # minutes over which a queue's farthest back is taken, several cycles
 # Least number of intervals of a lane that is taken together with others, as a share of the most
 # that any of them has.
 _KNOWN_SHARE = 0.9
@@ -223,9 +223,9 @@ def _lost_time(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
 
 
 def _longest(rows: pd.DataFrame) -> pd.Series:
-    """Return the farthest back of a queue in `LONGEST_MIN` and longer, to each interval's end."""
+    """Return the farthest back of a queue in `_LONGEST_MIN` and longer, to each interval's end."""
     minutes = (rows["end"] - rows.index).dt.total_seconds().median() / 60.0
-    several = max(round(LONGEST_MIN / minutes), 1)
+    several = max(round(_LONGEST_MIN / minutes), 1)
     longest: pd.Series = rows["queue_max_m"].rolling(several).max()
     return longest
 

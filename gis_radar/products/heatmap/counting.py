@@ -58,7 +58,7 @@ DEFINITIONS = {
 }
 
 Counts = NDArray[np.uint32]
-NO_LABELS = MapLabels()
+_NO_LABELS = MapLabels()
 
 
 class Shares(NamedTuple):
@@ -115,7 +115,7 @@ class Tally:
     hit: Counts
     observed: Counts
     occupancy: Occupancy | None = None
-    labels: MapLabels = NO_LABELS
+    labels: MapLabels = _NO_LABELS
     further: Mapping[str, tuple[Counts, Counts]] = field(default_factory=dict)
 
     @property
@@ -200,7 +200,7 @@ class Tally:
             occupancy=None
             if shifts is None
             else occupancy_of(sums, whole_sums, tiles, seen, shifts),
-            labels=labels or NO_LABELS,
+            labels=labels or _NO_LABELS,
             further={
                 name: (sums[name].astype(np.uint32), sums[SHARES[name]].astype(np.uint32))
                 for name in further

@@ -45,21 +45,21 @@ from gis_radar.products.heatmap.picture import (
 
 _DPI = 200
 _FINER = 2  # pixels of the picture for each pixel of the figure, so that edges are smooth
-WIDTH_IN = 10.0  # width of the figure
-MAP_WIDTH_IN = 7.15  # width of the map in it
-MAP_HEIGHT_IN = (5.5, 8.6)  # lowest, which the legend needs, and highest
+_WIDTH_IN = 10.0  # width of the figure
+_MAP_WIDTH_IN = 7.15  # width of the map in it
+_MAP_HEIGHT_IN = (5.5, 8.6)  # lowest, which the legend needs, and highest
 _EDGE_IN = 0.3  # left of the map
-TITLE_IN = 0.85  # height of the title and two lines below it
+_TITLE_IN = 0.85  # height of the title and two lines below it
 _SMALL, _LINE = 8.5, 132  # points of small letters, and how many of them fit in a line
-BELOW_TITLE = 82  # letters: as far as the scale bar
+_BELOW_TITLE = 82  # letters: as far as the scale bar
 # Points; letters that fit, beside the north arrow.
 TITLE, _TITLE_LETTERS, _HEAD_LETTERS = 17, 46, 26
-LINE_IN = 0.16  # height of a line of small letters
-FRAME = "#9aa1a8"
-HATCH, UNSURE_HATCH = "////", "\\\\\\"
-APART = {style.NEVER_HIT, style.UNCERTAIN, style.NOT_OBSERVED}  # in the legend
+_LINE_IN = 0.16  # height of a line of small letters
+_FRAME = "#9aa1a8"
+_HATCH, _UNSURE_HATCH = "////", "\\\\\\"
+_APART = {style.NEVER_HIT, style.UNCERTAIN, style.NOT_OBSERVED}  # in the legend
 _TITLES = {"hit_share": "Hit share heat map", "occupancy": "Occupancy heat map"}
-MEANINGS = {
+_MEANINGS = {
     "hit_share": (
         "A tile is hit in a step of 50 ms when a radar detection falls in it; overlapping "
         "views count once."
@@ -71,7 +71,7 @@ MEANINGS = {
         "sees it. Highest tile: the highest value once its ± is taken off."
     ),
 }
-PLOT_PIXELS, SMALL_PIXELS = 1_100_000, 400_000  # pixels of a plot (180 an inch), a notebook card
+_PLOT_PIXELS, SMALL_PIXELS = 1_100_000, 400_000  # pixels of a plot (180 an inch), a notebook card
 
 
 def draw(
@@ -82,7 +82,7 @@ def draw(
     begin: Any = None,
     end: Any = None,
     legend: bool = True,
-    most_pixels: int = PLOT_PIXELS,
+    most_pixels: int = _PLOT_PIXELS,
 ) -> Axes:
     """Draw the tiles in the classes of all heat maps, the busiest on top.
 
@@ -134,11 +134,11 @@ def _swatch(corner: tuple[float, float], size: tuple[float, float], colour: str)
     """Return a field of the legend, hatched where its colour means not observed or uncertain."""
     field = Rectangle(corner, *size, edgecolor=SOFT, linewidth=0.5)
     if colour == style.UNCERTAIN:
-        field.set(facecolor=style.RAMP[0], hatch=UNSURE_HATCH, edgecolor=style.HATCH_DARK)
+        field.set(facecolor=style.RAMP[0], hatch=_UNSURE_HATCH, edgecolor=style.HATCH_DARK)
         return field
     field.set_facecolor(colour)
     if colour == style.NOT_OBSERVED:
-        field.set(hatch=HATCH, edgecolor=STRIPE)
+        field.set(hatch=_HATCH, edgecolor=STRIPE)
     return field
 
 
@@ -179,23 +179,23 @@ def heatmap_figure(tally: Tally) -> Figure:
     Figure
         Not yet written to a file.
     """
-    lowest, highest = (tall / MAP_WIDTH_IN for tall in MAP_HEIGHT_IN)
+    lowest, highest = (tall / _MAP_WIDTH_IN for tall in _MAP_HEIGHT_IN)
     extent = _extent(tally, (lowest, highest))
-    foot_in = 0.26 + LINE_IN * len(_foot(tally))
+    foot_in = 0.26 + _LINE_IN * len(_foot(tally))
     width_m, height_m = extent[1] - extent[0]
-    tall_in = MAP_WIDTH_IN * height_m / width_m
-    title_in = TITLE_IN + LINE_IN * (len(_head(tally)) - 2)
-    figure = Figure(figsize=(WIDTH_IN, tall_in + title_in + foot_in), dpi=_DPI, facecolor="white")
+    tall_in = _MAP_WIDTH_IN * height_m / width_m
+    title_in = _TITLE_IN + _LINE_IN * (len(_head(tally)) - 2)
+    figure = Figure(figsize=(_WIDTH_IN, tall_in + title_in + foot_in), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)
-    ax = _axes(figure, _EDGE_IN, foot_in, MAP_WIDTH_IN, tall_in)
-    _add_map(ax, tally, extent, MAP_WIDTH_IN)
+    ax = _axes(figure, _EDGE_IN, foot_in, _MAP_WIDTH_IN, tall_in)
+    _add_map(ax, tally, extent, _MAP_WIDTH_IN)
     _add_detail(ax, tally, extent)
-    _frame(ax, FRAME)
-    beside = _EDGE_IN + MAP_WIDTH_IN
+    _frame(ax, _FRAME)
+    beside = _EDGE_IN + _MAP_WIDTH_IN
     over_in = float(figure.get_size_inches()[1]) - 0.72  # beside the title, off the tiles
-    add_scale_bar(figure, (beside, over_in), MAP_WIDTH_IN / float(width_m))
+    add_scale_bar(figure, (beside, over_in), _MAP_WIDTH_IN / float(width_m))
     _add_titles(figure, tally)
-    _add_side(_axes(figure, beside, foot_in, WIDTH_IN - beside, tall_in), tally)
+    _add_side(_axes(figure, beside, foot_in, _WIDTH_IN - beside, tall_in), tally)
     return figure
 
 
@@ -227,10 +227,10 @@ def _add_titles(figure: Figure, tally: Tally) -> None:
         left, 1 - 0.42 / height_in, title, fontsize=size, fontweight="bold", color=INK, **line
     )
     for number, text in enumerate(below):
-        down = 1 - (0.68 + number * LINE_IN) / height_in
+        down = 1 - (0.68 + number * _LINE_IN) / height_in
         figure.text(left, down, text, fontsize=_SMALL, color=SOFT, **line)
     for number, text in enumerate(reversed(_foot(tally))):
-        up = (0.2 + number * LINE_IN) / height_in
+        up = (0.2 + number * _LINE_IN) / height_in
         figure.text(left, up, text, fontsize=_SMALL, color=SOFT, **line)
 
 
@@ -238,17 +238,17 @@ def _head(tally: Tally) -> list[str]:
     """Return the title, and the lines below it, none of which reaches the scale bar."""
     measure, when = tr(_TITLES[tally.measure]), time_span(tally)
     if not tally.labels.title:
-        return [measure, *textwrap.wrap(when, BELOW_TITLE)]
+        return [measure, *textwrap.wrap(when, _BELOW_TITLE)]
     both = f"{measure}, {when}"
-    if len(both) <= BELOW_TITLE:
+    if len(both) <= _BELOW_TITLE:
         return [tally.labels.title, both]
-    return [tally.labels.title, measure, *textwrap.wrap(when, BELOW_TITLE)]
+    return [tally.labels.title, measure, *textwrap.wrap(when, _BELOW_TITLE)]
 
 
 def _foot(tally: Tally) -> list[str]:
     """Return the lines under the map."""
     crs = f"{tally.crs.name} ({name_of(tally.crs)[:20]})."
-    parts = [tr(MEANINGS[tally.measure]), crs]
+    parts = [tr(_MEANINGS[tally.measure]), crs]
     if tally.labels.sources:
         parts.append(tr("Sources: {sources}.", sources="; ".join(tally.labels.sources)))
     return textwrap.wrap(" ".join(parts), _LINE)
@@ -282,10 +282,10 @@ def _add_side(ax: Axes, tally: Tally) -> None:
     ax.text(0.25, 0.3, tr(words.subtitle), fontsize=_SMALL, color=SOFT)
     y = 0.5
     for colour, label in legend_in_words(tally.measure):
-        apart = 0.08 if colour in APART else 0.0
+        apart = 0.08 if colour in _APART else 0.0
         ax.add_patch(_swatch((0.25, y + apart), (0.34, 0.24), colour))
         if colour == style.UNCERTAIN:  # over pale colours and over deep ones
-            deep = Rectangle((0.42, y + apart), 0.17, 0.24, linewidth=0.5, hatch=UNSURE_HATCH)
+            deep = Rectangle((0.42, y + apart), 0.17, 0.24, linewidth=0.5, hatch=_UNSURE_HATCH)
             deep.set(facecolor=style.RAMP[4], edgecolor=style.HATCH_LIGHT)
             ax.add_patch(deep)
         ax.text(0.7, y + apart + 0.125, label, fontsize=_SMALL, color=INK, va="center")
@@ -315,11 +315,11 @@ def _facts(tally: Tally) -> list[tuple[str, str]]:
     return facts
 
 
-INSETS = (0.42, 0.36, 0.3)  # sides of the inset to try, as shares of the map's shorter side
-WINDOW = 0.12  # side of the window that it shows, as a share of the map's shorter side
-SMALLEST_MAP_M = 150.0  # shorter side of a map from which on it has an inset
-SMALLEST_WINDOW_M = 45.0  # least side of the window that the inset shows
-GAP = 0.02  # around the inset, as a share of the map's shorter side
+_INSETS = (0.42, 0.36, 0.3)  # sides of the inset to try, as shares of the map's shorter side
+_WINDOW = 0.12  # side of the window that it shows, as a share of the map's shorter side
+_SMALLEST_MAP_M = 150.0  # shorter side of a map from which on it has an inset
+_SMALLEST_WINDOW_M = 45.0  # least side of the window that the inset shows
+_GAP = 0.02  # around the inset, as a share of the map's shorter side
 CELLS = 4  # a window's side in cells of the search
 
 Box = tuple[float, float, float, float]
@@ -345,9 +345,9 @@ def busiest_window(centres: Floats, share: Floats, extent: Extent) -> Extent | N
     low, high = extent
     shorter = float((high - low).min())
     weight = np.nan_to_num(share)
-    if shorter < SMALLEST_MAP_M or not weight.any():
+    if shorter < _SMALLEST_MAP_M or not weight.any():
         return None
-    side = max(SMALLEST_WINDOW_M, WINDOW * shorter)
+    side = max(_SMALLEST_WINDOW_M, _WINDOW * shorter)
     x, y = (np.arange(low[i], high[i] + side, side / CELLS) for i in (0, 1))
     cells, _, _ = np.histogram2d(centres[:, 0], centres[:, 1], bins=[x, y], weights=weight)
     total = np.pad(cells.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
@@ -369,8 +369,8 @@ def free_corner(centres: Floats, extent: Extent) -> Box | None:
     low, high = extent
     unit = (high - low).min() / (high - low)  # the shorter side, as a share of both
     place = (centres - low) / (high - low)
-    for size, east, north in product(INSETS, (1, 0), (1, 0)):
-        side, gap = size * unit, GAP * unit
+    for size, east, north in product(_INSETS, (1, 0), (1, 0)):
+        side, gap = size * unit, _GAP * unit
         corner = gap + np.array([east, north]) * (1 - side - 2 * gap)
         inside = (place >= corner - gap) & (place <= corner + side + gap)
         if not inside.all(axis=1).any():
@@ -386,7 +386,7 @@ def _add_detail(ax: Axes, tally: Tally, extent: Extent) -> None:
     if window is None or corner is None:
         return
     inset = ax.inset_axes(corner, zorder=4)
-    _add_map(inset, tally, window, corner[2] * MAP_WIDTH_IN)
+    _add_map(inset, tally, window, corner[2] * _MAP_WIDTH_IN)
     _frame(inset, INK)
     low, high = window
     ax.add_patch(

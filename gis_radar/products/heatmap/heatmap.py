@@ -43,7 +43,7 @@ from gis_radar.products.report_files import REPORT_FILES
 from gis_radar.products.results_folder import write_results
 
 NO_OCCUPANCY = Text("occupancy is missing: no vehicles were measured; the map shows the hit share")
-MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
+_MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
 # Begins of the names of its files, and of those of a report, which is removed with the heat map.
 OWNED_BY_HEATMAP = ("heatmap.", "hits.", *(f"{name}." for name in SHARES), *REPORT_FILES)
 
@@ -63,7 +63,7 @@ class HeatMap(Tally):
         def small(ax: Any) -> None:
             self.plot(ax, legend=False, most_pixels=SMALL_PIXELS).set_axis_off()
 
-        few = len(self.seen) <= MOST_DRAWN
+        few = len(self.seen) <= _MOST_DRAWN
         picture = small_picture(small) if few else b""
         return card("Heat map", self.figures() | self.local_span, picture=picture)
 

@@ -33,7 +33,7 @@ from gis_radar.base import (
 from gis_radar.measures import Runs, union_of_runs
 
 MOST_BANDS = 500  # intervals that become columns and bands (the contract); more are rows only
-MOST_EMPTY = 10  # intervals for each one with a frame; of more, empty ones are left out
+_MOST_EMPTY = 10  # intervals for each one with a frame; of more, empty ones are left out
 _MOST_ROWS = 100_000_000  # most rows of the layer by interval: about 35 GB of GeoPackage
 
 
@@ -295,7 +295,7 @@ def intervals_of(
         has_frame = local.counts(runs) > 0
         every, filled = len(local), int(has_frame.sum())
     # Empty intervals of an outage are kept, those of a week between two hours are not.
-    if every <= MOST_BANDS and every <= MOST_EMPTY * filled:
+    if every <= MOST_BANDS and every <= _MOST_EMPTY * filled:
         return aligned(first, last, steps) if local is None else local
     if filled * tiles > _MOST_ROWS:
         raise UsageError(

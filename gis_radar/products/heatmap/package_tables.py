@@ -147,8 +147,8 @@ BEGIN, END = "begin", "end"
 ERROR = "occupancy_se"
 ROOT = "occupancy_se_root"  # root of the standard error as a whole number of 2 bytes, not 8
 _UNOBSERVED, _HIDDEN = "unobserved", "hidden"
-HIT_COLUMNS = ("hit", "observed")
-OCCUPANCY_COLUMNS = ("occupied", "visible", ERROR)
+_HIT_COLUMNS = ("hit", "observed")
+_OCCUPANCY_COLUMNS = ("occupied", "visible", ERROR)
 _STORED = {"observed": _UNOBSERVED, "visible": _HIDDEN, ERROR: ROOT}  # in place of what is computed
 
 # Seconds and shares are computed on reading: columns with types of their own, unlike expressions of
@@ -181,7 +181,7 @@ def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) 
     reporter : Reporter
         Receives progress.
     """
-    columns = [*HIT_COLUMNS, *(() if tally.occupancy is None else OCCUPANCY_COLUMNS)]
+    columns = [*_HIT_COLUMNS, *(() if tally.occupancy is None else _OCCUPANCY_COLUMNS)]
     database.execute(_TIMES)
     database.execute(_steps_table(columns, tally))
     times = f'INSERT INTO "{_TIMES_TABLE}" VALUES (?, ?, ?, ?, ?)'  # noqa: S608 - our own names
@@ -316,4 +316,4 @@ def read_times(database: sqlite3.Connection) -> list[tuple[str, str]]:
 def step_columns(database: sqlite3.Connection) -> list[str]:
     """Return the columns of the table of steps that hold counts."""
     known = {row[1] for row in database.execute(f'PRAGMA table_xinfo("{STEPS}")')}
-    return [name for name in (*HIT_COLUMNS, *OCCUPANCY_COLUMNS) if name in known]
+    return [name for name in (*_HIT_COLUMNS, *_OCCUPANCY_COLUMNS) if name in known]

@@ -33,16 +33,16 @@ INK, SOFT, _SENSOR = "#1d2126", "#59616a", "#00519e"
 PAPER, STRIPE = "#ffffff", "#5c6268"
 HALO = [withStroke(linewidth=2.6, foreground="white")]  # white outline of letters on the map
 
-LEAST_MARGIN_M = 12.0  # around what was observed: sensors stand beside the road
+_LEAST_MARGIN_M = 12.0  # around what was observed: sensors stand beside the road
 _MARGIN = 0.05  # margin as a share of the longer side, where that is more
-FINEST_M = 0.04  # finest pixel: finer ones show no more of tiles of 0.5 m
+_FINEST_M = 0.04  # finest pixel: finer ones show no more of tiles of 0.5 m
 # Pixels between stripes in a picture of 1000 pixels: of tiles not observed (visible as stripes on a
 # phone, too), and of uncertain ones.
-STRIPES, HATCHES = 12, 7
+_STRIPES, _HATCHED = 12, 7
 OVERLAY_IN = 5.2  # width of the figure over a picture: the narrower, the larger its letters
 NOWHERE = np.empty((0, 2))
-NARROW_IN, NARROW_PIXELS = 3.1, 800  # on a phone: a page as wide as this, of so many pixels
-SENSOR_IN = 0.2  # around a sensor's place: its triangle
+NARROW_IN, _NARROW_PIXELS = 3.1, 800  # on a phone: a page as wide as this, of so many pixels
+_SENSOR_IN = 0.2  # around a sensor's place: its triangle
 _BAR_IN, _BAR_SHARE = 1.4, 0.27  # the longest scale bar; in the corner of a map, of its width
 
 # Places in the palette; the classes of hit share follow.
@@ -87,7 +87,7 @@ class MapPicture:
         top = self.cover.highest((2 * place + uncertain).astype(np.uint8))
         top, vague = np.divmod(top, 2)
         row, column = np.divmod(self.cover.pixel, self.grid.width)
-        apart, close = (max(4, round(n * self.grid.width / 1000)) for n in (STRIPES, HATCHES))
+        apart, close = (max(4, round(n * self.grid.width / 1000)) for n in (_STRIPES, _HATCHED))
         striped = (top == _UNSEEN) & ((row + column) % apart < max(1, apart // 3))
         hatched = (vague > 0) & ((row - column) % close < max(1, close // 4))
         colours = [_HATCH_DARK if each == style.HATCH_DARK else _HATCH_LIGHT for each in _HATCHES]
@@ -160,7 +160,7 @@ def map_extent(corners: Floats, shown: Booleans, aspect: tuple[float, float]) ->
     """
     inside = corners[shown] if shown.any() else corners
     low, high = inside.min(axis=(0, 1)), inside.max(axis=(0, 1))
-    width, height = high - low + 2 * max(LEAST_MARGIN_M, _MARGIN * float((high - low).max()))
+    width, height = high - low + 2 * max(_LEAST_MARGIN_M, _MARGIN * float((high - low).max()))
     size = np.array([max(width, height / aspect[1]), max(height, width * aspect[0])])
     return (low + high - size) / 2, (low + high + size) / 2
 
@@ -179,7 +179,7 @@ def map_picture(corners: Floats, extent: Extent, most_pixels: int) -> MapPicture
     """
     low, high = extent
     wide, tall = high - low
-    pixel_m = max(math.sqrt(wide * tall / most_pixels), FINEST_M)
+    pixel_m = max(math.sqrt(wide * tall / most_pixels), _FINEST_M)
     width, height = max(1, int(wide / pixel_m)), max(1, int(tall / pixel_m))
     west, north = (low + high) / 2 + np.array([-width, height]) * pixel_m / 2
     grid = PixelGrid(
@@ -236,7 +236,7 @@ def png(image: Image.Image) -> bytes:
 def for_a_phone(image: Image.Image) -> Image.Image:
     """Return a picture no wider than a phone's screen."""
     narrow = image.copy()
-    narrow.thumbnail((NARROW_PIXELS, 4 * NARROW_PIXELS), Image.Resampling.LANCZOS)
+    narrow.thumbnail((_NARROW_PIXELS, 4 * _NARROW_PIXELS), Image.Resampling.LANCZOS)
     return narrow
 
 
@@ -306,7 +306,7 @@ def add_corner_scale(
         return int(np.count_nonzero(beside & (up < 0.66 + around)))
 
     def taken(left: float) -> tuple[bool, int]:
-        return within(left, stand, SENSOR_IN) > 0, within(left, road, 0.0)
+        return within(left, stand, _SENSOR_IN) > 0, within(left, road, 0.0)
 
     left = min(width_in - 0.1 - room_in, 0.1, key=taken)
     add_scale_bar(figure, (left + room_in - 0.06, 0.2), metre_in, longest_in)

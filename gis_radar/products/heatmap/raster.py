@@ -27,13 +27,13 @@ from gis_radar.hdmap import TileGrid, quads
 from gis_radar.measures import Runs, union_of_runs
 from gis_radar.products.heatmap.counting import Tally
 
-PIXEL_M = CELL_M  # side of a pixel: the length of a tile, so that none is skipped
+_PIXEL_M = CELL_M  # side of a pixel: the length of a tile, so that none is skipped
 _POINTS_AT_ONCE = 1_000_000  # pixels looked up together: 50 MB
-MOST_BLOCK_BYTES = 16_000_000  # most bytes of all bands of a block, which GDAL holds at once
-SMALLEST = 512  # pixels: the smallest overview fits in a few blocks
-CACHE_MB = 256  # cache of GDAL, which else takes a share of the machine's memory
+_MOST_BLOCK_BYTES = 16_000_000  # most bytes of all bands of a block, which GDAL holds at once
+_SMALLEST = 512  # pixels: the smallest overview fits in a few blocks
+_CACHE_MB = 256  # cache of GDAL, which else takes a share of the machine's memory
 # Overviews are means of the observed pixels: thin lanes stay visible, and values are still shares.
-OVERVIEW = Resampling.average
+_OVERVIEW = Resampling.average
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,11 +141,11 @@ def cover(grid: PixelGrid, corners: Floats) -> Cover:
 
 def aligned_grid(corners: Floats) -> PixelGrid:
     """Return the grid of the GeoTIFF, which covers the corners of all tiles."""
-    low = np.floor(corners.min(axis=(0, 1)) / PIXEL_M).astype(int)
-    high = np.ceil(corners.max(axis=(0, 1)) / PIXEL_M).astype(int)
+    low = np.floor(corners.min(axis=(0, 1)) / _PIXEL_M).astype(int)
+    high = np.ceil(corners.max(axis=(0, 1)) / _PIXEL_M).astype(int)
     width, height = (int(side) for side in np.maximum(high - low, 1))
     return PixelGrid(
-        west_m=int(low[0]) * PIXEL_M, north_m=(int(low[1]) + height) * PIXEL_M, pixel_m=PIXEL_M,
+        west_m=int(low[0]) * _PIXEL_M, north_m=(int(low[1]) + height) * _PIXEL_M, pixel_m=_PIXEL_M,
         width=width, height=height,
     )  # fmt: skip
 
@@ -172,7 +172,7 @@ def write_raster(
     intervals = [None, *tally.columns]
     grid = aligned_grid(corners)
     # A block holds all bands, so more bands make smaller blocks.
-    fitting = (side for side in (512, 256) if side**2 * len(intervals) * 4 <= MOST_BLOCK_BYTES)
+    fitting = (side for side in (512, 256) if side**2 * len(intervals) * 4 <= _MOST_BLOCK_BYTES)
     side = next(fitting, 128)
     plain_profile = {
         "driver": "GTiff", "dtype": "float32", "nodata": np.nan, "count": len(intervals),
@@ -182,13 +182,13 @@ def write_raster(
         "interleave": "band", "sparse_ok": True, "bigtiff": "if_safer", "compress": "zstd",
     }  # fmt: skip
     longer = max(grid.width, grid.height)
-    overviews = [2**i for i in range(1, 32) if longer > SMALLEST * 2 ** (i - 1)]
+    overviews = [2**i for i in range(1, 32) if longer > _SMALLEST * 2 ** (i - 1)]
     plain = path.with_suffix(".plain.tif")
-    with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, SPARSE_OK_OVERVIEW=True):
+    with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB, SPARSE_OK_OVERVIEW=True):
         with rasterio.open(plain, "w", **plain_profile) as raster:
             _write_bands(raster, tally, cover(grid, corners), measure, reporter)
         with rasterio.open(plain, "r+") as raster:
-            raster.build_overviews(overviews, OVERVIEW)
+            raster.build_overviews(overviews, _OVERVIEW)
         rasterio.shutil.copy(
             plain, path, driver="COG", COMPRESS="DEFLATE", PREDICTOR="YES", BLOCKSIZE=str(side),
             BIGTIFF="IF_SAFER", SPARSE_OK="TRUE", NUM_THREADS="ALL_CPUS",

@@ -34,8 +34,8 @@ UNCERTAIN_FROM = 0.02  # uncertain: a standard error as large as the occupancy, 
 UNCERTAIN_SEEN = 0.5  # uncertain: visible for a smaller share of the longest visible time
 HATCH_DARK, HATCH_LIGHT = "#6b7278", "#ffffff"  # over pale colours and over deep ones
 _PALE = 4  # number of pale classes, from 0 up
-LEGEND_TITLE = "Share of the observed time"
-LEGEND_SUBTITLE = "in which a tile is hit"
+_LEGEND_TITLE = "Share of the observed time"
+_LEGEND_SUBTITLE = "in which a tile is hit"
 
 _HERE = Path(__file__).parent
 
@@ -50,14 +50,14 @@ class MeasureWords(NamedTuple):
 
 
 MAP_WORDS = {
-    "hit_share": MeasureWords(LEGEND_TITLE, LEGEND_SUBTITLE, "never hit", "not observed"),
+    "hit_share": MeasureWords(_LEGEND_TITLE, _LEGEND_SUBTITLE, "never hit", "not observed"),
     "occupancy": MeasureWords(
         "Occupancy", "share of time with a vehicle", "no vehicle", "not visible"
     ),
 }
 
 
-OTHER_SHARE = MeasureWords("Share of time", "", "never", "no data")  # of a column of tile counts
+_OTHER_SHARE = MeasureWords("Share of time", "", "never", "no data")  # of a column of tile counts
 
 # A lane's name is shown as text: QGIS takes a tip for HTML.
 _LANE = "replace(replace(attribute('lane'), '&', '&amp;'), '<', '&lt;')"
@@ -85,7 +85,7 @@ def colour_classes(measure: str = "hit_share") -> tuple[ColourClass, ...]:
     """Return the classes of hit share or occupancy from 0 to 1, lowest first."""
     bounds = zip(pairwise(BREAKS), RAMP, strict=True)
     return (
-        ColourClass(0.0, 0.0, NEVER_HIT, f"0 %, {MAP_WORDS.get(measure, OTHER_SHARE).zero}"),
+        ColourClass(0.0, 0.0, NEVER_HIT, f"0 %, {MAP_WORDS.get(measure, _OTHER_SHARE).zero}"),
         *(ColourClass(low, high, colour, _label(low, high)) for (low, high), colour in bounds),
     )
 

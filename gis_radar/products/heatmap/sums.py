@@ -16,7 +16,7 @@ from gis_radar.dataset import STEPS_PER_QUARTER, TILE_COUNTS, Dataset, count_spa
 from gis_radar.measures import Runs
 from gis_radar.products.heatmap.intervals import Timeline
 
-COUNTED = tuple(name for name in TILE_COUNTS.names if name not in TILE_COUNTS.order)
+_COUNTED = tuple(name for name in TILE_COUNTS.names if name not in TILE_COUNTS.order)
 Sums: TypeAlias = dict[str, Floats]
 """By column of `tile_counts`, (intervals, tiles) arrays."""
 
@@ -54,9 +54,9 @@ def sums_by_interval(
 
 def sums_of_month(dataset: Dataset, ids: Integers, month: str) -> Sums:
     """Return the sums of a month by the clocks of the site, from its roll-up: (1, k) arrays."""
-    sums = dataset.tile_months(month=month).groupby("tile_id")[list(COUNTED)].sum()
+    sums = dataset.tile_months(month=month).groupby("tile_id")[list(_COUNTED)].sum()
     return {
-        name: sums[name].reindex(ids, fill_value=0).to_numpy(np.float64)[None] for name in COUNTED
+        name: sums[name].reindex(ids, fill_value=0).to_numpy(np.float64)[None] for name in _COUNTED
     }
 
 
@@ -64,7 +64,7 @@ def _sums(
     dataset: Dataset, ids: Integers, timeline: Timeline, reporter: Reporter, *, of_quarters: bool
 ) -> dict[str, Floats]:
     """Return the sums of the columns of tile counts: (intervals, tiles) arrays."""
-    sums = {name: np.zeros((len(timeline), len(ids))) for name in COUNTED}
+    sums = {name: np.zeros((len(timeline), len(ids))) for name in _COUNTED}
     source = _by_quarter if of_quarters else _by_step
     for done, (tile, interval, counts) in enumerate(source(dataset, timeline)):
         place = np.searchsorted(ids, tile)
@@ -94,8 +94,8 @@ def _by_quarter(dataset: Dataset, timeline: Timeline) -> Iterator[_Counted]:
     last = -(-timeline.end // STEPS_PER_QUARTER) * STEPS_PER_QUARTER
     quarters = Timeline(begin=first, end=last)
     span = int(first[0]), int(last[-1]) - 1
-    for rows in dataset.batches(TILE_COUNTS, span, ["tile_id", "first_step", *COUNTED]):
-        counts = {name: rows[name].to_numpy().astype(np.float64) for name in COUNTED}
+    for rows in dataset.batches(TILE_COUNTS, span, ["tile_id", "first_step", *_COUNTED]):
+        counts = {name: rows[name].to_numpy().astype(np.float64) for name in _COUNTED}
         yield rows["tile_id"].to_numpy(), quarters.find(rows["first_step"].to_numpy()), counts
 
 

@@ -71,8 +71,8 @@ def project(
     """
     batches = _PointStream(as_recording(recording), as_track(pose), reporter)
     table = pa.Table.from_batches(batches, schema=batches.schema)
-    frame = table.drop_columns([GEOMETRY]).to_pandas()
-    points = shapely.from_wkb(table[GEOMETRY].to_numpy())
+    frame = table.drop_columns([_GEOMETRY]).to_pandas()
+    points = shapely.from_wkb(table[_GEOMETRY].to_numpy())
     return gpd.GeoDataFrame(frame, geometry=points, crs=batches.pose.crs)
 
 
@@ -123,8 +123,8 @@ def write_projection(
     return points.rows
 
 
-SUFFIX = "_recorded"
-GEOMETRY = "geometry"
+_SUFFIX = "_recorded"
+_GEOMETRY = "geometry"
 _OWN = pa.schema(
     [
         ("sensor", pa.string()),
@@ -134,7 +134,7 @@ _OWN = pa.schema(
     ]
 )
 # GeoPackages have columns of these names themselves, and do not distinguish upper and lower case.
-TAKEN = (*_OWN.names, GEOMETRY, "geom", "fid")
+_TAKEN = (*_OWN.names, _GEOMETRY, "geom", "fid")
 
 
 def _distinct_names(names: Iterable[str], taken: Iterable[str]) -> dict[str, str]:
@@ -144,7 +144,7 @@ def _distinct_names(names: Iterable[str], taken: Iterable[str]) -> dict[str, str
     for name in names:
         new_name = name or "unnamed"
         while new_name.lower() in used:
-            new_name += SUFFIX
+            new_name += _SUFFIX
         used.add(new_name.lower())
         renamed[name] = new_name
     return renamed
@@ -179,9 +179,9 @@ class _PointStream:
         self._batches = recording.read(further=True)
         self._first = next(self._batches)
         further = self._first.further.schema
-        self.names = _distinct_names(further.names, TAKEN)
+        self.names = _distinct_names(further.names, _TAKEN)
         kept = [pa.field(self.names[field.name], _value_type(field.type)) for field in further]
-        self.schema: pa.Schema = pa.schema([*_OWN, *kept, pa.field(GEOMETRY, pa.binary())])
+        self.schema: pa.Schema = pa.schema([*_OWN, *kept, pa.field(_GEOMETRY, pa.binary())])
         self.pose: Pose = track.poses[0]
         for pose in track.poses:  # refuse degrees, millimetres, swapped axes
             whose = Text("pose of {}", pose.sensor)
@@ -242,11 +242,11 @@ def _floats(values: np.ndarray) -> pa.Array:
 _LAYER = "hits"
 _PLACE_M = 1.0 / 128.0  # of places in GeoParquet: a radar resolves decimetres
 # GDAL reads it from 3.9 on, GeoPandas from 1.0; as WKB, points take 1.3 to 1.4 times as much.
-POINT = pa.struct([pa.field(axis, pa.float64(), nullable=False) for axis in "xyz"])
-SPLIT = "BYTE_STREAM_SPLIT"
+_POINT = pa.struct([pa.field(axis, pa.float64(), nullable=False) for axis in "xyz"])
+_SPLIT = "BYTE_STREAM_SPLIT"
 _LEVEL = 14  # of zstd: split bytes take a sixth less room than at level 9
 _NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_boolean)
-NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
+_NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
 
 
 def write_points_geopackage(points: _PointStream, path: Path) -> None:
@@ -254,7 +254,7 @@ def write_points_geopackage(points: _PointStream, path: Path) -> None:
     storable = [
         field.name
         for field in points.schema
-        if not any(is_kind(field.type) for is_kind in NOT_IN_GEOPACKAGE)
+        if not any(is_kind(field.type) for is_kind in _NOT_IN_GEOPACKAGE)
     ]
     if left := [name for name in points.schema.names if name not in storable]:
         lost = Text("{}: a GeoPackage cannot hold {}: left out", path.name, ", ".join(left))
@@ -264,7 +264,7 @@ def write_points_geopackage(points: _PointStream, path: Path) -> None:
         pa.schema([points.schema.field(name) for name in storable]),
         path,
         layer=_LAYER,
-        geometry_name=GEOMETRY,
+        geometry_name=_GEOMETRY,
         geometry_type="Point Z",
         crs=name_of(points.pose.crs),
     )
@@ -274,15 +274,15 @@ def write_points_geoparquet(points: _PointStream, path: Path) -> None:
     """Write a GeoParquet file: points in its native encoding, a column an axis."""
     crs = points.pose.crs.to_json_dict()
     column = {"encoding": "point", "geometry_types": ["Point Z"], "crs": crs}
-    geo = {"version": "1.1.0", "primary_column": GEOMETRY, "columns": {GEOMETRY: column}}
-    place = points.schema.get_field_index(GEOMETRY)
-    schema = points.schema.set(place, pa.field(GEOMETRY, POINT))
-    split = [f"{GEOMETRY}.{field.name}" for field in POINT]
+    geo = {"version": "1.1.0", "primary_column": _GEOMETRY, "columns": {_GEOMETRY: column}}
+    place = points.schema.get_field_index(_GEOMETRY)
+    schema = points.schema.set(place, pa.field(_GEOMETRY, _POINT))
+    split = [f"{_GEOMETRY}.{field.name}" for field in _POINT]
     split += [field.name for field in schema if pa.types.is_float32(field.type)]
     options: dict[str, Any] = {
         "compression": "zstd", "compression_level": _LEVEL, "write_page_checksum": True,
-        "use_dictionary": [name for name in schema.names if name not in {*split, GEOMETRY}],
-        "column_encoding": dict.fromkeys(split, SPLIT),
+        "use_dictionary": [name for name in schema.names if name not in {*split, _GEOMETRY}],
+        "column_encoding": dict.fromkeys(split, _SPLIT),
     }  # fmt: skip
     with pq.ParquetWriter(
         path, schema.with_metadata({"geo": json.dumps(geo)}), **options
@@ -293,18 +293,18 @@ def write_points_geoparquet(points: _PointStream, path: Path) -> None:
 
 def _in_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
     """Return a batch with points as columns, on a grid whose last digits take no room."""
-    points = shapely.from_wkb(batch[GEOMETRY].to_numpy(zero_copy_only=False))
+    points = shapely.from_wkb(batch[_GEOMETRY].to_numpy(zero_copy_only=False))
     places = shapely.get_coordinates(points, include_z=True)
     rounded = (np.rint(places / _PLACE_M) * _PLACE_M).T
-    axes = pa.StructArray.from_arrays([pa.array(axis) for axis in rounded], fields=list(POINT))
-    place = schema.get_field_index(GEOMETRY)
+    axes = pa.StructArray.from_arrays([pa.array(axis) for axis in rounded], fields=list(_POINT))
+    place = schema.get_field_index(_GEOMETRY)
     columns = [*batch.columns[:place], axes, *batch.columns[place + 1 :]]
     return pa.RecordBatch.from_arrays(columns, schema=schema)
 
 
-SCALE_M = 0.001  # resolution of LAS coordinates; a radar resolves decimetres
-POINT_FORMAT = 6  # the plain one of LAS 1.4, with GPS time
-TIME_OFFSET_S = 1_000_000_000  # adjusted standard GPS time
+_SCALE_M = 0.001  # resolution of LAS coordinates; a radar resolves decimetres
+_POINT_FORMAT = 6  # the plain one of LAS 1.4, with GPS time
+_TIME_OFFSET_S = 1_000_000_000  # adjusted standard GPS time
 _LONGEST_NAME = 32  # bytes of an extra dimension in LAS
 _MISSING = int(np.iinfo(np.int64).min)
 
@@ -342,10 +342,10 @@ _OURS = (
 
 def write_points_las(points: _PointStream, path: Path) -> None:
     """Write LAS 1.4 or LAZ, by the ending of `path`; columns without numbers are left out."""
-    header = laspy.LasHeader(version="1.4", point_format=POINT_FORMAT)
+    header = laspy.LasHeader(version="1.4", point_format=_POINT_FORMAT)
     header.offsets = np.floor(points.pose.position)
     header.creation_date = FILE_DATE
-    header.scales = np.full(3, SCALE_M)
+    header.scales = np.full(3, _SCALE_M)
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
     header.add_crs(points.pose.crs)
     dimensions = _dimensions(points, path, list(header.point_format.dimension_names))
@@ -356,7 +356,7 @@ def write_points_las(points: _PointStream, path: Path) -> None:
 
 
 def _dimensions(points: _PointStream, path: Path, standard: list[str]) -> list[_Dimension]:
-    further = [f for f in points.schema if f.name not in {*_OWN.names, GEOMETRY}]
+    further = [f for f in points.schema if f.name not in {*_OWN.names, _GEOMETRY}]
     taken = [*standard, *_OWN.names, *(ours.name for ours in _OURS), "xyz"]
     names = _distinct_names([f.name for f in further if _fits_las(f)], taken)
     remarks = []
@@ -371,7 +371,7 @@ def _dimensions(points: _PointStream, path: Path, standard: list[str]) -> list[_
 
 
 def _fits_las(field: pa.Field) -> bool:
-    longest = _LONGEST_NAME - len(SUFFIX)
+    longest = _LONGEST_NAME - len(_SUFFIX)
     return len(field.name.encode()) <= longest and any(each(field.type) for each in _NUMERIC)
 
 
@@ -387,12 +387,12 @@ def _dimension(field: pa.Field, name: str) -> _Dimension:
 def _scan_points(batch: pa.RecordBatch, header: Any, dimensions: list[_Dimension]) -> Any:
     scan = laspy.ScaleAwarePointRecord.zeros(len(batch), header=header)
     places: Floats = shapely.get_coordinates(
-        shapely.from_wkb(batch[GEOMETRY].to_numpy(zero_copy_only=False)), include_z=True
+        shapely.from_wkb(batch[_GEOMETRY].to_numpy(zero_copy_only=False)), include_z=True
     )
     scan.x, scan.y, scan.z = places.T
     for dimension in dimensions:
         scan[dimension.name] = dimension.values(batch)
-    scan.gps_time = gps_seconds(scan["time"]) - TIME_OFFSET_S
+    scan.gps_time = gps_seconds(scan["time"]) - _TIME_OFFSET_S
     scan.return_number[:] = scan.number_of_returns[:] = 1
     return scan
 

@@ -47,7 +47,7 @@ from gis_radar.products.heatmap.package_tables import LONG, WIDE, interval_times
 from gis_radar.products.qgis.project_xml import LayerSource, ProjectContent, TimeRange, project_xml
 from gis_radar.scans import SIGHT_LAYER, SightTiles, write_sights
 
-MAP_MARGIN = 0.05
+_MAP_MARGIN = 0.05
 """Margin around the observed tiles, as a share of their extent."""
 
 
@@ -226,7 +226,7 @@ def _observed_box(heat: Tally) -> Box:
     observed = heat.shares().observed_s > 0
     shown = heat.tiles[observed] if observed.any() else heat.tiles
     west, south, east, north = map(float, shown.total_bounds)
-    margin = MAP_MARGIN * max(east - west, north - south)
+    margin = _MAP_MARGIN * max(east - west, north - south)
     return west - margin, south - margin, east + margin, north + margin
 
 

@@ -47,12 +47,12 @@ _NO_DATA = "no data"
 # Limits beyond which the hour of a sensor has a fault, after those of loop detectors (PeMS, Chen et
 # al. 2003), and far from the values of simulated sites. Shares are of the frames, if not stated.
 _LEAST_SHARE = 0.6  # share received of the frames expected
-HIGH_SHARE = 0.2  # share with more than `counting.HIGH` of the seen tiles hit
+_HIGH_SHARE = 0.2  # share with more than `counting.HIGH` of the seen tiles hit
 _LEAST_MOVING = 0.001  # moving share of the detections: a street at night has some
-MOST_DOUBLED = 0.05  # share that follows within half a cycle
-MOST_REPEATED = 0.2  # share with the positions of the frame before
-MOST_WILD = 0.02  # share of the detections faster than any vehicle: noise gives some
-FRAMES_JUDGED = 100  # with fewer frames (5 s at 20 Hz) only their number is judged
+_MOST_DOUBLED = 0.05  # share that follows within half a cycle
+_MOST_REPEATED = 0.2  # share with the positions of the frame before
+_MOST_WILD = 0.02  # share of the detections faster than any vehicle: noise gives some
+_FRAMES_JUDGED = 100  # with fewer frames (5 s at 20 Hz) only their number is judged
 
 
 def faults_of(count: Any) -> Iterator[str]:
@@ -72,14 +72,14 @@ def faults_of(count: Any) -> Iterator[str]:
         yield Text("{:.0f} % of the frames expected", 100 * single / expected)
     if count.hour < CLOCK_SET_S:
         yield "clock not set"
-    if count.frames >= FRAMES_JUDGED:
+    if count.frames >= _FRAMES_JUDGED:
         yield from _faults_of_frames(count)
 
 
 def _faults_of_frames(count: Any) -> Iterator[str]:
-    if count.doubled > MOST_DOUBLED * count.frames:
+    if count.doubled > _MOST_DOUBLED * count.frames:
         yield Text("{:.0f} % of the frames come twice", 100 * count.doubled / count.frames)
-    if count.repeated > MOST_REPEATED * count.frames:
+    if count.repeated > _MOST_REPEATED * count.frames:
         yield Text(
             "frozen: {:.0f} % of the frames repeat the last", 100 * count.repeated / count.frames
         )
@@ -90,7 +90,7 @@ def _faults_of_frames(count: Any) -> Iterator[str]:
         yield "sees no tile"
     elif count.hits == 0:
         yield "no tile is ever hit"
-    elif count.high > HIGH_SHARE * count.frames:
+    elif count.high > _HIGH_SHARE * count.frames:
         yield Text(
             "over {:.0f} % of its tiles hit in {:.0f} % of the frames",
             100 * HIGH,
@@ -100,7 +100,7 @@ def _faults_of_frames(count: Any) -> Iterator[str]:
         yield "hit share is constant"
     if count.hits and count.moving < _LEAST_MOVING * count.detections:
         yield "hits without motion"
-    if count.wild > MOST_WILD * count.detections:
+    if count.wild > _MOST_WILD * count.detections:
         yield Text(
             "{:.0f} % of the detections are absurdly fast", 100 * count.wild / count.detections
         )

@@ -46,9 +46,9 @@ from gis_radar.products.report.traffic import (
 )
 from gis_radar.scans import VIEW_ONLY
 
-SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
+_SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
 DAY_S = 86_400.0
-MOST_HOURS = 168  # rows of the table as read; the CSV file holds all
+_MOST_HOURS = 168  # rows of the table as read; the CSV file holds all
 
 
 class ReportData(NamedTuple):
@@ -229,7 +229,7 @@ def recorded_row(data: ReportData) -> list[str]:
             f" ({', '.join(by_sensor)})" if len(by_sensor) < 13 else ""
         )
         follows = tr("Holds for this time, and not for other hours or days.")
-        if seconds < SHORT_S:
+        if seconds < _SHORT_S:
             follows = tr("A few cycles of a signal: nothing about a usual hour or day.")
         elif round(seconds) < DAY_S:  # the last frame ends a day some milliseconds early
             follows = tr("Less than a day: nothing about the hours that were not recorded.")
@@ -350,7 +350,7 @@ def own_remarks(data: ReportData) -> list[Text]:
     begin, end = data.results.heat.whole.span()
     seconds = np.fmin(recorded_s(data.results), (end - begin).total_seconds())
     remarks = []
-    if seconds < SHORT_S:
+    if seconds < _SHORT_S:
         span = seconds_text(seconds)
         remarks.append(
             Text("Only {} were recorded: a few cycles of a signal, and no usual day", span)
@@ -371,11 +371,11 @@ def quality_table(data: ReportData) -> Table:
     if quality is not None:
         table = quality.table.assign(recorded_s=_recorded_in(quality.table, data.results))
         note = ""
-        if len(table) > MOST_HOURS:
+        if len(table) > _MOST_HOURS:
             order = table["verdict"].ne(GOOD).sort_values(ascending=False, kind="stable").index
-            table = table.loc[order].head(MOST_HOURS)
+            table = table.loc[order].head(_MOST_HOURS)
             text = "Here {part} of {all} rows, those with a fault first."
-            note = tr(text, part=MOST_HOURS, all=figure_text(len(quality.table)))
+            note = tr(text, part=_MOST_HOURS, all=figure_text(len(quality.table)))
         rows = text_rows((row for _, row in table.iterrows()), columns)
     return Table(
         name="quality",
@@ -428,7 +428,7 @@ def _hour_columns(data: ReportData) -> list[Column]:
     ]
 
 
-NOT_CHECKED = "not checked"
+_NOT_CHECKED = "not checked"
 
 
 def trust_table(results: Results, clock: Clock) -> Table:
@@ -462,7 +462,7 @@ def trust_table(results: Results, clock: Clock) -> Table:
 def _trust_cells(name: str, finding: Finding | None, results: Results, clock: Clock) -> list[str]:
     if finding is None:
         reason = results.lost.get(name, "")
-        return [name, tr(NOT_CHECKED), tr(reason) if reason else NO_FIGURE, NO_FIGURE]
+        return [name, tr(_NOT_CHECKED), tr(reason) if reason else NO_FIGURE, NO_FIGURE]
     verdict = tr(finding.shown_verdict)
     if finding.refused:
         text = "{verdict}, left out" if name in results.lost else "{verdict}, accepted anyway"

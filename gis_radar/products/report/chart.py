@@ -25,11 +25,11 @@ from gis_radar.products.report.content import Chart, Strip
 _STRIPS, _MOST_CHARTS = 10, 6  # lanes of a chart; most charts, of which the first is printed
 _TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # highest values that the scale may have
 MOST_TICKS = 7  # times below a chart
-ROUND_S = (
+_ROUND_S = (
     *(5, 10, 20, 30, 60, 120, 300, 600, 900, 1800),
     *(hours * 3600 for hours in (1, 2, 3, 4, 6, 12, 24)),
 )  # distances between the times below a chart
-STREET_LETTERS = 20  # most letters of a street beside a strip
+_STREET_LETTERS = 20  # most letters of a street beside a strip
 _ACROSS, _UP = 1000, 100  # units of a strip on the page, to the right and upwards
 
 
@@ -72,7 +72,7 @@ def draw_lanes_over_time(
 
 def _strip_name(row: pd.Series) -> str:
     """Return the name of a lane's strip: its street, number and direction."""
-    known = shorten(str(row.get("street") or ""), STREET_LETTERS, placeholder="\u2026")
+    known = shorten(str(row.get("street") or ""), _STREET_LETTERS, placeholder="\u2026")
     street = street_label(known, row.get("street_part"))
     number = f"{row['lane']} {direction(row['east_m'], row['north_m'])}"
     return f"{street}\n{number}" if street else number
@@ -205,7 +205,7 @@ def _round_times(edges: Sequence[datetime], seconds: Floats, clock: Clock) -> li
     """Return the edges at round times of the day, at most `MOST_TICKS`; none if there are none."""
     local = [each.astimezone(clock.zone) for each in edges]
     of_day = [(each.hour * 60 + each.minute) * 60 + each.second for each in local]
-    for apart in ROUND_S:
+    for apart in _ROUND_S:
         chosen = [i for i, second in enumerate(of_day) if second % apart == 0]
         if seconds[-1] / apart <= MOST_TICKS:
             return chosen if len(chosen) > 1 else []

@@ -13,7 +13,7 @@ import pandas as pd
 from gis_radar.base import figure_text, listed, percent, plus_minus, tr
 
 QUEUES = "queues"  # the chapter whose figures may show trajectories of single vehicles
-HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
+_HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 _LOOKS = {
     "confirms": "the airborne scan confirms it",
     "doubts": "the airborne scan speaks against it",
@@ -358,7 +358,7 @@ def joint_words(joint: Any) -> str:
 
 def how_found(evidence: Mapping[str, Any]) -> str:
     """Return how a pose was found, and on what evidence, in words."""
-    origin = HOW_FOUND.get(str(evidence.get("method")), "given, not found by gis_radar")
+    origin = _HOW_FOUND.get(str(evidence.get("method")), "given, not found by gis_radar")
     words = [tr(origin)]
     fitness = evidence.get("fitness")
     if isinstance(fitness, int | float) and not isinstance(fitness, bool):

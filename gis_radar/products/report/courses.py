@@ -40,12 +40,12 @@ from gis_radar.products.report.content import Figure
 
 MOST_COURSES = 3  # lanes, which fill two thirds of a page
 DIAGRAM_S = 900.0  # time in a diagram: over more, the lines of vehicles merge into grey
-COURSE_IN, COURSE_DPI = (7.2, 1.9), 150  # of one lane
-NARROW_COURSE_IN = 1.7  # its height on a phone
-BEYOND_M, LEAST_M, MOST_M = 12.0, 45.0, 250.0  # shown beyond the line; least and most before it
-LEAST_ABOVE_M = 2.0  # shown beyond a stop line at the end of its lane
+_COURSE_IN, _COURSE_DPI = (7.2, 1.9), 150  # of one lane
+_NARROW_COURSE_IN = 1.7  # its height on a phone
+_BEYOND_M, LEAST_M, _MOST_M = 12.0, 45.0, 250.0  # shown beyond the line; least and most before it
+_LEAST_ABOVE_M = 2.0  # shown beyond a stop line at the end of its lane
 _AROUND = 1.5  # shown before the line, as a multiple of the longest queue
-BROKEN_STEPS = 3 * TRACK_EVERY_STEPS  # without a state, after which a line ends
+_BROKEN_STEPS = 3 * TRACK_EVERY_STEPS  # without a state, after which a line ends
 _QUEUE, _UNSEEN = "#ba1c4d", "#d5dade"
 _LETTERS_PT, _NARROW_PT = 8.0, 6.5  # size of letters; on a phone
 _TITLE_LETTERS = 95.0  # letters in a title x points of a letter / inches of width
@@ -91,7 +91,7 @@ def draw_courses(
     wide, narrow = (
         _diagrams(courses, (width_in, height_in), letters_pt, clock, paths=paths)
         for width_in, height_in, letters_pt in (
-            (*COURSE_IN, _LETTERS_PT), (NARROW_IN, NARROW_COURSE_IN, _NARROW_PT),
+            (*_COURSE_IN, _LETTERS_PT), (NARROW_IN, _NARROW_COURSE_IN, _NARROW_PT),
         )
     )  # fmt: skip
     named = "; ".join(
@@ -136,7 +136,7 @@ def _diagrams(
 ) -> Image.Image:  # fmt: skip
     """Return the diagrams of lanes below each other."""
     width_in, height_in = size_in
-    dpi = COURSE_DPI if width_in > NARROW_IN else 2 * COURSE_DPI
+    dpi = _COURSE_DPI if width_in > NARROW_IN else 2 * _COURSE_DPI
     with mpl.rc_context(FONTS | {"font.size": letters_pt, "axes.titlesize": "medium"}):
         figure = MplFigure(
             figsize=(width_in, height_in * len(courses)), dpi=dpi, layout="constrained"
@@ -146,7 +146,7 @@ def _diagrams(
             for part in parts:
                 _draw(ax, part, begin, paths=paths)
             near, far = np.concatenate([each.seen[:, 2:] for each in parts]).T
-            shown_m = (min(far.max(initial=0.0), MOST_M), max(near.min(initial=0.0), -BEYOND_M))
+            shown_m = (min(far.max(initial=0.0), _MOST_M), max(near.min(initial=0.0), -_BEYOND_M))
             letters = round(_TITLE_LETTERS * width_in / letters_pt)
             named = queue._replace(name=fill(queue.name, letters))
             _lay_out(ax, named, begin, end, shown_m, clock)
@@ -178,7 +178,7 @@ def _draw(ax: Axes, course: QueueCourse, begin: datetime, *, paths: bool) -> Non
     if not paths:
         return
     new = np.diff(course.vehicle, prepend=-1) != 0
-    new |= np.diff(course.step, prepend=0) > BROKEN_STEPS
+    new |= np.diff(course.step, prepend=0) > _BROKEN_STEPS
     points = np.column_stack([to_s(course.step), course.to_line_m])
     lines = np.split(points, np.flatnonzero(new)[1:])
     ax.add_collection(LineCollection(lines, colors=INK, linewidths=0.45, alpha=0.75, zorder=5))
@@ -191,7 +191,7 @@ def _lay_out(
     """Give axes their scale, times and title: vehicles drive upwards, to the line."""
     seconds = (end - begin).total_seconds()
     reach = min(max(queue.longest_m * _AROUND, LEAST_M), shown_m[0])
-    above = min(shown_m[1], -LEAST_ABOVE_M)
+    above = min(shown_m[1], -_LEAST_ABOVE_M)
     ax.set(xlim=(0.0, seconds), ylim=(reach, above), facecolor=_UNSEEN)
     ax.axhline(0.0, color=INK, lw=1.2, zorder=6)
     step_s = 10.0 if seconds <= DIAGRAM_S / 3.0 else 60.0

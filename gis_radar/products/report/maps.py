@@ -41,30 +41,30 @@ from gis_radar.scans import (
     draw_sight,
 )
 
-ASPECT = (0.55, 1.25)  # height over width: least, which the scale bar needs, and greatest
-SCALE_SHARE = (0.4, 0.13)  # width and height of the scale bar's corner, of the map's width
+_ASPECT = (0.55, 1.25)  # height over width: least, which the scale bar needs, and greatest
+_SCALE_SHARE = (0.4, 0.13)  # width and height of the scale bar's corner, of the map's width
 _MOST_FRAMES = 96  # pictures in time: a day of quarter hours
-MOST_PIXELS = 2_200_000  # of a picture
-ALL_PIXELS = 70_000_000  # of all together: a browser holds four bytes of each
+_MOST_PIXELS = 2_200_000  # of a picture
+_ALL_PIXELS = 70_000_000  # of all together: a browser holds four bytes of each
 _STAGE = "drawing the maps"
 
 SIGHT_IN = 3.4  # width of a sensor's picture: alone on a phone's page its words can be read
-MOST_SIGHTS = 6  # sensors whose sight is drawn
+_MOST_SIGHTS = 6  # sensors whose sight is drawn
 
 
 def lay_out(heat: HeatMap) -> MapPicture:
     """Return the pixels that all maps of a report share: the more maps, the coarser."""
     maps = len(_groups(heat)) + 1
     corners = quads(heat.tiles)
-    extent = map_extent(corners, heat.shares().observed_s > 0, ASPECT)
+    extent = map_extent(corners, heat.shares().observed_s > 0, _ASPECT)
     extent = with_room_for_scale(extent, corners)
-    return map_picture(corners, extent, min(MOST_PIXELS, ALL_PIXELS // maps))
+    return map_picture(corners, extent, min(_MOST_PIXELS, _ALL_PIXELS // maps))
 
 
 def with_room_for_scale(extent: Extent, corners: Floats) -> Extent:
     """Return an extent with a strip below for the scale bar, if both lower corners hold road."""
     low, high = extent
-    wide, tall = np.array(SCALE_SHARE) * (high - low)[0]
+    wide, tall = np.array(_SCALE_SHARE) * (high - low)[0]
     east, north = (corners.reshape(-1, 2) - low).T
     below = (north > 0.0) & (north < tall)
     sides = (east, (high - low)[0] - east)
@@ -161,7 +161,7 @@ def _sentence(heat: HeatMap, group: slice | None) -> str:
 def draw_sights(results: Results) -> list[Figure]:
     """Draw what each sensor sees, side by side; nothing where that is not known."""
     dataset, tiles = results.dataset, SightTiles.of(results.heat.tiles)
-    poses = [] if dataset is None else list(results.poses)[:MOST_SIGHTS]
+    poses = [] if dataset is None else list(results.poses)[:_MOST_SIGHTS]
     if dataset is None or not poses:
         return []
     sights = [sight_of_tiles(dataset.sight_of(pose.sensor), pose, tiles) for pose in poses]

@@ -141,8 +141,8 @@ def _part(name: str) -> str:
     return files("gis_radar.products.report").joinpath(name).read_text(encoding="utf-8")
 
 
-FONT = "DejaVu Sans of Matplotlib"  # the same on every machine
-FONT_FILES = {"normal": "DejaVuSans.ttf", "bold": "DejaVuSans-Bold.ttf"}
+_FONT = "DejaVu Sans of Matplotlib"  # the same on every machine
+_FONT_FILES = {"normal": "DejaVuSans.ttf", "bold": "DejaVuSans-Bold.ttf"}
 
 
 def write_pdf(content: Content, path: Path) -> None:
@@ -194,9 +194,9 @@ def _font_css() -> str:
     """Return CSS that sets all text in the font that Matplotlib brings along."""
     folder = Path(mpl.get_data_path()) / "fonts" / "ttf"
     faces = [
-        f'@font-face {{ font-family: "{FONT}"; font-weight: {weight}; '
+        f'@font-face {{ font-family: "{_FONT}"; font-weight: {weight}; '
         f"src: url({(folder / name).as_uri()}); }}"
-        for weight, name in FONT_FILES.items()
+        for weight, name in _FONT_FILES.items()
     ]
-    family = f'{{ font-family: "{FONT}"; }}'
+    family = f'{{ font-family: "{_FONT}"; }}'
     return "\n".join([*faces, f"body {family} @page {family}"])

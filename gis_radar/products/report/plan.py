@@ -33,17 +33,17 @@ from gis_radar.products.heatmap.picture import (
 )
 from gis_radar.products.report.content import Figure
 
-PLAN_IN = 6.0  # width of the figure of lanes: the narrower, the larger its words
-MOST_LABELS = 60  # numbers on the plan: more are illegible
+_PLAN_IN = 6.0  # width of the figure of lanes: the narrower, the larger its words
+_MOST_LABELS = 60  # numbers on the plan: more are illegible
 LETTERS_PT = 7.5  # size of the numbers
-GLYPH = (0.68, 1.25)  # width of a bold figure and height of its line, of the size of the letters
+_GLYPH = (0.68, 1.25)  # width of a bold figure and height of its line, of the size of the letters
 # Places to try for the number of a lane: on it, as shares of its length;
-TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)
-ASIDE_PT = (14.0, 22.0, 32.0, 46.0, 64.0, 90.0)  # beside it, at the end of a line, points;
+_TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)
+_ASIDE_PT = (14.0, 22.0, 32.0, 46.0, 64.0, 90.0)  # beside it, at the end of a line, points;
 _AROUND_PT, _AROUND = (46.0, 64.0, 90.0, 125.0, 175.0), 24  # around its middle, in 24 directions.
-SCALE_IN = (2.2, 0.75)  # size of the corner with the scale bar
+_SCALE_IN = (2.2, 0.75)  # size of the corner with the scale bar
 # Tints that lanes take in turn; where two look alike, their numbers distinguish them.
-TINTS = ("#cfe3f5", "#f7dfb2", "#d8ead0", "#ead6ea")
+_TINTS = ("#cfe3f5", "#f7dfb2", "#d8ead0", "#ead6ea")
 
 
 class PlacedNumber(NamedTuple):
@@ -77,7 +77,7 @@ def draw_plan(tiles: gpd.GeoDataFrame, picture: MapPicture, table: pd.DataFrame)
     place = (centres - corner) / size
     inside = ((place > 0.0) & (place < 1.0)).all(axis=1)
     shown = [lane for lane in lanes if inside[lane.rows].any()]
-    known = set(table.loc[table["share"].notna(), "lane"].tolist()[:MOST_LABELS])
+    known = set(table.loc[table["share"].notna(), "lane"].tolist()[:_MOST_LABELS])
     middles = {
         lane.number: centres[lane.rows[np.abs(place[lane.rows] - 0.5).max(axis=1) < 0.48]]
         for lane in shown
@@ -87,7 +87,7 @@ def draw_plan(tiles: gpd.GeoDataFrame, picture: MapPicture, table: pd.DataFrame)
     tips = [centres[lane.rows] for lane in shown if inside[lane.rows[-1]]]
     drawn = {
         width_in: _overlay(picture, width_in, [centres[lane.rows] for lane in shown], tips, middles)
-        for width_in in (PLAN_IN, NARROW_IN)
+        for width_in in (_PLAN_IN, NARROW_IN)
     }
     wide, narrow = (Image.alpha_composite(ground, over).convert("RGB") for over in drawn.values())
     return Figure(
@@ -145,7 +145,7 @@ def place_numbers(
         The map.
     """
     _, south, east, _ = bounds.bounds
-    wide, high = (each * 72.0 * point_m for each in SCALE_IN)
+    wide, high = (each * 72.0 * point_m for each in _SCALE_IN)
     taken = [shapely.box(east - wide, south, east, south + high)]
     placed: dict[int, PlacedNumber] = {}
     for number in sorted(middles, key=lambda each: (len(middles[each]), each)):
@@ -167,14 +167,14 @@ def place_numbers(
 
 def _candidates(middles: Floats, text: str, point_m: float) -> Iterator[PlacedNumber]:
     """Yield where a number may stand: along its lane, beside it, then all around its middle."""
-    half = np.array([GLYPH[0] * len(text), GLYPH[1]]) * LETTERS_PT * point_m / 2.0
-    at = np.unique((np.array(TRIES) * (len(middles) - 1)).astype(int), return_index=True)
+    half = np.array([_GLYPH[0] * len(text), _GLYPH[1]]) * LETTERS_PT * point_m / 2.0
+    at = np.unique((np.array(_TRIES) * (len(middles) - 1)).astype(int), return_index=True)
     spots: Integers = at[0][np.argsort(at[1])]
     for k in spots:
         direction = _direction_at(middles, int(k))
         turn = (np.degrees(np.arctan2(direction[1], direction[0])) + 90.0) % 180.0 - 90.0
         yield PlacedNumber(middles[k], float(turn), _box(middles[k], half, turn))
-    for aside in ASIDE_PT:
+    for aside in _ASIDE_PT:
         for k in spots[:5]:
             direction = _direction_at(middles, int(k))
             length = float(np.hypot(*direction))
@@ -224,10 +224,10 @@ def _lanes_in_tints(picture: MapPicture, tiles: int, lanes: Sequence[Lane]) -> I
     place = np.zeros(tiles, np.int64)
     for i, lane in enumerate(longest_first):
         place[lane.rows] = i
-    tint = np.array([lane.number % len(TINTS) for lane in longest_first])
+    tint = np.array([lane.number % len(_TINTS) for lane in longest_first])
     pixels = picture.ground.copy()  # paper and outline, as on the map
     pixels.ravel()[picture.cover.pixel] = 2 + tint[picture.cover.highest(place)]
-    return image_of_pixels(pixels, rgb(PAPER, SOFT, *TINTS)).convert("RGBA")
+    return image_of_pixels(pixels, rgb(PAPER, SOFT, *_TINTS)).convert("RGBA")
 
 
 def _add_tip(ax: Axes, middles: Floats) -> None:

@@ -83,7 +83,7 @@ from gis_radar.products.report.traffic import traffic_chapters, traffic_of
 from gis_radar.products.traffic import write_table
 
 _MOST_LANES = 150  # rows of the table as read; the CSV file holds all
-LEAST_PRINTED = 10  # lanes on paper; more where more are ranked
+_LEAST_PRINTED = 10  # lanes on paper; more where more are ranked
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -377,7 +377,7 @@ def _lanes(data: ReportData, *, intervals: bool) -> Table:
         rows=text_rows((row for _, row in shown.iterrows()), columns),
         note=" ".join(notes),
         files=csv_files,
-        printed=max(int((shown["rank"] > 0).sum()), LEAST_PRINTED) if ranks else None,
+        printed=max(int((shown["rank"] > 0).sum()), _LEAST_PRINTED) if ranks else None,
     )
 
 

@@ -37,7 +37,7 @@ from gis_radar.products.heatmap.layers import HEATMAP_FILE as PACKAGE
 from gis_radar.products.report.content import Column, Table, how_found, text_rows
 
 DATASET = "dataset"
-RUN = "run.json"
+_RUN = "run.json"
 NOT_KNOWN = "not known here"
 
 
@@ -287,7 +287,7 @@ def _poses(folder: Path, dataset: Dataset | None) -> list[Pose]:
 
 def read_run(folder: Path) -> dict[str, Any]:
     """Read the `run.json` of `gis-radar run`; empty where there is none."""
-    path = folder / RUN
+    path = folder / _RUN
     if not path.is_file():
         return {}
     document = read_json(path, what="the record of a run", hint=Text("run the site again"))

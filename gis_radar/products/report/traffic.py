@@ -56,14 +56,14 @@ from gis_radar.products.traffic_picture import draw_turning_diagram
 # then 96 a day.
 _INTERVALS = (("1min", 1800.0), ("5min", 10_800.0), ("15min", np.inf))
 _STRIPS, _MOST_CHARTS = 12, 2  # lanes of a chart, which fills a page; most charts
-LEAST_INTERVALS = 3  # for a chart over time: of two values the table has the mean
+_LEAST_INTERVALS = 3  # for a chart over time: of two values the table has the mean
 _MOST_LANES = 60  # rows of the table as read; the CSV file holds all
-MOST_QUEUES = 6  # lanes of the table of queues
+_MOST_QUEUES = 6  # lanes of the table of queues
 LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it
-TURNS_IN, TURNS_DPI = 7.2, 150  # width of the turning diagram
+_TURNS_IN, _TURNS_DPI = 7.2, 150  # width of the turning diagram
 _LEVEL = Text("Level of service")
 _LEVELS = Text("Levels of service are of signals, by the delay; in the handbook of 15 minutes.")
-NOT_SEEN, TOO_LITTLE = "not seen", "too little seen"
+_NOT_SEEN, TOO_LITTLE = "not seen", "too little seen"
 
 
 class ReportedTraffic(NamedTuple):
@@ -200,7 +200,7 @@ def lanes_counted(traffic: ReportedTraffic) -> pd.DataFrame:
 def volume_text(row: pd.Series) -> str:
     """Return the volume an hour of a lane with its standard error, or why there is none."""
     if pd.isna(row["volume"]):
-        return tr(TOO_LITTLE if row["visible_share"] > 0.0 else NOT_SEEN)
+        return tr(TOO_LITTLE if row["visible_share"] > 0.0 else _NOT_SEEN)
     return with_error(row["volume"] / row["hours"], row["volume_se"] / row["hours"])
 
 
@@ -218,7 +218,7 @@ def _volume_table(traffic: ReportedTraffic) -> Table:
 
 def _volume_columns(before_lines: set[int]) -> list[Column]:
     def counted(row: pd.Series) -> str:
-        return tr(NOT_SEEN) if pd.isna(row["counted"]) else figure_text(int(row["counted"]))
+        return tr(_NOT_SEEN) if pd.isna(row["counted"]) else figure_text(int(row["counted"]))
 
     def heavy(row: pd.Series) -> str:
         known = pd.notna(row["counted"]) and row["counted"] > 0
@@ -227,7 +227,7 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
     def queue(row: pd.Series) -> str:
         if row["lane"] not in before_lines:
             return NO_FIGURE
-        return tr(NOT_SEEN) if pd.isna(row["queue_max_m"]) else longest_queue_text(row)
+        return tr(_NOT_SEEN) if pd.isna(row["queue_max_m"]) else longest_queue_text(row)
 
     return [
         Column(tr("Lane"), "", lambda row: str(row["name"]), False),
@@ -320,7 +320,7 @@ def _charts(
     traffic: ReportedTraffic, lanes: pd.DataFrame, profile: _Profile, clock: Clock
 ) -> list[Chart]:
     """Draw a strip for each lane, up to `_MOST_CHARTS` charts; none of too few intervals."""
-    if len(set(traffic.lanes["begin"])) < LEAST_INTERVALS or lanes.empty:
+    if len(set(traffic.lanes["begin"])) < _LEAST_INTERVALS or lanes.empty:
         return []
     lanes = lanes.head(_STRIPS * _MOST_CHARTS)
     table = traffic.lanes.assign(unknown=np.nan).set_index(["lane", "begin"])
@@ -357,7 +357,7 @@ def _chart(
 
 def _turning_diagram(traffic: ReportedTraffic) -> Figure:
     """Draw the turning diagram, for the page and for a phone."""
-    drawn = [_turning_image(traffic, width_in) for width_in in (TURNS_IN, NARROW_IN)]
+    drawn = [_turning_image(traffic, width_in) for width_in in (_TURNS_IN, NARROW_IN)]
     wide, narrow = (each.quantize(128, dither=Image.Dither.NONE) for each in drawn)
     return Figure(
         png=png(wide), narrow=png(for_a_phone(narrow)), width=wide.width, height=wide.height,
@@ -374,7 +374,7 @@ def _turning_diagram(traffic: ReportedTraffic) -> Figure:
 def _turning_image(traffic: ReportedTraffic, width_in: float) -> Image.Image:
     wide = width_in > NARROW_IN
     with mpl.rc_context(FONTS):
-        dpi = TURNS_DPI if wide else 2 * TURNS_DPI
+        dpi = _TURNS_DPI if wide else 2 * _TURNS_DPI
         figure = MplFigure(figsize=(width_in, width_in), dpi=dpi, layout="constrained")
         known = traffic.by_turn[traffic.by_turn["volume"].notna()]
         known = known.assign(error_veh_h=known["volume_se"] / traffic.hours)
@@ -406,7 +406,7 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
             return NO_FIGURE
         unknown = mine[mine["volume"].isna()]
         if not unknown.empty:
-            return tr(TOO_LITTLE if unknown["visible_share"].min() > 0.0 else NOT_SEEN)
+            return tr(TOO_LITTLE if unknown["visible_share"].min() > 0.0 else _NOT_SEEN)
         error = float(np.sqrt((mine["volume_se"] ** 2).sum()))
         return with_error(mine["volume"].sum() / hours, error / hours)
 
@@ -444,7 +444,7 @@ def _queues(traffic: ReportedTraffic, clock: Clock, *, paths: bool) -> list[Tabl
     return [
         *draw_courses(traffic.dataset, longest, span, replace(clock, to_seconds=True), paths=paths),
         _queue_table(traffic, queues, longest_by_lane, clock),
-        *_charts(traffic, queues.head(MOST_QUEUES), _LONGEST_QUEUES, clock)[:long],
+        *_charts(traffic, queues.head(_MOST_QUEUES), _LONGEST_QUEUES, clock)[:long],
     ]
 
 
@@ -479,7 +479,7 @@ def _queue_table(
         level_note = " " + tr(_LEVELS)
         queues = queues.assign(los=levels.fillna(NO_FIGURE))
         columns.append(Column(tr(_LEVEL), "HCM", lambda row: str(row["los"])))
-    rows = text_rows([row for _, row in queues.head(MOST_QUEUES).iterrows()], columns)
+    rows = text_rows([row for _, row in queues.head(_MOST_QUEUES).iterrows()], columns)
     return Table(
         name="queues", caption=tr("The longest queues"), columns=columns, rows=rows,
         note=tr(

@@ -28,14 +28,14 @@ LISTS = {
     ),
 }
 # Messages that carry the sensor's datagrams unchanged.
-PACKETS = (
+_PACKETS = (
     "nebula_msgs/msg/NebulaPackets",
     "nebula_msgs/msg/NebulaPacket",
     "udp_msgs/msg/UdpPacket",
     "ethernet_msgs/msg/Packet",
     "std_msgs/msg/UInt8MultiArray",
 )
-KNOWN = (CLOUD, *LISTS, ars430.PACKET, *PACKETS)
+_KNOWN = (CLOUD, *LISTS, ars430.PACKET, *_PACKETS)
 # ROS 2 bags up to Humble do not hold the definitions of their messages.
 MESSAGE_DEFINITIONS = {
     "radar_msgs/msg/RadarReturn": "float32 range\nfloat32 azimuth\nfloat32 elevation\n"
@@ -94,12 +94,12 @@ def typestore(connection: Any) -> Any:
 
 
 _ENDINGS = (".bag", ".db3", ".mcap")
-REPAIR_COMMANDS = {
+_REPAIR_COMMANDS = {
     ".bag": "rosbag reindex",
     ".mcap": "mcap recover",
     ".db3": "sqlite3 FILE .recover",
 }
-MESSAGES_A_REPORT = 256  # between two reports of progress
+_MESSAGES_A_REPORT = 256  # between two reports of progress
 Decode = Callable[[bytes], Any]
 
 
@@ -112,7 +112,7 @@ def _accepts(source: str) -> bool:
 
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     with _opened(source) as reader:
-        wanted = [c for c in reader.connections if c.msgtype in KNOWN and context.wants(c.topic)]
+        wanted = [c for c in reader.connections if c.msgtype in _KNOWN and context.wants(c.topic)]
         topics = {topic.id: _Topic(source, topic, reader, context) for topic in wanted}
         found = False
         for topic, stamp, raw in _messages(source, reader, wanted, context):
@@ -129,7 +129,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
                 "{}: no radar topic{} in it",
                 source,
                 Text(" of that name") if context.sensor else "",
-                hint=Text("topics: {}; known types: {}", listed, ", ".join(KNOWN)),
+                hint=Text("topics: {}; known types: {}", listed, ", ".join(_KNOWN)),
             )
 
 
@@ -169,7 +169,7 @@ def _messages(
     total, stage = sum(topic.msgcount for topic in wanted), Text("reading {}", Path(source).name)
     messages = iter(reader.messages(connections=wanted)) if wanted else iter(())
     for number in count():
-        if number % MESSAGES_A_REPORT == 0:
+        if number % _MESSAGES_A_REPORT == 0:
             context.reporter.progress(stage, min(number, total), total)
         try:
             message = next(messages, None)
@@ -188,7 +188,7 @@ def _messages(
 
 def _damaged(source: str, error: Exception) -> InputError:
     """Return the error for a bag that cannot be read, with the command that may repair it."""
-    repair = REPAIR_COMMANDS.get(Path(source).suffix.lower(), "ros2 bag reindex")
+    repair = _REPAIR_COMMANDS.get(Path(source).suffix.lower(), "ros2 bag reindex")
     return InputError(
         "{}: cannot be read as a bag: {}",
         source,
@@ -215,7 +215,7 @@ class _Topic:
         """Yield the frames of a message; one that is damaged is counted."""
         try:
             message = self._decode(raw)
-            if self._kind in PACKETS:
+            if self._kind in _PACKETS:
                 yield from self._from_packets(message, recorded)
             elif self._kind == ars430.PACKET:
                 stamp = _seconds(message.header.stamp)

@@ -30,18 +30,18 @@ from gis_radar.recordings.frames import (
 from gis_radar.recordings.readers.udp import LIST_METHOD, OTHER_METHODS, method_of, read_detections
 from gis_radar.recordings.unpacking import ExplodingError, LimitedStream
 
-GZIP = b"\x1f\x8b"
-PCAPNG = b"\x0a\x0d\x0d\x0a"
+_GZIP = b"\x1f\x8b"
+_PCAPNG = b"\x0a\x0d\x0d\x0a"
 # Byte order and ticks a second by the magic number.
-PCAP = {
+_PCAP = {
     b"\xa1\xb2\xc3\xd4": (">", 1_000_000),
     b"\xd4\xc3\xb2\xa1": ("<", 1_000_000),
     b"\xa1\xb2\x3c\x4d": (">", 1_000_000_000),
     b"\x4d\x3c\xb2\xa1": ("<", 1_000_000_000),
 }
-BUFFER_BYTES = 1 << 20
-LARGEST_BLOCK = 1 << 24  # bytes; more is damage
-BYTES_A_REPORT = 1 << 22  # between two reports of progress, some of them a second
+_BUFFER_BYTES = 1 << 20
+_LARGEST_BLOCK = 1 << 24  # bytes; more is damage
+_BYTES_A_REPORT = 1 << 22  # between two reports of progress, some of them a second
 
 _SECTION, _INTERFACE, _PACKET, _SIMPLE, _ENHANCED = 0x0A0D0D0A, 1, 2, 3, 6
 _RESOLUTION, _OFFSET = 9, 14
@@ -83,7 +83,7 @@ def is_capture(path: Path) -> bool:
             magic = stream.read(4)
     except (OSError, EOFError, zlib.error):
         return False
-    return magic == PCAPNG or magic in PCAP
+    return magic == _PCAPNG or magic in _PCAP
 
 
 def read_packets(path: Path) -> Iterator[tuple[Packet, int]]:
@@ -109,10 +109,10 @@ def read_packets(path: Path) -> Iterator[tuple[Packet, int]]:
     with _opened(path) as stream:
         magic = stream.read(4)
         try:
-            if magic == PCAPNG:
+            if magic == _PCAPNG:
                 yield from _read_pcapng(stream)
-            elif magic in PCAP:
-                yield from _read_pcap(stream, *PCAP[magic])
+            elif magic in _PCAP:
+                yield from _read_pcap(stream, *_PCAP[magic])
             else:
                 raise DamagedError(Text("no capture (pcap, pcapng)"))
         except EOFError as error:
@@ -125,10 +125,10 @@ def read_packets(path: Path) -> Iterator[tuple[Packet, int]]:
 
 def _opened(path: Path) -> BinaryIO:
     with path.open("rb") as start:
-        packed = start.read(2) == GZIP
+        packed = start.read(2) == _GZIP
     if packed:
         return LimitedStream(gzip.open(path), path.stat().st_size)  # type: ignore[return-value, arg-type]
-    return path.open("rb", buffering=BUFFER_BYTES)
+    return path.open("rb", buffering=_BUFFER_BYTES)
 
 
 def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packet, int]]:
@@ -144,7 +144,7 @@ def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packe
         seconds, fraction, kept, length = record.unpack(start)
         if not any(start):  # a disk that was not written to the end
             raise DamagedError(Text("only zeros from byte {:,} on", position))
-        if kept > LARGEST_BLOCK:
+        if kept > _LARGEST_BLOCK:
             raise DamagedError(Text("a packet of {:,} bytes at byte {:,}", kept, position))
         # nanoseconds under the magic number of microseconds; some programs round up to a second
         if fraction > ticks:
@@ -191,7 +191,7 @@ def _begin_section(stream: BinaryIO, start: bytes) -> tuple[str, bytes, int]:
 
 
 def _block_length(size: int, position: int) -> int:
-    if not _BLOCK_FRAME <= size <= LARGEST_BLOCK or size % 4:
+    if not _BLOCK_FRAME <= size <= _LARGEST_BLOCK or size % 4:
         raise DamagedError(Text("a block of {:,} bytes at byte {:,}", size, position))
     return size
 
@@ -250,10 +250,10 @@ _VLAN = (0x8100, 0x88A8, 0x9100)
 _UDP, _TCP = 17, 6
 _MORE, _FRAGMENT_OFFSET = 0x2000, 0x1FFF
 # Most incomplete datagrams that are held: senders have few under way, the oldest is given up.
-MOST_PENDING = 64
+_MOST_PENDING = 64
 # Seconds a datagram may take to arrive (RFC 791); later its identification may be used again.
-REASSEMBLY_S = 15.0
-LONGEST_PACKET = 65_535  # bytes of an IPv4 packet
+_REASSEMBLY_S = 15.0
+_LONGEST_PACKET = 65_535  # bytes of an IPv4 packet
 
 
 class Datagram(NamedTuple):
@@ -367,14 +367,14 @@ class Datagrams:
     def _reassemble(self, packet: Packet, start: int, flags: int, fragment: bytes) -> bytes | None:
         """Add a fragment to its datagram; return the content once it is complete."""
         at = (flags & _FRAGMENT_OFFSET) * 8
-        if at + len(fragment) > LONGEST_PACKET:
+        if at + len(fragment) > _LONGEST_PACKET:
             return None
         # Addresses, protocol and identification.
         head = packet.data[start : start + 20]
         key = head[12:20] + head[9:10] + head[4:6]
         now = packet.time or 0.0
         fragments = self._pending.get(key)
-        if fragments is None or abs(now - fragments.first_time) > REASSEMBLY_S:
+        if fragments is None or abs(now - fragments.first_time) > _REASSEMBLY_S:
             self._give_up(key)
             fragments = self._pending[key] = _Fragments(now)
         content = fragments.add(at, fragment, last=not flags & _MORE)
@@ -384,7 +384,7 @@ class Datagrams:
 
     def _give_up(self, key: bytes) -> None:
         """Give up an earlier datagram of the same key, or the oldest where there are too many."""
-        if key not in self._pending and len(self._pending) < MOST_PENDING:
+        if key not in self._pending and len(self._pending) < _MOST_PENDING:
             return
         del self._pending[key if key in self._pending else next(iter(self._pending))]
         self._lost += 1
@@ -434,7 +434,7 @@ def _datagrams(
     try:
         for packet, position in read_packets(path):
             packets += 1
-            if position - reported > BYTES_A_REPORT:
+            if position - reported > _BYTES_A_REPORT:
                 reported = position
                 context.reporter.progress(Text("reading {}", path.name), position, total)
             datagram = datagrams.take(packet)

@@ -30,10 +30,10 @@ from gis_radar.recordings.frames import (
 )
 
 # Digits of a time as one whole number: seconds, milli-, micro-, nanoseconds since 1970.
-SECONDS_BY_DIGITS = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
-LONGEST_HEADER = 1 << 14  # bytes; usual are some hundred
-LONGEST_NUMBER = 32  # letters of a number in text and the gap after it
-MOST_COUNT = 65_536  # numbers of a field; descriptors of points have some hundred
+_SECONDS_BY_DIGITS = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
+_LONGEST_HEADER = 1 << 14  # bytes; usual are some hundred
+_LONGEST_NUMBER = 32  # letters of a number in text and the gap after it
+_MOST_COUNT = 65_536  # numbers of a field; descriptors of points have some hundred
 _KINDS = {
     ("F", "2"): "f2", ("F", "4"): "f4", ("F", "8"): "f8",
     ("I", "1"): "i1", ("I", "2"): "i2", ("I", "4"): "i4", ("I", "8"): "i8",
@@ -111,7 +111,7 @@ def time_in_name(path: Path) -> float:
         text = rest if stem[found.end(1)] == "." else rest.zfill(9)
         return float(f"{seconds}.{text}")
     if found := re.search(r"(?<!\d)(\d{10}|\d{13}|\d{16}|\d{19})(?!\d)", stem):
-        return int(found[1]) * SECONDS_BY_DIGITS[len(found[1])]
+        return int(found[1]) * _SECONDS_BY_DIGITS[len(found[1])]
     if found := _DATE.search(stem):
         *date, fraction = found.groups()
         try:
@@ -144,7 +144,7 @@ def read_pcd(path: Path) -> Column:
         header = _header(file)
         need = header.points * header.dtype.itemsize
         # The most that a text, or packed data, of so many points can take: the rest is not read.
-        body = file.read(need * (LONGEST_NUMBER if header.data == "ascii" else 2) + 8)
+        body = file.read(need * (_LONGEST_NUMBER if header.data == "ascii" else 2) + 8)
     if header.data == "ascii":
         return _from_text(body, header)
     if header.data == "binary":
@@ -162,8 +162,8 @@ def _header(file: Any) -> _Header:
     """Read the header: types of the fields, number of points, form of the data."""
     words: dict[str, list[str]] = {}
     while "DATA" not in words:
-        line = file.readline(LONGEST_HEADER)
-        if not line or file.tell() > LONGEST_HEADER:
+        line = file.readline(_LONGEST_HEADER)
+        if not line or file.tell() > _LONGEST_HEADER:
             raise DamagedError(Text("no PCD header"))
         key, *rest = line.decode("latin-1").partition("#")[0].split() or [""]
         words[key.upper()] = rest
@@ -181,7 +181,7 @@ def _header(file: Any) -> _Header:
         dtype = np.dtype(fields)
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise DamagedError(Text("the PCD header makes no sense: {}", error)) from error
-    if any(not 1 <= int(count) <= MOST_COUNT for count in counts):
+    if any(not 1 <= int(count) <= _MOST_COUNT for count in counts):
         raise DamagedError(
             Text("the PCD header claims fields of {} numbers", ", ".join(counts)[:60])
         )

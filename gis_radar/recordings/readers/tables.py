@@ -20,7 +20,7 @@ from gis_radar.recordings.frames import Column, Format, Frame, NothingHereError,
 from gis_radar.recordings.parquet_table import parquet_batches
 from gis_radar.recordings.recording import open_table
 
-UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _ENDINGS = (".parquet", ".csv")
 _SENSOR = "table"  # of all tables: several are parts of one sensor's recording
 
@@ -31,9 +31,9 @@ def _accepts(source: str) -> bool:
 
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     path = Path(source)
-    if context.time_unit not in UNITS_S:
+    if context.time_unit not in _UNITS_S:
         raise UsageError(
-            "time unit {}", repr(context.time_unit), hint=Text("known: {}", ", ".join(UNITS_S))
+            "time unit {}", repr(context.time_unit), hint=Text("known: {}", ", ".join(_UNITS_S))
         )
     names = _names(path, context.columns)
     layout = find_layout(names, context.columns)
@@ -172,7 +172,7 @@ def _seconds(column: pa.Array, path: Path, unit: str) -> Floats:
         # pandas writes nanoseconds, of which float64 resolves none
         column, unit = pc.cast(column, pa.timestamp("us"), safe=False), "us"
         column = pc.cast(column, pa.int64())
-    time = _numpy(column).astype(np.float64) * UNITS_S[unit]
+    time = _numpy(column).astype(np.float64) * _UNITS_S[unit]
     if not np.isfinite(time).all():
         raise InputError("{}: a row has no time", path)
     return np.asarray(time)

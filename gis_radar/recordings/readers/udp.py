@@ -32,7 +32,7 @@ from gis_radar.recordings.frames import (
 
 PORT = 42102  # the sensor's default, like GROUP
 GROUP = "224.0.2.2"
-SLOTS = 800  # detections in a list
+_SLOTS = 800  # detections in a list
 _SIZE = 35_336  # bytes of a datagram with a detection list
 LIST_METHOD = 336  # SOME/IP method of a detection list
 OTHER_METHODS = {329: "object list", 380: "sensor status", 396: "filter status"}
@@ -65,7 +65,7 @@ _DETECTION = np.dtype(
         ("sort_index", ">u2"),
     ]
 )
-FURTHER_FIELDS = ("probability", "multi_target", "ambiguity", "classification", "object_id")
+_FURTHER_FIELDS = ("probability", "multi_target", "ambiguity", "classification", "object_id")
 
 
 def method_of(payload: bytes) -> int | None:
@@ -100,7 +100,7 @@ def read_detections(payload: bytes, *, sensor: str, recorder_time: float | None)
         the right one of several), then `classification` and `object_id`.
     """
     (count,) = struct.unpack_from(">I", payload, _COUNT_AT)
-    if len(payload) != _SIZE or count > SLOTS:
+    if len(payload) != _SIZE or count > _SLOTS:
         return None
     nanoseconds, seconds, status = _STAMP.unpack_from(payload, _STAMP_AT)
     rows = np.frombuffer(payload, _DETECTION, count, _LIST_AT)
@@ -116,7 +116,7 @@ def read_detections(payload: bytes, *, sensor: str, recorder_time: float | None)
         points=points,
         range_rate=rate,
         rcs=_native(rows, "rcs"),
-        further={name: _native(rows, name) for name in FURTHER_FIELDS},
+        further={name: _native(rows, name) for name in _FURTHER_FIELDS},
         sensor_time=seconds + nanoseconds * 1e-9,
         recorder_time=recorder_time,
         synchronised=status == _SYNCHRONISED,
@@ -128,9 +128,9 @@ def _native(rows: Column, name: str) -> Column:
     return rows[name].astype(np.float32)
 
 
-SCHEME = "udp://"
+_SCHEME = "udp://"
 # A second of frames, in case writing to disk blocks.
-RECEIVE_BUFFER_BYTES = 1 << 23
+_RECEIVE_BUFFER_BYTES = 1 << 23
 _POLL_S = 0.2  # between two checks of the clock and of Ctrl-C
 
 
@@ -198,7 +198,7 @@ def _address(source: str) -> tuple[str, int, str]:
     return group, port, interface
 
 
-_EXAMPLE = f"such as {SCHEME}{GROUP}:{PORT}?interface=10.13.1.1"
+_EXAMPLE = f"such as {_SCHEME}{GROUP}:{PORT}?interface=10.13.1.1"
 
 
 @contextmanager
@@ -207,7 +207,7 @@ def _listening(source: str, group: str, port: int, interface: str) -> Iterator[s
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         try:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
             multicast = IPv4Address(group).is_multicast
             listener.bind(("" if multicast else group, port))
             if multicast:
@@ -220,8 +220,8 @@ def _listening(source: str, group: str, port: int, interface: str) -> Iterator[s
 
 FORMAT = Format(
     name="ARS548 from the network",
-    takes=f"{SCHEME}{GROUP}:{PORT}",
-    accepts=lambda source: source.lower().startswith(SCHEME),
+    takes=f"{_SCHEME}{GROUP}:{PORT}",
+    accepts=lambda source: source.lower().startswith(_SCHEME),
     frames=_frames,
     live=True,
 )

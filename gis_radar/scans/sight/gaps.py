@@ -21,7 +21,7 @@ from gis_radar.scans.sight.tiles import SightTiles
 
 # Lanelets are divided into pieces of this length, a car's: a vehicle is detected several times on
 # each.
-PIECE_M = 5.0
+_PIECE_M = 5.0
 # A piece is empty below this share of the expected movement. It must be small: vehicles that queue
 # on one side and pass the piece freely are detected ten times less often on it.
 _EMPTY_SHARE = 0.01
@@ -29,7 +29,7 @@ _EMPTY_SHARE = 0.01
 # car's length.
 _LEAST_FRAMES = 100.0
 # share of a tile under another lanelet's from which on its movement may be of either
-SHARED_AREA = 0.05
+_SHARED_AREA = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +96,7 @@ def find_gaps(hits: Sequence[MovingHits], tiles: SightTiles) -> list[Gap]:
 def _pieces(
     tiles: SightTiles, place: Integers, count: Floats, frames: Floats
 ) -> tuple[pd.DataFrame, Integers]:
-    """Return pieces of lanelets, `PIECE_M` long, of consecutive tiles that are all in sight.
+    """Return pieces of lanelets, `_PIECE_M` long, of consecutive tiles that are all in sight.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def _pieces(
     along -= along[new][stretch]
     table = pd.DataFrame({"stretch": stretch, "lanelet": lanelet, "tiles": 1})
     table = table.assign(count=count[place], frames=frames[place])
-    grouped = table.groupby([stretch, (along / PIECE_M).astype(np.int64)])
+    grouped = table.groupby([stretch, (along / _PIECE_M).astype(np.int64)])
     first = {name: (name, "first") for name in ("stretch", "lanelet")}
     sums = {name: (name, "sum") for name in ("tiles", "count", "frames")}
     of_tile = np.asarray(grouped.ngroup(), np.int64)
@@ -162,7 +162,7 @@ def _shared_tiles(tiles: SightTiles, asked: Integers) -> Integers:
     apart = tiles.lanelet_id[of_asked] != tiles.lanelet_id[overlapping]
     of_asked, overlapping = of_asked[apart], overlapping[apart]
     shared = shapely.area(shapely.intersection(shapes[of_asked], shapes[overlapping]))
-    return np.asarray(of_asked[shared > SHARED_AREA * shapely.area(shapes[of_asked])])
+    return np.asarray(of_asked[shared > _SHARED_AREA * shapely.area(shapes[of_asked])])
 
 
 def gap_warning(gaps: Sequence[Gap]) -> str:

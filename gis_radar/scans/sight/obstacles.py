@@ -16,25 +16,25 @@ OBSTACLE_CELL_M = 1.0  # of the cells in which the scan is gathered
 _TALL_M = 2.5  # things up to this height over the ground do not hide: parked cars, hedges, rails
 # A body is solid where no return from below it lies in a square of this side: crowns let pulses
 # through, roofs do not.
-CROWN_M = 3.0
+_CROWN_M = 3.0
 GROUND_M = 12.0  # narrower surfaces are not ground: cars, hedges
 # Width of the opening that removes roofs from the ground in scans without classes, and side, in
 # cells, of the squares on which it runs.
 WIDEST_ROOF_M, _GROUND_CELLS = 40.0, 2
 # Depth under the ground's surface down to which a ray is free: noise of scan and map. With 0.4,
 # rays from below reach the far side of ramps: 13 % of two levels wrongly seen, not 4 %.
-SUNK_M = 0.1
+_SUNK_M = 0.1
 CLEAR_M = 4.5  # height over a road up to which rays are free: the least clearance of bridges
-LEVELS_APART_M = 3.0  # tiles at one place farther apart in height are on two levels
-SHOULDER_M = 4.0  # width of kerbs, shoulders and parapets beside an upper level's tiles
-OPENING_M = 8.0  # width beside the lower level's tiles in which rays under a deck are free
-DECK_M = 1.5  # thickness of a deck
+_LEVELS_APART_M = 3.0  # tiles at one place farther apart in height are on two levels
+_SHOULDER_M = 4.0  # width of kerbs, shoulders and parapets beside an upper level's tiles
+_OPENING_M = 8.0  # width beside the lower level's tiles in which rays under a deck are free
+_DECK_M = 1.5  # thickness of a deck
 _GAP_M = 3.0  # cells without points take the heights of the nearest cell within this distance
 # Length inside obstacles from which on a ray is blocked (1 or 1.5 change the shares wrongly seen by
 # 0.4 %), and distance of samples along it.
 _BLOCKED_M, _STEP_M = 0.5, 0.5
 # Ends of a ray that are not sampled: the sensor's mast may stand at a wall or in a crown.
-SKIP_NEAR_M, SKIP_FAR_M = 2.0, 0.5
+_SKIP_NEAR_M, _SKIP_FAR_M = 2.0, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,7 @@ class Obstacles:
     grid : Grid
         The cells, in the map.
     floor : array
-        Height of the ground, less `SUNK_M`; -inf where the scan covers nothing.
+        Height of the ground, less `_SUNK_M`; -inf where the scan covers nothing.
     solid : array
         Top of the solid body that stands on the ground; -inf where none does.
     slab_low, slab_high : array
@@ -123,7 +123,7 @@ def road_heights(quads: Floats, height: Floats, grid: Grid) -> RoadHeights:
 def find_obstacles(columns: ScanColumns, roads: RoadHeights, *, classified: bool) -> Obstacles:
     """Find the obstacles over the cells of a window.
 
-    Solid is what remains of the lowest returns after an opening over `CROWN_M`. It removes crowns,
+    Solid is what remains of the lowest returns after an opening over `_CROWN_M`. It removes crowns,
     as pulses reach the ground under them, and poles, hedges and cars. Over the road, rays are free
     up to `CLEAR_M`, whatever stood on it when the scan was flown. An upper level is a slab over a
     lower level's tiles and some metres beside them.
@@ -143,7 +143,7 @@ def find_obstacles(columns: ScanColumns, roads: RoadHeights, *, classified: bool
         np.where(known, side[index].astype(np.float64), np.nan)
         for side in (columns.low, columns.top)
     )
-    surface = _opened(low, CROWN_M / OBSTACLE_CELL_M)
+    surface = _opened(low, _CROWN_M / OBSTACLE_CELL_M)
     terrain_under = partial(
         ground_under,
         cell_m=OBSTACLE_CELL_M,
@@ -166,7 +166,7 @@ def find_obstacles(columns: ScanColumns, roads: RoadHeights, *, classified: bool
     is_solid &= ~under & ~roads.road
     base = np.where(under, np.fmin(np.fmin(terrain_below, below), roads.lowest), ground)
     base = np.where(roads.road & ~under, roads.lowest, base)
-    floor = np.where(known, base - SUNK_M, -np.inf)
+    floor = np.where(known, base - _SUNK_M, -np.inf)
     return Obstacles(
         grid=columns.grid,
         floor=np.nan_to_num(floor, nan=-np.inf, neginf=-np.inf).astype(np.float32),
@@ -196,7 +196,7 @@ def _slabs(
     spans = roads.road & (surface - roads.lowest > CLEAR_M)
     low[spans] = roads.lowest[spans] + CLEAR_M
     high[spans] = surface[spans]
-    low[deck] = level[deck] - DECK_M
+    low[deck] = level[deck] - _DECK_M
     high[deck] = np.fmax(high, level)[deck]
     return low, high
 
@@ -209,15 +209,15 @@ def _decks(
     Rays pass under a deck where a lower level's tiles are under it, some metres beside them, and
     where the scan has the class of decks; elsewhere an upper road is an embankment.
     """
-    crossing = roads.highest - roads.lowest > LEVELS_APART_M
+    crossing = roads.highest - roads.lowest > _LEVELS_APART_M
     known = np.isfinite(by_class)
     upper = roads.highest - np.fmin(terrain, roads.lowest) > _TALL_M
     top = np.where(upper, roads.highest, by_class)
     distance, index = nearest_known(np.isfinite(top))
-    level = np.where(distance * OBSTACLE_CELL_M <= SHOULDER_M, top[index], np.nan)
+    level = np.where(distance * OBSTACLE_CELL_M <= _SHOULDER_M, top[index], np.nan)
     near = np.abs(highest - level) < _TALL_M
     deck = (near & (level - terrain > _TALL_M) & ~(roads.road & ~upper)) | crossing
-    cells = round(OPENING_M / OBSTACLE_CELL_M)
+    cells = round(_OPENING_M / OBSTACLE_CELL_M)
     opened = scipy.ndimage.binary_dilation(crossing, iterations=cells, mask=deck)
     distance, index = nearest_known(crossing)
     below = np.where(distance <= 2 * cells, roads.lowest[index], np.nan)
@@ -247,7 +247,7 @@ def follow_rays(
         dx, dy, dz = targets[i] - eye
         flat_m = np.hypot(dx, dy)
         blocked, first, by = 0.0, np.nan, 0
-        for k in range(int(SKIP_NEAR_M / _STEP_M), int((flat_m - SKIP_FAR_M) / _STEP_M) + 1):
+        for k in range(int(_SKIP_NEAR_M / _STEP_M), int((flat_m - _SKIP_FAR_M) / _STEP_M) + 1):
             share = k * _STEP_M / flat_m
             u = int(np.floor((eye[0] + share * dx) / cell_m))
             v = int(np.floor((eye[1] + share * dy) / cell_m))

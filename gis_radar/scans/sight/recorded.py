@@ -21,7 +21,7 @@ from gis_radar.base import Booleans, Floats, Integers, Reporter, Text
 from gis_radar.scans.sight.sight import HIDDEN, IN_SIGHT, OUT_OF_VIEW, Sight
 from gis_radar.scans.sight.tiles import SightTiles
 
-NO_MOVEMENT, MOVEMENT = "nothing moves in sight", "moves where hidden"
+_NO_MOVEMENT, _MOVEMENT = "nothing moves in sight", "moves where hidden"
 Table: TypeAlias = Floats  # sums by direction and distance from a sensor
 CAR_REFLECTION_M = 1.0  # over the road: between the sills and the roof of a car
 # Least absolute range rate of movement, over that of leaves and most walkers; and farthest height
@@ -29,8 +29,8 @@ CAR_REFLECTION_M = 1.0  # over the road: between the sills and the roof of a car
 MOVEMENT_MPS, MOVEMENT_LEVEL_M = 1.0, 2.5
 # Size of the cells in which recorded movement is compared with sight: a sector is wider than a
 # radar's bearing error and narrower than a house, a ring is as long as the least driveway.
-SECTOR_DEG, RING_M = 1.0, 10.0
-SECTORS_IN_ROW = 3  # least width of a contradiction: a single one is an edge with bearing errors
+_SECTOR_DEG, _RING_M = 1.0, 10.0
+_SECTORS_IN_ROW = 3  # least width of a contradiction: a single one is an edge with bearing errors
 # A cell is empty below this share of the expected movement (ghosts of facades are a tenth at most),
 # if so many frames with movement are expected in it and beyond.
 _EMPTY_SHARE, _LEAST_IN_SECTOR = 0.1, 2.0
@@ -42,7 +42,7 @@ _LEAST_FRAMES = 100.0
 JUDGED_FRAMES = 6000
 # Least share of the expected movement that contradicts `hidden`: ghosts, and lorries visible over a
 # wall, give less.
-MOVING_SHARE = 0.3
+_MOVING_SHARE = 0.3
 _ROUNDS = 8  # of the fit of profiles and flows; four give the same tiles
 
 
@@ -153,12 +153,12 @@ class _Polar:
     def of(cls, sight: Sight, tiles: SightTiles) -> _Polar:
         offset = tiles.centres[:, :2] - sight.pose.position[:2]
         range_m = np.hypot(*offset.T)
-        turns = round(360.0 / SECTOR_DEG)
-        sector = np.floor(np.degrees(np.arctan2(*offset.T[::-1])) / SECTOR_DEG) % turns
+        turns = round(360.0 / _SECTOR_DEG)
+        sector = np.floor(np.degrees(np.arctan2(*offset.T[::-1])) / _SECTOR_DEG) % turns
         seen = range_m[sight.state != OUT_OF_VIEW]
-        most = math.ceil((float(seen.max()) if len(seen) else 0.0) / RING_M) + 1
-        ring = np.minimum(range_m / RING_M, most - 1)
-        hidden = np.minimum(np.nan_to_num(sight.hidden_at_m) / RING_M, most - 1)
+        most = math.ceil((float(seen.max()) if len(seen) else 0.0) / _RING_M) + 1
+        ring = np.minimum(range_m / _RING_M, most - 1)
+        hidden = np.minimum(np.nan_to_num(sight.hidden_at_m) / _RING_M, most - 1)
         return cls(
             ring=ring.astype(np.int64),
             sector=sector.astype(np.int64),
@@ -214,7 +214,7 @@ def _compare(hits: MovingHits, polar: _Polar, expected: Floats) -> Contradiction
     )
     counted = polar.table(hits.count * hidden, polar.hidden)
     wanted = polar.table(expected * hidden, polar.hidden)
-    moving = (counted > 0) & (wanted > 0) & (counted >= MOVING_SHARE * wanted)
+    moving = (counted > 0) & (wanted > 0) & (counted >= _MOVING_SHARE * wanted)
     visible = _in_wide_runs(moving, np.where(moving, counted, 0.0))
     return Contradiction(
         sight=hits.sight,
@@ -237,7 +237,7 @@ def _from_far(table: Table) -> Table:
 
 
 def _in_wide_runs(cells: Booleans, weight: Table) -> Booleans:
-    """Return the cells in runs of `SECTORS_IN_ROW` or more sectors and `_LEAST_FRAMES` weight."""
+    """Return the cells in runs of `_SECTORS_IN_ROW` or more sectors and `_LEAST_FRAMES` weight."""
     with_cells: Booleans = np.any(cells, axis=1)
     turns = len(with_cells)
     first = int(np.argmin(with_cells))  # begin outside a run, which may go on past the last sector
@@ -247,5 +247,5 @@ def _in_wide_runs(cells: Booleans, weight: Table) -> Booleans:
     width = np.bincount(run, with_cells[order])
     heavy = np.bincount(run, weight_of_sector * with_cells[order]) >= _LEAST_FRAMES
     kept = np.zeros_like(with_cells)
-    kept[order] = with_cells[order] & (heavy & (width >= SECTORS_IN_ROW))[run]
+    kept[order] = with_cells[order] & (heavy & (width >= _SECTORS_IN_ROW))[run]
     return cells & kept[:, None]

@@ -57,19 +57,19 @@ _NOTHING, _STANDING, _GROUND, _DECK = 0, 1, 2, 3
 HIDERS = ("", "something that stands", "the ground", "a deck")
 VIEW_ONLY = "view only"
 
-SIGHT_METHOD = 1  # raised whenever the same scan, tiles and pose would give another sight
+_SIGHT_METHOD = 1  # raised whenever the same scan, tiles and pose would give another sight
 TARGET_M = 0.6  # height over the road of the point of a tile that must be seen (the contract)
 # Windows of the scan begin at multiples of _WINDOW_M, so that poses of a track share them;
 # WINDOWS_KEPT of them stay in memory, 10 MB each.
 _WINDOW_M, WINDOWS_KEPT = 64.0, 8
 # Length over places without scan from which on a ray that is not blocked is uncertain: the tile is
 # in sight, but not covered.
-UNKNOWN_M = 10.0
+_UNKNOWN_M = 10.0
 # Warn where the scan decides less than this share of the tiles in the view: the rim of a view
 # reaches beyond most scans, and a tenth of it hardly changes a map.
 _LEAST_COVERED = 0.9
 # Median difference of road heights, scan against tiles, above which their vertical systems differ.
-OFFSET_M = 2.0
+_OFFSET_M = 2.0
 _ARRAYS = ("state", "hider", "hidden_at_m", "uncovered")  # of a sight, in a file of the cache
 _DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
 
@@ -91,7 +91,7 @@ class Sight:
     hidden_at_m : (n,) array
         Horizontal distance from the sensor to the obstacle's begin, metres; NaN without one.
     uncovered : (n,) bool array
-        Tiles in sight whose ray passes more than `UNKNOWN_M` over places without scan.
+        Tiles in sight whose ray passes more than `_UNKNOWN_M` over places without scan.
     scan : str
         Digest of the scan; `view only` without one.
     """
@@ -239,7 +239,7 @@ class SightScan:
     @cached_property
     def _inputs_digest(self) -> bytes:
         """Digest of scan, tiles and method."""
-        found = hashlib.blake2b(f"{self.digest} {SIGHT_METHOD}".encode())
+        found = hashlib.blake2b(f"{self.digest} {_SIGHT_METHOD}".encode())
         found.update(self.tiles.fingerprint.encode() + self.tiles.height.tobytes())
         return found.digest()
 
@@ -248,7 +248,7 @@ class SightScan:
         return {
             "scan": self.digest,
             "files": sorted(each.path.name for each in self.scans),
-            "method": SIGHT_METHOD,
+            "method": _SIGHT_METHOD,
         }
 
     def _window(self, pose: Pose) -> Grid:
@@ -294,7 +294,7 @@ class SightScan:
         off_m = window.low[both] - levels
         nearest = np.where(np.abs(off_m[0]) < np.abs(off_m[1]), off_m[0], off_m[1])
         offset_m = float(np.median(nearest))
-        if abs(offset_m) > OFFSET_M:
+        if abs(offset_m) > _OFFSET_M:
             raise InputError(
                 "{}: its road is {:+.1f} m from the height of the tiles: two vertical "
                 "systems, or the road of another place",
@@ -459,4 +459,4 @@ def _mark_hidden(sight: Sight, rows: Integers, place: Floats, obstacles: Obstacl
     sight.state[rows[hidden]] = HIDDEN
     sight.hider[rows] = hider
     sight.hidden_at_m[rows] = begin_m
-    sight.uncovered[rows] = ~hidden & (unknown_m > UNKNOWN_M)
+    sight.uncovered[rows] = ~hidden & (unknown_m > _UNKNOWN_M)

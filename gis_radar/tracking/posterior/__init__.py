@@ -27,13 +27,13 @@ __all__ = ["Posterior", "improve"]
 _LEAST_ROWS = 8  # least detections of a vehicle whose motion is fitted anew
 MOVES_MPS = 1.0  # least largest speed of such a vehicle
 _LEAST_GAIN = 2.0  # least gain of a new motion over the old one, nats
-SHORTER_STEPS = 10  # steps by which the new motion may be shorter at either end
+_SHORTER_STEPS = 10  # steps by which the new motion may be shorter at either end
 # Logistic regression of the existence of 546 vehicles of five simulated scenes on their mean gain
 # per detection (bench/vehicles/existence.py), cross-validated by scene: log odds without a gain,
 # and per nat. The errors of one body's detections are correlated: all of them together are evidence
 # of a third of what a single one would be.
-LOG_ODDS_AT_0, LOG_ODDS_PER_NAT = 0.26, 0.32
-MOST_NATS = 10.0  # largest gain per detection: that of a standing vehicle on bare road
+_LOG_ODDS_AT_0, _LOG_ODDS_PER_NAT = 0.26, 0.32
+_MOST_NATS = 10.0  # largest gain per detection: that of a standing vehicle on bare road
 
 
 def improve(motions: Sequence[Motion], detections: MapDetections, graph: LaneGraph) -> list[Motion]:
@@ -102,8 +102,8 @@ def _refitted(posterior: Posterior, vehicle: int, states: Floats) -> Motion:
     states[rows, :2], states[rows, 2] = motion.path.at(s_m)
     states[rows, 3] = speed
     new = fit_motion(detections, rows, states)
-    early = new.first_step > motion.first_step + SHORTER_STEPS
-    if early or new.last_step < motion.last_step - SHORTER_STEPS:
+    early = new.first_step > motion.first_step + _SHORTER_STEPS
+    if early or new.last_step < motion.last_step - _SHORTER_STEPS:
         return motion
     span = ((new.first_step - 0.5) * STEP_S, (new.last_step + 0.5) * STEP_S)
     posterior.exclude(vehicle)
@@ -171,5 +171,5 @@ def probability(gain: float, detections: int) -> float:
     detections : int
         Number of its detections.
     """
-    nats = min(max(gain / max(detections, 1), 0.0), MOST_NATS)
-    return 1.0 / (1.0 + math.exp(-LOG_ODDS_AT_0 - LOG_ODDS_PER_NAT * nats))
+    nats = min(max(gain / max(detections, 1), 0.0), _MOST_NATS)
+    return 1.0 / (1.0 + math.exp(-_LOG_ODDS_AT_0 - _LOG_ODDS_PER_NAT * nats))

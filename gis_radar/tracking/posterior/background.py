@@ -14,14 +14,14 @@ from gis_radar.tracking.posterior.likelihood import _BODY_RATE_SIGMA_MPS, RATE_C
 _SPOT_M = 0.5  # side of the spots in which the rate of fixed objects is learned
 _FIXED_MPS = 0.3  # largest absolute range rate of a detection of a fixed object
 # Density of such a range rate, s/m: that of a vehicle at rest, too, so that it does not decide.
-STILL_DENSITY = 1.0 / (math.sqrt(2.0 * math.pi) * _BODY_RATE_SIGMA_MPS)
-AFTER_S = 1.5  # time after a vehicle drove over a spot in which hardly another one stands there
+_STILL_DENSITY = 1.0 / (math.sqrt(2.0 * math.pi) * _BODY_RATE_SIGMA_MPS)
+_AFTER_S = 1.5  # time after a vehicle drove over a spot in which hardly another one stands there
 DRIVES_MPS = 2.0
 _BESIDE_M = 0.5  # no fixed objects are counted on a body and so far around it: its own detections
 _FEW = 20.0  # weight of the usual rate of fixed objects, frames
-SPEEDS = (3.0, 8.0)  # bounds between slow, middling and fast clutter, m/s
+_SPEEDS = (3.0, 8.0)  # bounds between slow, middling and fast clutter, m/s
 # Widths of these bins of range rates of both signs, m/s; fast ones end at 30 m/s.
-WIDTHS = np.array([2.0 * SPEEDS[0], 2.0 * (SPEEDS[1] - SPEEDS[0]), 44.0])
+_WIDTHS = np.array([2.0 * _SPEEDS[0], 2.0 * (_SPEEDS[1] - _SPEEDS[0]), 44.0])
 _LEAST_RATE = 1e-7  # least rate, per frame, m2 and m/s: a hundredth of faint clutter, over 0
 
 
@@ -45,7 +45,7 @@ class Background:
         self._still = np.abs(detections.range_rate) < _FIXED_MPS
         cell = ((detections.points - detections.points.min(axis=0)) / RATE_CELL_M).astype(np.int64)
         rows, columns = cell.max(axis=0) + 1
-        speed = np.digitize(np.abs(detections.range_rate), SPEEDS)
+        speed = np.digitize(np.abs(detections.range_rate), _SPEEDS)
         self._clutter = ((detections.sensor * rows + cell[:, 0]) * columns + cell[:, 1]) * 3 + speed
         self._still_rate = np.zeros(len(detections))
 
@@ -86,7 +86,7 @@ class Background:
         mean_rate = counted[known].sum() / max(bare[known].sum(), 1.0)
         rate = (counted + _FEW * mean_rate) / (np.maximum(bare, 0.0) + _FEW)
         rate = (counted_after + 0.5 * _FEW * rate) / (after + 0.5 * _FEW)
-        return np.asarray(self._still[rows] * rate[tuple(spot.T)] / _SPOT_M**2 * STILL_DENSITY)
+        return np.asarray(self._still[rows] * rate[tuple(spot.T)] / _SPOT_M**2 * _STILL_DENSITY)
 
     def rates(self, unexplained: Floats) -> Floats:
         """Return the background rate at each detection: fixed objects, clutter, least rate.
@@ -100,7 +100,7 @@ class Background:
         cells = np.bincount(self._clutter, unexplained * ~self._still, size).reshape(-1, 3)
         used = np.bincount(self._clutter // 3, minlength=len(cells)) > 0
         frames = len(self._frames.time) / len(self._frames.sensor_xy)
-        each = 0.5 * (cells + cells[used].mean(axis=0)) / (frames * RATE_CELL_M**2 * WIDTHS)
+        each = 0.5 * (cells + cells[used].mean(axis=0)) / (frames * RATE_CELL_M**2 * _WIDTHS)
         return np.asarray(self._still_rate + each.ravel()[self._clutter] + _LEAST_RATE)
 
 
@@ -113,7 +113,7 @@ def _count(  # noqa: PLR0917 - numba takes plain arrays
     """Count the frames without a vehicle on a spot, and the still detections in them.
 
     Writes `bare` (frames) and `counted` (detections) of all frames without one, and `after` and
-    `counted_after` of those within `AFTER_S` after one drove over the spot.
+    `counted_after` of those within `_AFTER_S` after one drove over the spot.
     """
     frames = max(span[1] - span[0] - 1, 1)
     gap = max((time[span[1] - 1] - time[span[0]]) / frames, 1e-3)
@@ -127,11 +127,11 @@ def _count(  # noqa: PLR0917 - numba takes plain arrays
             i, j = spot[d - begin, 0], spot[d - begin, 1]
             if still[d] and last[i, j] < time[f]:
                 counted[i, j] += 1.0
-                counted_after[i, j] += 1.0 if time[f] - drove[i, j] < AFTER_S else 0.0
+                counted_after[i, j] += 1.0 if time[f] - drove[i, j] < _AFTER_S else 0.0
     for i in range(bare.shape[0]):
         for j in range(bare.shape[1]):
             if drove[i, j] > 0.0:
-                after[i, j] += min(time[span[1] - 1] - drove[i, j], AFTER_S) / gap
+                after[i, j] += min(time[span[1] - 1] - drove[i, j], _AFTER_S) / gap
 
 
 @compiled
@@ -152,6 +152,6 @@ def _cover(
                 continue
             bare[i, j] -= 1.0
             if drove[i, j] > 0.0 and last[i, j] == drove[i, j]:
-                after[i, j] += min(max(now - drove[i, j] - gap, 0.0), AFTER_S) / gap
+                after[i, j] += min(max(now - drove[i, j] - gap, 0.0), _AFTER_S) / gap
             last[i, j] = now
             drove[i, j] = now if speed > DRIVES_MPS else -1e18

@@ -16,7 +16,7 @@ VEHICLE_COST = 4.0  # cost of a vehicle: prior log odds against one more, nats
 _END_SHARE, _END_WINDOWS, MOST_END_COST = 0.5, 4, 8.0
 # Shares of a body on another one: over the first a half second costs PARTLY_COST nats, over the
 # second, for so many half seconds on end, MOSTLY_COST: two bodies cannot be in one place.
-PARTLY, MOSTLY, LEAST_WINDOWS = 0.25, 0.5, 3
+_PARTLY, _MOSTLY, _LEAST_WINDOWS = 0.25, 0.5, 3
 PARTLY_COST, MOSTLY_COST = 2.0, 1000.0
 SWEEPS = 2  # times that all vehicles are examined: what one loses another one gains
 
@@ -64,8 +64,8 @@ def _windows_to_keep(posterior: Posterior, vehicle: int) -> Booleans:
     if n == 0:
         return np.zeros(0, np.bool_)
     share = _overlapped_share(posterior, vehicle)
-    value = value - np.where(share > PARTLY, PARTLY_COST, 0.0)
-    value -= np.where(_lasting(share > MOSTLY), MOSTLY_COST, 0.0)
+    value = value - np.where(share > _PARTLY, PARTLY_COST, 0.0)
+    value -= np.where(_lasting(share > _MOSTLY), MOSTLY_COST, 0.0)
     beyond = np.pad(expected, _END_WINDOWS, mode="edge")
     total = np.concatenate([[0.0], np.cumsum(beyond)])
     before = total[_END_WINDOWS : _END_WINDOWS + n] - total[:n]
@@ -91,10 +91,10 @@ def _runs(flags: Booleans) -> list[tuple[int, int]]:
 
 
 def _lasting(flags: Booleans) -> Booleans:
-    """Return which flags are in runs of `LEAST_WINDOWS` or more."""
+    """Return which flags are in runs of `_LEAST_WINDOWS` or more."""
     found = np.zeros(len(flags), np.bool_)
     for low, high in _runs(flags):
-        found[low:high] = high - low >= LEAST_WINDOWS
+        found[low:high] = high - low >= _LEAST_WINDOWS
     return found
 
 

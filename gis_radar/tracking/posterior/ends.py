@@ -27,18 +27,20 @@ from gis_radar.tracking.posterior.likelihood import (
 
 # Lines along lanes on which a track may continue: length, most lines, most lanes to begin with.
 _LINE_M, MOST_LINES, _MOST_LANES = 120.0, 6, 2
-MOST_TURN = 0.6  # largest angle between a vehicle and its lane, radians
-METRES_PER_RAD = 3.0  # distance beside a lane that is as unlikely as a radian of turn
+_MOST_TURN = 0.6  # largest angle between a vehicle and its lane, radians
+_METRES_PER_RAD = 3.0  # distance beside a lane that is as unlikely as a radian of turn
 _MOST_WINDOWS, _BEAM = 40, 6  # half seconds of the beam search, and hypotheses that it keeps
-ACCELERATIONS = np.array([-4.0, -2.0, -1.0, 0.0, 1.0, 2.0])  # that are tried, m/s2
-ACCELERATION_MPS2 = 2.0  # sigma of the acceleration, whose prior counts half in a half second
+_ACCELERATIONS = np.array([-4.0, -2.0, -1.0, 0.0, 1.0, 2.0])  # that are tried, m/s2
+_ACCELERATION_MPS2 = 2.0  # sigma of the acceleration, whose prior counts half in a half second
 # A hypothesis so much worse than the best is dropped; least gain of a longer track; both nats.
 _PRUNED, _LEAST_GAIN = 12.0, 3.0
-MOST_GAINLESS = 8  # half seconds in a row without a gain after which the search ends
+_MOST_GAINLESS = 8  # half seconds in a row without a gain after which the search ends
 _SAME_M, _SAME_MPS = 0.4, 0.9  # hypotheses that differ by less are one
-VARIANCE_M2, MOST_VARIANCE_M2 = 0.05, 1.0  # growth of the variance of a place per second; its limit
-UNDETECTED_WINDOWS = 20  # half seconds of an extension: then a hidden place is not visible any more
-FORK_POINTS = 40  # points of a line, a metre apart, whose turn decides at forks
+# Growth of the variance of a place per second; its limit
+_VARIANCE_M2, _MOST_VARIANCE_M2 = 0.05, 1.0
+# Half seconds of an extension: then a hidden place is not visible any more
+_UNDETECTED_WINDOWS = 20
+_FORK_POINTS = 40  # points of a line, a metre apart, whose turn decides at forks
 
 
 def lengthen(posterior: Posterior, graph: LaneGraph) -> list[Motion]:
@@ -102,9 +104,9 @@ def with_undetected_ends(
         step = posterior.frames.time[posterior.states.frame[rows]] * STEPS_PER_SECOND
         detected = posterior.detections.time[motion.rows] * STEPS_PER_SECOND
         speed = motion.speed[[0, -1]]
-        # until the speed may have changed by half, at ACCELERATION_MPS2, and no longer than it was
+        # until the speed may have changed by half, at _ACCELERATION_MPS2, and no longer than it was
         # detected, which is how long its speed is known
-        reliable = 0.5 * speed / ACCELERATION_MPS2 * STEPS_PER_SECOND
+        reliable = 0.5 * speed / _ACCELERATION_MPS2 * STEPS_PER_SECOND
         reliable = np.minimum(reliable, detected.max() - detected.min())
         reliable[speed <= STANDS_MPS] = math.inf
         before, after = (
@@ -165,7 +167,7 @@ def _predicted(motion: Motion, graph: LaneGraph, direction: int) -> Motion:
     if not lines:
         return motion
     line = min(lines, key=_turn_of)
-    along = speed * WINDOW_S * np.arange(UNDETECTED_WINDOWS + 1)
+    along = speed * WINDOW_S * np.arange(_UNDETECTED_WINDOWS + 1)
     along = along[along <= Path(line).s_m[-1]]
     if len(along) < 2:
         return motion
@@ -175,7 +177,7 @@ def _predicted(motion: Motion, graph: LaneGraph, direction: int) -> Motion:
 
 def _held_at_rest(motion: Motion, direction: int) -> Motion:
     """Return a motion that stands after its end (direction 1) or before its begin (-1)."""
-    count = round(UNDETECTED_WINDOWS * WINDOW_S * STEPS_PER_SECOND)
+    count = round(_UNDETECTED_WINDOWS * WINDOW_S * STEPS_PER_SECOND)
     sides = (0, count) if direction > 0 else (count, 0)
     place, variance = (np.pad(each, sides, mode="edge") for each in (motion.s_m, motion.var_s))
     return replace(
@@ -185,8 +187,8 @@ def _held_at_rest(motion: Motion, direction: int) -> Motion:
 
 
 def _turn_of(line: Floats) -> float:
-    """Return by how many radians a line turns over its first `FORK_POINTS`."""
-    ahead = np.diff(line[:FORK_POINTS], axis=0)
+    """Return by how many radians a line turns over its first `_FORK_POINTS`."""
+    ahead = np.diff(line[:_FORK_POINTS], axis=0)
     heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
     return float(np.abs(heading[-1] - heading[0]))
 
@@ -205,7 +207,7 @@ def _lengthened(posterior: Posterior, motion: Motion, graph: LaneGraph, directio
             line, path.s_m, turn, direction, (step + 0.5 * direction) * STEP_S,
             float(motion.speed[at]), motion.length_m, motion.width_m, posterior.frames.begin,
             posterior.frames.time, posterior.rate_model, posterior.detection_arrays,
-            posterior.alpha, ACCELERATIONS, states,
+            posterior.alpha, _ACCELERATIONS, states,
         )  # fmt: skip
         if gain > best and count > 0:
             best, longer = gain, _with_states(motion, line, states[: count + 1], direction)
@@ -216,8 +218,8 @@ def _lines_from(graph: LaneGraph, place: Floats, heading: float) -> list[Floats]
     """Return lines (n, 2) from a place on, along the lanes there and their successors."""
     lanes = graph.field.lane_rows(place[None])[:, 1:5]  # position, s, d, heading
     turn = np.abs(np.angle(np.exp(1j * (lanes[:, 3] - heading))))
-    rank = np.abs(lanes[:, 2]) + METRES_PER_RAD * turn
-    good = np.flatnonzero(turn < MOST_TURN)
+    rank = np.abs(lanes[:, 2]) + _METRES_PER_RAD * turn
+    good = np.flatnonzero(turn < _MOST_TURN)
     found: list[Floats] = []
     likeliest = good[np.argsort(rank[good], kind="stable")][:_MOST_LANES]
     for lane, s_m, d_m, _ in lanes[likeliest].tolist():
@@ -292,7 +294,7 @@ def _search(  # noqa: PLR0917 - numba takes plain arrays
                 trial[tried, 2], trial[tried, 3] = beam[k, b, 2] + gain, b
                 tried += 1
         count = _best_distinct(trial[:tried], beam[k + 1])
-        if count == 0 or beam[k + 1, 0, 2] < best - _PRUNED or k - best_k >= MOST_GAINLESS:
+        if count == 0 or beam[k + 1, 0, 2] < best - _PRUNED or k - best_k >= _MOST_GAINLESS:
             break
         if beam[k + 1, 0, 2] > best:
             best, best_k = beam[k + 1, 0, 2], k + 1
@@ -322,7 +324,7 @@ def _window_gain(  # noqa: PLR0917 - numba takes plain arrays
 ) -> float:  # fmt: skip
     """Return the gain of a half second from a place on a line, from one speed to another, nats."""
     accel = (after - speed) / WINDOW_S
-    gain = -0.25 * min((accel / ACCELERATION_MPS2) ** 2, 9.0)
+    gain = -0.25 * min((accel / _ACCELERATION_MPS2) ** 2, 9.0)
     standing = 1 if speed < STANDS_MPS and after < STANDS_MPS else 0
     shape = np.zeros(9)
     shape[5], shape[6] = length, width
@@ -381,7 +383,7 @@ def _with_states(motion: Motion, line: Floats, states: Floats, direction: int) -
     lapse, knots = np.arange(1, count + 1) * STEP_S, np.arange(len(states)) * WINDOW_S
     along, speed = (np.interp(lapse, knots, states[:, k]) for k in (0, 1))
     at = -1 if direction > 0 else 0
-    variance = motion.var_s[at] + np.minimum(VARIANCE_M2 * lapse, MOST_VARIANCE_M2)
+    variance = motion.var_s[at] + np.minimum(_VARIANCE_M2 * lapse, _MOST_VARIANCE_M2)
     end_m, path_before = float(motion.s_m[at]), motion.path
     kept = path_before.points[direction * (path_before.s_m - end_m) < -0.5]
     if direction > 0:

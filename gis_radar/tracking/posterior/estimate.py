@@ -32,14 +32,14 @@ from gis_radar.tracking.posterior.likelihood import (
 )
 
 _ROUNDS = 4  # rounds of expectation and maximization
-FIRST_GUESS = 0.5  # expected detections of a vehicle in a frame, before any are learned
+_FIRST_GUESS = 0.5  # expected detections of a vehicle in a frame, before any are learned
 # Weights of the priors in detections: the mean of all classes of one range for the rate of a class,
 # 1 for the factor of a cell; and for that factor as all other vehicles alone show it.
-CLASS_PRIOR, CELL_PRIOR, OTHERS_PRIOR = 40.0, 5.0, 1.0
-LEAST_FACTOR, MOST_FACTOR = 0.02, 4.0  # bounds of the factor of a cell
+CLASS_PRIOR, CELL_PRIOR, _OTHERS_PRIOR = 40.0, 5.0, 1.0
+_LEAST_FACTOR, MOST_FACTOR = 0.02, 4.0  # bounds of the factor of a cell
 ALPHA_BOUNDS = (0.3, 8.0)  # bounds of the gamma shape: silent for seconds, nearly Poisson
-LEAST_GROUPS = 50  # least groups (vehicle, sensor, half second) that give a gamma shape
-OVERLAP_SHARE = 0.25  # share of the shorter body above which two vehicles overlap
+_LEAST_GROUPS = 50  # least groups (vehicle, sensor, half second) that give a gamma shape
+_OVERLAP_SHARE = 0.25  # share of the shorter body above which two vehicles overlap
 
 # Frame, shape, and (class, cell) of each state of a vehicle; the index of its first detection, and
 # the density and the row of each detection.
@@ -90,7 +90,7 @@ class Posterior:
         self._corner = d.points.min(axis=0) - 2.0 * RATE_CELL_M
         span = d.points.max(axis=0) + 2.0 * RATE_CELL_M - self._corner
         self._size = np.ceil(span / RATE_CELL_M).astype(np.int64) + 1
-        self._class_rate = np.full(int(np.prod(CLASSES)), FIRST_GUESS)
+        self._class_rate = np.full(int(np.prod(CLASSES)), _FIRST_GUESS)
         self._cell_factor = np.ones(len(self.frames.sensor_xy) * int(self._size.prod()))
         self.alpha = np.array([2.0, 1.0])
         self.total_rate = np.zeros(len(d))
@@ -115,7 +115,7 @@ class Posterior:
         self._background.learn_fixed(self._by_frame, self.states.frame, self.states.shape)
         n, share = len(self.states.frame), np.zeros(len(self.total_rate))
         share[self._pair_row] = 0.5
-        expected, bright = FIRST_GUESS * self.visible_share, np.ones(n)
+        expected, bright = _FIRST_GUESS * self.visible_share, np.ones(n)
         for _ in range(_ROUNDS):
             responsibility = self._responsibilities(
                 expected * bright, self._background.rates(1.0 - share)
@@ -260,7 +260,7 @@ class Posterior:
             self._state_cell, self._class_rate[self._state_class] * self.visible_share, count
         )
         self._cell_factor = np.clip(
-            (got + CELL_PRIOR) / (want + CELL_PRIOR), LEAST_FACTOR, MOST_FACTOR
+            (got + CELL_PRIOR) / (want + CELL_PRIOR), _LEAST_FACTOR, MOST_FACTOR
         )
 
     def _expected_detections(self) -> Floats:
@@ -282,7 +282,7 @@ class Posterior:
         stands = (self.states.shape[first, SHAPE_SPEED] < STANDS_MPS).astype(np.int64)
         for standing in (0, 1):
             used = (stands == standing) & (m > 0.5)
-            if used.sum() > LEAST_GROUPS:
+            if used.sum() > _LEAST_GROUPS:
                 extra_variance = float(((n - m) ** 2 - n)[used].sum())
                 shape = float((m[used] ** 2).sum()) / max(extra_variance, 1e-9)
                 self.alpha[standing] = min(max(shape, ALPHA_BOUNDS[0]), ALPHA_BOUNDS[1])
@@ -342,7 +342,7 @@ class Posterior:
                 (total[cell] - np.bincount(at, each[rows], len(cell)))[at]
                 for total, each in zip(of_all, (explained, by_class), strict=True)
             )
-            factor = (got + OTHERS_PRIOR) / (want + OTHERS_PRIOR)
+            factor = (got + _OTHERS_PRIOR) / (want + _OTHERS_PRIOR)
             expected = by_class[rows] * np.minimum(factor, MOST_FACTOR)
             group = self.states.group[rows] - self.states.group[rows][:1]
             slow = self.states.shape[rows, SHAPE_SPEED] < STANDS_MPS
@@ -367,7 +367,7 @@ class Posterior:
             mine = np.arange(begin, end)
             if len(mine):
                 share[mine] = overlap(mine, states.frame, states.shape, inside, *self.by_frame)
-        return share > OVERLAP_SHARE
+        return share > _OVERLAP_SHARE
 
     def own_gains(self, vehicle: int) -> Floats:
         """Return the gain and the expected number of detections of a vehicle, (groups, 2)."""

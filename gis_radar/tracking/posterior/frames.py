@@ -14,7 +14,7 @@ from gis_radar.tracking.motion import Motion
 WINDOW_S = 0.5  # time in which the brightness of a vehicle, and whether it exists, are constant
 _SILENT_S = 10.0  # a sensor without a detection on any lane for longer may be off
 # Columns of a shape; BEHIND and AHEAD are curvatures of the path there.
-X, Y, COS, SIN, SHAPE_SPEED, LENGTH, WIDTH, BEHIND, AHEAD = SHAPE_COLUMNS = range(9)
+X, Y, COS, SIN, SHAPE_SPEED, LENGTH, WIDTH, BEHIND, AHEAD = _SHAPE_COLUMNS = range(9)
 BEND_M = 9.0  # distance over which curvatures are taken: half of the longest body
 
 
@@ -121,7 +121,7 @@ class States:
         frame = np.concatenate([np.zeros(0, np.int64), *frame_of])
         vehicle = np.repeat(np.arange(len(frame_of)), np.diff(first))
         return cls(
-            frame=frame, shape=np.empty((len(frame), len(SHAPE_COLUMNS))), first=first,
+            frame=frame, shape=np.empty((len(frame), len(_SHAPE_COLUMNS))), first=first,
             group=groups_of(vehicle, frames.group[frame]),
         )  # fmt: skip
 
@@ -153,7 +153,7 @@ def motion_shapes(motion: Motion, time: Floats) -> Floats:
     """Return the shapes of a motion at times (n,), UNIX seconds, as of :class:`States`."""
     s_m, speed = motion.at(time)
     rear, front = (motion.path.heading_at(s_m + way * BEND_M) for way in (-1.0, 1.0))
-    shape = np.empty((len(time), len(SHAPE_COLUMNS)))
+    shape = np.empty((len(time), len(_SHAPE_COLUMNS)))
     shape[:, :COS], heading = motion.path.at(s_m)
     shape[:, COS], shape[:, SIN], shape[:, SHAPE_SPEED] = np.cos(heading), np.sin(heading), speed
     shape[:, LENGTH], shape[:, WIDTH] = motion.length_m, motion.width_m

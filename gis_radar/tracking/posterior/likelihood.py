@@ -11,16 +11,16 @@ from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.tracking.detections import AZIMUTH_RAD
 from gis_radar.tracking.size import LONG_M
 
-ON_FACES = 0.75  # share of detections of the faces that the sensor sees; others: of all the body
+_ON_FACES = 0.75  # share of detections of the faces that the sensor sees; others: of all the body
 _FACE_M = 0.35  # sigma of the depth of a face
 # Sigma of the range rate of a body, and per m/s of it.
 _BODY_RATE_SIGMA_MPS, _RATE_SHARE = 0.25, 0.02
 # Share of detections of wheels, and their largest range rate as a multiple of the body's: the rim
 # of a wheel moves at up to twice its speed.
-WHEELS, MOST_TURNS = 0.13, 2.1
+_WHEELS, _MOST_TURNS = 0.13, 2.1
 REACH_M = 2.0  # largest distance of a vehicle's detections from its body
 _ABREAST_M = 0.3  # least distance between the sides of two vehicles abreast
-SHARE_BEHIND = 0.3  # share of its detections that a vehicle gives where another one hides it
+_SHARE_BEHIND = 0.3  # share of its detections that a vehicle gives where another one hides it
 # Heights over the road: of a sensor, and of a vehicle's scatterers.
 _SENSOR_M, _SCATTERER_M = 6.0, 0.6
 _CAR_M, _LORRY_M, _BOTTOM_M = 1.5, 3.2, 0.2  # heights over the road: of tops, and of undersides
@@ -30,7 +30,7 @@ STRAIGHT = 0.003  # curvature, 1/m, below which a body counts as straight: a lor
 RATE_CELL_M = 4.0  # side of the map cells in which factors on the detection rate are learned
 # Classes of states: width of a bin of range, bounds of the cosine of the aspect; and the numbers of
 # ranges, aspects, lengths (up to LONG_M, over it) and motions (moving, standing).
-RANGE_BIN_M, ASPECTS = 10.0, (0.5, 0.87)
+_RANGE_BIN_M, _ASPECTS = 10.0, (0.5, 0.87)
 CLASSES = (21, 3, 2, 2)
 
 # Positions of sensors, expected detections by class, factors by cell, corner and size of the cells.
@@ -106,19 +106,19 @@ def density_along(
     by_length = _blurred(along, half, sigma)
     faces = share * (_normal(along - end, sigma) * by_width)
     faces += (1.0 - share) * (of_flank * by_length)
-    return ON_FACES * faces + (1.0 - ON_FACES) * by_length * by_width
+    return _ON_FACES * faces + (1.0 - _ON_FACES) * by_length * by_width
 
 
 @compiled
 def rate_density(rate: float, radial: float) -> float:
     """Return the density of a range rate, s/m, of a body with the radial speed `radial`, m/s."""
-    density = (1.0 - WHEELS) * _normal(
+    density = (1.0 - _WHEELS) * _normal(
         rate - radial, _BODY_RATE_SIGMA_MPS + _RATE_SHARE * abs(radial)
     )
-    top = max(MOST_TURNS * abs(radial), 2.0 * _BODY_RATE_SIGMA_MPS)
+    top = max(_MOST_TURNS * abs(radial), 2.0 * _BODY_RATE_SIGMA_MPS)
     turned = rate if radial >= 0.0 else -rate
     if -_BODY_RATE_SIGMA_MPS < turned < top:
-        density += WHEELS / (top + _BODY_RATE_SIGMA_MPS)
+        density += _WHEELS / (top + _BODY_RATE_SIGMA_MPS)
     return density
 
 
@@ -143,8 +143,8 @@ def class_and_cell(shape: Floats, sensor: int, model: RateModel) -> tuple[int, i
     dx, dy = x - sensor_xy[sensor, 0], y - sensor_xy[sensor, 1]
     range_m = math.sqrt(dx * dx + dy * dy)  # a third of the time of hypot
     facing = abs(dx * shape[2] + dy * shape[3]) / max(range_m, 1e-6)
-    aspect = 0 if facing < ASPECTS[0] else (1 if facing < ASPECTS[1] else 2)
-    rate_class = (min(int(range_m / RANGE_BIN_M), CLASSES[0] - 1) * CLASSES[1] + aspect) * 2
+    aspect = 0 if facing < _ASPECTS[0] else (1 if facing < _ASPECTS[1] else 2)
+    rate_class = (min(int(range_m / _RANGE_BIN_M), CLASSES[0] - 1) * CLASSES[1] + aspect) * 2
     rate_class = (rate_class + (1 if length > LONG_M else 0)) * 2 + (1 if speed < STANDS_MPS else 0)
     i = min(max(int((x - corner[0]) / RATE_CELL_M), 0), size[0] - 1)
     j = min(max(int((y - corner[1]) / RATE_CELL_M), 0), size[1] - 1)
@@ -376,7 +376,7 @@ def fill_visible_share(
                     continue
                 own, other = half * near / far, _half_across(shape[states[b]], x, y, far)
                 both = min(own, aside + other) - max(-own, aside - other)
-                lost = (1.0 - SHARE_BEHIND) * max(both, 0.0)
+                lost = (1.0 - _SHARE_BEHIND) * max(both, 0.0)
                 visible_share[i] *= 1.0 - lost / (2.0 * own + 1e-9)
 
 

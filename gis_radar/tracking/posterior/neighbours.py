@@ -27,15 +27,15 @@ _SHORTEST_M = 4.0  # least length of a merged vehicle
 _CAR_M, _QUEUE_GAP_M = 4.5, 2.0  # usual length of a car, and gap in a queue
 # The gap that a driver keeps is log-normal about _QUEUE_GAP_M + GAP_S x speed.
 _QUEUE_MPS = 2.0  # slower vehicles stand in a queue
-GAP_LASTS_S = 5.0  # time after which a gap counts as chosen anew
-LEAST_GAP_M = 0.5  # a shorter gap, or an overlap, is within the error of two lengths
+_GAP_LASTS_S = 5.0  # time after which a gap counts as chosen anew
+_LEAST_GAP_M = 0.5  # a shorter gap, or an overlap, is within the error of two lengths
 LENGTH_CHANGES_M = (2.0, 1.0, 0.5)  # steps of the search for a merged length, coarse to fine
 # Log odds by coarse lengths, nats, below which no pair was merged by finer ones (of 1,326 pairs).
-HOPELESS = -300.0
+_HOPELESS = -300.0
 # Sigma of the distance of parts of one body. Above _FLOWING_MPS two drivers' speeds differ by
 # _DRIFT_MPS, but a follower lets the gap vary by this share of it at most. Least time of both so.
 _RIGID_M, _FLOWING_MPS, _DRIFT_MPS, _GAP_VARIES, _LEAST_S = 0.4, 5.0, 1.0, 0.25, 1.0
-SIGMA_OF_MEDIAN = 1.4826  # sigma of a normal variable over the median of its absolute value
+_SIGMA_OF_MEDIAN = 1.4826  # sigma of a normal variable over the median of its absolute value
 
 
 def join_neighbours(posterior: Posterior) -> list[Motion]:
@@ -52,7 +52,7 @@ def join_neighbours(posterior: Posterior) -> list[Motion]:
         if len(posterior.motions[first].s_m) < len(posterior.motions[second].s_m):
             first, second = second, first  # noqa: PLW2901 - the longer track is kept
         driven = _driven_as_one_odds(posterior.motions[first], posterior.motions[second])
-        least = HOPELESS if driven <= _LEAST_GAIN else -np.inf
+        least = _HOPELESS if driven <= _LEAST_GAIN else -np.inf
         length, ahead, gain = _merged(posterior, first, second, least)
         gain = max(gain, driven)
         if gain > _LEAST_GAIN and length > 0.0:
@@ -184,10 +184,10 @@ def _driven_as_one_odds(first: Motion, second: Motion) -> float:
         return -np.inf
     distances = np.hypot(*(first.places[0][a] - second.places[0][b])[flowing].T)
     distance, bodies = float(np.median(distances)), first.length_m + second.length_m
-    gap = max(distance - 0.5 * bodies, LEAST_GAP_M)
+    gap = max(distance - 0.5 * bodies, _LEAST_GAP_M)
     drift = max(min(_DRIFT_MPS * time / math.sqrt(12.0), _GAP_VARIES * gap), _RIGID_M)
     # robust, as the ends of a track are extrapolated and may be metres off
-    half_variance = 0.5 * (SIGMA_OF_MEDIAN * float(np.median(np.abs(distances - distance)))) ** 2
+    half_variance = 0.5 * (_SIGMA_OF_MEDIAN * float(np.median(np.abs(distances - distance)))) ** 2
     odds = 2.0 * (math.log(drift / _RIGID_M) - half_variance * (_RIGID_M**-2 - drift**-2))
     speed = np.maximum(first.speed[a], second.speed[b])[flowing]
     merged_m = min(distance + 0.5 * bodies, LONGEST_M)
@@ -260,12 +260,12 @@ def _tempered(gain: Floats) -> Floats:
 def _log_gap_prior(gap_m: float, speed: Floats) -> float:
     """Return the log prior of a gap at the follower's speeds, relative to that of the usual gap.
 
-    Only gaps shorter than usual have a cost: once, and once more for each `GAP_LASTS_S` of driving.
+    Only gaps shorter than usual have a cost: once, and again for each `_GAP_LASTS_S` of driving.
     """
     drives = speed > _QUEUE_MPS
     usual_m = _QUEUE_GAP_M + GAP_S * (speed[drives] if drives.any() else np.zeros(1))
-    shortfall = np.minimum(np.log(max(gap_m, LEAST_GAP_M) / usual_m), 0.0) / GAP_SPREAD
-    times = 1.0 + float(drives.sum()) * STEP_S / GAP_LASTS_S
+    shortfall = np.minimum(np.log(max(gap_m, _LEAST_GAP_M) / usual_m), 0.0) / GAP_SPREAD
+    times = 1.0 + float(drives.sum()) * STEP_S / _GAP_LASTS_S
     return -0.5 * times * float(np.mean(shortfall**2))
 
 

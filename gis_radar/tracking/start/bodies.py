@@ -18,45 +18,45 @@ from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detections import MOVING_MPS, MapDetections
 from gis_radar.tracking.motion import GAP_S, GAP_SPREAD, Motion, fit_motion
 
-LEAST_SPREAD_M = 0.1  # two detections of one scatterer
-UNKNOWN_SIZE = -1.0  # log odds of a person of unknown size: on lanes persons are fewer
-# A track is split, into MOST_SPLIT parts at most, while a smaller share of its detections keeps its
-# place in the moving frame; parts of fewer detections are dropped.
-LEAST_PURE, MOST_SPLIT, LEAST_ROWS = 0.95, 3, 5
+_LEAST_SPREAD_M = 0.1  # two detections of one scatterer
+_UNKNOWN_SIZE = -1.0  # log odds of a person of unknown size: on lanes persons are fewer
+# A track is split, into _MOST_SPLIT parts at most, while a smaller share of its detections keeps
+# its place in the moving frame; parts of fewer detections are dropped.
+_LEAST_PURE, _MOST_SPLIT, LEAST_ROWS = 0.95, 3, 5
 _SEEN_S = 0.35  # time before and after a detection in which the state of its vehicle is known
 _LEFT_M, _BEARING_RAD = 1.7, 0.006  # tolerance sideways: half a truck, error of a bearing
 # Tolerance of a range rate: noise, share of the speed for wheels, and factor on the speed at which
 # the ends of a turning body swing.
 _RATE_TOLERANCE_MPS, _WHEEL_SHARE, _SWING = 0.8, 0.08, 0.6
-LEAST_FIT = 0.7  # share of detections whose places and range rates fit
-SCATTER_M = 2.5  # largest median residual of places on a body: scatterers change along it
+_LEAST_FIT = 0.7  # share of detections whose places and range rates fit
+_SCATTER_M = 2.5  # largest median residual of places on a body: scatterers change along it
 _PLACE_M = 0.4  # sigma of the mean place of a body's detections over half a second
 _REACH_M = 16.5  # from the middle of its detections to any part of a truck with trailer
 _CAR_M = 4.7  # length of a car
-LONG_SHARE = 0.12  # share of vehicles over 7 m, lorries and buses, in traffic
-LEAST_ODDS = 0.5  # log odds above which two parts are joined
-DRIVEN_MPS = 8.0  # vehicles above this speed certainly drive
-CYCLIST_MPS = 7.5  # largest speed of cyclists
+_LONG_SHARE = 0.12  # share of vehicles over 7 m, lorries and buses, in traffic
+_LEAST_ODDS = 0.5  # log odds above which two parts are joined
+_DRIVEN_MPS = 8.0  # vehicles above this speed certainly drive
+_CYCLIST_MPS = 7.5  # largest speed of cyclists
 # Mean and sigma of the cross section, dB over that of vehicles, and of the logarithm of the spread
 # of detections, metres: most people return 4 to 10 dB less; a cyclist of 1.8 x 0.6 m spreads by
 # 0.55 m, a car by 1.4 m, bearing and smoothing add 0.5 m. The sigma of vehicles' cross sections is
 # that of the recordings where enough of them drive fast.
 _PERSON, _VEHICLE = (-7.0, 3.0, -0.3, 0.45), (0.0, 4.0, 0.4, 0.5)
-LEAST_DRIVEN, LEAST_DB = 5, 3.0  # fast vehicles to estimate the sigma, and its least value, dB
-FAINT_DB = 9.0  # detections weaker by this are faint: persons, also next to a passing vehicle
-FAINT_SIGMAS = 3.0  # a track weaker by so many may be a person at any speed
+_LEAST_DRIVEN, _LEAST_DB = 5, 3.0  # fast vehicles to estimate the sigma, and its least value, dB
+_FAINT_DB = 9.0  # detections weaker by this are faint: persons, also next to a passing vehicle
+_FAINT_SIGMAS = 3.0  # a track weaker by so many may be a person at any speed
 # Share of faint detections of a vehicle, and one less that of a person: a tenth of a car's, a fifth
 # of a lorry's or a motorcycle's; nine tenths of a walker's, two thirds of a cyclist's.
-FAINT_SHARE = 0.2
-FAINT_ODDS = 10.0  # log odds above which an end of a track is of a person: eight in a row
-STEADY = 0.5  # share of the 90 % quantile of its speed that a person exceeds half of the time
+_FAINT_SHARE = 0.2
+_FAINT_ODDS = 10.0  # log odds above which an end of a track is of a person: eight in a row
+_STEADY = 0.5  # share of the 90 % quantile of its speed that a person exceeds half of the time
 # Mean height of the detections of a car, and of a lorry or bus, with its standard deviation between
 # vehicles, metres: cars scatter from below 1.5 m, lorries and buses from all of their 3 to 4 m.
 _CAR_HEIGHT_M, _LORRY_HEIGHT_M = (0.75, 0.3), (1.6, 0.5)
 # Sigma of the elevation, radians: common to all detections of a vehicle, and of each.
-BIAS_RAD, ELEVATION_RAD = 0.006, 0.0175
+_BIAS_RAD, _ELEVATION_RAD = 0.006, 0.0175
 _LEAST_HEIGHTS = 10  # least number of heights; fewer are no evidence
-MOST_ODDS = 4.0  # largest log odds by heights
+_MOST_ODDS = 4.0  # largest log odds by heights
 
 
 def rows_by_number(number: Integers) -> list[Integers]:
@@ -167,7 +167,7 @@ def absorb(
             may_join[base] = False
             found = (
                 other for other in order[may_join[order]].tolist()
-                if log_odds(detections, motions[base], motions[other]) > LEAST_ODDS
+                if log_odds(detections, motions[base], motions[other]) > _LEAST_ODDS
             )  # fmt: skip
             other = next(found, NONE)
             grew = other != NONE
@@ -207,7 +207,7 @@ def log_odds(detections: MapDetections, body: Motion, other: Motion) -> float:
     along, left, rate, speed = body.frame(detections, rows)
     beside = _LEFT_M + _BEARING_RAD * detections.range_m[rows]
     fits = (np.abs(left) < beside) & (np.abs(rate) < _rate_tolerance(body, along, speed))
-    if fits.mean() < LEAST_FIT or fits.sum() < 3:
+    if fits.mean() < _LEAST_FIT or fits.sum() < 3:
         return -np.inf
     one, two = (
         tall_odds(detections.height_m[each.rows], detections.range_m[each.rows])
@@ -226,13 +226,13 @@ def _rate_tolerance(body: Motion, along: Floats, speed: Floats) -> Floats:
 def purified(detections: MapDetections, rows: Integers, states: Floats) -> list[Motion]:
     """Return the motions of a track, split where its detections cannot be of one body."""
     motions: list[Motion] = []
-    while len(rows) >= LEAST_ROWS and len(motions) < MOST_SPLIT:
+    while len(rows) >= LEAST_ROWS and len(motions) < _MOST_SPLIT:
         body = fit_motion(detections, rows, states)
         along, left, rate, speed = body.frame(detections, body.rows)
         fits = np.abs(along) < 0.5 * _REACH_M + 1.0
         fits &= np.abs(left) < 2.0 * _LEFT_M
         fits &= np.abs(rate) < 2.0 * _rate_tolerance(body, along, speed) + speed
-        if fits.mean() >= LEAST_PURE or fits.sum() < LEAST_ROWS:
+        if fits.mean() >= _LEAST_PURE or fits.sum() < LEAST_ROWS:
             return [*motions, body]
         pure = fit_motion(detections, body.rows[fits], states)
         motions.append(pure)
@@ -256,7 +256,7 @@ def _odds_by_places(time: Floats, along: Floats, speed: Floats, body: Motion, lo
         centred = time - time.mean()
         drift = float(centred @ (along - along.mean()) / (centred @ centred))
         residual = np.abs(along - np.median(along) - drift * centred)
-        if np.median(residual) > SCATTER_M:
+        if np.median(residual) > _SCATTER_M:
             return -np.inf
         # sigma of the slope of places that are independent every half second
         sigma = np.hypot(_PLACE_M * np.sqrt(12.0) / (span * np.sqrt(max(2 * span, 1))), 0.1)
@@ -269,7 +269,7 @@ def _odds_by_places(time: Floats, along: Floats, speed: Floats, body: Motion, lo
     gap_s = max(distance - _CAR_M, 0.05) / fast_mps
     z = np.log(gap_s / GAP_S) / GAP_SPREAD
     log_follows = -0.5 * z * z - np.log(gap_s * GAP_SPREAD * 2.5066 * fast_mps)
-    return float(no_drift + long + np.log(LONG_SHARE / 12.0) - log_follows)
+    return float(no_drift + long + np.log(_LONG_SHARE / 12.0) - log_follows)
 
 
 def merge_states(number: Integers, states: tuple[Floats, Floats], joined: Integers) -> Floats:
@@ -288,7 +288,7 @@ def is_person(detections: MapDetections, motions: Sequence[Motion]) -> list[bool
     rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
     fast = np.array([_fast(each) for each in motions])
     spread = np.array([np.hypot(np.std(each.along_m), np.std(each.left_m)) for each in motions])
-    steady = [np.median(each.speed) > STEADY * v for each, v in zip(motions, fast, strict=True)]
+    steady = [np.median(each.speed) > _STEADY * v for each, v in zip(motions, fast, strict=True)]
     still = still_rcs(detections)
     return list(are_persons(rcs, fast, spread, np.array(steady, np.bool_), still).tolist())
 
@@ -304,20 +304,20 @@ def are_persons(
         Median cross section of each track, dBm2; its speed (90 % quantile while it moves), m/s; and
         the standard deviation of its detections' places on the body, metres, NaN if unknown.
     steady : (n,) bool array
-        Whether its speed is over `STEADY` of that quantile half of the time.
+        Whether its speed is over `_STEADY` of that quantile half of the time.
     still : float
         Median cross section of still detections, dBm2.
     """
-    faint = rcs < still - FAINT_DB
+    faint = rcs < still - _FAINT_DB
     usual, sigma = _driven_rcs(rcs, fast, faint)
     if np.isnan(usual):
         return np.asarray(faint)
-    size = np.log(np.maximum(spread_m, LEAST_SPREAD_M))
+    size = np.log(np.maximum(spread_m, _LEAST_SPREAD_M))
     weak = np.maximum(rcs - usual, _least_rcs(sigma))
     odds = _log_density(weak, _PERSON[:2]) - _log_density(weak, (_VEHICLE[0], sigma))
     by_size = _log_density(size, _PERSON[2:]) - _log_density(size, _VEHICLE[2:])
-    odds += np.where(np.isnan(by_size), UNKNOWN_SIZE, by_size)
-    may_be = steady & (fast < CYCLIST_MPS) | (rcs < usual - FAINT_SIGMAS * sigma)
+    odds += np.where(np.isnan(by_size), _UNKNOWN_SIZE, by_size)
+    may_be = steady & (fast < _CYCLIST_MPS) | (rcs < usual - _FAINT_SIGMAS * sigma)
     return np.asarray(may_be & (odds > 0.0))
 
 
@@ -344,12 +344,12 @@ def still_rcs(detections: MapDetections) -> float:
 
 def _driven_rcs(rcs: Floats, fast: Floats, faint: Booleans) -> tuple[float, float]:
     """Return median and sigma of the cross sections of fast vehicles, dBm2; NaN without any."""
-    driven = rcs[(fast > DRIVEN_MPS) & ~faint & np.isfinite(rcs)]
+    driven = rcs[(fast > _DRIVEN_MPS) & ~faint & np.isfinite(rcs)]
     usual = usual_rcs(driven)
-    if len(driven) < LEAST_DRIVEN:
+    if len(driven) < _LEAST_DRIVEN:
         return usual, _VEHICLE[1]
     # the median of absolute deviations, in sigmas of a normal distribution
-    return usual, max(float(np.median(np.abs(driven - usual))) / 0.6745, LEAST_DB)
+    return usual, max(float(np.median(np.abs(driven - usual))) / 0.6745, _LEAST_DB)
 
 
 def without_faint_ends(
@@ -373,15 +373,15 @@ def without_faint_ends(
     rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
     fast = np.array([_fast(each) for each in motions])
     usual, _ = _driven_rcs(rcs, fast, np.zeros(len(rcs), np.bool_))
-    odds = np.log(FAINT_SHARE / (1.0 - FAINT_SHARE))
+    odds = np.log(_FAINT_SHARE / (1.0 - _FAINT_SHARE))
     for each in motions:
-        faint = detections.rcs[each.rows] < usual - FAINT_DB
+        faint = detections.rcs[each.rows] < usual - _FAINT_DB
         log_odds = np.where(faint, -odds, odds)  # of a person, by detection
         ends = []
         for from_one_end in (log_odds, log_odds[::-1]):
             summed = np.cumsum(from_one_end)
             most = int(summed.argmax())
-            ends.append(most + 1 if summed[most] > FAINT_ODDS else 0)
+            ends.append(most + 1 if summed[most] > _FAINT_ODDS else 0)
         rows = each.rows[ends[0] : len(faint) - ends[1]]
         if len(rows) == len(faint):
             found.append(each)
@@ -417,12 +417,12 @@ def tall_odds(height_m: Floats, range_m: Floats) -> float:
         return 0.0
     range_ = float(np.median(range_m[known]))
     mean = float(height_m[known].mean())
-    noise = BIAS_RAD**2 + ELEVATION_RAD**2 / known.sum()
+    noise = _BIAS_RAD**2 + _ELEVATION_RAD**2 / known.sum()
     odds = 0.0
     for sign, (middle, spread) in ((1.0, _LORRY_HEIGHT_M), (-1.0, _CAR_HEIGHT_M)):
         variance = spread**2 + noise * range_**2
         odds += sign * (-0.5 * (mean - middle) ** 2 / variance - 0.5 * np.log(variance))
-    return float(np.clip(odds, -MOST_ODDS, MOST_ODDS))
+    return float(np.clip(odds, -_MOST_ODDS, _MOST_ODDS))
 
 
 def one_tall_odds(odds: tuple[float, float]) -> float:
@@ -433,4 +433,4 @@ def one_tall_odds(odds: tuple[float, float]) -> float:
     odds : (float, float)
         Log odds of each part, from :func:`tall_odds`.
     """
-    return float(-np.log((1.0 - LONG_SHARE) * np.exp(-np.array(odds)) + LONG_SHARE).sum())
+    return float(-np.log((1.0 - _LONG_SHARE) * np.exp(-np.array(odds)) + _LONG_SHARE).sum())

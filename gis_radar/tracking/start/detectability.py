@@ -18,7 +18,7 @@ from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import HALF_STEPS, Motion
 
 _HALF_WIDTH_M = 1.5  # half the width of an occluder: half a lorry and an error of place
-NEAREST_M = 1.0  # a body nearer to a place does not hide it; a sensor nearer to it does not see it
+_NEAREST_M = 1.0  # a body nearer to a place does not hide it; a sensor nearer to it does not see it
 # Side of the map cells in which the detection rate is learned, each with its eight neighbours.
 _RATE_CELL_M = 6.0
 _DRIVING_MPS = 3.0  # least speed of the vehicles from which it is learned
@@ -259,13 +259,13 @@ def _expected(  # noqa: PLR0917 - numba takes plain arrays
 def _is_hidden(offset: Floats, xy: Floats, shape: Floats) -> bool:  # pragma: no cover - compiled
     """Return whether a body of `shape` hides the place at an offset from a sensor at xy."""
     range_m = np.hypot(offset[0], offset[1])
-    if range_m < NEAREST_M:
+    if range_m < _NEAREST_M:
         return True
     c, s = offset[0] / range_m, offset[1] / range_m
     for j in range(len(shape)):
         x, y = shape[j, 0] - xy[0], shape[j, 1] - xy[1]
         ahead, aside = x * c + y * s, y * c - x * s
         across = abs(shape[j, 3] * c - shape[j, 2] * s) * shape[j, 4] + _HALF_WIDTH_M
-        if abs(aside) < across and 0.0 < ahead < range_m - NEAREST_M:
+        if abs(aside) < across and 0.0 < ahead < range_m - _NEAREST_M:
             return True
     return False

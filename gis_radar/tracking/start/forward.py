@@ -55,23 +55,23 @@ from gis_radar.tracking.detections import AZIMUTH_RAD, MOVING_MPS, MapDetections
 from gis_radar.tracking.size import LONGEST_M
 from gis_radar.tracking.start.births import _LEAST_LANE_COS, BIRTH_S, begin
 
-CAPACITY = 1024  # most vehicles at a time
-WAITING = 2048  # most detections at a time that are of no vehicle yet
-SPARE = 1024  # room for branches beyond the number of detections
+_CAPACITY = 1024  # most vehicles at a time
+_WAITING = 2048  # most detections at a time that are of no vehicle yet
+_SPARE = 1024  # room for branches beyond the number of detections
 _REACH_M = 30.0  # largest distance from the point of a body to its detections
 _HALF_WIDTH_M = 1.0  # half the width of a vehicle
-FORK_M = 3.0  # lanes that begin within this of a place are branches of one fork
+_FORK_M = 3.0  # lanes that begin within this of a place are branches of one fork
 _SINCE_FORK_M, _NEAR_M = 30.0, 1.0  # branches so near each other so far beyond the fork are one
 # Largest difference of the misfits of two branches of a vehicle, and largest misfit by one
 # detection, both in squared sigmas: so six outliers do not end a branch.
-MOST_MISFIT, MOST_COST = 24.0, 4.0
-ACCEL_MPS2 = 1.5  # sigma of the acceleration that drivers choose
-SIDEWAYS_MPS = 0.3  # sigma of the drift across the lane
+_MOST_MISFIT, _MOST_COST = 24.0, 4.0
+_ACCEL_MPS2 = 1.5  # sigma of the acceleration that drivers choose
+_SIDEWAYS_MPS = 0.3  # sigma of the drift across the lane
 _RATE_SIGMA_MPS = 0.25  # sigma of a range rate, including what a turning body adds
 _ALONG_M, _ACROSS_M = 1.2, 0.7  # how far outside of the body a detection may lie
 # Longest time without a detection that a track is continued, after which it may be 3 m off; and at
 # rest, as still detections are not used. With under six detections it is dropped after BIRTH_S.
-COAST_S, STAND_S = 2.0, 20.0
+_COAST_S, STAND_S = 2.0, 20.0
 STANDING_MPS = 0.7  # below it a vehicle may stand
 
 
@@ -91,8 +91,8 @@ class ForwardFilter:
 
     def __init__(self, graph: LaneGraph) -> None:
         self._field = graph.field.arrays
-        self._bodies = np.zeros((CAPACITY, BODY_COLUMNS))
-        self._waiting = np.zeros((WAITING, WAIT_COLUMNS))
+        self._bodies = np.zeros((_CAPACITY, BODY_COLUMNS))
+        self._waiting = np.zeros((_WAITING, WAIT_COLUMNS))
         self._counts = np.zeros(COUNT_ENTRIES, np.int64)
 
     def push(self, detections: MapDetections) -> tuple[Integers, Floats]:
@@ -126,7 +126,7 @@ class ForwardFilter:
         number, state = np.full(len(detections), NONE, np.int64), np.zeros((len(detections), 6))
         columns = ("points", "range_rate", "sight", "range_m", "time")
         rows = np.column_stack([getattr(detections, name) for name in columns])
-        count = len(detections) + SPARE
+        count = len(detections) + _SPARE
         log = (np.full(count, NONE), np.full((count, 2), NONE), np.zeros((4 * count, 8)))
         self._counts[BASE], self._counts[KEPT] = self._counts[BRANCHES], 0
         _follow(
@@ -225,7 +225,7 @@ def _predict_all(
     k = 0
     while k < counts[ALIVE]:
         body = bodies[k]
-        longest_s = STAND_S if body[SPEED] < STANDING_MPS else COAST_S
+        longest_s = STAND_S if body[SPEED] < STANDING_MPS else _COAST_S
         if now - body[LAST_TIME] > (BIRTH_S if body[DETECTION_COUNT] < 6.0 else longest_s):
             counts[ALIVE] -= 1
             bodies[k] = bodies[counts[ALIVE]]
@@ -243,7 +243,7 @@ def _fork(
     """Add a branch of body `k` for each other lane that begins where its own lane does."""
     body = bodies[k]
     for j in range(found):
-        if lanes[j, LANE] == body[FOLLOWED] or lanes[j, ALONG_LANE] > FORK_M:
+        if lanes[j, LANE] == body[FOLLOWED] or lanes[j, ALONG_LANE] > _FORK_M:
             continue
         if (
             abs(lanes[j, LEFT]) > lanes[j, HALF]
@@ -279,7 +279,7 @@ def _prune_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no cov
             same = same or _have_rejoined(bodies[k], bodies[other])
             worse = (
                 worse
-                or more > MOST_MISFIT
+                or more > _MOST_MISFIT
                 or (same and (more > 0.0 or (more == 0.0 and k > other)))
             )
         if worse:
@@ -321,11 +321,11 @@ def _predict(
             )
         new_lanes = count if there >= 0.0 and there != body[FOLLOWED] else 0
         body[FOLLOWED] = there
-    accel_var = ACCEL_MPS2**2
+    accel_var = _ACCEL_MPS2**2
     body[VAR_S] += 2.0 * lapse * body[COV_SV] + lapse**2 * body[VAR_V] + accel_var * lapse**4 / 4.0
     body[COV_SV] += lapse * body[VAR_V] + accel_var * lapse**3 / 2.0
     body[VAR_V] += accel_var * lapse
-    drift = SIDEWAYS_MPS * min(abs(body[SPEED]) / 3.0, 1.0)
+    drift = _SIDEWAYS_MPS * min(abs(body[SPEED]) / 3.0, 1.0)
     body[VAR_D] += (drift**2 + 0.01) * lapse
     return new_lanes
 
@@ -399,7 +399,7 @@ def _correct_branches(
         if bodies[k, NUMBER] != bodies[chosen, NUMBER]:
             continue
         cost = _association_cost(detection, bodies[k])
-        bodies[k, MISFIT] += min(cost, MOST_COST)
+        bodies[k, MISFIT] += min(cost, _MOST_COST)
         if cost < np.inf:
             _correct(bodies[k], detection)
             if bodies[k, MISFIT] < least:

@@ -20,27 +20,27 @@ from gis_radar.tracking.start.detectability import SILENT_S, Detectability
 from gis_radar.tracking.start.passes import Passes
 from gis_radar.tracking.start.stationary import StationaryTarget
 
-END_STEPS = 10  # steps over which the speed at an end is taken: half a second
-MOST_EXPECTED = 60.0  # without a single one of so many expected detections no vehicle is there
+_END_STEPS = 10  # steps over which the speed at an end is taken: half a second
+_MOST_EXPECTED = 60.0  # without a single one of so many expected detections no vehicle is there
 # Costs are negative log odds.
 END_COST = 8.0  # cost of a track that ends, and of another one that begins, in view
-OVERLAP_S = 2.0  # largest overlap in time of the second part with the first
+_OVERLAP_S = 2.0  # largest overlap in time of the second part with the first
 # Largest speed at both ends, largest distance and turn of a vehicle that waits between its parts.
-WAITING_MPS, WAITING_M, WAITING_RAD = 5.0, 9.0, 0.6
-BRAKING_MPS2 = 3.0  # usual braking and acceleration, which give the way to and from a stop
+_WAITING_MPS, _WAITING_M, _WAITING_RAD = 5.0, 9.0, 0.6
+_BRAKING_MPS2 = 3.0  # usual braking and acceleration, which give the way to and from a stop
 _PLACE_M = 1.0  # error of the ends of two parts of one vehicle: half a car
 # Cost of a stop, and of each second of it: two minutes cost half as much as an end.
-STOP_COST, WAIT_COST = 0.5, 0.03
+_STOP_COST, _WAIT_COST = 0.5, 0.03
 # Longest time without detections and largest turn of a moving vehicle.
-UNDETECTED_S, TURNING_RAD = 6.0, 1.9
+_UNDETECTED_S, _TURNING_RAD = 6.0, 1.9
 # How much slower than the mean of both ends, and faster than the faster end, the mean speed of an
 # undetected moving vehicle may be, per second: it may stop and start in between.
-SLOWING_MPS2, GAINING_MPS2 = 0.6, 0.5
+_SLOWING_MPS2, _GAINING_MPS2 = 0.6, 0.5
 # For gaps up to this duration it is not slower than the slower end after braking so.
-BRIEF_S, BRAKED_MPS2 = 3.0, 1.2
+BRIEF_S, _BRAKED_MPS2 = 3.0, 1.2
 # Sigma of the mean speed about that of both ends, per second; cost of the square root of an
 # undetected second, and of each metre.
-CHANGE_MPS2, UNDETECTED_COST, METRE_COST = 0.7, 0.15, 0.03
+_CHANGE_MPS2, _UNDETECTED_COST, _METRE_COST = 0.7, 0.15, 0.03
 # Sigma of the speed at an end; parts that differ by more sigmas are of different vehicles.
 _SPEED_MPS, _MOST_SIGMA = 0.5, 3.0
 # How far the next part may begin behind the expected place, and beside the straight continuation;
@@ -72,7 +72,7 @@ class Part:
     def of_motion(cls, motion: Motion) -> Part:
         """Return the part of a motion."""
         place, heading = motion.places
-        speeds = [np.median(motion.speed[:END_STEPS]), np.median(motion.speed[-END_STEPS:])]
+        speeds = [np.median(motion.speed[:_END_STEPS]), np.median(motion.speed[-_END_STEPS:])]
         steps = np.array([motion.first_step, motion.last_step])
         return cls(
             time=steps / STEPS_PER_SECOND, place=place[[0, -1]], heading=heading[[0, -1]],
@@ -138,7 +138,7 @@ def _is_missed(parts: Sequence[Part], a: int, b: int, detectability: Detectabili
     if span[1] - span[0] < SILENT_S:
         return False
     places = np.stack([parts[a].place[1], parts[b].place[0]])
-    return detectability.expected_between(places, span, (a, b)) > MOST_EXPECTED
+    return detectability.expected_between(places, span, (a, b)) > _MOST_EXPECTED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,11 +193,11 @@ def _costs(a: int, parts: Sequence[Part], passes: Passes) -> Iterator[tuple[int,
     """Yield (a, b, cost) for each part b that may follow part a: after a stop, or driving on."""
     part, gaps = parts[a], _Gaps.of(a, parts)
     speed = float(part.speed[1])
-    slow = (speed < WAITING_MPS) & (gaps.speed < WAITING_MPS)
-    waits = gaps.later & slow & (gaps.lapse > -OVERLAP_S) & (gaps.apart < WAITING_M)
-    waits &= (gaps.turn < WAITING_RAD) & (gaps.left < _BESIDE_M)
-    drives_on = gaps.later & ~gaps.stationary & (gaps.lapse > -OVERLAP_S)
-    drives_on &= (gaps.lapse < UNDETECTED_S) & (gaps.turn < TURNING_RAD)
+    slow = (speed < _WAITING_MPS) & (gaps.speed < _WAITING_MPS)
+    waits = gaps.later & slow & (gaps.lapse > -_OVERLAP_S) & (gaps.apart < _WAITING_M)
+    waits &= (gaps.turn < _WAITING_RAD) & (gaps.left < _BESIDE_M)
+    drives_on = gaps.later & ~gaps.stationary & (gaps.lapse > -_OVERLAP_S)
+    drives_on &= (gaps.lapse < _UNDETECTED_S) & (gaps.turn < _TURNING_RAD)
     excess = gaps.along - 0.5 * (speed + gaps.speed) * gaps.lapse
     drives_on &= (excess > -_BACK_M) & ((gaps.lapse >= 0.0) | (excess < _BACK_M))
     bend = 0.5 * np.maximum(gaps.along, 0.0) * np.sin(np.minimum(gaps.turn, 0.5 * np.pi))
@@ -210,16 +210,16 @@ def _costs(a: int, parts: Sequence[Part], passes: Passes) -> Iterator[tuple[int,
         if waits[b] and part.time[1] + gaps.lapse[b] < free_until + 0.5:
             cost = min(cost, _cost_of_waiting(speed, gaps, b))
         cost += (gaps.left[b] / (1.0 + 0.1 * gaps.apart[b])) ** 2
-        cost += 0.5 * (gaps.turn[b] / WAITING_RAD) ** 2
+        cost += 0.5 * (gaps.turn[b] / _WAITING_RAD) ** 2
         if cost < END_COST:
             yield a, b, float(cost)
 
 
 def _cost_of_waiting(speed: float, gaps: _Gaps, b: int) -> float:
     """Return the cost of a stop between two parts, by its duration and their distance."""
-    creep = (speed**2 + gaps.speed[b] ** 2) / (2.0 * BRAKING_MPS2)
+    creep = (speed**2 + gaps.speed[b] ** 2) / (2.0 * _BRAKING_MPS2)
     off = max(abs(gaps.along[b] - creep) - _PLACE_M, 0.0) / (1.5 * _PLACE_M)
-    return float(off**2 + STOP_COST + WAIT_COST * max(gaps.lapse[b], 0.05))
+    return float(off**2 + _STOP_COST + _WAIT_COST * max(gaps.lapse[b], 0.05))
 
 
 def _cost_of_driving(speed: float, gaps: _Gaps, b: int) -> float:
@@ -228,13 +228,13 @@ def _cost_of_driving(speed: float, gaps: _Gaps, b: int) -> float:
     mean, middle = gaps.apart[b] * np.sign(gaps.along[b]) / lapse, 0.5 * (speed + gaps.speed[b])
     slowest = 0.0
     if lapse < BRIEF_S:
-        slowest = max(min(speed, gaps.speed[b]) - BRAKED_MPS2 * lapse, 0.0)
-    low = min(slowest, max(middle - SLOWING_MPS2 * lapse, 0.0))
-    high = max(speed, gaps.speed[b]) + GAINING_MPS2 * lapse
+        slowest = max(min(speed, gaps.speed[b]) - _BRAKED_MPS2 * lapse, 0.0)
+    low = min(slowest, max(middle - _SLOWING_MPS2 * lapse, 0.0))
+    high = max(speed, gaps.speed[b]) + _GAINING_MPS2 * lapse
     place = _PLACE_M / lapse
     miss = max(low - mean, mean - high, 0.0) / (_SPEED_MPS + place)
     if miss >= _MOST_SIGMA:
         return np.inf
-    sigma = CHANGE_MPS2 * lapse + 2.0 * _SPEED_MPS + place
-    undetected = UNDETECTED_COST * np.sqrt(lapse) + METRE_COST * gaps.apart[b]
+    sigma = _CHANGE_MPS2 * lapse + 2.0 * _SPEED_MPS + place
+    undetected = _UNDETECTED_COST * np.sqrt(lapse) + _METRE_COST * gaps.apart[b]
     return float(miss**2 + 0.5 * ((mean - middle) / sigma) ** 2 + undetected)

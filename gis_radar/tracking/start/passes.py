@@ -19,8 +19,8 @@ PAIR_M = 0.5  # length of a cell here: two cells of `stationary`
 # moment, and its middle comes so near to the place, or to the middle of the lane: half the width of
 # two cars and the error of their places. With 0.7 and 1.3 m the occupancies of towns change by less
 # than 0.3 %.
-PASS_MPS, PASS_SEEN_S, PASS_NEAR_M = 1.5, 0.75, 1.0
-FAST_MPS = 4.0  # just before and after a faster pass, no vehicle stands at the place
+_PASS_MPS, _PASS_SEEN_S, _PASS_NEAR_M = 1.5, 0.75, 1.0
+_FAST_MPS = 4.0  # just before and after a faster pass, no vehicle stands at the place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class Passes:
     times : dict
         By the number of a cell, the times of passes, ascending UNIX seconds.
     fast : dict
-        As `times`, of passes faster than `FAST_MPS` only.
+        As `times`, of passes faster than `_FAST_MPS` only.
     """
 
     strips: Strips
@@ -53,13 +53,13 @@ class Passes:
             time = (motion.first_step + np.arange(len(motion.s_m))) / STEPS_PER_SECOND
             seen = detections.time[motion.rows]
             since_s = np.abs(time - seen[nearest(seen, time)])
-            drives = (motion.speed > PASS_MPS) & (since_s < PASS_SEEN_S)
+            drives = (motion.speed > _PASS_MPS) & (since_s < _PASS_SEEN_S)
             if drives.sum() >= 3:
                 places.append(motion.places[0][drives])
                 when.append(time[drives])
                 speeds.append(motion.speed[drives])
         moments = np.concatenate(when)
-        on_strips = strips.project(np.vstack(places), PASS_NEAR_M)
+        on_strips = strips.project(np.vstack(places), _PASS_NEAR_M)
         times: dict[int, list[float]] = {}
         fast: dict[int, list[float]] = {}
         for strip, s, moment, speed in zip(
@@ -68,7 +68,7 @@ class Passes:
         ):  # fmt: skip
             for cell in range(int((s - 0.5) / PAIR_M), int((s + 0.5) / PAIR_M) + 1):
                 times.setdefault(strip * MOST_CELLS + cell, []).append(moment)
-                if speed > FAST_MPS:
+                if speed > _FAST_MPS:
                     fast.setdefault(strip * MOST_CELLS + cell, []).append(moment)
         return cls(
             strips=strips, tree=cKDTree(np.vstack(places)), when=moments,
@@ -97,7 +97,7 @@ class Passes:
 
     def _over(self, points: Floats) -> Floats:
         """Return the times of passes over any of some points, ascending."""
-        near = self.tree.query_ball_point(np.atleast_2d(points), PASS_NEAR_M)
+        near = self.tree.query_ball_point(np.atleast_2d(points), _PASS_NEAR_M)
         rows = np.unique(np.concatenate([np.zeros(0), *near])).astype(np.int64)
         return np.sort(self.when[rows])
 

@@ -16,9 +16,9 @@ from gis_radar.tracking.start.stationary import RATE_SHARE, SILENCE_S
 _END_M = 1.0  # error of the place of an end of a vehicle
 _LEFT_M = 1.1  # half the width of a vehicle, with the error of its place
 # Still detections are of a vehicle that comes to rest or sets off if its place gives fewer of them
-# while it is empty: in the nearest EMPTY_S of the SEARCH_S before or after it, in which it is more
-# than its length and AWAY_M away. At least OWN_SHARE of the detections must be the vehicle's.
-AWAY_M, EMPTY_S, SEARCH_S, OWN_SHARE = 2.0, 3.0, 60.0, 0.5
+# while it is empty: in the nearest _EMPTY_S of the _SEARCH_S before or after it, in which it is
+# more than its length and AWAY_M away. At least _OWN_SHARE of the detections must be the vehicle's.
+AWAY_M, _EMPTY_S, _SEARCH_S, _OWN_SHARE = 2.0, 3.0, 60.0, 0.5
 
 
 def with_rest(
@@ -88,7 +88,7 @@ def with_rest(
             rate = rate_without(number, motion, end, detections, free, detectability)
             fixed = (ends[1] - ends[0]) * rate
             own_count, count = side.sum() - fixed, side.sum()
-            if own_count < RATE_SHARE * expected or own_count < OWN_SHARE * count:
+            if own_count < RATE_SHARE * expected or own_count < _OWN_SHARE * count:
                 rows, step = rows[~side], step[~side]
     if len(rows) == 0:
         return motion
@@ -170,11 +170,11 @@ def rate_without(
     if not away.any():
         return 0.0
     when = (motion.first_step + np.flatnonzero(away)[end]) / STEPS_PER_SECOND
-    ends = np.array([when - SEARCH_S, when] if end else [when, when + SEARCH_S])
+    ends = np.array([when - _SEARCH_S, when] if end else [when, when + _SEARCH_S])
     ends = np.clip(ends, detections.time[0], detections.time[-1])
     halves = np.arange(int(2.0 * ends[0]), int(2.0 * ends[1]) + 1)
     others = detectability.occluders.near(motion.places[0][end], halves, number, motion.length_m)
-    empty, count = np.setdiff1d(halves, others), round(2.0 * EMPTY_S)
+    empty, count = np.setdiff1d(halves, others), round(2.0 * _EMPTY_S)
     empty = empty[-count:] if end else empty[:count]
     if len(empty) == 0:
         return 0.0

@@ -24,11 +24,11 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.size import LONGEST_M, length_prior
 from gis_radar.tracking.start.passes import MOST_CELLS, PAIR_M, Passes
 
-FRONT_SEEN, REAR_SEEN, SIDE_SEEN = range(3)  # the end of a vehicle that a sensor sees, or its side
-SQUARE_COS = 0.5  # least cosine of the aspect at which an end is seen: 60 degrees
+_FRONT_SEEN, _REAR_SEEN, _SIDE_SEEN = range(3)  # what a sensor sees of a vehicle
+_SQUARE_COS = 0.5  # least cosine of the aspect at which an end is seen: 60 degrees
 _BIN_S = 0.5  # time bin of the counts by which fixed objects are found
-CHANGE_M = 1.5  # largest apparent move of a vehicle's ends from second to second
-INSIDE_M = 0.5  # least distance from the lane's edge: kerbs, signs and parked cars lie nearer to it
+_CHANGE_M = 1.5  # largest apparent move of a vehicle's ends from second to second
+_INSIDE_M = 0.5  # least distance from the lane's edge: kerbs and parked cars lie nearer to it
 _HIGH_M = 3.2  # a scatterer whose median height over the road is larger hangs above the lane
 STRIP_CELL_M = 0.5 * PAIR_M  # length of a cell of a strip: the spread of a scatterer's detections
 # Longest gap between the detections of a scatterer; after a longer one it counts as a new one. (A
@@ -45,11 +45,11 @@ _LEAST_FIXED, FIXED_SHARE, _MORE_SIGMAS, _CAR_M = 2, 0.5, 3.0, 4.5
 # Least gap in a queue; gap below which there is a cost, as drivers keep more; that cost, nats/m2.
 _GAP_M, _EASY_GAP_M, _TIGHT_COST = 1.0, 2.0, 8.0
 _SHORTEST_M = 3.4  # anything shorter cannot be distinguished from a sign
-POWER = 0.5  # weight of a scatterer: its number of detections to this power
+_POWER = 0.5  # weight of a scatterer: its number of detections to this power
 _WINDOW_M, _MOST_WEIGHT = 5.0, 24.0  # length of a window of the lane, and the most weight in it
 _VEHICLE_COST = 7.0  # cost of a vehicle: prior log odds against one
-STAY_GAIN = 12.0  # gain of a vehicle that stood in the same place one SLICE_S before, nats
-LOG_CLUTTER = math.log(0.02)  # log density of detections of no vehicle, 1/m
+_STAY_GAIN = 12.0  # gain of a vehicle that stood in the same place one SLICE_S before, nats
+_LOG_CLUTTER = math.log(0.02)  # log density of detections of no vehicle, 1/m
 _END_M, _END_SHARE = 0.35, 0.6  # sigma of an end's detections, and their share if seen squarely
 # Least detections and duration of a vehicle, and its least rate of detections as a share of that of
 # vehicles in the same recordings at that range.
@@ -125,7 +125,7 @@ def find_stationary(
     sensor = detections.sensor[still.row]
     key = np.column_stack([still.episode, cell, still.end_seen, sensor])
     groups, first, numbers = np.unique(key, axis=0, return_index=True, return_counts=True)
-    weight = numbers.astype(np.float64) ** POWER
+    weight = numbers.astype(np.float64) ** _POWER
     strip = still.strip[first]
     targets: list[StationaryTarget] = []
     for line in np.unique(strip).tolist():
@@ -146,17 +146,17 @@ def _still_inside(detections: MapDetections, free: Booleans, passes: Passes) -> 
     """Return the still detections inside of lanes, grouped to episodes, without those above."""
     rows = np.flatnonzero(free)
     at = passes.strips.project(detections.points[rows])
-    inside = at.edge_m > INSIDE_M
+    inside = at.edge_m > _INSIDE_M
     row, heading = rows[at.row[inside]], at.heading[inside]
     order = np.argsort(detections.time[row], kind="stable")
     row, heading = row[order], heading[order]
     cos = np.cos(heading) * detections.sight[row, 0] + np.sin(heading) * detections.sight[row, 1]
-    square = np.abs(cos) >= SQUARE_COS
+    square = np.abs(cos) >= _SQUARE_COS
     strip, s_m = at.strip[inside][order], at.s_m[inside][order]
     place = strip * MOST_CELLS + ((s_m / STRIP_CELL_M).astype(np.int64) // 2)
     still = _StillDetections(
         row=row, strip=strip, s_m=s_m, time=detections.time[row],
-        end_seen=np.where(square, np.where(cos < 0.0, FRONT_SEEN, REAR_SEEN), SIDE_SEEN),
+        end_seen=np.where(square, np.where(cos < 0.0, _FRONT_SEEN, _REAR_SEEN), _SIDE_SEEN),
         episode=_episodes(place, detections.time[row], passes.times),
     )  # fmt: skip
     if len(row) == 0:
@@ -312,7 +312,7 @@ class _Associator:
                 for k in left
             }
             best = min(apart, key=lambda k: apart[k], default=NONE)
-            if best == NONE or apart[best] >= CHANGE_M:
+            if best == NONE or apart[best] >= _CHANGE_M:
                 self._end(spans, begin)
                 continue
             left.remove(best)
@@ -368,7 +368,7 @@ def _gains(weights: Floats) -> Floats:  # pragma: no cover - compiled
         off = (j - reach + 0.5) * STRIP_CELL_M
         peak = _END_SHARE * np.exp(-0.5 * (off / _END_M) ** 2) / (_END_M * 2.5066)
         inside[j] = np.log(peak + (1.0 - _END_SHARE) / 5.0) - body
-        outside[j] = max(np.log(peak + 1e-9) - LOG_CLUTTER, 0.0)
+        outside[j] = max(np.log(peak + 1e-9) - _LOG_CLUTTER, 0.0)
     gains = np.zeros((2, count + 1))
     for k in range(count + 1):
         for j in range(max(k - reach, 0), min(k + reach, count)):
@@ -384,7 +384,8 @@ def _pack(
 ) -> Integers:  # pragma: no cover - compiled
     """Return what `pack` does, with the gains of ends and the log priors of lengths in cells."""
     count = weights.shape[1]
-    end_gain, side_gain = np.log((1.0 - _END_SHARE) / 5.0) - LOG_CLUTTER, np.log(0.2) - LOG_CLUTTER
+    end_gain = np.log((1.0 - _END_SHARE) / 5.0) - _LOG_CLUTTER
+    side_gain = np.log(0.2) - _LOG_CLUTTER
     ends, sides = np.zeros(count + 1), np.zeros(count + 1)
     for k in range(count):
         ends[k + 1] = ends[k] + weights[0, k] + weights[1, k]
@@ -402,7 +403,7 @@ def _pack(
             score += gains[0, f] + gains[1, r]
             if score <= 0.0:
                 continue
-            stays = STAY_GAIN if rear_before[f] == r else 0.0
+            stays = _STAY_GAIN if rear_before[f] == r else 0.0
             score += prior[f - r] - _VEHICLE_COST + behind[r] + stays
             if score > best[f] + 1e-9:
                 best[f], rear_of[f] = score, r

@@ -11,7 +11,7 @@ from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.columns import NONE
 
 _POINTS_AT_ONCE = 100_000  # points processed at once: with the lanes near them, 20 MB
-WELL_INSIDE_M = 0.6  # distance inside a lane's edge beyond which the longer strip is preferred
+_WELL_INSIDE_M = 0.6  # distance inside a lane's edge beyond which the longer strip is preferred
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +103,7 @@ class Strips:
         edge = (table["half_width_m"] - table["d_m"].abs()).to_numpy()
         length = np.zeros(int(self.number.max()) + 1)
         np.maximum.at(length, self.number, self.start_m + self.graph.length_m)
-        rank = np.minimum(edge, WELL_INSIDE_M) * 1e4 + length[self.number[lane]]
+        rank = np.minimum(edge, _WELL_INSIDE_M) * 1e4 + length[self.number[lane]]
         order = np.lexsort((-rank, point))
         if near_m is not None:
             order = order[(table["d_m"].abs().to_numpy() < near_m)[order]]

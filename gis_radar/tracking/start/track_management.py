@@ -30,10 +30,10 @@ from gis_radar.tracking.start.stationary import (
 )
 from gis_radar.tracking.start.strips import Strips
 
-APART_S = 1.0  # least time between two vehicles at one place
+_APART_S = 1.0  # least time between two vehicles at one place
 # Least number of moving detections and least distance of a vehicle; with less, a track is false.
 _LEAST_MOVING, _LEAST_WAY_M = 6, 4.0
-ALONE_S, ALONE_ROWS = 3.0, 10  # least duration and detections of a vehicle that only stands
+_ALONE_S, _ALONE_ROWS = 3.0, 10  # least duration and detections of a vehicle that only stands
 _PLACE_M = 0.5  # sigma of the place of a stationary vehicle
 
 
@@ -119,8 +119,8 @@ def _drove(motion: Motion, detections: MapDetections) -> bool:
 def _stood(motion: Motion, detections: MapDetections) -> bool:
     """Return whether a motion has enough still detections, for long enough, to be of a vehicle."""
     still = motion.rows[np.abs(detections.range_rate[motion.rows]) <= MOVING_MPS]
-    enough = len(still) >= ALONE_ROWS
-    return enough and float(np.ptp(detections.time[still])) >= ALONE_S
+    enough = len(still) >= _ALONE_ROWS
+    return enough and float(np.ptp(detections.time[still])) >= _ALONE_S
 
 
 def split_at_drives(
@@ -155,7 +155,7 @@ def split_at_drives(
         places, _ = motion.path.at(s_m)
         stayed = np.ptp(s_m) < AWAY_M
         if stayed:
-            lost = passes.after(places[0], float(time[k])) < time[k + 1] - APART_S
+            lost = passes.after(places[0], float(time[k])) < time[k + 1] - _APART_S
         else:
             lost = time[k + 1] - time[k] > SILENCE_S
         if lost:
@@ -186,7 +186,7 @@ def _stationary_only(
 ) -> Motion | None:
     """Return the motion of a vehicle that only stands, None if it is detected too briefly."""
     begin, end = (float(detections.time[rows[k]]) for k in (0, -1))
-    if end - begin < ALONE_S or len(rows) < ALONE_ROWS:
+    if end - begin < _ALONE_S or len(rows) < _ALONE_ROWS:
         return None
     first, last = float(detections.time[0]), float(detections.time[-1])
     begin = first if begin - first < SILENCE_S else begin
