@@ -199,7 +199,7 @@ def test_counts_by_hand_stand_beside_ours(run, dataset, given, tmp_path):
     layer = gpd.read_file(tmp_path / "out" / "traffic.gpkg", layer="sections")
     assert layer["counted"].sum() == 26
     sheets = pyogrio.list_layers(tmp_path / "out" / "traffic.xlsx")[:, 0]
-    assert sheets.tolist() == ["Lanes", "Turns", "Count sections", "Counts by hand"]
+    assert sheets.tolist() == ["Lanes", "Turns", "Count sections", "Counts by hand", "Notes"]
 
 
 def test_counts_are_read_as_excel_writes_them_in_germany(dataset, tmp_path):

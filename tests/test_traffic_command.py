@@ -147,7 +147,7 @@ def test_german_spreadsheets_open_the_table(written):
 def test_the_workbook_has_a_sheet_each_with_ids_and_names_as_text(written):
     folder, _ = written()
     names, lanes = sheet_of(folder / "traffic.xlsx", 1)
-    assert names == ["Lanes", "Turns"]
+    assert names == ["Lanes", "Turns", "Notes"]
     head, first = lanes[0], lanes[1]
     titles = {title: column for column, title in head.items()}
     assert first[titles["Lane (id)"]] == "10"
@@ -158,6 +158,9 @@ def test_the_workbook_has_a_sheet_each_with_ids_and_names_as_text(written):
     assert day.round("s") == pd.Timestamp("2023-11-14 23:00")
     _, turns = sheet_of(folder / "traffic.xlsx", 2)
     assert [row["A"] for row in turns[1:]] == ["10"] * 4
+    _, notes = sheet_of(folder / "traffic.xlsx", 3)
+    assert notes[0]["A"] == "How to read these figures"
+    assert "say nothing about other hours or days" in notes[-1]["A"]
 
 
 def test_numbers_of_approaches_that_meet_do_not_lie_on_each_other():
@@ -228,7 +231,7 @@ def test_the_workbook_speaks_german(written):
               range(int(each.get("min")), int(each.get("max")) + 1)]  # fmt: skip
     height = float(sheet.find(f"{SHEET}sheetData/{SHEET}row").get("ht"))
     names, lanes = sheet_of(folder / "traffic.xlsx", 1)
-    assert names == ["Fahrstreifen", "Abbiegen"]
+    assert names == ["Fahrstreifen", "Abbiegen", "Hinweise"]
     assert "Verkehrsstärke [Kfz/h]" in lanes[0].values()
     for title, width in zip(lanes[0].values(), widths, strict=True):
         lines = wrap(title, int(width / 1.2), break_long_words=False)

@@ -76,6 +76,19 @@ TITLES = {
     "agrees": Text("Within both errors"),
 }  # fmt: skip
 """Titles of all columns, with units."""
+_NOTES = (
+    Text("Vehicles are counted while their fronts cross the stop line of a lane, elsewhere its "
+         "middle. The visible share says for how much of the interval that line was visible."),
+    Text("The volume is the estimate for the whole interval. It lies within its standard error of "
+         "the truth in about two cases of three, within two of them in most others."),
+    Text("An empty field is not known, and no 0: too little was visible, or nobody drove there."),
+    Text("Speeds, heavy vehicles, queues, stops and delays have no stated error."),
+    Text("A queue that reaches as far as the road is in sight may be longer."),
+    Text("Levels of service are those of a handbook for 15 minutes and more."),
+    Text("The figures are of these times only: they say nothing about other hours or days, about "
+         "the routes of vehicles, or why these wait."),
+)  # fmt: skip
+"""What a reader of the workbook may and may not conclude."""
 _LAYER_METADATA = {"shows": VOLUMES}  # makes GDAL create the metadata tables, which titles need
 _IDS = ("lane", "from_lane", "to_lane")  # up to 9e18: as numbers, xlsx and JSON would round them
 _TIMES = ("begin", "end")
@@ -233,6 +246,8 @@ class Traffic:
             titles = {str(name): tr(TITLES[str(name)]) for name in shown}
             titles |= {name: f"{titles[name]} ({zone})" for name in _TIMES}
             shown_by_sheet[sheet] = shown.rename(columns=titles)
+        title = tr("How to read these figures")
+        shown_by_sheet[tr("Notes")] = pd.DataFrame({title: list(map(tr, _NOTES))})
         write_workbook(shown_by_sheet, path)
 
     def _write_package(self, path: Path) -> None:
