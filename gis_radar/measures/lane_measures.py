@@ -11,9 +11,9 @@ The variance of a volume has three independent sources:
   half;
 - *visibility*: if n vehicles are counted in a visible share v of the interval and arrivals are a
   Poisson process, n w / v with variance (n + 1/2) w (v + w) / v^2 come in another share w of it.
-  While vehicles hide the line, those come that are followed beyond it. Others may have been missed,
-  evenly likely any number up to n w / v, where w is the time in which no vehicle stands at the
-  line: the difference is an error, with the variance of a uniform distribution about its end.
+  While vehicles hide the line, those count that are followed across it. More may have come, up to
+  n w / v, where w is the hidden time in which no vehicle stands at the line. Any number between is
+  taken as equally likely: the variance is a third of the squared difference.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import pyarrow as pa
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, quotient
 from gis_radar.measures.lane_fronts import Crossings, StepGrid, TrackedLanes, driven
 from gis_radar.measures.lane_network import LaneNetwork
-from gis_radar.measures.queues import QUEUE_EVERY_STEPS, blocked_shares, queue_backs
+from gis_radar.measures.queues import QUEUE_EVERY_STEPS, StandingFronts, blocked_shares, queue_backs
 
 SPEED_CLASS_KMH = 5.0  # width of a class of speeds
 SPEED_CLASSES = 40  # up to 200 km/h; the last one is open
@@ -86,14 +86,15 @@ def measure_lanes(lanes: TrackedLanes, tiles: TileSteps) -> Measured:
     areas = _areas(lanes, tiles)
     share = _share_at(lanes.line_tile_id, grid, tiles)
     counts = _Counts.of(lanes.visible_crossings, lanes)
+    standing = StandingFronts.of(lanes)
     followed = np.bincount(lanes.cell_of(crossed.lane, crossed.step), minlength=lanes.cells)
     hidden = _Hidden(
         _share_at(lanes.line_tile_id, grid, tiles, "hidden"),
-        blocked_shares(lanes),
+        blocked_shares(standing, lanes),
         followed - counts.counted,
     )
     seconds, metres = driven(lanes)
-    most_m, sum_m = queue_backs(lanes)
+    most_m, sum_m = queue_backs(standing, lanes)
     columns: dict[str, Any] = _volumes(counts, share, hidden)
     columns |= _speeds(counts, seconds, metres, share)
     columns |= _occupancies(areas)
@@ -186,7 +187,15 @@ class _Counts:
 
 
 class _Hidden(NamedTuple):
-    """Hidden lines, by cells: share of the interval, that in which none crosses, crossings."""
+    """Hidden lines, by cells of lane and interval.
+
+    Parameters
+    ----------
+    share, blocked : (cells,) arrays
+        Shares of the interval: hidden, and hidden while a vehicle stands at the line.
+    crossings : (cells,) array
+        Number of fronts that cross the line while it is hidden.
+    """
 
     share: Floats
     blocked: Floats

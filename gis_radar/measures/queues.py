@@ -11,13 +11,13 @@ from gis_radar.base import Booleans, Floats, Integers, ranges
 from gis_radar.measures.lane_fronts import StepGrid, TrackedLanes
 from gis_radar.measures.lane_network import JOINED_M, LaneNetwork
 
-_SHORTEST_CAR_M = 3.5
+_SHORTEST_CAR_M = 3.5  # length: no car fits into less road
 OVER_LINE_M = 2.0  # how far the front of a waiting vehicle may be over the line
 # Queues are measured at steps divisible by this: all tracks have a state there.
 QUEUE_EVERY_STEPS = 4
 
 
-def queue_backs(lanes: TrackedLanes) -> tuple[Floats, Floats]:
+def queue_backs(standing: StandingFronts, lanes: TrackedLanes) -> tuple[Floats, Floats]:
     """Find the queues at stop lines: standing vehicles, from the line back, up to a gap.
 
     Returns
@@ -27,7 +27,7 @@ def queue_backs(lanes: TrackedLanes) -> tuple[Floats, Floats]:
     sum_m : (cells,) array
         Sum of the lengths, m, over the steps of :func:`queue_steps` with a visible stop line.
     """
-    standing, grid = StandingFronts.of(lanes), lanes.grid
+    grid = lanes.grid
     interval = grid.of(queue_steps(grid))
     most, total = np.zeros((2, len(lanes.network.lane), grid.count))
     for stop in np.flatnonzero(lanes.network.has_stop_line).tolist():
@@ -37,12 +37,12 @@ def queue_backs(lanes: TrackedLanes) -> tuple[Floats, Floats]:
     return most.ravel(), total.ravel()
 
 
-def blocked_shares(lanes: TrackedLanes) -> Floats:
+def blocked_shares(standing: StandingFronts, lanes: TrackedLanes) -> Floats:
     """Return the shares of intervals in which a vehicle stands at a hidden line, by cells.
 
     While it stands over the line, or so close before it that no car fits between, none crosses.
     """
-    standing, network, grid = StandingFronts.of(lanes), lanes.network, lanes.grid
+    network, grid = lanes.network, lanes.grid
     beyond_m = standing.along_m - network.line_m[standing.lane]
     at_line = (beyond_m > -_SHORTEST_CAR_M) & (beyond_m < standing.length_m)
     pairs = np.stack([standing.lane, standing.step])[:, at_line]

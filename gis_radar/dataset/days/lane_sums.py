@@ -1,7 +1,7 @@
 """Sums of lane measures over quarters of an hour, and the measures that follow from them.
 
 Measures along a lane are means by the kilometre-hours of it that were visible, queues by the time
-in which the stop line was. A measure that is no plain sum has lines here, and nowhere else.
+in which the stop line was. How a measure combines that is no plain sum is stated here only.
 """
 
 from __future__ import annotations

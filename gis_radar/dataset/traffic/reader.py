@@ -60,10 +60,6 @@ _LANE_COLUMNS = (
     "occupancy_se", "density_veh_km", "flow_veh_h", "travel_time_s", "delay_s", "queue_max_m",
     "queue_mean_m", "sight_m", "stops",
 )  # fmt: skip
-_SUMMED = (
-    "visible_share", "counted", "heavy", "speed_time_mean", "occupancy", "occupancy_se", "density",
-    "flow", "queue_mean_m", "stops", "visible_km_h",
-)  # fmt: skip
 _TURN_COLUMNS = (
     *_WITH_TURN, "from_name", "to_name", "turn", "begin", "end", "visible_share", "volume",
     "volume_se", "volume_veh_h",
@@ -352,11 +348,14 @@ def _lane_sums(rows: pd.DataFrame, groups: Any, network: LaneNetwork) -> pd.Data
         summed = pd.Series(np.asarray(values, np.float64)).groupby(group).sum(min_count=1)
         return summed.to_numpy(np.float64)
 
-    known = {name: rows[name].to_numpy(np.float64, na_value=np.nan) for name in _SUMMED}
+    known = {
+        name: rows[name].to_numpy(np.float64, na_value=np.nan)
+        for name in rows.select_dtypes("number")
+    }
     sums = {
         name: total(summand(*(known[each] for each in sources)))
-        for name, (sources, summand) in SUMMANDS.items() if known.keys() >= {*sources}
-    }  # fmt: skip
+        for name, (sources, summand) in SUMMANDS.items()
+    }
     measures: dict[str, Any] = measures_of(sums)
     by_speed = known["speed_time_mean"] * known["counted"]
     measures["speed_time_mean"] = quotient(
