@@ -47,14 +47,21 @@ def contiguous(values: Any) -> Any:
     return values
 
 
+# Option of glibc's `mallopt`: least size of arrays with memory of their own; by default it grows
+# with those that were freed, up to 32 MiB.
+_M_MMAP_THRESHOLD, _LARGE_BYTES = -3, 4 << 20
+
+
 def give_back_memory() -> None:
     """Give freed memory that the C library (glibc) keeps back to the system.
 
     Glibc keeps it in pieces between arrays in use: where large arrays come and go, a process grows
-    to twice what they need.
+    to twice what they need. From the first call on, large arrays are given back as they are freed.
     """
-    with suppress(OSError, AttributeError, TypeError):  # other systems have no such function
-        ctypes.CDLL(None).malloc_trim(0)
+    with suppress(OSError, AttributeError, TypeError):  # other systems have no such functions
+        c_library = ctypes.CDLL(None)
+        c_library.mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
+        c_library.malloc_trim(0)
 
 
 Params = ParamSpec("Params")

@@ -72,7 +72,7 @@ class BatchMaker:
 
     def __init__(self, graph: LaneGraph) -> None:
         self._graph = graph
-        self._known: pd.DataFrame | None = None  # detections of vehicles at the edge: key, vehicle
+        self._known: pd.DataFrame | None = None  # detections of vehicles at the edge
         self._edge = -1
         self._lane_offsets: list[pd.DataFrame] = []
         self.found = 0
@@ -132,7 +132,7 @@ class BatchMaker:
                 numbers[k] = self.found
                 self.found += 1
         kept = [
-            pd.DataFrame({"key": _keys(block.detections.take(motion.rows)), "vehicle": number})
+            _keys(block.detections, motion.rows).assign(vehicle=number)
             for number, motion, each in zip(numbers, motions, states, strict=True)
             if each.step[-1] == block.last_step
         ]
@@ -149,10 +149,9 @@ class BatchMaker:
         if known is None or not motions:
             return []
         mine = pd.concat(
-            pd.DataFrame({"key": _keys(detections.take(motion.rows)), "motion": k})
-            for k, motion in enumerate(motions)
+            _keys(detections, motion.rows).assign(motion=k) for k, motion in enumerate(motions)
         )
-        both = mine.merge(known, on="key")
+        both = mine.merge(known, on=["sensor", "time", "east"])
         if both.empty:
             return []
         counts = pd.crosstab(both["motion"], both["vehicle"])
@@ -359,13 +358,12 @@ class _States:
         return cls(step, middle, heading, speed, seen)
 
 
-def _keys(detections: MapDetections) -> list[tuple[int, float, float]]:
-    """Return keys by which detections of two blocks are compared: sensor, time, easting."""
-    return list(
-        zip(
-            detections.sensor.tolist(),
-            detections.time.tolist(),
-            detections.points[:, 0].tolist(),
-            strict=True,
-        )
+def _keys(detections: MapDetections, rows: Integers) -> pd.DataFrame:
+    """Return `sensor time east` of some detections, by which those of two blocks are compared."""
+    return pd.DataFrame(
+        {
+            "sensor": detections.sensor[rows],
+            "time": detections.time[rows],
+            "east": detections.points[rows, 0],
+        }
     )

@@ -181,15 +181,16 @@ def _batches(
     """
     waiting: list[tuple[PlacedRecording, Detections]] = []
     still_mps: float | None = None
-    for source, rows in _frames_of(sensor, section):
-        waiting.append((source, rows))
-        if rows.time[-1] < waiting[0][1].time[0] + NOISE_S and still_mps is None:
+    for each in _frames_of(sensor, section):
+        waiting.append(each)
+        del each
+        if waiting[-1][1].time[-1] < waiting[0][1].time[0] + NOISE_S and still_mps is None:
             continue
         if still_mps is None:
             still_mps = _still_rate(waiting)
-        for each in waiting:
-            yield from _on_lanes(*each, number, graph, still_mps)
-        waiting = []
+        found = [part for each in waiting for part in _on_lanes(*each, number, graph, still_mps)]
+        waiting.clear()
+        yield from found
     still_mps = _still_rate(waiting) if still_mps is None else still_mps
     for each in waiting:
         yield from _on_lanes(*each, number, graph, still_mps)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.base import Floats, Integers, give_back_memory
+from gis_radar.base import Floats, Integers
 from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.detections import MOVING_MPS, MapDetections
 from gis_radar.tracking.motion import Motion
@@ -38,9 +38,7 @@ def vehicles_in(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
     """
     if len(detections) == 0:
         return []
-    started = _started(detections, graph)
-    give_back_memory()  # the temporary arrays take twice the memory of the detections
-    improved = improve(started, detections, graph)
+    improved = improve(_started(detections, graph), detections, graph)
     persons = is_person(detections, improved)
     return [each for each, person in zip(improved, persons, strict=True) if not person]
 

@@ -57,6 +57,7 @@ def improve(motions: Sequence[Motion], detections: MapDetections, graph: LaneGra
     if not motions:
         return []
     posterior = Posterior(detections, motions)
+    del motions  # better ones take their place
     posterior.learn(_sized_and_cut(posterior, split=True))
     posterior.set_vehicles(lengthen(posterior, graph))
     posterior.motions = reassociate(posterior)

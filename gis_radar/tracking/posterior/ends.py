@@ -95,6 +95,7 @@ def with_undetected_ends(
     """
     graphs = {1: graph, -1: graph.reversed}
     longest = [_predicted(_predicted(each, graphs[1], 1), graphs[-1], -1) for each in motions]
+    posterior.set_vehicles([])  # frees all states: those of the longest motions are twice as many
     posterior.set_vehicles(longest)
     overlapping = posterior.overlapping([(each.first_step, each.last_step) for each in motions])
     extended_motions = []

@@ -115,30 +115,28 @@ class Posterior:
         self._background.learn_fixed(self._by_frame, self.states.frame, self.states.shape)
         n, share = len(self.states.frame), np.zeros(len(self.total_rate))
         share[self._pair_row] = 0.5
-        expected, bright = _FIRST_GUESS * self.visible_share, np.ones(n)
+        rate = expected = _FIRST_GUESS * self.visible_share
         for _ in range(_ROUNDS):
-            responsibility = self._responsibilities(
-                expected * bright, self._background.rates(1.0 - share)
-            )
+            responsibility = self._responsibilities(rate, self._background.rates(1.0 - share))
             of_all = np.bincount(self._pair_row, responsibility, len(self.total_rate))
             share = np.minimum(of_all, 1.0)  # the share of each detection by all vehicles
             explained = np.bincount(self._pair_state, responsibility, n).astype(np.float64)
             self._learn_rates(explained)
             expected = self._expected_detections()
-            bright = self._brightness(explained, expected)
+            rate = expected * self._brightness(explained, expected)
         self._background_rate = self._background.rates(1.0 - share)
-        self._set_rates(expected, bright)
+        self._set_rates(expected, rate)
 
     def set_vehicles(self, motions: Sequence[Motion]) -> None:
         """Set the vehicles; keep the detection rates and the background learned before."""
         self._set_states(motions)
-        expected = self._expected_detections()
-        bright = np.ones(len(expected))
+        rate = expected = self._expected_detections()
         for _ in range(2):
-            responsibility = self._responsibilities(expected * bright, self._background_rate)
+            responsibility = self._responsibilities(rate, self._background_rate)
             explained = np.bincount(self._pair_state, responsibility, len(expected))
-            bright = self._brightness(explained.astype(np.float64), expected)
-        self._set_rates(expected, bright)
+            del responsibility, rate  # they would be kept beside their successors
+            rate = expected * self._brightness(explained.astype(np.float64, copy=False), expected)
+        self._set_rates(expected, rate)
 
     def _responsibilities(self, rate: Floats, background: Floats) -> Floats:
         """Return each state's responsibility for each of its detections, a value a pair.
@@ -164,8 +162,9 @@ class Posterior:
         placed = [self._placed.get(_state_key(each)) for each in motions]
         self.motions, self._placed = list(motions), {}
         self.states = States.of([], self.frames)
-        self.visible_share = self._pair_rate = self._expected = np.zeros(0)
-        self._by_frame = self._pair_state = np.zeros(0, np.int64)
+        self.visible_share = self._expected = self._pair_rate = self._pair_density = np.zeros(0)
+        self._by_frame = self._state_class = self._state_cell = np.zeros(0, np.int64)
+        self._pair_begin = self._pair_state = self._pair_row = np.zeros(0, np.int64)
         give_back_memory()
         frame_of = [
             self.frames.during(motion) if known is None else known[0]
@@ -224,10 +223,11 @@ class Posterior:
 
     def _update_visible_share(self) -> None:
         """Sort the states that are alive by frame, and compute which share of each is visible."""
-        states, alive = self.states, np.flatnonzero(self.alive)
-        self._by_frame = alive[np.argsort(states.frame[alive], kind="stable")]
+        states = self.states
+        order = np.argsort(states.frame, kind="stable")
+        self._by_frame = order = order[self.alive[order]]
         self._frame_begin = np.searchsorted(
-            states.frame[self._by_frame], np.arange(len(self.frames.time) + 1)
+            states.frame[order], np.arange(len(self.frames.time) + 1)
         )
         self.visible_share = np.ones(len(states.frame))
         fill_visible_share(
@@ -278,7 +278,7 @@ class Posterior:
         """
         group = self.states.group
         n, m = np.bincount(group, explained), np.bincount(group, expected)
-        first = np.flatnonzero(np.diff(group, prepend=-1))
+        first = np.searchsorted(group, np.arange(len(n)))
         stands = (self.states.shape[first, SHAPE_SPEED] < STANDS_MPS).astype(np.int64)
         for standing in (0, 1):
             used = (stands == standing) & (m > 0.5)
@@ -289,10 +289,10 @@ class Posterior:
         alpha = self.alpha[stands]
         return np.asarray(((alpha + n) / (alpha + m))[group])
 
-    def _set_rates(self, expected: Floats, bright: Floats) -> None:
+    def _set_rates(self, expected: Floats, rate: Floats) -> None:
         """Set the rate of each pair and the total rate of each detection."""
         self._expected = expected
-        self._pair_rate = self._pair_density * (expected * bright)[self._pair_state]
+        self._pair_rate = self._pair_density * rate[self._pair_state]
         self.total_rate = self._background_rate + np.bincount(
             self._pair_row, self._pair_rate, len(self.total_rate)
         )
