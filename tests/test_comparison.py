@@ -270,6 +270,19 @@ def test_a_minute_that_is_hidden_loses_no_delay_of_the_others():
     assert "delay_s" not in set(rows["measure"])
 
 
+def test_time_is_lost_in_a_minute_in_which_nobody_drives_the_length_of_the_lane():
+    rng = np.random.default_rng(11)
+    before, after = (lane_rows(3, rng, 10.0) for _ in range(2))
+    creeps = before["flow_veh_h"].eq(0.0)  # all stand but one, which rolls on by some metres
+    rolled = before.assign(flow_veh_h=before["flow_veh_h"].mask(creeps, 6.0))
+    found, still = (
+        compared_rows({3: AlikeRows(rows, after)}).set_index("measure").loc["delay_s"]
+        for rows in (rolled, before)
+    )
+    assert found["count"] == still["count"] == 60
+    assert found["before"] * (160.0 + 2.0) == pytest.approx(still["before"] * 160.0)
+
+
 def test_who_drives_over_the_limit_gains_no_time():
     """And a lane on which nobody lost time before is compared."""
     rng, slow = np.random.default_rng(14), np.arange(60) % 10 == 0

@@ -27,6 +27,7 @@ from .lane_fronts import StepGrid as StepGrid
 from .lane_fronts import TrackedLanes as TrackedLanes
 from .lane_fronts import VehicleTable as VehicleTable
 from .lane_fronts import VisibleRuns as VisibleRuns
+from .lane_measures import LEAST_DRIVEN as LEAST_DRIVEN
 from .lane_measures import LEAST_VISIBLE_SHARE as LEAST_VISIBLE_SHARE
 from .lane_measures import SPEED_CLASS_KMH as SPEED_CLASS_KMH
 from .lane_measures import SPEED_CLASSES as SPEED_CLASSES

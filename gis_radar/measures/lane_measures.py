@@ -36,6 +36,9 @@ SPEED_CLASSES = 40  # up to 200 km/h; the last one is open
 # Share of an interval that must be visible for an estimate of the whole: with less, the error is
 # that of a guess.
 LEAST_VISIBLE_SHARE = 0.2
+# Least flow of an interval with a travel time, vehicles in the interval: one that waits in it, and
+# drives a part of the lane only, would give a travel time that nobody had.
+LEAST_DRIVEN = 1.0
 # Standard deviation that a counted vehicle adds: if measured, 5 % do not exist and as many are
 # missing; if inferred, 25 % each. Hidden parts of the visible time have the error of inferred
 # vehicles, too.

@@ -275,6 +275,20 @@ def test_names_and_free_speeds_that_a_site_states_are_those_of_earlier_measures(
         dataset.with_lanes([{"id": 8}])
 
 
+def test_an_interval_with_less_than_one_vehicle_has_no_travel_time(tmp_path):
+    """One that waits in it for minutes would give a travel time that nobody had."""
+    begin = EDGE - STEPS_PER_HOUR
+    waits = np.concatenate([np.arange(0.0, 4.0, 0.5), np.full(2000, 4.0)])
+    row = dataset_of(tmp_path / "one", [drive(1, begin, waits)]).traffic("1min").iloc[0]
+    assert row["visible_share"] == 1.0
+    assert 0.0 < row["flow_veh_h"] < 60.0
+    assert row["speed_kmh"] > 0.0
+    assert np.isnan(row["travel_time_s"])
+    assert np.isnan(row["delay_s"])
+    two = dataset_of(tmp_path / "two", [drive(1, begin, waits), car(2, begin + 300)])
+    assert two.traffic("1min")["travel_time_s"].iloc[0] > 60.0
+
+
 @pytest.mark.parametrize(("until", "volume"), [(1800, 3.0), (720, 2 / 0.6)])
 def test_vehicles_followed_over_a_hidden_line_count_while_a_sensor_observes_it(
     tmp_path, until, volume

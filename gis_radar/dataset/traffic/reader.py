@@ -44,6 +44,7 @@ from gis_radar.dataset.files.tables import LANE_MEASURES, TRACKS, TURNS
 from gis_radar.dataset.traffic.shifts import MISSED_ACROSS, OtherLanes, lanes_across, shifts_of
 from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 from gis_radar.measures import (
+    LEAST_DRIVEN,
     LEAST_VISIBLE_SHARE,
     SPEED_CLASS_KMH,
     LaneNetwork,
@@ -108,6 +109,8 @@ class TrafficReader:
             left_open = self._lasting_variance(table, "lane", name)
             table[f"{name}_se"] = np.sqrt(table[f"{name}_se"] ** 2 + left_open)
         layer = self.dataset.layer(LANES_LAYER)
+        drove = table["flow"] * table["hours"] >= LEAST_DRIVEN
+        table["travel_time_s"] = table["travel_time_s"].where(drove)
         table["delay_s"] = delays(table, layer, network)
         with in_language(self.language):
             names = lane_names(layer, network)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.base import Booleans, NoAnswerError, Text
-from gis_radar.measures import LEVEL, compare_values, holm_corrected
+from gis_radar.measures import LEAST_DRIVEN, LEVEL, compare_values, holm_corrected
 
 MORE, LESS, NOT_TOLD = "more", "less", "not told"
 
@@ -205,7 +205,7 @@ def interval_values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
 
 
 def _lost_time(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
-    """Return the time lost on a lane, and the flow, also while all stand.
+    """Return the time lost on a lane, and the flow, also while nobody drives its length.
 
     The lane is that of travel times, 3600 L k / q. Where too little of it is visible for these,
     nothing is known. As a delay, time lost is never under 0.
@@ -214,11 +214,12 @@ def _lost_time(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
         rows[name].astype(np.float64)
         for name in ("flow_veh_h", "density_veh_km", "travel_time_s", "delay_s")
     )
-    time_per_vehicle = (travel_s * flow / density)[flow > 0.0].median()
-    hidden = travel_s.isna() & (flow > 0.0)
-    if hidden.sum() > (1.0 - LEAST_SEEN) * (flow > 0.0).sum():  # unknown while all stand, too
+    drove = flow * (rows["end"] - rows.index).dt.total_seconds() / 3600.0 >= LEAST_DRIVEN
+    time_per_vehicle = (travel_s * flow / density)[drove].median()
+    hidden = travel_s.isna() & drove
+    if hidden.sum() > (1.0 - LEAST_SEEN) * drove.sum():  # unknown while all stand, too
         time_per_vehicle = np.nan
-    lost = (delay_s * flow).where(flow > 0.0, time_per_vehicle * density)
+    lost = (delay_s * flow).where(drove, time_per_vehicle * density)
     return lost if np.isfinite(time_per_vehicle) else lost * np.nan, flow
 
 
