@@ -199,6 +199,13 @@ def test_recordings_of_one_name_in_two_folders_are_both_converted(site, tmp_path
     changed = file.read_text(encoding="utf-8").replace("[sensor.convert]", columns)
     file.write_text(changed, encoding="utf-8")
     assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 2
+    path = tmp_path / "one" / "day0" / "R1.parquet"
+    rows = pq.read_table(path)
+    path.unlink()
+    pq.write_table(rows.slice(0, len(rows) // 2), path)
+    os.utime(path, (1e9, 1e9))  # older than what was made of it, as cp -p leaves it
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 1
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
 
 
 @pytest.mark.usefixtures("in_a_thread")
