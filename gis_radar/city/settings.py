@@ -47,7 +47,7 @@ class CityFile(TomlTable):
     language: Literal["en", "de"] = key('"de"', "en")
     """Language of the city's page: en or de."""
     keep: Duration | None = key('"720h"', None, "for ever")
-    """How long exact tables are kept; counts and measures stay."""
+    """How long exact tables are kept, from their hour and their making; counts stay."""
     reports: Switch = key("false", True, "true")
     """Whether each site gets a heat map and a report of its last month."""
     site: Annotated[tuple[CitySite, ...], Field(min_length=1)]

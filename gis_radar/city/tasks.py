@@ -259,7 +259,7 @@ def update_site(task: SiteTask, city: CityFile) -> SiteTask:
     """Bring the tables of dates up to date, delete old exact tables, report on the last month."""
     update_days(task.dataset, task)
     if city.keep is not None:
-        open_dataset(task.dataset).keep(city.keep / 86_400.0, reporter=task)
+        open_dataset(task.dataset).keep(city.keep / 86_400.0, since_made=True, reporter=task)
     if city.reports and is_older(task.results / "report.html", task.dataset):
         _report(task, city.timezone)
     return task
