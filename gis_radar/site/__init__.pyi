@@ -32,6 +32,7 @@ from .stages import heatmap_stage as heatmap_stage
 from .stages import measure_stage as measure_stage
 from .stages import refusals_of as refusals_of
 from .toml_file import LARGEST_FILE as LARGEST_FILE
+from .toml_file import TomlFile as TomlFile
 from .toml_file import read_toml as read_toml
 from .toml_file import toml_template as toml_template
 from .values import File as File
