@@ -180,6 +180,20 @@ def test_a_recording_that_was_changed_is_found_whenever_it_was(site, tmp_path):
 
 
 @pytest.mark.usefixtures("in_a_thread")
+def test_exact_tables_of_an_archive_are_kept_as_long_as_others(site, tmp_path):
+    city = city_file(tmp_path, one=copied(site, tmp_path / "one"))
+    text = city.read_text(encoding="utf-8")
+    city.write_text('keep = "720h"\n' + text, encoding="utf-8")
+    gr.run_city(city, tmp_path / "root", jobs=1)
+    dataset = tmp_path / "root" / "site=one"
+    assert len(list(dataset.glob("hits/*/*.parquet"))) == HOURS
+    for path in dataset.glob("hours/*/*.json"):
+        os.utime(path, (path.stat().st_mtime - 721 * 3600.0,) * 2)
+    gr.run_city(city, tmp_path / "root", jobs=1)
+    assert not list(dataset.glob("hits/*/*.parquet"))
+
+
+@pytest.mark.usefixtures("in_a_thread")
 def test_recordings_of_one_name_in_two_folders_are_both_converted(site, tmp_path):
     file = copied(site, tmp_path / "one", hours=2)
     for hour in range(2):
@@ -199,6 +213,13 @@ def test_recordings_of_one_name_in_two_folders_are_both_converted(site, tmp_path
     changed = file.read_text(encoding="utf-8").replace("[sensor.convert]", columns)
     file.write_text(changed, encoding="utf-8")
     assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 2
+    path = tmp_path / "one" / "day0" / "R1.parquet"
+    rows = pq.read_table(path)
+    path.unlink()
+    pq.write_table(rows.slice(0, len(rows) // 2), path)
+    os.utime(path, (1e9, 1e9))  # older than what was made of it, as cp -p leaves it
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 1
+    assert gr.run_city(city, tmp_path / "root", jobs=1).sites["one"].hours == 0
 
 
 @pytest.mark.usefixtures("in_a_thread")

@@ -96,7 +96,28 @@ def test_a_sensor_that_came_later_lacks_nothing_before(tmp_path):
     table = measure_quality(both).table
     assert table["sensor"].tolist() == ["R1", "R1", "R2"]
     (line,) = measure_quality(both).warnings()
-    assert line.startswith("R1: 17 % of the frames expected in the hour from 2023-11-14T23:00Z; 2")
+    assert line.startswith("R1: no data in the hour from 2023-11-15T01:00Z; 1 of its 2 hours")
+
+
+def test_frames_are_expected_while_something_was_recorded(tmp_path):
+    """Two minutes, and two a week later, of R1; R2 recorded the second ones, not all of them."""
+    begin, week = 1_700_002_800.0 + 900.0, 7 * 86_400.0
+    lossy = np.setdiff1d(np.arange(0, 120, 1.0), np.arange(40, 50))
+    parts = [("R1", begin + lossy), ("R1", begin + week + np.arange(0, 120, 1.0))]
+    parts.append(("R2", begin + week + np.arange(0, 60, 1.0)))
+    for seed, (sensor, frames) in enumerate(parts):
+        time, points, rate = drive(frames, np.random.default_rng(seed))
+        path = recording(tmp_path / f"{seed}.parquet", time, points, range_rate=np.float32(rate))
+        dataset = measure(
+            [path], [pose(sensor=sensor)], crossing(), None, tmp_path / "a", hits_only=True,
+            check=False,
+        )  # fmt: skip
+    table = measure_quality(dataset).table[["sensor", "frames_expected", "frames", "verdict"]]
+    assert table.to_numpy().tolist() == [
+        ["R1", 120, 110, "good"],
+        ["R1", 120, 120, "good"],
+        ["R2", 120, 60, "50 % of the frames expected"],
+    ]
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,6 @@ from report_site import (
     write_run,
     write_whole_run,
 )
-from sites import pose
 
 import gis_radar as gr
 from gis_radar.base.spreadsheets import safe
@@ -67,43 +66,30 @@ def test_what_is_not_known_is_empty():
     assert [safe(None), safe(float("nan")), safe(pd.NaT)] == ["", "", ""]
 
 
-def test_a_heat_map_alone(results, tmp_path, blank_paper):
+def test_a_heat_map_alone_asks_for_its_dataset(results, tmp_path, blank_paper):
     shutil.copytree(results / "heatmap", tmp_path / "map")
-    report = gr.write_report(tmp_path / "map")
-    names = sorted(path.name for path in report.outputs)
-    assert names == [name for name in FILES if name != "quality.csv"]
+    with pytest.raises(gr.InputError, match="no such dataset") as caught:
+        gr.write_report(tmp_path / "map")
+    assert caught.value.hint == "name the dataset that the heat map was made of"
+    report = gr.write_report(tmp_path / "map", dataset=results / "dataset")
+    assert sorted(path.name for path in report.outputs) == sorted(FILES)
     text = (tmp_path / "map" / "report.html").read_text(encoding="utf-8")
     assert "All times: UTC." in text
-    assert "is not in the folder" in text
-    assert "not known here" in text
-    assert report.summary["sensors"] == []
-    assert repr(report).startswith("Report('map', 4 files: ")
+    short = [each for each in report.summary["remarks"] if " were recorded: " in each]
+    assert [each.endswith("and no usual day") for each in short] == [True]
+    assert repr(report).startswith("Report('map', 5 files: ")
     assert "report.html" in report._repr_html_()
     # a new heat map takes the place of both
     make_heatmap(gr.open_dataset(results / "dataset")).write(tmp_path / "map")
     assert not (tmp_path / "map" / "report.html").exists()
 
 
-def test_a_pose_in_another_plane_is_told(results, tmp_path, blank_paper):
-    shutil.copytree(results / "heatmap", tmp_path / "run" / "heatmap")
-    for name, crs in (("R1", "EPSG:25832"), ("R2", "EPSG:25833")):
-        (tmp_path / "run" / "sensors" / name).mkdir(parents=True)
-        pose(sensor=name, crs=crs).write(tmp_path / "run" / "sensors" / name / "pose.json")
-    report = gr.write_report(tmp_path / "run")
-    told = "The pose of sensor R2 is in EPSG:25833, the map in EPSG:25832: it is left out."
-    assert told in report.summary["remarks"]
-    short = [each for each in report.summary["remarks"] if " were recorded: " in each]
-    assert [each.endswith("and no usual day") for each in short] == [True]
-    assert told in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-
-
-def test_a_dataset_of_other_tiles_is_left_out_or_refused(results, tmp_path, blank_paper):
+def test_a_dataset_of_other_tiles_is_refused(results, tmp_path):
     shutil.copytree(results / "heatmap", tmp_path / "run" / "heatmap")
     other = write_dataset(tmp_path / "run" / "dataset").folder
-    remarks = gr.write_report(tmp_path / "run").summary["remarks"]
-    assert "The dataset in the folder belongs to other tiles and is left out." in remarks
-    with pytest.raises(gr.InputError, match="the heat map was not made with the tiles of"):
-        gr.write_report(tmp_path / "run", dataset=other)
+    for given in (None, other):
+        with pytest.raises(gr.InputError, match="the heat map was not made with the tiles of"):
+            gr.write_report(tmp_path / "run", dataset=given)
 
 
 def test_a_file_of_somebody_beside_a_heat_map_stays(results, tmp_path):
@@ -210,7 +196,7 @@ def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path, blank_pap
     shutil.copytree(results, tmp_path / "run")
     gr.write_report(tmp_path / "run")
     assert (tmp_path / "run" / "quality.csv").is_file()
-    shutil.rmtree(tmp_path / "run" / "dataset")
+    gr.open_dataset(tmp_path / "run" / "dataset").keep(0.0)  # what sensors delivered is gone
     gr.write_report(tmp_path / "run")
     assert sorted(path.name for path in (tmp_path / "run").glob("*.csv")) == [
         "lanes.csv", "lanes_by_interval.csv",
@@ -218,7 +204,7 @@ def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path, blank_pap
     # a file that no report has written stays
     shutil.copytree(results / "heatmap", tmp_path / "map")
     (tmp_path / "map" / "quality.csv").write_text("mine")
-    gr.write_report(tmp_path / "map")
+    gr.write_report(tmp_path / "map", dataset=tmp_path / "run" / "dataset")
     assert (tmp_path / "map" / "quality.csv").read_text() == "mine"
 
 

@@ -39,6 +39,7 @@ from .errors import OutputError as OutputError
 from .errors import UsageError as UsageError
 from .errors import first_line as first_line
 from .errors import placed as placed
+from .errors import system_error as system_error
 from .files import FILE_DATE as FILE_DATE
 from .files import atomic_folder as atomic_folder
 from .files import atomic_write as atomic_write

@@ -110,6 +110,12 @@ def placed(where: str) -> Iterator[None]:
         raise type(error)("{}: {}", where, error.message, hint=error.hint) from error
 
 
+def system_error(error: OSError) -> OutputError:
+    """Return an error of the operating system as one of ours, with its file where it has one."""
+    where = f"{error.filename}: " if error.filename else ""
+    return OutputError("{}{}", where, error.strerror or error)
+
+
 def first_line(error: Exception) -> str:
     """Return the first line of an error of a library, or its kind where it has no text."""
     return str(error).partition("\n")[0] or type(error).__name__

@@ -35,6 +35,7 @@ from gis_radar.base import (
     WorkerPool,
     first_line,
     go_offline,
+    system_error,
     watch_parent,
     workers_here,
 )
@@ -205,8 +206,7 @@ def run_task(expected: Mapping[str, str], work: Callable[..., Any], *arguments: 
         except GisRadarError:
             raise
         except OSError as error:
-            where = f"{error.filename}: " if error.filename else ""
-            raise OutputError("{}{}", where, error.strerror or error) from error
+            raise system_error(error) from error
         except Exception as error:
             place = traceback.extract_tb(error.__traceback__)[-1]
             raise GisRadarError(

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, model_validator
 
 from gis_radar.base import Text
 from gis_radar.site import (
@@ -17,6 +17,7 @@ from gis_radar.site import (
     Place,
     Switch,
     TextValue,
+    TomlFile,
     TomlTable,
     Unfit,
     Zone,
@@ -37,7 +38,7 @@ class CitySite(TomlTable):
     """Its site file, as gis-radar run takes it."""
 
 
-class CityFile(TomlTable):
+class CityFile(TomlFile):
     """A city, as its file states it; made by :func:`read_city_file`."""
 
     title: TextValue = key('"Example city"')
@@ -47,12 +48,11 @@ class CityFile(TomlTable):
     language: Literal["en", "de"] = key('"de"', "en")
     """Language of the city's page: en or de."""
     keep: Duration | None = key('"720h"', None, "for ever")
-    """How long exact tables are kept; counts and measures stay."""
+    """How long exact tables are kept, from their hour and their making; counts stay."""
     reports: Switch = key("false", True, "true")
     """Whether each site gets a heat map and a report of its last month."""
     site: Annotated[tuple[CitySite, ...], Field(min_length=1)]
     """The sites, a table each."""
-    _path: Path = PrivateAttr(Path("CITY.toml"))
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
@@ -79,11 +79,6 @@ class CityFile(TomlTable):
                 )
         return self
 
-    @property
-    def path(self) -> Path:
-        """The file it was read from."""
-        return self._path
-
 
 def read_city_file(path: str | Path) -> CityFile:
     """Read a city file; the files of its sites are read when they are run.
@@ -99,9 +94,7 @@ def read_city_file(path: str | Path) -> CityFile:
         If it is no TOML, a key is unknown or missing, a value does not fit, or two sites have one
         name or one file.
     """
-    city = read_toml(Path(path), CityFile, of_site=False, hint=_HINT)
-    city._path = Path(path)  # noqa: SLF001 - not a key of the file
-    return city
+    return read_toml(Path(path), CityFile, of_site=False, hint=_HINT)
 
 
 _HEAD = """\

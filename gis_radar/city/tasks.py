@@ -19,23 +19,26 @@ from gis_radar import products
 from gis_radar.base import (
     GisRadarError,
     InputError,
+    Text,
     WarningList,
     atomic_write,
     json_text,
     only_writer,
-    read_json,
-    write_json,
 )
 from gis_radar.city.city import RESULTS
 from gis_radar.city.settings import CityFile
 from gis_radar.dataset import Manifest, make_registered, open_dataset, site_folder, update_days
 from gis_radar.site import (
+    HASH_LENGTH,
+    RunState,
     Sensor,
     Site,
-    convert_stage,
+    conversion_of,
+    do_stages,
     files_of,
     heatmap_stage,
     measure_stage,
+    opened_run,
     prepare_site,
     read_site,
     refusals_of,
@@ -46,8 +49,6 @@ _POSES = "poses"  # folder of a city with the poses that were found
 _BASIS = ".basis"  # beside such a pose: what it was found from
 _NOT_NEEDED = {"guess": None, "view": None}  # not needed where a pose is known
 _CONVERTED = "recordings"  # folder of a city with the recordings that were converted
-_OPTIONS = "options.json"  # beside a converted recording: how it was converted
-_REGISTERED = ".gis-radar/recordings.json"  # what was registered, below the results of a site
 
 Failure = tuple[str, GisRadarError]
 """Name of what has no result (site, sensor or hour), and the error."""
@@ -97,92 +98,83 @@ def add_recordings(task: SiteTask) -> SiteTask:
     GisRadarError
         If there is no result for the whole site.
     """
-    site = _with_known_poses(_converted(read_site(task.file), task), task)
-    if not site.sensor:
-        return task
-    outcomes = prepare_site(site, task.results, reporter=task)
-    errors = {
-        each.stage.sensor: each.error for each in outcomes if each.stage.sensor and each.error
-    }
-    task.failures += [(name, error) for name, error in errors.items() if error is not None]
+    with opened_run(task.results, task) as (state, _):
+        site = _converted(read_site(task.file), task, state)
+        if not site.sensor:
+            return task
+        registered = registered_recordings(task)
+        new = {
+            sensor.name: tuple(
+                path for path in sensor.recordings
+                if registered.get(path.resolve().as_posix()) != state.hash_of(path)
+            )
+            for sensor in site.sensor
+        }  # fmt: skip
+        site = _with_known_poses(site, new, task)
+        outcomes = prepare_site(site, task.results, state, reporter=task)
+    errors = {each.stage.sensor: each.error for each in outcomes if each.error is not None}
+    task.failures += errors.items()
     for sensor in site.sensor:
         if sensor.pose is None and sensor.name not in errors:
             _store_pose(sensor, site, task)
-    states = {path: _state_of(path) for each in site.sensor for path in each.recordings}
-    before = registered_recordings(task)
-    new = {
-        each.name: [path for path in each.recordings if before.get(_name_of(path)) != states[path]]
-        for each in site.sensor if each.name not in errors
-    }  # fmt: skip
     sensors = [
-        each.model_copy(update={"recordings": tuple(new[each.name])})
-        for each in site.sensor if new.get(each.name)
+        each.model_copy(update={"recordings": new[each.name]})
+        for each in site.sensor if new[each.name] and each.name not in errors
     ]  # fmt: skip
     if sensors:
         register_checked(site.model_copy(update={"sensor": tuple(sensors)}), task)
-        store_registered(task, before | {_name_of(path): state for path, state in states.items()})
     return task
 
 
-def _converted(site: Site, task: SiteTask) -> Site:
-    """Convert recordings of other formats one by one, those that are new or were changed."""
+def _converted(site: Site, task: SiteTask, state: RunState) -> Site:
+    """Convert recordings of other formats one by one; leave out those that cannot be converted."""
+    stages = {
+        (sensor.name, path): conversion_of(
+            (path,), _converted_path(path, sensor, task), sensor,
+            Text("convert {}", f"{sensor.name}, {path}"),
+        )
+        for sensor in site.sensor for path in sensor.foreign
+    }  # fmt: skip
+    if not stages:
+        return site
+    outcomes = do_stages(stages.values(), site, task.results, state, reporter=task)
+    task.failures += [(each.stage.sensor, each.error) for each in outcomes if each.error]
     sensors = []
     for sensor in site.sensor:
-        paths = [each for each in sensor.recordings if each not in sensor.foreign]
-        options = sensor.convert.model_dump() if sensor.convert else {}
-        stated = json_text(options)
-        for path in sensor.foreign:
-            place = hashlib.sha256(os.fsencode(path.absolute())).hexdigest()[:12]
-            converted = (
-                task.root / _CONVERTED / task.name / sensor.name / place / f"{path.stem}.parquet"
-            )
-            if not _is_converted(path, converted, stated):
-                converted.with_name(_OPTIONS).unlink(missing_ok=True)  # those of the earlier file
-                try:
-                    convert_stage(recordings=[path], outputs=[converted], reporter=task, **options)
-                except GisRadarError as error:
-                    task.failures.append((sensor.name, error))
-                    continue
-                converted.with_name(_OPTIONS).write_text(stated, encoding="utf-8")
-            paths.append(converted)
-        if paths:
-            changed = {"recordings": tuple(paths), "convert": None}
+        native = [path for path in sensor.recordings if path not in sensor.foreign]
+        made = [p for each in outcomes if each.stage.sensor == sensor.name for p in each.made]
+        if native or made:
+            changed = {"recordings": (*native, *made), "convert": None}
             sensors.append(sensor.model_copy(update=changed))
     return site.model_copy(update={"sensor": tuple(sensors)})
 
 
-def _is_converted(path: Path, converted: Path, stated: str) -> bool:
-    """Return whether a recording was converted since it was written, by the stated options."""
-    converted.parent.mkdir(parents=True, exist_ok=True)
-    if not converted.exists() or converted.stat().st_mtime < path.stat().st_mtime:
-        return False
-    options_file = converted.with_name(_OPTIONS)
-    return options_file.exists() and options_file.read_text(encoding="utf-8") == stated
+def _converted_path(path: Path, sensor: Sensor, task: SiteTask) -> Path:
+    place = hashlib.sha256(os.fsencode(path.absolute())).hexdigest()[:12]
+    return task.root / _CONVERTED / task.name / sensor.name / place / f"{path.stem}.parquet"
 
 
 def _pose_path(sensor: Sensor, task: SiteTask) -> Path:
     return task.root / _POSES / task.name / f"{sensor.name}.json"
 
 
-def _with_known_poses(site: Site, task: SiteTask) -> Site:
+def _with_known_poses(site: Site, new: Mapping[str, tuple[Path, ...]], task: SiteTask) -> Site:
     """Give sensors the poses that an earlier run found, from what is stated now.
 
-    Where guess, heading or map were changed, the pose is found again, from the recordings that the
-    dataset does not have: those that it has keep theirs.
+    Where guess, heading or map were changed, the pose is found again, from the `new` recordings:
+    those that the dataset has keep theirs.
     """
-    sensors, registered = [], registered_recordings(task)
+    sensors = []
     for sensor in site.sensor:
         path = _pose_path(sensor, task)
         changed: dict[str, Any] = {}
         if sensor.pose is None and path.is_file():
-            new = tuple(p for p in sensor.recordings if registered.get(_name_of(p)) != _state_of(p))
             basis = path.with_suffix(_BASIS)
             is_same_basis = not basis.is_file() or basis.read_text(encoding="utf-8") == _basis(
                 sensor, site
             )
-            changed = (
-                {"recordings": new} if new and not is_same_basis else _NOT_NEEDED | {"pose": path}
-            )
+            found_again = new[sensor.name] if not is_same_basis else ()
+            changed = {"recordings": found_again} if found_again else _NOT_NEEDED | {"pose": path}
         sensors.append(sensor.model_copy(update=changed))
     return site.model_copy(update={"sensor": tuple(sensors)})
 
@@ -202,33 +194,12 @@ def _store_pose(sensor: Sensor, site: Site, task: SiteTask) -> None:
         part.write_text(_basis(sensor, site), encoding="utf-8")
 
 
-def _name_of(recording: Path) -> str:
-    return recording.resolve().as_posix()
-
-
-def _state_of(recording: Path) -> list[int]:
-    """Return time of writing and size of a file, which change when it is written."""
-    state = recording.stat()
-    return [state.st_mtime_ns, state.st_size]
-
-
-def registered_recordings(task: SiteTask) -> dict[str, list[int]]:
-    """Return the recordings of the dataset, each as its file was when it was read."""
+def registered_recordings(task: SiteTask) -> dict[str, str]:
+    """Return the hash of each recording of the dataset, as it was when it was measured."""
     if not Manifest.is_there(task.dataset):
         return {}
-    try:
-        seen = read_json(task.results / _REGISTERED, what="a list of recordings")
-        return {path: seen[path] for path in open_dataset(task.dataset).recordings()["path"]
-                if path in seen}  # fmt: skip
-    except InputError:
-        return {}  # all are looked at again: those that are the same change no hour
-
-
-def store_registered(task: SiteTask, states: Mapping[str, list[int]]) -> None:
-    """Write which recordings the dataset has, and as they were when they were read."""
-    paths = {*open_dataset(task.dataset).recordings()["path"]}
-    in_dataset = {path: state for path, state in sorted(states.items()) if path in paths}
-    write_json(task.results / _REGISTERED, in_dataset)
+    entries = open_dataset(task.dataset).recordings()
+    return dict(zip(entries["path"], entries["digest"].str[:HASH_LENGTH], strict=True))
 
 
 def register_checked(site: Site, task: SiteTask) -> None:
@@ -288,7 +259,7 @@ def update_site(task: SiteTask, city: CityFile) -> SiteTask:
     """Bring the tables of dates up to date, delete old exact tables, report on the last month."""
     update_days(task.dataset, task)
     if city.keep is not None:
-        open_dataset(task.dataset).keep(city.keep / 86_400.0, reporter=task)
+        open_dataset(task.dataset).keep(city.keep / 86_400.0, since_made=True, reporter=task)
     if city.reports and is_older(task.results / "report.html", task.dataset):
         _report(task, city.timezone)
     return task

@@ -38,6 +38,7 @@ from gis_radar.base import (
     json_text,
     one_line,
     refuse_inputs,
+    system_error,
     tr,
     users_language,
     watch_input,
@@ -408,8 +409,7 @@ def _error_of(error: Exception) -> GisRadarError:
     if isinstance(error, OSError) and not any(text in str(error) for text in _NO_MEMORY_TEXTS):
         if not _output_is_open():
             _exit_without_output()
-        where = f"{error.filename}: " if error.filename else ""
-        return OutputError("{}{}", where, error.strerror or error)
+        return system_error(error)
     if isinstance(error, MemoryError) or any(text in str(error) for text in _NO_MEMORY_TEXTS):
         return OutputError(NO_MEMORY, hint="take smaller parts")
     if os.environ.get(_TRACEBACK):

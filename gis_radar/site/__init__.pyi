@@ -1,5 +1,6 @@
 from .check import SiteCheck as SiteCheck
 from .check import check_site as check_site
+from .execution import HASH_LENGTH as HASH_LENGTH
 from .execution import RunState as RunState
 from .live_table import BrokerTable as BrokerTable
 from .live_table import Duration as Duration
@@ -8,6 +9,7 @@ from .live_table import PageTable as PageTable
 from .live_table import SensorThingsTable as SensorThingsTable
 from .live_table import TopicWord as TopicWord
 from .plan import Stage as Stage
+from .plan import conversion_of as conversion_of
 from .plan import stages_of as stages_of
 from .recipes import files_of as files_of
 from .recipes import mask_scans as mask_scans
@@ -15,6 +17,8 @@ from .recipes import measure_recordings as measure_recordings
 from .recipes import split_map as split_map
 from .recipes import write_sights_of as write_sights_of
 from .run import SiteRun as SiteRun
+from .run import do_stages as do_stages
+from .run import opened_run as opened_run
 from .run import prepare_site as prepare_site
 from .run import run_site as run_site
 from .settings import MapTable as MapTable
@@ -24,11 +28,11 @@ from .settings import ViewTable as ViewTable
 from .settings import read_site as read_site
 from .settings import site_template as site_template
 from .stages import STATE as STATE
-from .stages import convert_stage as convert_stage
 from .stages import heatmap_stage as heatmap_stage
 from .stages import measure_stage as measure_stage
 from .stages import refusals_of as refusals_of
 from .toml_file import LARGEST_FILE as LARGEST_FILE
+from .toml_file import TomlFile as TomlFile
 from .toml_file import read_toml as read_toml
 from .toml_file import toml_template as toml_template
 from .values import File as File

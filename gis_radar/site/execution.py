@@ -33,6 +33,7 @@ from gis_radar.site.versions import software
 from gis_radar.site.worker import Event, Pool, carry_out
 
 ALL = Text("all stages")
+HASH_LENGTH = 32  # characters of the hash of a file
 
 _POLL_S = 0.1  # longest delay of a bar
 _CHUNK = 1 << 20  # bytes
@@ -313,7 +314,9 @@ class RunState:
             part.write_text(self._state_file.model_dump_json(), encoding="utf-8")
 
     def hash_of(self, path: Path, progress: Callable[[int], None] = lambda _: None) -> str | None:
-        """Return the hash of a file or a folder, 32 characters; None where it is not there.
+        """Return the hash of a file or a folder; None where it is not there.
+
+        It is the head of the SHA-256 of a file, :data:`HASH_LENGTH` characters.
 
         Parameters
         ----------
@@ -448,7 +451,7 @@ def stamp_of(path: Path) -> Stamp:
 
 def _hash(path: Path, progress: Callable[[int], None]) -> str:
     """Return the hash of a file's bytes."""
-    digest = hashlib.blake2b(digest_size=16)
+    digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
             while chunk := file.read(_CHUNK):
@@ -456,7 +459,7 @@ def _hash(path: Path, progress: Callable[[int], None]) -> str:
                 progress(len(chunk))
     except OSError as error:
         raise InputError("{}: cannot be read: {}", path, error.strerror or error) from error
-    return digest.hexdigest()
+    return digest.hexdigest()[:HASH_LENGTH]
 
 
 def _digest(content: Any) -> str:

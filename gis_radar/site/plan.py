@@ -188,13 +188,19 @@ def _road(site: Site, folder: Path) -> Iterator[Stage]:
 
 
 def _conversion(sensor: Sensor, folder: Path) -> Stage:
-    """Return the stage that converts a sensor's recordings in other formats."""
+    """Return the stage that converts a sensor's recordings in other formats to one recording."""
+    output = folder / "sensors" / sensor.name / RECORDING_FILE
+    return conversion_of(sensor.foreign, output, sensor, Text("convert {}", sensor.name))
+
+
+def conversion_of(recordings: tuple[Path, ...], output: Path, sensor: Sensor, name: str) -> Stage:
+    """Return the stage that converts recordings of a sensor to one, as its table says."""
     return Stage(
-        name=Text("convert {}", sensor.name),
+        name=name,
         work=stages.convert_stage,
-        inputs={"recordings": sensor.foreign},
+        inputs={"recordings": recordings},
         options=(sensor.convert or ConvertTable()).model_dump(),
-        outputs=(folder / "sensors" / sensor.name / RECORDING_FILE,),
+        outputs=(output,),
         phases=2,
         sensor=sensor.name,
     )

@@ -6,7 +6,7 @@ Its record is written beside the results, as `run.json`.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import takewhile
@@ -185,7 +185,7 @@ def run_site(
     site, root = read_site(path), Path(folder).absolute()
     refuse_inputs(root, site.path, *site.inputs)
     with ExitStack() as stack:
-        state, scratch = stack.enter_context(_opened(Path(folder), reporter))
+        state, scratch = stack.enter_context(opened_run(Path(folder), reporter))
         if fresh:
             state.invalidate()
         _hash_inputs(site, state, reporter)
@@ -207,41 +207,64 @@ def run_site(
     return SiteRun(site=site, folder=Path(folder), outcomes=outcomes)
 
 
-def prepare_site(site: Site, folder: Path, *, reporter: Reporter = QUIET) -> Sequence[Outcome]:
-    """Do the stages before measuring in this process: road, poses, tiles.
+def do_stages(
+    stages: Iterable[Stage], site: Site, folder: Path, state: RunState, *, reporter: Reporter
+) -> list[Outcome]:
+    """Do stages in this process, those that are missing or out of date; return all outcomes.
 
     Parameters
     ----------
+    stages : iterable of Stage
+        The stages.
     site : Site
         The site.
     folder : Path
         Folder for the results, as of :func:`run_site`.
+    state : RunState
+        State of earlier runs into it, from :func:`opened_run`.
     reporter : Reporter
-        Receives progress and remarks.
+        Receives progress.
 
     Raises
     ------
     GisRadarError
         As :func:`run_site`.
     """
-    root = folder.absolute()
-    before = takewhile(lambda stage: stage.work != work.measure_stage, stages_of(site, root))
-    with _opened(folder, reporter) as (state, _), thread_pool() as pool:
-        execution = Execution(
-            stages=list(before), state=state, pool=pool,
+    with thread_pool() as pool:
+        outcomes = Execution(
+            stages=list(stages), state=state, pool=pool,
             reporter=reporter, timezone=site.timezone, folder=site.path.absolute().parent,
-        )  # fmt: skip
-        outcomes = execution.run()
-        state.save()
-        _write_record(site, root, outcomes, state, finished=False)
+        ).run()  # fmt: skip
+    state.save()
+    _write_record(site, folder.absolute(), outcomes, state, finished=False)
     return outcomes
 
 
+def prepare_site(
+    site: Site, folder: Path, state: RunState, *, reporter: Reporter = QUIET
+) -> list[Outcome]:
+    """Do the stages before measuring: road, poses, tiles; as :func:`do_stages`."""
+    stages = stages_of(site, folder.absolute())
+    before = takewhile(lambda stage: stage.work != work.measure_stage, stages)
+    return do_stages(before, site, folder, state, reporter=reporter)
+
+
 @contextmanager
-def _opened(folder: Path, reporter: Reporter) -> Iterator[tuple[RunState, Path]]:
+def opened_run(folder: Path, reporter: Reporter) -> Iterator[tuple[RunState, Path]]:
     """Yield the state of earlier runs into a folder, and an empty folder for temporary files.
 
-    A folder that holds something else is refused; unfinished files of a killed run are removed.
+    Parameters
+    ----------
+    folder : Path
+        Folder for the results; it is locked in the block. One that holds something else is refused;
+        unfinished files of a killed run are removed.
+    reporter : Reporter
+        Receives a remark where another run is waited for.
+
+    Raises
+    ------
+    OutputError
+        As :func:`run_site`.
     """
     root = folder.absolute()
     state = root / STATE

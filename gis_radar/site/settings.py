@@ -10,12 +10,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, model_validator
 
 from gis_radar import recordings
 from gis_radar.base import Text
 from gis_radar.site.live_table import LiveTable
-from gis_radar.site.toml_file import read_toml, toml_template
+from gis_radar.site.toml_file import TomlFile, read_toml, toml_template
 from gis_radar.site.values import (  # fmt: skip
     CompassBearing,
     Crs,
@@ -242,7 +242,7 @@ class Sensor(TomlTable):
         return self
 
 
-class Site(TomlTable):
+class Site(TomlFile):
     """A site, as its file states it; made by :func:`read_site`."""
 
     title: TextValue = key('"Example junction"')
@@ -273,7 +273,6 @@ class Site(TomlTable):
     """The live system, for `gis-radar live`; a run leaves it alone."""
     sensor: Annotated[tuple[Sensor, ...], Field(min_length=1)]
     """The radars, a table each."""
-    _path: Path = PrivateAttr(Path("SITE.toml"))
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
@@ -327,11 +326,6 @@ class Site(TomlTable):
     __str__ = __repr__
 
     @property
-    def path(self) -> Path:
-        """The file it was read from."""
-        return self._path
-
-    @property
     def credits(self) -> list[str]:
         """The sources of map and scan and whom to name, each once."""
         named = (self.map.source, self.scan.source if self.scan else None, *self.attribution)
@@ -377,9 +371,7 @@ def read_site(path: str | Path) -> Site:
     >>> site.title, [sensor.name for sensor in site.sensor]
     ('Sample junction (simulated)', ['R1', 'R2'])
     """
-    site = read_toml(Path(path), Site, of_site=True, hint=_HINT)
-    site._path = Path(path)  # noqa: SLF001 - not a key of the file
-    return site
+    return read_toml(Path(path), Site, of_site=True, hint=_HINT)
 
 
 # The template of a site file and the reference of its keys, from the fields of the models.

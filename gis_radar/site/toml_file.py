@@ -9,18 +9,31 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import PrivateAttr, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from gis_radar.base import InputError, Text, first_line
 from gis_radar.site.values import Steps, TomlTable, Unfit, is_repeated, lines_of, table_of, value_of
 
-Root = TypeVar("Root", bound=TomlTable)
 LARGEST_FILE = 1 << 22  # bytes; names of ten thousand recordings take half of it
 _MOST_SENSORS = 200  # of a site: more than any town has at its junctions
 _WIDTH = 96  # characters of a line of the template
 _OPTIONAL = ("live", "lane", "map")  # tables that a template comments out where not required
+
+
+class TomlFile(TomlTable):
+    """The tables of a whole file."""
+
+    _path: Path = PrivateAttr(Path("SITE.toml"))
+
+    @property
+    def path(self) -> Path:
+        """The file it was read from."""
+        return self._path
+
+
+Root = TypeVar("Root", bound=TomlFile)
 
 
 def read_toml(path: Path, root: type[Root], *, of_site: bool, hint: str) -> Root:
@@ -65,9 +78,11 @@ def read_toml(path: Path, root: type[Root], *, of_site: bool, hint: str) -> Root
         )
     lines = lines_of(text)
     try:
-        return root.model_validate(raw, context={"folder": path.parent})
+        found = root.model_validate(raw, context={"folder": path.parent})
     except ValidationError as error:
         raise _first_error(path, lines, raw, error, root, of_site=of_site) from None
+    found._path = path  # noqa: SLF001 - not a key of the file
+    return found
 
 
 # Errors as one line with file, line and key.

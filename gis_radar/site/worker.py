@@ -22,11 +22,11 @@ from typing import Any
 from gis_radar.base import (
     GisRadarError,
     Level,
-    OutputError,
     Reporter,
     WorkerPool,
     go_offline,
     set_language,
+    system_error,
     watch_parent,
 )
 
@@ -95,8 +95,7 @@ def carry_out(
     except GisRadarError:
         raise
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        raise OutputError("{}{}", where, error.strerror or error) from error
+        raise system_error(error) from error
     except SystemExit:  # raised by _end; unfinished files have been removed
         os._exit(_TERMINATED)
     except Exception as error:

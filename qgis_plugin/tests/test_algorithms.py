@@ -17,7 +17,7 @@ from qgis.core import (
 )
 
 IDS = (
-    "splitlanelets", "maskroad", "localizeradar", "trackpose", "sight", "checksite",
+    "splitlanelets", "maskroad", "localizeradar", "trackpose", "sight",
     "convertrecordings", "clocks", "measure", "heatmap", "monthmap", "footprints", "detections",
     "quality", "dataset", "traffic", "compare", "runsite", "exportreport", "sitereport",
     "qgisproject", "setupworker", "samplesite",

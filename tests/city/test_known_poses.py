@@ -3,6 +3,7 @@
 import pytest
 
 from gis_radar.city import tasks
+from gis_radar.site import RunState
 
 
 @pytest.fixture
@@ -22,9 +23,14 @@ def city(tmp_path, monkeypatch):
     found.write_text("{}", encoding="utf-8")
     seen, prepared = {}, []
     monkeypatch.setattr(tasks, "prepare_site", lambda site, *_, **__: prepared.append(site) or [])
-    monkeypatch.setattr(tasks, "register_checked", lambda *_: None)
     monkeypatch.setattr(tasks, "registered_recordings", lambda _: seen)
-    monkeypatch.setattr(tasks, "store_registered", lambda _, states: seen.update(states))
+
+    def register(site, _):
+        paths = [path for sensor in site.sensor for path in sensor.recordings]
+        state = RunState(tmp_path / "state.json", tmp_path)
+        seen.update({path.as_posix(): state.hash_of(path) for path in paths})
+
+    monkeypatch.setattr(tasks, "register_checked", register)
 
     def run():
         tasks.add_recordings(task)

@@ -183,10 +183,10 @@ def solve(
 
 
 def solve_likeliest(
-    scene: Scene, starts: Sequence[State], prior: Prior, *, schedule: Schedule, model: Model = MODEL
+    scene: Scene, starts: Sequence[State], prior: Prior, *, schedule: Schedule
 ) -> Fit:
     """Find the pose as :func:`solve` does from each start, and return the fit of least cost."""
-    found = [_descended(scene, start, prior, schedule, model, None) for start in starts]
+    found = [_descended(scene, start, prior, schedule, MODEL, None) for start in starts]
     return _described(*min(found, key=lambda each: each[1].total))
 
 

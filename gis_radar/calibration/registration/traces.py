@@ -178,19 +178,18 @@ class Samples:
         )
 
 
-def link_tracks(moving: Moving, *, segment_s: float = _SEGMENT_S) -> Integers:
+def link_tracks(moving: Moving) -> Integers:
     """Link moving detections to tracks.
 
     Two detections are linked if the range changed by the Doppler, and azimuth and Doppler are
-    similar. Left out are tracks of few points (false alarms), slow tracks without displacement
-    (leaves), and, if many tracks are no faster than walkers, these.
+    similar; tracks longer than `_SEGMENT_S` are cut. Left out are tracks of few points (false
+    alarms), slow tracks without displacement (leaves), and, if many tracks are no faster than
+    walkers, these.
 
     Parameters
     ----------
     moving : Moving
         Moving detections of one window.
-    segment_s : float
-        Longer tracks are cut, seconds.
 
     Returns
     -------
@@ -203,7 +202,7 @@ def link_tracks(moving: Moving, *, segment_s: float = _SEGMENT_S) -> Integers:
     x, y = moving.points[:, 0], moving.points[:, 1]
     range_m = np.linalg.norm(moving.points, axis=1)
     root = _track_roots(time, range_m, np.arctan2(y, x), moving.range_rate)
-    table = pd.DataFrame({"root": root, "segment": (time / segment_s).astype(np.int64)})
+    table = pd.DataFrame({"root": root, "segment": (time / _SEGMENT_S).astype(np.int64)})
     number = np.asarray(table.groupby(["root", "segment"], sort=True).ngroup(), dtype=np.int64)
     is_vehicle = _is_vehicle(number, time, moving)
     renumbered = np.where(is_vehicle, np.cumsum(is_vehicle) - 1, NONE)

@@ -15,7 +15,7 @@ from gis_radar.base import QUIET, InputError, Reporter, Text, UsageError, output
 from gis_radar.dataset.days.lane_measures import day_makers
 from gis_radar.dataset.files.manifest import Manifest, locked_for_writing
 from gis_radar.dataset.files.parts import days_of, digest_of, hour_text, part_path
-from gis_radar.dataset.files.records import HourRecord, read_hours, write_record
+from gis_radar.dataset.files.records import HourRecord, read_hours, record_path, write_record
 from gis_radar.dataset.files.registry import RecordingEntry, Registry, touched_hours
 from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.files.tables import FRAMES, HITS, OBSERVED, OCCUPIED, TABLES, TRACKS, VISIBLE
@@ -227,7 +227,9 @@ def _recording_named(registry: Registry, recording: str | Path) -> RecordingEntr
     )
 
 
-def keep(dataset: DatasetFiles, days: float, *, reporter: Reporter = QUIET) -> list[str]:
+def keep(
+    dataset: DatasetFiles, days: float, *, since_made: bool = False, reporter: Reporter = QUIET
+) -> list[str]:
     """Delete the exact tables of old hours, so that room stays for new ones.
 
     Tile counts, lane measures, turns, vehicles and passages stay; they are brought up to date
@@ -238,6 +240,8 @@ def keep(dataset: DatasetFiles, days: float, *, reporter: Reporter = QUIET) -> l
     days : float
         Hours that ended longer ago lose `frames`, `hits`, `observed`, `visible`, `occupied` and
         `tracks`; the last of them keeps its own, from which vehicles go on in the next hour.
+    since_made : bool
+        Delete only what was also made so long ago: an archive keeps its tables as long as others.
     reporter : Reporter
         Receives progress.
 
@@ -262,9 +266,15 @@ def keep(dataset: DatasetFiles, days: float, *, reporter: Reporter = QUIET) -> l
         settings = measure_settings_of(Manifest.read(folder), folder)
         unmade = set(Registry.read(folder, fingerprint).missing_hours(settings.margin))
         records = read_hours(folder)
-        over = (clock() - 86_400 * days) // 3600
+        limit_s = clock() - 86_400 * days
+        over = limit_s // 3600
+        young = {
+            hour for hour, each in records.items()
+            if since_made and not each.dropped
+            and record_path(folder, hour).stat().st_mtime > limit_s
+        }  # fmt: skip
         # the next hour, which may be made again, continues the tracks of this one
-        old = [h for h in records if h + 1 < over and unmade.isdisjoint((h, h + 1))]
+        old = [h for h in records if h + 1 < over and (unmade | young).isdisjoint((h, h + 1))]
         dropped = {hour: _without_exact(records[hour]) for hour in old}
         fresh = [hour for hour in old if dropped[hour] != records[hour]]
         for maker in day_makers(folder, fingerprint):

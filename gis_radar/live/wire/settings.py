@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Self
 from urllib.parse import urlsplit
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, model_validator
 
 from gis_radar.base import InputError, Text, UsageError
 from gis_radar.live.wire.broker import FUSION, BrokerAddress
@@ -23,6 +23,7 @@ from gis_radar.site import (
     Site,
     Switch,
     TextValue,
+    TomlFile,
     TomlTable,
     TopicWord,
     Unfit,
@@ -67,7 +68,7 @@ class BufferTable(TomlTable):
     """How large it may become: 800 hold a day of a radar at 20 Hz."""
 
 
-class EdgeFile(TomlTable):
+class EdgeFile(TomlFile):
     """A sensor's file, as it states it; made by :func:`read_edge_file`."""
 
     sensor: TopicWord = key('"R1"')
@@ -96,12 +97,6 @@ class EdgeFile(TomlTable):
     """What it sees, where its pose does not state it."""
     buffer: BufferTable = BufferTable()
     """The disk buffer."""
-    _path: Path = PrivateAttr(Path("SENSOR.toml"))
-
-    @property
-    def path(self) -> Path:
-        """The file it was read from."""
-        return self._path
 
     @property
     def buffer_path(self) -> Path:
@@ -248,9 +243,7 @@ def read_edge_file(path: str | Path) -> EdgeFile:
     InputError
         If it does not fit; the message names the line, the key and what was expected.
     """
-    found = read_toml(Path(path), EdgeFile, of_site=False, hint=_HINT)
-    found._path = Path(path)  # noqa: SLF001 - not a key of the file
-    return found
+    return read_toml(Path(path), EdgeFile, of_site=False, hint=_HINT)
 
 
 def read_live_site(path: str | Path) -> LiveSite:
@@ -261,9 +254,7 @@ def read_live_site(path: str | Path) -> LiveSite:
     InputError
         If it does not fit; the message names the line, the key and what was expected.
     """
-    found = read_toml(Path(path), LiveSite, of_site=True, hint=_SITE_HINT)
-    found._path = Path(path)  # noqa: SLF001 - not a key of the file
-    return found
+    return read_toml(Path(path), LiveSite, of_site=True, hint=_SITE_HINT)
 
 
 def edge_template() -> str:

@@ -15,6 +15,7 @@ from gis_radar.measures import FrameTimes
 
 HOUR_S = 3600
 HIGH = 0.7  # share of the seen tiles hit above which a frame is high
+_NEXT_FILE_US = 60_000_000  # loggers take seconds to begin another file
 _QUARTER_S = 900  # zones differ from UTC by whole quarters of an hour
 
 
@@ -71,8 +72,8 @@ def count_frames(
     """Count by sensor and hour (the UTC second of its begin).
 
     Only hours in which some sensor has a frame count. In them frames are missing where a sensor's
-    next frame comes over 1.5 cycles later, and before its first and after its last frame, within
-    the time from the first to the last frame of all sensors.
+    next frame comes over 1.5 cycles later, and before its first and after its last frame, while a
+    recording of any sensor goes on.
 
     Parameters
     ----------
@@ -96,8 +97,7 @@ def count_frames(
         seen tiles that were hit; `seen`, the most tiles seen; `shift_us`, the sum of the
         corrections of the clock.
     """
-    begin_us = min(each.first_us for each in times.values())
-    end_us = max(each.last_us for each in times.values())
+    recorded = _recorded_us(dataset, times)
     cycles_us = {sensor: each.cycle_us for sensor, each in times.items()}
     parts, gaps, done = list[pd.DataFrame](), list[Gap](), 0
     last = list[pd.DataFrame]()  # the last frame of each sensor so far
@@ -111,16 +111,36 @@ def count_frames(
         done += len(frames)
         reporter.progress(_STAGE, done, None)
     for sensor, each in times.items():
-        # As if a frame came just beyond both ends, so that frames missing up to there count, too.
-        room_us = min(0.55 * each.cycle_us, LONGEST_CYCLE_S * 1e6)
-        gaps.append((sensor, int(begin_us - room_us), each.first_us))
-        gaps.append((sensor, each.last_us, int(end_us + room_us)))
+        gaps.append((sensor, int(recorded[0, 0]) - HOUR_S * 1_000_000, each.first_us))
+        gaps.append((sensor, each.last_us, int(recorded[-1, 1]) + HOUR_S * 1_000_000))
+    gaps = [part for gap in gaps for part in _parts_in(recorded, gap, cycles_us[gap[0]])]
     joined = pd.concat(parts)
     hours = np.unique(joined.index.get_level_values("hour").to_numpy(np.int64))
     all_pairs = [(sensor, hour) for sensor in sorted(times) for hour in hours.tolist()]
     dropped = _dropped(hours, gaps, times)
     totals = joined.groupby(["sensor", "hour"]).agg(_AGGREGATES).reindex(all_pairs, fill_value=0)
     return totals.assign(dropped=[dropped.get(each, 0) for each in all_pairs]).reset_index()
+
+
+def _recorded_us(dataset: Dataset, times: Mapping[str, FrameTimes]) -> Integers:
+    """Return first and last time of each recording with a frame, joined where they follow soon."""
+    table = dataset.recordings().sort_values("begin")
+    begin, end = (table[name].dt.as_unit("us").to_numpy(np.int64) for name in ("begin", "end"))
+    first = min(each.first_us for each in times.values())  # earlier frames may be deleted
+    begin_us, end_us = np.maximum(begin, first), np.maximum.accumulate(np.maximum(end, first))
+    after = np.flatnonzero(begin_us[1:] > end_us[:-1] + _NEXT_FILE_US) + 1
+    return np.column_stack([begin_us[[0, *after]], end_us[[*(after - 1), -1]]])
+
+
+def _parts_in(recorded: Integers, gap: Gap, cycle_us: float) -> Iterator[Gap]:
+    """Yield the parts of a gap in what was recorded."""
+    sensor, begin_us, end_us = gap
+    # As if a frame came just beyond both ends, so that frames missing up to there count, too.
+    room_us = int(min(0.55 * cycle_us, LONGEST_CYCLE_S * 1e6))
+    first = np.searchsorted(recorded[:, 1], begin_us)
+    last = np.searchsorted(recorded[:, 0], end_us, side="right")
+    for begin, end in recorded[first:last].tolist():
+        yield sensor, max(begin_us, begin - room_us), min(end_us, end + room_us)
 
 
 def _marked(frames: pd.DataFrame, cycles_us: Mapping[str, float], zone: ZoneInfo) -> pd.DataFrame:

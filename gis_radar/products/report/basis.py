@@ -64,16 +64,12 @@ class ReportData(NamedTuple):
 
 
 def recorded_runs(results: Results) -> dict[str, Runs]:
-    """Return the steps in which frames of each sensor are valid; none where that is not known."""
-    if results.dataset is None:
-        return {}
+    """Return the steps in which frames of each sensor are valid."""
     return {name: results.dataset.frame_steps(name) for name in results.dataset.sensors}
 
 
 def recorded_s(results: Results) -> float:
-    """Return how long any sensor delivered frames, seconds; NaN where that is not known."""
-    if results.dataset is None:
-        return float("nan")
+    """Return how long any sensor delivered frames, seconds."""
     return results.dataset.frame_steps().steps * STEP_S
 
 
@@ -88,9 +84,8 @@ def totals_of(data: ReportData) -> dict[str, Any]:
     (part_s, base_s), length_m = part_and_base(heat), heat.tiles["length_m"].to_numpy(np.float64)
     seen = base_s > 0
     lanes, length, tiles, used = OCCUPIED_TOTALS if measure == "occupancy" else HIT_TOTALS
-    seconds = recorded_s(data.results)
     totals = {
-        "recorded_s": round(seconds, 2) if np.isfinite(seconds) else None,
+        "recorded_s": round(recorded_s(data.results), 2),
         "lanes": len(table),
         lanes: int(table["share"].notna().sum()),
         "lane_length_m": round(float(length_m.sum()), 2),
@@ -124,9 +119,9 @@ def facts_of(data: ReportData) -> list[Fact]:
     length, all_m = total[f"lane_length_{base}_m"], total["lane_length_m"]
     names = listed(sensors) if len(sensors) < 5 else ""
     facts = [
-        Fact(tr("Recorded"), tr(NOT_KNOWN) if recorded is None else seconds_text(recorded),
+        Fact(tr("Recorded"), seconds_text(recorded),
              tr("in {time} from begin to end", time=seconds_text((end - begin).total_seconds()))),
-        Fact(tr("Sensors"), str(len(sensors)) if sensors else tr(NOT_KNOWN), names),
+        Fact(tr("Sensors"), str(len(sensors)), names),
         Fact(
             tr("Lane length visible" if measure == "occupancy" else "Lane length observed"),
             tr("{part} of {all}", part=figure_text(length),
@@ -222,17 +217,12 @@ def recorded_row(data: ReportData) -> list[str]:
     runs = recorded_runs(data.results)
     by_sensor = [f"{name} {seconds_text(part.steps * STEP_S)}" for name, part in runs.items()]
     seconds = recorded_s(data.results)
-    if not by_sensor:
-        value, follows = tr(NOT_KNOWN), tr("How much was recorded is not known.")
-    else:
-        value = seconds_text(seconds) + (
-            f" ({', '.join(by_sensor)})" if len(by_sensor) < 13 else ""
-        )
-        follows = tr("Holds for this time, and not for other hours or days.")
-        if seconds < _SHORT_S:
-            follows = tr("A few cycles of a signal: nothing about a usual hour or day.")
-        elif round(seconds) < DAY_S:  # the last frame ends a day some milliseconds early
-            follows = tr("Less than a day: nothing about the hours that were not recorded.")
+    value = seconds_text(seconds) + (f" ({', '.join(by_sensor)})" if len(by_sensor) < 13 else "")
+    follows = tr("Holds for this time, and not for other hours or days.")
+    if seconds < _SHORT_S:
+        follows = tr("A few cycles of a signal: nothing about a usual hour or day.")
+    elif round(seconds) < DAY_S:  # the last frame ends a day some milliseconds early
+        follows = tr("Less than a day: nothing about the hours that were not recorded.")
     return [tr("Recorded"), f"{value}; {data.clock.name}", follows]
 
 
@@ -267,8 +257,6 @@ def _counted_rows(data: ReportData) -> list[list[str]]:
     if data.traffic is not None:
         return []
     name = tr("Volumes, speeds, turns, queues")
-    if data.results.dataset is None:
-        return [[name, tr(NOT_KNOWN), tr("They are in the dataset, which is not in the folder.")]]
     if not data.results.dataset.has_vehicles:
         text = "Vehicles were not looked for: this report has no volumes, speeds, turns or queues."
         return [[name, tr("none"), tr(text)]]
@@ -301,8 +289,6 @@ def _placed_row(results: Results) -> list[str]:
 
 def _hidden_row(results: Results) -> list[str]:
     """Return whether an airborne scan tells what hides the road."""
-    if results.dataset is None:
-        return [tr("What hides road"), tr(NOT_KNOWN), ""]
     if results.dataset.manifest.settings["sight"] == VIEW_ONLY:
         text = "Road behind houses and trees counts as seen and reads as empty."
         return [tr("What hides road"), tr("not known: no airborne scan"), tr(text)]
@@ -348,14 +334,14 @@ def remarks_of(data: ReportData) -> list[str]:
 def own_remarks(data: ReportData) -> list[Text]:
     """Return the remarks that the report itself adds: too short a time, faults of recordings."""
     begin, end = data.results.heat.whole.span()
-    seconds = np.fmin(recorded_s(data.results), (end - begin).total_seconds())
+    seconds = min(recorded_s(data.results), (end - begin).total_seconds())
     remarks = []
     if seconds < _SHORT_S:
         span = seconds_text(seconds)
         remarks.append(
             Text("Only {} were recorded: a few cycles of a signal, and no usual day", span)
         )
-    if data.results.dataset is not None and not data.results.warnings:  # else the run has warned
+    if not data.results.warnings:  # else the run has warned
         remarks += [Text("{}", doubt) for doubt in data.results.dataset.doubts]
     if data.quality is not None:
         remarks += [

@@ -79,9 +79,9 @@ def sums_of(heat: HeatMap, *, each: bool = False) -> pd.DataFrame:
     return table.assign(**{"share_se": np.nan} | {name: table[of] for name, of in shown})
 
 
-def tracks_of(dataset: Dataset | None, lanes: Sequence[Lane]) -> Integers | None:
+def tracks_of(dataset: Dataset, lanes: Sequence[Lane]) -> Integers | None:
     """Return how many tracks of vehicles followed each lane; None where that is not known."""
-    if dataset is None or not dataset.has_vehicles:
+    if not dataset.has_vehicles:
         return None
     lane_of = {lanelet: i for i, lane in enumerate(lanes) for lanelet in lane.lanelets}
     counts = np.zeros(len(lanes), np.int64)

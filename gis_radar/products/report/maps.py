@@ -159,11 +159,9 @@ def _sentence(heat: HeatMap, group: slice | None) -> str:
 
 
 def draw_sights(results: Results) -> list[Figure]:
-    """Draw what each sensor sees, side by side; nothing where that is not known."""
+    """Draw what each sensor sees, side by side."""
     dataset, tiles = results.dataset, SightTiles.of(results.heat.tiles)
-    poses = [] if dataset is None else list(results.poses)[:_MOST_SIGHTS]
-    if dataset is None or not poses:
-        return []
+    poses = results.poses[:_MOST_SIGHTS]
     sights = [sight_of_tiles(dataset.sight_of(pose.sensor), pose, tiles) for pose in poses]
     picture = _sight_picture(sights, tiles, columns=min(len(sights), 3))
     narrow = _sight_picture(sights, tiles, columns=1)

@@ -125,8 +125,8 @@ def write_report(
     """Write a report for people without QGIS: `report.html`, `report.pdf`, and tables as CSV.
 
     The page opens without a network and asks for nothing; it needs no script but for the slider.
-    Results that are missing in the folder are named as not known. The same results give the same
-    files.
+    What the folder of a run would tell, and this does not, is named as not known. The same results
+    give the same files.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def write_report(
     Raises
     ------
     InputError
-        If the folder holds no heat map, or a damaged one.
+        If the folder holds no heat map or a damaged one, or its dataset is not there.
     UsageError
         If there is no such time zone, language or locale.
     OutputError
@@ -216,8 +216,6 @@ def _clock(heat: HeatMap, timezone: str) -> Clock:
 
 def _quality(results: Results, timezone: str, reporter: Reporter) -> Quality | None:
     dataset = results.dataset
-    if dataset is None:
-        return None
     records = dataset.records().values()
     if records and all(FRAMES.name in each.dropped for each in records):
         return None

@@ -19,19 +19,17 @@ from gis_radar.base import (
     Text,
     direction,
     figure_text,
-    name_of,
     opened_package,
     plus_minus,
     read_json,
     restored,
-    same_coordinates,
     tr,
     warnings_once,
 )
 from gis_radar.calibration import Finding, is_record
 from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.hdmap import LANES_LAYER
-from gis_radar.poses import Pose, View, pose_from_dict, read_track
+from gis_radar.poses import Pose, View, pose_from_dict
 from gis_radar.products.heatmap.heatmap import HeatMap, read_heatmap
 from gis_radar.products.heatmap.layers import HEATMAP_FILE as PACKAGE
 from gis_radar.products.report.content import Column, Table, how_found, text_rows
@@ -39,6 +37,7 @@ from gis_radar.products.report.content import Column, Table, how_found, text_row
 DATASET = "dataset"
 _RUN = "run.json"
 NOT_KNOWN = "not known here"
+_NAME_IT = Text("name the dataset that the heat map was made of")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,7 +68,7 @@ class Results:
 
     name: str
     heat: HeatMap
-    dataset: Dataset | None
+    dataset: Dataset
     poses: Sequence[Pose]
     streets: Mapping[int, tuple[str, str]]
     figures: bool
@@ -78,9 +77,8 @@ class Results:
 
     @property
     def sensors(self) -> list[str]:
-        """The sensors that the heat map shows, as far as known."""
-        poses = [each.sensor for each in self.poses]
-        return poses if self.dataset is None else self.dataset.sensors
+        """The sensors that the heat map shows."""
+        return self.dataset.sensors
 
     @property
     def site(self) -> Mapping[str, Any]:
@@ -102,7 +100,7 @@ class Results:
     def traffic(self) -> dict[str, int]:
         """Numbers of vehicles, heavy ones and passages; empty where not known."""
         found = [each.get("figures") or {} for each in self.stages if each["name"] == "measure"]
-        if not found and self.dataset is not None and self.dataset.has_vehicles:
+        if not found and self.dataset.has_vehicles:
             heavy = self.dataset.vehicles()["p_heavy"] >= 0.5
             found = [self.dataset.figures() | {"heavy": np.count_nonzero(heavy)}]
         names = ("vehicles", "heavy", "passages")
@@ -116,7 +114,7 @@ class Results:
     @property
     def findings(self) -> dict[str, Finding]:
         """By sensor, the finding whether its pose and recordings fit, from dataset or run."""
-        records = [] if self.dataset is None else [self.dataset.manifest.checks]
+        records = [self.dataset.manifest.checks]
         records += [(each.get("figures") or {}).get("findings") or {} for each in self.stages]
         return {
             str(name): Finding(sensor=str(name), **found)
@@ -172,37 +170,22 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
     Raises
     ------
     InputError
-        If there is no heat map, or several, or something is damaged.
+        If there is no heat map, or several, or not its dataset, or something is damaged.
     """
     run, place = read_run(folder), _heat_map(folder)
     heat = read_heatmap(place)
-    of_map, missing = _dataset(folder, heat, dataset)
-    if of_map is None:
-        missing.append(
-            "The dataset that the heat map was made of is not in the folder: what the sensors "
-            "delivered, their poses and the filters are not known."
-        )
+    of_map = _dataset(folder, heat, dataset)
+    missing = list[str]()
     if not run:
         missing.append("The folder is not that of a run: settings are listed only as far as known.")
-    if of_map is not None and of_map.has_vehicles:
+    if of_map.has_vehicles:
         of_map, left_out = as_stated(of_map, run.get("site") or {})
         missing += left_out
-    poses = _poses(folder, of_map)
-    missing += [
-        Text(
-            "The pose of sensor {} is in {}, the map in {}: it is left out.",
-            pose.sensor,
-            name_of(pose.crs)[:24],
-            name_of(heat.crs)[:24],
-        )
-        for pose in poses
-        if not same_coordinates(pose.crs, heat.crs)
-    ]
     return Results(
         name=place.name,
         heat=heat,
         dataset=of_map,
-        poses=[pose for pose in poses if same_coordinates(pose.crs, heat.crs)],
+        poses=_poses(of_map),
         streets=_streets(folder),
         figures=any((folder / "sensors").glob("*/localization.png")),
         run=run,
@@ -238,22 +221,22 @@ def _heat_map(folder: Path) -> Path:
     return folders[0]
 
 
-def _dataset(folder: Path, heat: HeatMap, given: Path | None) -> tuple[Dataset | None, list[str]]:
-    """Return the dataset of the heat map's tiles, and a sentence if the folder's is another."""
+def _dataset(folder: Path, heat: HeatMap, given: Path | None) -> Dataset:
+    """Return the dataset that a heat map was made of."""
     place = given or folder / DATASET
-    if given is None and not place.is_dir():
-        return None, []
+    if not place.is_dir():
+        raise InputError(
+            "{}: no such dataset, of which the heat map was made", place, hint=_NAME_IT
+        )
     dataset = open_dataset(place)
-    if dataset.manifest.fingerprint == heat.fingerprint:
-        return dataset, []
-    if given is not None:
+    if dataset.manifest.fingerprint != heat.fingerprint:
         raise InputError(
             "{}: the heat map was not made with the tiles of {}",
             folder,
-            given,
-            hint="name the dataset that the heat map was made of",
+            place,
+            hint=_NAME_IT,
         )
-    return None, ["The dataset in the folder belongs to other tiles and is left out."]
+    return dataset
 
 
 def _streets(folder: Path) -> dict[int, tuple[str, str]]:
@@ -272,17 +255,13 @@ def _streets(folder: Path) -> dict[int, tuple[str, str]]:
     return dict(zip(named["lane"].astype(int), names, strict=True))
 
 
-def _poses(folder: Path, dataset: Dataset | None) -> list[Pose]:
-    """Return the last pose of each sensor, from the dataset, else from pose files."""
-    by_sensor: dict[str, Pose] = {}
-    if dataset is not None:
-        for document in dataset.last_poses()["document"]:
-            pose = pose_from_dict(json.loads(document), what=Text("{}: a pose", dataset.folder))
-            by_sensor[pose.sensor] = pose
-    elif (folder / "sensors").is_dir():
-        for path in sorted((folder / "sensors").glob("*/pose.json")):
-            by_sensor[path.parent.name] = read_track(path).poses[-1]
-    return [by_sensor[name] for name in sorted(by_sensor)]
+def _poses(dataset: Dataset) -> list[Pose]:
+    """Return the last pose of each sensor."""
+    what = Text("{}: a pose", dataset.folder)
+    poses = [
+        pose_from_dict(json.loads(each), what=what) for each in dataset.last_poses()["document"]
+    ]
+    return sorted(poses, key=lambda pose: pose.sensor)
 
 
 def read_run(folder: Path) -> dict[str, Any]:

@@ -86,9 +86,6 @@ def _tiles_text(results: Results) -> str:
 
 def _filter_rows(results: Results) -> Iterator[tuple[str, str]]:
     """Yield which detections count, how long frames are valid, and how clocks were corrected."""
-    if results.dataset is None:
-        yield tr("Detections that count"), tr(NOT_KNOWN)
-        return
     filters = results.dataset.manifest.settings["filters"]
     yield tr("Detections that count"), _filters_in_words(filters)
     valid = {each.sensor: each.validity_s for each in _recordings(results)}
@@ -103,8 +100,6 @@ def _filter_rows(results: Results) -> Iterator[tuple[str, str]]:
 
 def _recordings(results: Results) -> list[Any]:
     """Return what the dataset was made from, a row a recording."""
-    if results.dataset is None:
-        return []
     return list(results.dataset.recordings().itertuples())
 
 

@@ -114,17 +114,17 @@ class ReportedTraffic(NamedTuple):
         )  # fmt: skip
 
 
-def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None:
+def traffic_of(dataset: Dataset, heat: HeatMap) -> ReportedTraffic | None:
     """Return the traffic in the time of a heat map; None where none is known.
 
     Parameters
     ----------
-    dataset : Dataset or None
+    dataset : Dataset
         The dataset of the heat map.
     heat : HeatMap
         The heat map, whose time counts.
     """
-    if dataset is None or not dataset.has_vehicles or heat.measure != "occupancy":
+    if not dataset.has_vehicles or heat.measure != "occupancy":
         return None
     begin, end = heat.whole.span()
     seconds = (end - begin).total_seconds()

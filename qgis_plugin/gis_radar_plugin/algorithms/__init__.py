@@ -5,7 +5,7 @@ from .lanes import ComparePeriods, CountTraffic
 from .report import ExportReport
 from .results import WriteProject, WriteReport
 from .set_up import SampleSite, SetUpWorker
-from .site import CheckSite, FindSight, FollowPose, LocalizeRadar, MaskRoad, SplitLanelets
+from .site import FindSight, FollowPose, LocalizeRadar, MaskRoad, SplitLanelets
 from .traffic import (
     CheckQuality,
     CompareClocks,
@@ -18,7 +18,7 @@ from .traffic import (
 )
 
 ALGORITHMS = (
-    SplitLanelets, MaskRoad, LocalizeRadar, FollowPose, FindSight, CheckSite, ConvertRecordings,
+    SplitLanelets, MaskRoad, LocalizeRadar, FollowPose, FindSight, ConvertRecordings,
     CompareClocks, MeasureTraffic, MakeHeatMap, MapMonth, CountTraffic, ComparePeriods,
     ShowVehicles, ShowDetections, CheckQuality, KeepDataset, RunSite, ExportReport, WriteReport,
     WriteProject, SetUpWorker, SampleSite,

@@ -47,7 +47,7 @@ class WriteReport(WorkerAlgorithm):
         shared.LANGUAGE,
         shared.CSV_LOCALE,
         replace(
-            shared.DATASET, flag="--dataset", optional=True, advanced=True,
+            shared.DATASET, flag="--dataset", optional=True,
             about="What the heat map was made of, where it is not in the folder.",
         ),
         Switch(

@@ -11,7 +11,6 @@ from qgis.core import (
     QgsProcessing,
     QgsProcessingException,
     QgsProcessingOutputHtml,
-    QgsProcessingOutputNumber,
     QgsProcessingUtils,
 )
 
@@ -21,7 +20,6 @@ from ..parameters import (
     Bearing,
     Choice,
     Field,
-    File,
     Files,
     Given,
     Layer,
@@ -254,25 +252,3 @@ class FindSight(WorkerAlgorithm):
         shared.SCAN_CRS,
         OutputLayer("OUTPUT", "Sight", "GeoPackage, a row a sensor and tile."),
     )  # fmt: skip
-
-
-class CheckSite(WorkerAlgorithm):
-    """An algorithm that checks a site file before its run."""
-
-    NAME = "checksite"
-    COMMAND = "check"
-    TITLE = "Check a site file"
-    GROUP = SITE
-    HELP = (
-        "Checks a site file before its run: whether map, scans, positions and recordings fit "
-        "together. The log shows what each radar recorded, and what is odd."
-    )
-    KEYWORDS = ("site", "toml")
-    PARAMETERS = (
-        File("SITE", "Site file", flag="", kinds="Site files (*.toml)"),
-        Result("WARNINGS", "Warnings", kind=QgsProcessingOutputNumber),
-    )
-
-    def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
-        del given
-        return {"WARNINGS": answer.summary.get("warnings", 0)}
