@@ -65,16 +65,10 @@ def write_turning_diagram(
         The picture (PNG).
     """
     with picture_file(path, (_WIDTH_IN, _WIDTH_IN), _DPI, tight=True) as figure:
-        axes = draw_turning_diagram(figure, lanes, mean_turns(turns))
-        bounds = [axes.bbox, *(text.get_window_extent() for text in axes.texts)]
-        low, high = min(each.y0 for each in bounds), max(each.y1 for each in bounds)
-        gap_pt = 6.0 + (high - axes.bbox.y1) * 72.0 / figure.dpi
-        axes.set_title(
-            _title(turns), loc="left", color=INK, fontsize=13, fontweight="bold", pad=gap_pt
-        )
-        below = f"{tr(_BELOW)}\n{tr(_UNSEEN)}"
-        foot = (low - axes.bbox.y0) / axes.bbox.height - 0.01
-        axes.text(0.0, foot, below, transform=axes.transAxes, color=SOFT, fontsize=9, va="top")
+        draw_turning_diagram(figure, lanes, mean_turns(turns))
+        left = {"x": 0.0, "ha": "left"}  # beyond the numbers, which may reach over the axes
+        figure.suptitle(_title(turns), color=INK, fontsize=13, fontweight="bold", **left)
+        figure.supxlabel(f"{tr(_BELOW)}\n{tr(_UNSEEN)}", color=SOFT, fontsize=9, **left)
 
 
 def draw_turning_diagram(
