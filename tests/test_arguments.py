@@ -13,8 +13,7 @@ import shapely
 from datasets import recordings_of, write_dataset
 
 import gis_radar as gr
-from gis_radar.base import GisRadarError, require_kinds
-from gis_radar.base.arguments import require_kind
+from gis_radar.base import GisRadarError, require_kind, require_kinds
 
 UTM = "EPSG:25832"
 OTHERS = [

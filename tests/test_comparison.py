@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from contextlib import nullcontext
 from dataclasses import replace
 
 import geopandas as gpd
@@ -17,10 +18,11 @@ from shapely import LineString
 from sites import pose
 
 import gis_radar as gr
-from gis_radar.base import STEPS_PER_HOUR, InputError, NoAnswerError, UsageError
+from gis_radar.base import STEPS_PER_HOUR, InputError, NoAnswerError, UsageError, in_language
 from gis_radar.dataset import POSES, RECORDINGS, LaneTraffic, write_record, write_single_file
 from gis_radar.dataset.files.tables import SIGHTS, TRACKS
 from gis_radar.measures import compare_values, holm_corrected
+from gis_radar.products.comparison import result
 from gis_radar.products.comparison.rows import AlikeRows, compared_rows
 
 HOUR = 472_222  # 2023-11-14, 22 h
@@ -447,8 +449,27 @@ def test_traffic_that_is_compared_with_itself_is_told(run, dataset, tmp_path):
     assert code == 0, said
     assert f"warning: {shared}" in said
     assert shared in (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
+    code, _, said = run(*words, "--before", "/".join(BEFORE), "--language", "de")
+    assert code == 0, said
+    page = (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
+    assert "R1.parquet: liegt in beiden Zeiträumen" in page
     assert gr.compare(dataset, later, before=BEFORE, after=AFTER).doubts == []
     assert gr.compare(dataset, before=BEFORE, after=AFTER).doubts == []
+
+
+def test_titles_of_the_maps_stand_on_one_line(dataset, monkeypatch, tmp_path):
+    """The longest is wider than its map: it must not give way to the hidden axis of northings."""
+    from matplotlib.figure import Figure
+
+    figure = Figure((12.0, 5.2), dpi=130, layout="constrained")
+    monkeypatch.setattr(result, "picture_file", lambda *_, **__: nullcontext(figure))
+    found = gr.compare(dataset, before=BEFORE, after=AFTER)
+    corner = LineString([(690_000, 5_336_000), (690_300, 5_336_000), (690_300, 5_336_400)])
+    table = found.table.set_geometry([corner] * len(found.table))
+    with in_language("de"):
+        result.draw_changes(replace(found, table=table), tmp_path / "compare.png")
+    figure.savefig(tmp_path / "drawn.png")
+    assert len({round(axes.title.get_window_extent().y0) for axes in figure.axes}) == 1
 
 
 def test_the_command_writes_page_table_layer_and_maps(run, dataset, tmp_path):

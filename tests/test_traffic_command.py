@@ -5,7 +5,7 @@ import json
 import re
 import sqlite3
 import zipfile
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from itertools import combinations
 from textwrap import wrap
@@ -26,7 +26,7 @@ from sites import pose
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset.hours.remarks import remark_on_counting_lines
-from gis_radar.products import Traffic, publisher_of
+from gis_radar.products import Traffic, publisher_of, traffic_picture
 from gis_radar.products import traffic as traffic_module
 from gis_radar.products.traffic_picture import draw_turning_diagram, mean_turns
 from simulation.sumo import run as run_sumo
@@ -208,6 +208,31 @@ def test_numbers_that_find_no_room_before_their_junction_are_left_out():
     assert len(draw_turning_diagram(figure, lanes, known).texts) == 2
     figure = Figure((10.0, 10.0), dpi=100)
     assert len(draw_turning_diagram(figure, lanes, known[:2]).texts) == 2
+
+
+def test_title_and_foot_of_the_diagram_lie_on_no_numbers(monkeypatch, tmp_path):
+    """Of lanes that lead down into a junction and up into one the numbers reach far."""
+    from matplotlib.figure import Figure
+
+    ways = [LineString([(0.0, 0.0), (0.0, -10.0)]), LineString([(30.0, -100.0), (30.0, -90.0)])]
+    begin = pd.Timestamp("2026-10-05 07:00", tz="Europe/Berlin")
+    names = ["straight", "left", "right", "back"]
+    turns = gpd.GeoDataFrame(
+        {"from_lane": [1] * 4 + [2] * 4, "to_lane": [3, 4, 5, 6] * 2, "turn": names * 2,
+         "begin": begin, "end": begin + pd.Timedelta("15min"), "volume": 100.0, "volume_se": 10.0},
+        geometry=[way for way in ways for _ in names], crs=25832,
+    )  # fmt: skip
+    figure = Figure((10.0, 10.0), dpi=100, layout="constrained")
+    monkeypatch.setattr(traffic_picture, "picture_file", lambda *_, **__: nullcontext(figure))
+    traffic_picture.write_turning_diagram(turns[["geometry"]], turns, tmp_path / "turns.png")
+    figure.savefig(tmp_path / "drawn.png")
+    (axes,) = figure.axes
+    numbers = [text.get_window_extent() for text in axes.texts]
+    around = [text.get_window_extent() for text in figure.texts]
+    assert max(each.y1 for each in numbers) > axes.bbox.y1  # else there is nothing to test
+    assert min(each.y0 for each in numbers) < axes.bbox.y0
+    assert len(around) == 2
+    assert not any(each.overlaps(other) for each in numbers for other in around)
 
 
 def test_the_workbook_shows_heads_and_whole_times(written):

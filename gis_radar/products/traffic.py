@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -89,7 +90,6 @@ _NOTES = (
          "the routes of vehicles, or why these wait."),
 )  # fmt: skip
 """What a reader of the workbook may and may not conclude."""
-_LAYER_METADATA = {"shows": VOLUMES}  # makes GDAL create the metadata tables, which titles need
 _IDS = ("lane", "from_lane", "to_lane")  # up to 9e18: as numbers, xlsx and JSON would round them
 _TIMES = ("begin", "end")
 # What files of an earlier result begin with, also of one with other options.
@@ -254,13 +254,13 @@ class Traffic:
         titles = {name: (tr(title), tr(title)) for name, title in TITLES.items()}
         layers = {LANES: self.lanes, _TURNS: self.turns}
         layers |= {} if self.sections is None else {_SECTIONS: self.sections}
+        labels = json.dumps({"timezone": str(self.lanes["begin"].dt.tz)})  # the clock of QGIS
         for layer, table in layers.items():
             shown = table.assign(
                 **{name: table[name].dt.tz_convert("UTC") for name in _TIMES},
             )
-            add_layer(
-                shown, path, layer, geometry_type="LineString", layer_metadata=_LAYER_METADATA
-            )
+            metadata = {"shows": VOLUMES, "labels": labels}
+            add_layer(shown, path, layer, geometry_type="LineString", layer_metadata=metadata)
         interval = (self.lanes["end"] - self.lanes["begin"]).min()
         seconds = interval.total_seconds()
         styles = {

@@ -65,10 +65,10 @@ def write_turning_diagram(
         The picture (PNG).
     """
     with picture_file(path, (_WIDTH_IN, _WIDTH_IN), _DPI, tight=True) as figure:
-        axes = draw_turning_diagram(figure, lanes, mean_turns(turns))
-        axes.set_title(_title(turns), loc="left", color=INK, fontsize=13, fontweight="bold")
-        below = f"{tr(_BELOW)}\n{tr(_UNSEEN)}"
-        axes.text(0.0, -0.01, below, transform=axes.transAxes, color=SOFT, fontsize=9, va="top")
+        draw_turning_diagram(figure, lanes, mean_turns(turns))
+        left = {"x": 0.0, "ha": "left"}  # beyond the numbers, which may reach over the axes
+        figure.suptitle(_title(turns), color=INK, fontsize=13, fontweight="bold", **left)
+        figure.supxlabel(f"{tr(_BELOW)}\n{tr(_UNSEEN)}", color=SOFT, fontsize=9, **left)
 
 
 def draw_turning_diagram(

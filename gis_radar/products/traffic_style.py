@@ -57,7 +57,8 @@ def traffic_style(interval_s: float, titles: Mapping[str, str], layer: str) -> s
     return _filled(
         column=VOLUMES, classes=classes, unit=f" {tr('veh/h')}", wide=layer == "turns", timed=True,
         shown_ms=max(0, round(interval_s * 1000) - _SHORTER_MS), titles=titles,
-        tip=escape(_tip(layer)), figure=_figure() if layer == "sections" else "",
+        tip=escape(_tip(layer, interval_s)),
+        figure=_figure(interval_s) if layer == "sections" else "",
     )  # fmt: skip
 
 
@@ -75,12 +76,18 @@ def _class_label(low: float, high: float) -> str:
     return tr("{low} to {high}", low=f"{low:g}", high=f"{high:g}")
 
 
-def _figure() -> str:
+def _figure(interval_s: float) -> str:
     """Return the expression of a section's label: a line with its name, one with its volume."""
+    return f"\"section\" || '\\n' || \"direction\" || ': ' || {_volume(interval_s)}"
+
+
+def _volume(interval_s: float) -> str:
+    """Return the expression of a volume with its standard error and unit."""
+    error = f'"volume_se" * {3600.0 / interval_s:.10g}'
     unit = tr("veh/h").replace("'", "''")
     return (
-        f"\"section\" || '\\n' || \"direction\" || ': ' || "
-        f"coalesce(to_string(round(\"{VOLUMES}\")), '\u2013') || ' {unit}'"
+        f"coalesce(format_number(\"{VOLUMES}\", 0) || ' \u00b1 ' || format_number({error}, 0), "
+        f"'\u2013') || ' {unit}'"
     )
 
 
@@ -88,14 +95,13 @@ def _filled(**content: Any) -> str:
     return text_template(Path(__file__).parent / "lines.qml.jinja").render(**content)
 
 
-def _tip(layer: str) -> str:
+def _tip(layer: str, interval_s: float) -> str:
     """Return the map tip of QGIS, in which names are escaped."""
 
     def text(column: str) -> str:
         return f"[% replace(replace(\"{column}\", '&', '&amp;'), '<', '&lt;') %]"
 
     name = " &rarr; ".join(map(text, _NAMED[layer]))
-    number = f"""[% coalesce(format_number("{VOLUMES}", 0), '\u2013') %] {tr("veh/h")}"""
     speed = """, [% coalesce(format_number("speed_kmh", 0), '\u2013') %] km/h"""
     speed = speed if layer == "lanes" else ""
-    return f"<b>{name}</b><br>{number}{speed}"
+    return f"<b>{name}</b><br>[% {_volume(interval_s)} %]{speed}"

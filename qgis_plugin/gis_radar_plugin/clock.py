@@ -16,6 +16,7 @@ _LOOK = (
     "QLabel { background: rgba(255, 255, 255, 215); color: #111827; font-weight: bold;"
     " padding: 4px 8px; border: 1px solid #9ca3af; border-radius: 3px; }"
 )
+_MEASURED = ("hit_s", "visible_share")  # columns of heat maps, and of traffic
 
 
 class Clock:
@@ -69,5 +70,5 @@ def _is_ours(layer: Any) -> bool:
     return (
         isinstance(layer, QgsVectorLayer)
         and layer.temporalProperties().isActive()
-        and layer.fields().lookupField("hit_s") >= 0
+        and any(layer.fields().lookupField(name) >= 0 for name in _MEASURED)
     )

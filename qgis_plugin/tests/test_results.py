@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from conftest import ROOT, SAMPLE, WORKER
@@ -12,7 +13,12 @@ from helpers import layer_called
 from qgis.core import (
     Qgis,
     QgsDateTimeRange,
+    QgsExpression,
+    QgsExpressionContext,
+    QgsExpressionContextScope,
+    QgsFeature,
     QgsFeatureRequest,
+    QgsGeometry,
     QgsGraduatedSymbolRenderer,
     QgsLabelingEngineSettings,
     QgsLayerTreeModel,
@@ -215,6 +221,42 @@ def test_two_moments_differ(heatmap):
     first, second = drawn(layer, seconds=0), drawn(layer, seconds=60)
     assert colours(first) & {level.colour for level in STYLE["colour_classes"]("occupancy")}
     assert first != second
+
+
+def test_traffic_shows_its_time_and_how_sure_its_volumes_are(run, site, tmp_path):
+    """Of the intervals of traffic one is on the map: by the site's clocks, and with its errors."""
+    from gis_radar_plugin.clock import Clock
+
+    line = QgsVectorLayer("LineString?crs=EPSG:25832&field=name:string", "line", "memory")
+    row = QgsFeature(line.fields())
+    row.setGeometry(QgsGeometry.fromWkt("LineString (690396 5336173.5, 690425.3 5336181.1)"))
+    row["name"] = "South"
+    line.dataProvider().addFeature(row)
+    QgsProject.instance().addMapLayer(line)
+    given = {"DATASET": str(site / "dataset"), "INTERVAL": "1min", "SECTIONS": line,
+             "OUTPUT": str(tmp_path / "traffic")}  # fmt: skip
+    results, heard = run("traffic", given, load=True)
+    assert heard.errors == []
+    layer = layer_called("Volumes of sections")
+    canvas, settings = Mock(), QgsMapSettings()
+    begin = QDateTime(2025, 6, 12, 7, 31, 0, 0, Qt.TimeSpec.UTC)
+    settings.setIsTemporal(True)
+    canvas.mapSettings.return_value = settings
+    canvas.temporalRange.return_value = QgsDateTimeRange(begin, begin.addSecs(60), True, False)
+    canvas.layers.return_value = [layer]
+    clock = Mock(_canvas=canvas)
+    shown = "Thu 2025-06-12 09:31 – 09:32 (Europe/Berlin, UTC+02:00)"
+    assert Clock.text(clock) == shown
+    context = QgsExpressionContext()
+    context.appendScope(QgsExpressionContextScope())
+    context.setFields(layer.fields())
+    for each in layer.getFeatures():
+        context.setFeature(each)
+        text = QgsExpression(layer.labeling().settings().fieldName).evaluate(context)
+        tip = QgsExpression.replaceExpressionText(layer.mapTipTemplate(), context)
+        volume, error = (60 * each[name] for name in ("volume", "volume_se"))
+        assert text == f"South\n{each['direction']}: {volume:.0f} ± {error:.0f} veh/h"
+        assert tip == f"<b>South &rarr; {each['direction']}</b><br>{volume:.0f} ± {error:.0f} veh/h"
 
 
 def test_layers_of_a_heat_map_are_a_group(heatmap):

@@ -289,6 +289,27 @@ def test_an_interval_with_less_than_one_vehicle_has_no_travel_time(tmp_path):
     assert two.traffic("1min")["travel_time_s"].iloc[0] > 60.0
 
 
+@pytest.mark.parametrize(
+    ("stated", "told"),
+    [
+        ({"id": 7, "name": "Main Street"}, r"lanes is .*, expected a list \(dict\)"),
+        ([{"id": 7, "speed": 50.0}], "a lane has 'speed', expected id, name, speed_kmh"),
+        ([{"id": 7, "speed_kmh": "50"}], "speed_kmh is '50', expected a number or None"),
+        ([{"id": "7"}], "id is '7', expected a whole number"),
+        ([{"name": "Main Street"}], "id is None, expected a whole number"),
+    ],
+)
+def test_what_is_no_statement_of_a_lane_is_refused(dataset, stated, told):
+    """A mistyped key would change nothing, and nobody would notice."""
+    with pytest.raises(InputError, match=told):
+        dataset.with_lanes(stated)
+
+
+def test_sections_of_no_kind_are_refused(dataset):
+    with pytest.raises(UsageError, match=r"sections is .*, expected GeoDataFrame"):
+        dataset.count_sections([1, 2])
+
+
 @pytest.mark.parametrize(("until", "volume"), [(1800, 3.0), (720, 2 / 0.6)])
 def test_vehicles_followed_over_a_hidden_line_count_while_a_sensor_observes_it(
     tmp_path, until, volume

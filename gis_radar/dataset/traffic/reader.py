@@ -30,6 +30,7 @@ from gis_radar.base import (
     in_language,
     interval_steps,
     quotient,
+    require_kind,
     zone_of,
 )
 from gis_radar.dataset.days.lane_measures import LaneTraffic
@@ -65,6 +66,9 @@ _TURN_COLUMNS = (
     *_WITH_TURN, "from_name", "to_name", "turn", "begin", "end", "visible_share", "volume",
     "volume_se", "volume_veh_h",
 )  # fmt: skip
+
+# What a site states of a lane, and of which type it is.
+_STATED = {"id": "int", "name": "str | None", "speed_kmh": "float | None"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -429,8 +433,16 @@ def stated_lanes(
     Raises
     ------
     InputError
-        If a lane is none of the layer's.
+        If a lane is none of the layer's, or something else is stated of it.
     """
+    require_kind("with_lanes: lanes", lanes, "Sequence[Mapping[str, Any]]", InputError)
+    for each in lanes:
+        if other := sorted(set(each) - set(_STATED)):
+            raise InputError(
+                "{}: a lane has {}, expected {}", source, repr(other[0]), ", ".join(_STATED)
+            )
+        for name, kind in _STATED.items():
+            require_kind(f"with_lanes: {name}", each.get(name), kind, InputError)
     stated = {int(each["id"]): each for each in lanes}
     if unknown := sorted(set(stated) - set(layer["lane"].tolist())):
         raise InputError(

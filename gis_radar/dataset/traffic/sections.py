@@ -14,7 +14,15 @@ import pandas as pd
 import shapely
 import shapely.ops
 
-from gis_radar.base import Floats, InputError, in_language, metric_crs, one_line, read_vector
+from gis_radar.base import (
+    Floats,
+    InputError,
+    in_language,
+    metric_crs,
+    one_line,
+    read_vector,
+    require_kind,
+)
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.traffic.reader import TrafficReader
@@ -116,6 +124,7 @@ def _lines(
 ) -> tuple[dict[str, shapely.LineString], str]:
     """Return the sections by name, in the dataset's CRS, and a name of their layer for errors."""
     what: str = "sections"
+    require_kind("count_sections: sections", sections, "gpd.GeoDataFrame | str | Path")
     table: Any = sections
     if isinstance(sections, str | Path):
         what = str(sections)

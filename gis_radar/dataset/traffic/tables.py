@@ -29,7 +29,8 @@ def traffic(
         One row a lane, of all intervals together that were measured: from the begin of the
         first to the end of the last, `volume` without the time between. Intervals count by the
         share of them that was visible, so that those in which a recording begins or ends count
-        less. They are of 15 min, or of `interval` where that is less.
+        less. They are of 15 min, or of `interval` where that is less: give `1min` for a recording
+        of some minutes, as a volume is null where under a fifth of these intervals was visible.
     headways : bool
         Add headways and gaps, which are measured from exact tables.
 

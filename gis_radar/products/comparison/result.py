@@ -217,7 +217,7 @@ def draw_changes(comparison: Comparison, path: Path) -> None:
             change = known[f"{measure}_change"].to_numpy(np.float64)
             k = np.clip(np.searchsorted(_BREAKS, change, side="right") - 1, 0, len(_COLOURS) - 1)
             known.plot(ax=ax, color=np.array(_COLOURS)[k].tolist(), linewidth=2.6)
-            ax.set_title(tr(COMPARED[measure].title))
+            ax.set_title(tr(COMPARED[measure].title), y=1.0)  # else a wide one is moved up and out
             ax.set_axis_off()
             ax.set_aspect("equal")
         lines = [
@@ -251,7 +251,7 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
     page: str = template.render(
         title=tr("Before and after: traffic by lane"), language=current_language(), tr=tr,
         before=before, after=after, basis=basis,
-        doubts=[*_cautions(comparison.table), *comparison.doubts],
+        doubts=[*_cautions(comparison.table), *map(tr, comparison.doubts)],
         picture=f"data:image/png;base64,{base64.b64encode(picture).decode()}",
         sections=[
             (tr(title), [row for row in rows if row["section"] == section])

@@ -179,7 +179,7 @@ def labels_of(package: Path) -> dict[str, Any]:
 
 
 def zone_name(package: Path) -> str:
-    """Return the site's time zone that a heat map was made with; nothing where it holds none."""
+    """Return the site's time zone of a heat map or of traffic; nothing where it holds none."""
     return str(labels_of(package).get("timezone", ""))
 
 
@@ -205,9 +205,9 @@ def _to_second(moment: QDateTime) -> QDateTime:
 
 
 def _told_in(package: Path, item: str) -> str:
-    """Return the metadata of a heat map's file."""
+    """Return the metadata of a heat map's file, or of one with layers of traffic."""
     data = ogr.Open(str(package)) if package.is_file() else None
-    layer = data.GetLayerByName("heatmap") if data is not None else None
+    layer = (data.GetLayerByName("heatmap") or data.GetLayer(0)) if data is not None else None
     return (layer.GetMetadataItem(item) if layer is not None else None) or ""
 
 
