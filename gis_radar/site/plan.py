@@ -338,7 +338,7 @@ def _tiles(site: Site, folder: Path) -> Stage:
 
 def _measure(site: Site, folder: Path) -> Stage:
     """Return the stage that measures the recordings of all sensors with a pose."""
-    filters = site.measure.model_dump()
+    filters, scans = site.measure.model_dump(), _scans(site)
     clocks = filters.pop("clocks")
     filters["elevation_error_deg"] = filters.pop("elevation_error")
     poses = {each.name: _pose(site, each, folder).outputs[0] for each in site.sensor}
@@ -351,7 +351,7 @@ def _measure(site: Site, folder: Path) -> Stage:
             tile_file=folder / "tiles.gpkg",
             recordings=tuple(path for paths in readable.values() for path in paths),
             clocks=clocks,
-            scans=_scans(site),
+            scans=scans,
         ),
         parts={"poses": tuple(poses.values())},
         beside=((*poses.values(), *converted),),
@@ -373,7 +373,7 @@ def _measure(site: Site, folder: Path) -> Stage:
             "timezone": site.timezone,
         },
         outputs=(folder / "dataset",),
-        phases=2,
+        phases=4 if scans else 3,
     )
 
 
