@@ -103,6 +103,13 @@ def redness(picture):
     return float(((r - g > 40) & (r - b > 20)).mean())
 
 
+def test_numbers_of_lanes_lead_to_their_plan(folder):
+    text = (folder / "en" / "report.html").read_text(encoding="utf-8")
+    assert text.count('<small><a href="#lanes">on the plan</a></small>') == 3
+    plan = text.partition('<section id="lanes"')[2].partition("</section>")[0]
+    assert "data:image/png" in plan
+
+
 def test_figures_are_those_of_the_dataset(folder, page):
     dataset = open_dataset(folder / "dataset")
     known = dataset.traffic("1min", whole=True).set_index("lane")

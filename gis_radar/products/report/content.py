@@ -12,6 +12,7 @@ import pandas as pd
 
 from gis_radar.base import figure_text, listed, percent, plus_minus, tr
 
+LANES_CHAPTER = "lanes"  # the chapter with the plan
 QUEUES = "queues"  # the chapter whose figures may show trajectories of single vehicles
 _HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 _LOOKS = {
@@ -96,12 +97,15 @@ class Column(NamedTuple):
         Returns the text of a cell, given the item of its row.
     is_number : bool
         Whether its cells are numbers, which are aligned right.
+    chapter : str
+        Name of the chapter that its unit leads to, or empty.
     """
 
     title: str
     unit: str
     text: Callable[[Any], str]
     is_number: bool = True
+    chapter: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

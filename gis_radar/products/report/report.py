@@ -53,6 +53,7 @@ from gis_radar.products.report.basis import (
 )
 from gis_radar.products.report.chart import draw_lanes_over_time
 from gis_radar.products.report.content import (
+    LANES_CHAPTER,
     QUEUES,
     REPORT_WORDS,
     Chapter,
@@ -324,7 +325,7 @@ def _chapters(data: ReportData, picture: MapPicture) -> list[Chapter]:
     over_time = draw_lanes_over_time(results.heat, data.lanes, data.table, clock)
     return [
         Chapter("trust", tr("Can this be trusted?"), [trust_table(results, clock)]),
-        Chapter("lanes", tr("Lanes"), [plan, lanes]),
+        Chapter(LANES_CHAPTER, tr("Lanes"), [plan, lanes]),
         *([Chapter("time", tr("The lanes over time"), over_time)] if over_time else []),
         Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results)]),
         Chapter("quality", tr("What sensors delivered"), [quality_table(data)]),

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import geopandas as gpd
 import matplotlib as mpl
@@ -38,6 +38,7 @@ from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.picture import NARROW_IN, for_a_phone, image_of_figure, png
 from gis_radar.products.report.chart import chart_over
 from gis_radar.products.report.content import (
+    LANES_CHAPTER,
     QUEUES,
     REPORT_WORDS,
     Chapter,
@@ -231,7 +232,7 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
 
     return [
         Column(tr("Lane"), "", lambda row: str(row["name"]), False),
-        Column(tr("No."), tr("on the plan"), lambda row: str(row["lane"])),
+        _number_column(lambda row: str(row["lane"])),
         Column(tr("Counted"), tr("vehicles"), counted),
         Column(tr("Volume"), tr("veh/h"), volume_text),
         Column(tr("Heavy"), tr("of those counted"), heavy),
@@ -239,6 +240,11 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
                lambda row: figure_text(row["speed_kmh"])),
         Column(tr("Longest queue"), "m", queue),
     ]  # fmt: skip
+
+
+def _number_column(text: Callable[[Any], str]) -> Column:
+    """Return the column of the numbers of lanes, which leads to the plan that shows them."""
+    return Column(tr("No."), tr("on the plan"), text, chapter=LANES_CHAPTER)
 
 
 def longest_queue_text(row: pd.Series) -> str:
@@ -410,7 +416,7 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
         error = float(np.sqrt((mine["volume_se"] ** 2).sum()))
         return with_error(mine["volume"].sum() / hours, error / hours)
 
-    titles = [Column(tr("From lane"), "", str, False), Column(tr("No."), tr("on the plan"), str)]
+    titles = [Column(tr("From lane"), "", str, False), _number_column(str)]
     words = [tr(TURN_WORDS[way]) for way in directions]
     titles += [Column(word[:1].upper() + word[1:], tr("veh/h"), str) for word in words]
     return Table(
@@ -467,7 +473,7 @@ def _queue_table(
     several = len(set(traffic.lanes["begin"])) > 1
     columns = [
         Column(tr("Lane"), "", lambda row: str(row["name"]), False),
-        Column(tr("No."), tr("on the plan"), lambda row: str(row["lane"])),
+        _number_column(lambda row: str(row["lane"])),
         figure("queue_max_m"),
         *([Column(tr("Reached"), clock.name, when, False)] if several else []),
         *(figure(name) for name in _OF_QUEUES
