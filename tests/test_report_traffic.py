@@ -112,7 +112,7 @@ def test_numbers_of_lanes_lead_to_their_plan(folder):
 
 def test_figures_are_those_of_the_dataset(folder, page):
     dataset = open_dataset(folder / "dataset")
-    known = dataset.traffic("1min", whole=True).set_index("lane")
+    known = dataset.traffic(whole=True).set_index("lane")
     fine = dataset.traffic("1min")
     hours = fine["begin"].nunique() / 60.0
     rows = volumes(page)

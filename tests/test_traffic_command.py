@@ -25,10 +25,12 @@ from sites import pose
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
+from gis_radar.dataset import LaneTraffic
 from gis_radar.dataset.hours.remarks import remark_on_counting_lines
 from gis_radar.products import Traffic, publisher_of, traffic_picture
 from gis_radar.products import traffic as traffic_module
-from gis_radar.products.traffic_picture import draw_turning_diagram, mean_turns
+from gis_radar.products.report.traffic import traffic_of
+from gis_radar.products.traffic_picture import draw_turning_diagram
 from simulation.sumo import run as run_sumo
 
 BEGIN = HOUR * STEPS_PER_HOUR
@@ -219,7 +221,8 @@ def test_title_and_foot_of_the_diagram_lie_on_no_numbers(monkeypatch, tmp_path):
     names = ["straight", "left", "right", "back"]
     turns = gpd.GeoDataFrame(
         {"from_lane": [1] * 4 + [2] * 4, "to_lane": [3, 4, 5, 6] * 2, "turn": names * 2,
-         "begin": begin, "end": begin + pd.Timedelta("15min"), "volume": 100.0, "volume_se": 10.0},
+         "begin": begin, "end": begin + pd.Timedelta("15min"), "volume": 100.0, "volume_se": 10.0,
+         "volume_veh_h": 400.0},
         geometry=[way for way in ways for _ in names], crs=25832,
     )  # fmt: skip
     figure = Figure((10.0, 10.0), dpi=100, layout="constrained")
@@ -474,20 +477,33 @@ def test_a_publisher_is_a_country_and_a_name(run, dataset, tmp_path, publisher):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_diagram_shows_means_of_what_is_known(dataset):
-    turns = dataset.turns("5min")
-    known = turns[turns["volume"].notna()]
-    means = mean_turns(turns).set_index("to_lane")
-    for lane in CARS:
-        mine = known[known["to_lane"] == lane]
-        assert means.loc[lane, "volume_veh_h"] == pytest.approx(12.0 * mine["volume"].mean())
-    assert means["error_veh_h"].between(1.0, means["volume_veh_h"] + 20.0).all()
+@pytest.mark.parametrize("interval", ["1min", "15min", "24h"])
+def test_the_diagram_has_the_figures_of_the_report(dataset, tmp_path, monkeypatch, interval):
+    drawn = []
+    monkeypatch.setattr(
+        traffic_picture, "draw_turning_diagram", lambda *given: drawn.append(given[2])
+    )
+    gr.make_traffic(dataset, interval=interval).write(tmp_path / "out")
+    reported = traffic_of(dataset, gr.make_heatmap(dataset))
+    its = reported.by_turn.assign(error_veh_h=reported.by_turn["volume_se"] / reported.hours)
+    columns = ["from_lane", "to_lane", "begin", "end", "volume_veh_h", "error_veh_h"]
+    pd.testing.assert_frame_equal(drawn[0][columns], its[columns])
+    assert (its["volume_veh_h"] > 0.0).all()
 
 
-def test_without_volumes_there_is_no_diagram(run, dataset, tmp_path):
-    code, *_ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h")
-    assert code == 0
-    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES - {"turns.png"}
+def test_without_volumes_there_is_no_diagram(dataset, tmp_path):
+    made = gr.make_traffic(dataset)
+    made = replace(made, whole_turns=made.whole_turns.assign(volume=np.nan))
+    assert {path.name for path in made.write(tmp_path / "out")} == FILES - {"turns.png"}
+
+
+def test_an_hour_is_measured_once_for_all_tables(dataset, tmp_path, monkeypatch):
+    measured, finer = [], LaneTraffic.finer
+    monkeypatch.setattr(
+        LaneTraffic, "finer", lambda *given: measured.append(given[1].hour) or finer(*given)
+    )
+    gr.make_traffic(gr.open_dataset(dataset.folder), interval="1min")
+    assert len(measured) == len(set(measured))
 
 
 def test_a_recording_too_short_for_its_intervals_is_told(run, dataset, tmp_path):

@@ -169,7 +169,7 @@ def _lane_lines(dataset: Dataset) -> list[Floats]:
 def _lanes(dataset: Dataset, month: CityMonth, network: LaneNetwork) -> pd.DataFrame:
     """Return the lanes over the month, with the errors of delays and queues from day to day."""
     begin, end = month.period
-    lanes = dataset.traffic(begin=begin, end=end, whole=True)
+    lanes = dataset.traffic("15min", begin=begin, end=end, whole=True)
     days = dataset.traffic("24h", begin=begin, end=end).groupby("lane")
     at = np.searchsorted(network.lane, lanes["lane"].to_numpy(np.int64))
     is_first = np.array([not each for each in network.before], np.bool_)

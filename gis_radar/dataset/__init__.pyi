@@ -58,6 +58,7 @@ from .traffic.shifts import Shifts as Shifts
 from .traffic.shifts import chance_of_others as chance_of_others
 from .traffic.shifts import lanes_beside as lanes_beside
 from .traffic.shifts import shifts_of as shifts_of
+from .traffic.tables import suited_interval as suited_interval
 from .vehicles.footprints import FOOTPRINTS as FOOTPRINTS
 from .vehicles.footprints import SHOWN_S as SHOWN_S
 from .vehicles.footprints import footprint_style as footprint_style

@@ -105,6 +105,8 @@ class Traffic:
     ----------
     lanes, turns : GeoDataFrame
         From :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
+    whole_turns : GeoDataFrame, optional
+        The turns over the whole time, for the turning diagram.
     sections : GeoDataFrame, optional
         From :meth:`gis_radar.Dataset.count_sections`.
     hand_counts : DataFrame, optional
@@ -117,6 +119,7 @@ class Traffic:
 
     lanes: gpd.GeoDataFrame
     turns: gpd.GeoDataFrame
+    whole_turns: gpd.GeoDataFrame | None = None
     sections: gpd.GeoDataFrame | None = None
     hand_counts: pd.DataFrame | None = None
     cycles: pd.DataFrame | None = None
@@ -162,10 +165,10 @@ class Traffic:
         `traffic.csv` and `turns.csv`; `traffic.xlsx` with a sheet each; `traffic.gpkg` with the
         layers `lanes`, `turns` and, where there are, `sections`, which QGIS shows in our style;
         `sumo.edgedata.xml`, `sumo.lanedata.xml` and `sumo.turns.xml`, in which an edge is a lane
-        with its number; and where turns have volumes `turns.png`, the turning diagram. Of sections
-        `sections.csv`, of counts by hand `hand_counts.csv`, of cycles `cycles.csv`, and a sheet
-        each; for DATEX II `datex.sites.xml`, the table of measurement sites, and
-        `datex.measured.xml`.
+        with its number; and where turns have volumes over the whole time `turns.png`, the turning
+        diagram, with the figures of the report. Of sections `sections.csv`, of counts by hand
+        `hand_counts.csv`, of cycles `cycles.csv`, and a sheet each; for DATEX II
+        `datex.sites.xml`, the table of measurement sites, and `datex.measured.xml`.
 
         Parameters
         ----------
@@ -218,8 +221,8 @@ class Traffic:
                 rows,
                 SHEET_ROWS,
             )
-        if self.turns["volume"].notna().any():
-            writers["turns.png"] = partial(write_turning_diagram, self.lanes, self.turns)
+        if self.whole_turns is not None and self.whole_turns["volume"].notna().any():
+            writers["turns.png"] = partial(write_turning_diagram, self.lanes, self.whole_turns)
         return write_results(
             folder, writers, name="traffic", owned=_OWNED, stage="writing traffic",
             language=language, reporter=reporter,
@@ -346,7 +349,8 @@ def make_traffic(
     if service is not None:
         lanes.insert(lanes.columns.get_loc("stops") + 1, "los", service_levels(lanes, service))
     return Traffic(
-        lanes=lanes, turns=dataset.turns(interval, **options), sections=section_rows,
+        lanes=lanes, turns=dataset.turns(interval, **options),
+        whole_turns=dataset.turns(whole=True, **options), sections=section_rows,
         hand_counts=counts,
         cycles=dataset.signal_cycles(signals=signals, **options) if cycles or signals else None,
     )  # fmt: skip

@@ -24,33 +24,6 @@ _ROAD, _FLOW = "#d5d8db", "#ba1c4d"  # distinct in grey and for colour-blind eye
 _ARROWS = {"left": "\u21b0", "straight": "\u2191", "right": "\u21b1", "back": "\u21b6"}
 
 
-def mean_turns(turns: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    """Return a row for each turn: its mean volume over all intervals in which it is known.
-
-    Parameters
-    ----------
-    turns : GeoDataFrame
-        From :meth:`gis_radar.Dataset.turns`.
-
-    Returns
-    -------
-    GeoDataFrame
-        `from_lane`, `to_lane`, `turn`, `volume_veh_h` and its standard error `error_veh_h`; the
-        way. Turns that are never known are left out.
-    """
-    known = turns[turns["volume"].notna()]
-    hours = (known["end"] - known["begin"]).dt.total_seconds() / 3600.0
-    table = known.assign(hours=hours, variance=known["volume_se"].astype(float) ** 2)
-    groups = table.groupby(["from_lane", "to_lane"])
-    sums = groups[["volume", "variance", "hours"]].sum()
-    first = groups[["turn", "geometry"]].first()
-    means = first.assign(
-        volume_veh_h=sums["volume"] / sums["hours"],
-        error_veh_h=np.sqrt(sums["variance"]) / sums["hours"],
-    )
-    return gpd.GeoDataFrame(means.reset_index(), geometry="geometry", crs=turns.crs)
-
-
 def write_turning_diagram(
     lanes: gpd.GeoDataFrame, turns: gpd.GeoDataFrame, path: Path
 ) -> None:  # fmt: skip
@@ -59,15 +32,20 @@ def write_turning_diagram(
     Parameters
     ----------
     lanes, turns : GeoDataFrame
-        From :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`; of the turns
-        one at least with a volume.
+        From :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`, the latter over
+        the whole time; one at least with a volume.
     path : Path
         The picture (PNG).
     """
+    turns = turns[turns["volume"].notna()]
+    begin, end = turns["begin"].min(), turns["end"].max()
+    hours = (end - begin).total_seconds() / 3600.0
+    if an_hour := turns["volume_veh_h"].sum():  # without the time between recordings
+        hours = turns["volume"].sum() / an_hour
     with picture_file(path, (_WIDTH_IN, _WIDTH_IN), _DPI, tight=True) as figure:
-        draw_turning_diagram(figure, lanes, mean_turns(turns))
+        draw_turning_diagram(figure, lanes, turns.assign(error_veh_h=turns["volume_se"] / hours))
         left = {"x": 0.0, "ha": "left"}  # beyond the numbers, which may reach over the axes
-        figure.suptitle(_title(turns), color=INK, fontsize=13, fontweight="bold", **left)
+        figure.suptitle(_title(begin, end), color=INK, fontsize=13, fontweight="bold", **left)
         figure.supxlabel(f"{tr(_BELOW)}\n{tr(_UNSEEN)}", color=SOFT, fontsize=9, **left)
 
 
@@ -83,7 +61,7 @@ def draw_turning_diagram(
     lanes : GeoDataFrame
         As for :func:`write_turning_diagram`.
     turns : GeoDataFrame
-        Turns, from :func:`mean_turns`.
+        The known turns of the whole time, with `error_veh_h`, the error of `volume_veh_h`.
     labels : bool
         Whether their figures are written along the approaches.
     """
@@ -107,15 +85,13 @@ def draw_turning_diagram(
 
 
 _BELOW = (
-    "Vehicles an hour with their standard errors, means of the intervals that are known. "
+    "Vehicles an hour over the whole time, with their standard errors. "
     "A line is as wide as its volume; north is up."
 )
 _UNSEEN = "Turns without a line were not seen; figures without room stand in the table."
 
 
-def _title(turns: pd.DataFrame) -> str:
-    known = turns[turns["volume"].notna()]
-    begin, end = known["begin"].min(), known["end"].max()
+def _title(begin: pd.Timestamp, end: pd.Timestamp) -> str:
     clock = Clock(zone=zone_of(str(begin.tz)), first=begin, last=end, to_seconds=False)
     return f"{tr('Turning volumes')}, {clock.long_span_in_zone(begin, end)}"
 

@@ -243,7 +243,8 @@ def test_intervals_sum_to_the_hour(measured):
 
 def test_the_whole_time_is_its_intervals_by_what_was_seen_of_them(measured):
     """Of the second hour 53 s were recorded: its quarter counts a seventeenth."""
-    quarters, (whole,) = measured.traffic(), measured.traffic(whole=True).to_dict("records")
+    quarters = measured.traffic()
+    (whole,) = measured.traffic("15min", whole=True).to_dict("records")
     assert (whole["begin"], whole["end"]) == (quarters["begin"].min(), quarters["end"].max())
     known = quarters[quarters["volume"].notna()]
     rate = (known["volume"] * known["visible_share"]).sum() / known["visible_share"].sum()
@@ -341,6 +342,21 @@ def test_a_vehicle_that_stands_at_a_hidden_line_makes_its_volume_surer(tmp_path)
         errors.append(row["volume_se"])
     assert errors[0] == pytest.approx(0.3, abs=0.02)  # of two counted ones, 0.3**2 / 2 each
     assert errors[1] > 1.0
+
+
+def test_the_whole_of_a_short_recording_has_volumes_without_an_interval_given(tmp_path):
+    """Of a quarter of an hour two minutes are under a fifth."""
+    first = EDGE - STEPS_PER_HOUR
+    cars = [through(n, first + 100 + 200 * n, STRAIGHT) for n in range(8)]
+    found = driven(tmp_path / "data", fork(), pd.concat(cars), lanes=fork_lanes())
+    for begin in (None, first + 30):  # the interval in which it begins counts
+        fine = found.traffic("1min", whole=True)
+        pd.testing.assert_frame_equal(found.traffic(begin=begin, whole=True), fine)
+        approach = fine.set_index("lane").loc[APPROACH]
+        assert approach["counted"] == 8
+        assert approach["volume"] > 8.0  # of whole minutes, of which a part was recorded
+    assert found.turns(whole=True)["volume"].notna().any()
+    assert found.traffic("15min", whole=True)["volume"].isna().all()
 
 
 def test_turns_of_the_whole_time_sum_to_their_approach(tmp_path):

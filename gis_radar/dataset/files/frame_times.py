@@ -68,14 +68,14 @@ def _recorded(
     dataset: DatasetFiles, hours: Iterable[int], sensor: str | None, *, valid: bool
 ) -> Iterator[Runs]:
     """Yield the steps of recordings in hours without frames: from their first to their last."""
-    recorded = _recording_steps(dataset, sensor, valid=valid)
+    recorded = recording_steps(dataset, sensor, valid=valid)
     begins = np.array(sorted(hours), np.int64) * STEPS_PER_HOUR
     blocks = union_of_runs([Runs(first=begins, last=begins + STEPS_PER_HOUR - 1)])
     for block in zip(blocks.first.tolist(), blocks.last.tolist(), strict=True):
         yield recorded.within(*block)
 
 
-def _recording_steps(
+def recording_steps(
     dataset: DatasetFiles, sensor: str | None = None, *, valid: bool = False
 ) -> Runs:
     """Return the steps from the first to the last frame of each recording."""
@@ -99,7 +99,7 @@ def follow_a_recording(dataset: DatasetFiles, first: Integers, steps: int) -> Bo
     steps : int
         Their length.
     """
-    recorded, valid = (_recording_steps(dataset, valid=each) for each in (False, True))
+    recorded, valid = (recording_steps(dataset, valid=each) for each in (False, True))
     reached, still_valid = (
         np.append(runs.last, -1)[np.searchsorted(runs.first, first + steps) - 1] >= first
         for runs in (recorded, valid)

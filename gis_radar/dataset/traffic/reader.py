@@ -55,6 +55,7 @@ from gis_radar.measures import (
 
 _LEAST_STEPS = 60 * STEPS_PER_SECOND  # least length of an interval: shorter ones have no volume
 _DAY_STEPS = 24 * STEPS_PER_HOUR
+_KEPT_HOURS = 4  # of measures by shorter intervals: those that three hours touch
 _WITH_LANE, _WITH_TURN = ["lane"], ["from_lane", "to_lane"]
 _LANE_COLUMNS = (
     "lane", "name", "begin", "end", "visible_share", "counted", "volume", "volume_se",
@@ -247,11 +248,22 @@ class TrafficReader:
                     hour_text(hour),
                     hint="ask for 15min or more of lanes, or for a later time",
                 )
-            rows = self.traffic.finer(record, steps)[table is TURNS]
+            rows = self._measured(record, steps)[table is TURNS]
             first = hour * STEPS_PER_HOUR + rows["interval"].to_numpy().astype(np.int64) * steps
             low, high = self.span or (first.min(initial=0), first.max(initial=0))
             inside = pa.array((first >= low) & (first <= high))
             yield rows.append_column("first_step", pa.array(first)).filter(inside)
+
+    def _measured(self, record: HourRecord, steps: int) -> tuple[pa.Table, pa.Table]:
+        """Measure an hour by shorter intervals, once for lanes, turns and the whole time."""
+        kept = self.dataset.cache.setdefault("finer", {})
+        key = (record.hour, steps, *self.line_m.items(), *self.traffic.key(record))
+        if key not in kept:
+            if len(kept) >= _KEPT_HOURS:
+                del kept[next(iter(kept))]
+            kept[key] = self.traffic.finer(record, steps)
+        found: tuple[pa.Table, pa.Table] = kept[key]
+        return found
 
 
 def _checked_steps(interval: str) -> int:

@@ -3,24 +3,55 @@
 from __future__ import annotations
 
 import geopandas as gpd
+import numpy as np
 
-from gis_radar.base import UsageError
+from gis_radar.base import STEP_S, UsageError, interval_steps
+from gis_radar.dataset.files.frame_times import recording_steps
 from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.traffic.headways_cycles import add_headways
 from gis_radar.dataset.traffic.reader import TrafficReader
 
+_USUAL = "15min"
+# Lengths of intervals, each with the longest time (s) that it is used for: some 30 of a recording,
+# then 96 a day.
+_INTERVALS = (("1min", 1800.0), ("5min", 10_800.0), (_USUAL, np.inf))
+
+
+def suited_interval(
+    dataset: DatasetFiles, begin: Moment = None, end: Moment = None
+) -> tuple[str, int | None]:
+    """Return the length of intervals that suits a time, and the step in which the first begins.
+
+    Parameters
+    ----------
+    dataset : DatasetFiles
+        The dataset.
+    begin, end : str, datetime or step, optional
+        The time, of which that in recordings counts.
+    """
+    span = dataset.span(begin, end)
+    recorded = recording_steps(dataset)
+    recorded = recorded if span is None else recorded.within(*span)
+    length_s = np.ptp(np.append(recorded.first, recorded.last)) * STEP_S if len(recorded) else 0.0
+    interval = next(name for name, most_s in _INTERVALS if length_s <= most_s)
+    if interval != _USUAL and any(each.dropped for each in dataset.records(span).values()):
+        interval = _USUAL
+    steps = interval_steps(interval)
+    return interval, None if span is None or begin is None else span[0] // steps * steps
+
 
 def traffic(
-    dataset: DatasetFiles, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
-    language: str | None = None, whole: bool = False, headways: bool = False,
+    dataset: DatasetFiles, interval: str | None = None, *, begin: Moment = None,
+    end: Moment = None, language: str | None = None, whole: bool = False, headways: bool = False,
 ) -> gpd.GeoDataFrame:  # fmt: skip
     """Return the traffic of lanes, a row for each lane and interval.
 
     Parameters
     ----------
-    interval : str
-        Length of the intervals, such as `15min` or `1h`: a multiple of 15 min that divides a
-        day, or a divisor of 15 min from 1 min on. Intervals follow the clocks of the site.
+    interval : str, optional
+        Length of the intervals, such as `1h`: a multiple of 15 min that divides a day, or a
+        divisor of 15 min from 1 min on; by default `15min`. Intervals follow the clocks of the
+        site.
     begin, end : str, datetime or step, optional
         Times between which the intervals begin.
     language : str, optional
@@ -29,8 +60,9 @@ def traffic(
         One row a lane, of all intervals together that were measured: from the begin of the
         first to the end of the last, `volume` without the time between. Intervals count by the
         share of them that was visible, so that those in which a recording begins or ends count
-        less. They are of 15 min, or of `interval` where that is less: give `1min` for a recording
-        of some minutes, as a volume is null where under a fifth of these intervals was visible.
+        less. They are of 15 min, or of `interval` where that is less. By default they suit the
+        time, as in the report: `1min` up to half an hour, `5min` up to three hours, and from the
+        one on in which it begins.
     headways : bool
         Add headways and gaps, which are measured from exact tables.
 
@@ -59,12 +91,14 @@ def traffic(
     if headways and whole:
         raise UsageError("headways are of intervals, not of the whole time")
     lanes = _reader(dataset, interval, begin, end, language, whole=whole).lanes()
-    return add_headways(dataset, lanes, interval, dataset.span(begin, end)) if headways else lanes
+    if headways:
+        return add_headways(dataset, lanes, interval or _USUAL, dataset.span(begin, end))
+    return lanes
 
 
 def turns(
-    dataset: DatasetFiles, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
-    language: str | None = None, whole: bool = False,
+    dataset: DatasetFiles, interval: str | None = None, *, begin: Moment = None,
+    end: Moment = None, language: str | None = None, whole: bool = False,
 ) -> gpd.GeoDataFrame:  # fmt: skip
     """Return the volumes of turns, a row for each turn and interval; as :meth:`traffic`.
 
@@ -79,7 +113,7 @@ def turns(
 
 
 def queues(
-    dataset: DatasetFiles, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
+    dataset: DatasetFiles, interval: str = _USUAL, *, begin: Moment = None, end: Moment = None,
     language: str | None = None,
 ) -> gpd.GeoDataFrame:  # fmt: skip
     """Return the queues at stop lines: rows of :meth:`traffic` in which a stop line is visible.
@@ -102,11 +136,13 @@ def queues(
 
 
 def _reader(
-    dataset: DatasetFiles, interval: str, begin: Moment, end: Moment, language: str | None, *,
-    whole: bool = False,
+    dataset: DatasetFiles, interval: str | None, begin: Moment, end: Moment, language: str | None,
+    *, whole: bool = False,
 ) -> TrafficReader:  # fmt: skip
     require_vehicles(dataset)
+    if interval is None and whole:
+        interval, begin = suited_interval(dataset, begin, end)
     return TrafficReader(
-        dataset=dataset, interval=interval, span=dataset.span(begin, end), language=language,
-        whole=whole,
+        dataset=dataset, interval=interval or _USUAL, span=dataset.span(begin, end),
+        language=language, whole=whole,
     )  # fmt: skip

@@ -31,7 +31,7 @@ from gis_radar.base import (
     tr,
     with_error,
 )
-from gis_radar.dataset import Dataset, LaneTraffic
+from gis_radar.dataset import Dataset, LaneTraffic, suited_interval
 from gis_radar.measures import JOINED_M, LEAST_VISIBLE_SHARE, TURN_WORDS, LaneNetwork
 from gis_radar.products import report_files as names
 from gis_radar.products.heatmap.heatmap import HeatMap
@@ -53,9 +53,6 @@ from gis_radar.products.report.lanes import FAR_M, far_lanes
 from gis_radar.products.traffic import service_levels
 from gis_radar.products.traffic_picture import draw_turning_diagram
 
-# Lengths of intervals, each with the longest time (s) that it is used for: some 30 points a strip,
-# then 96 a day.
-_INTERVALS = (("1min", 1800.0), ("5min", 10_800.0), ("15min", np.inf))
 _STRIPS, _MOST_CHARTS = 12, 2  # lanes of a chart, which fills a page; most charts
 _LEAST_INTERVALS = 3  # for a chart over time: of two values the table has the mean
 _MOST_LANES = 60  # rows of the table as read; the CSV file holds all
@@ -128,12 +125,7 @@ def traffic_of(dataset: Dataset, heat: HeatMap) -> ReportedTraffic | None:
     if not dataset.has_vehicles or heat.measure != "occupancy":
         return None
     begin, end = heat.whole.span()
-    seconds = (end - begin).total_seconds()
-    exact = not any(each.dropped for each in dataset.records(dataset.span(begin, end)).values())
-    interval = next(name for name, most_s in _INTERVALS if seconds <= most_s)
-    interval = interval if exact else _INTERVALS[-1][0]
-    length_s = interval_steps(interval) / STEPS_PER_SECOND
-    first = datetime.fromtimestamp(begin.timestamp() // length_s * length_s, begin.tzinfo)
+    interval, first = suited_interval(dataset, begin, end)
     lanes, by_lane = (
         dataset.traffic(interval, begin=first, end=end, whole=each) for each in (False, True)
     )
