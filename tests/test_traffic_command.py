@@ -531,7 +531,12 @@ def test_a_map_without_stop_lines_is_named_as_why_there_are_no_queues(run, tmp_p
     ("options", "code", "text"),
     [
         (["--interval", "7min"], 2, "neither a part of 15 min"),
-        (["--begin", "2030-01-01"], 3, "no lane is observed in that time"),
+        (["--begin", "2030-01-01"], 3, "nothing was measured in that time"),
+        (
+            ["--begin", "2023-11-14 23:59", "--end", "2023-11-15"],
+            3,
+            "no lane is observed in that time",
+        ),
         (["--begin", "2023-11-15", "--end", "2023-11-14"], 2, "is not after begin"),
     ],
 )

@@ -32,6 +32,7 @@ from .files.sites import site_folder as site_folder
 from .files.sites import site_folders as site_folders
 from .files.sites import warn_of_copies as warn_of_copies
 from .files.source import Moment as Moment
+from .files.source import NotMeasuredError as NotMeasuredError
 from .files.source import NoVehiclesError as NoVehiclesError
 from .files.tables import FRAMES as FRAMES
 from .files.tables import PASSAGES as PASSAGES
@@ -47,7 +48,6 @@ from .lane_matching import match_lanes as match_lanes
 from .lane_matching import write_lane_matches as write_lane_matches
 from .measuring import manifest_of as manifest_of
 from .measuring import measure as measure
-from .questions.profiles import NotMeasuredError as NotMeasuredError
 from .questions.profiles import measured_span as measured_span
 from .questions.sql import SqlQueries as SqlQueries
 from .questions.street_profile import By as By

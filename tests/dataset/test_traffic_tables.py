@@ -344,6 +344,13 @@ def test_a_vehicle_that_stands_at_a_hidden_line_makes_its_volume_surer(tmp_path)
     assert errors[1] > 1.0
 
 
+@pytest.mark.parametrize("table", ["traffic", "turns", "queues"])
+def test_a_time_outside_the_dataset_is_refused(measured, table):
+    for time in ({"begin": "2030-01-01"}, {"end": "2020-01-01"}):
+        with pytest.raises(InputError, match="nothing was measured in that time"):
+            getattr(measured, table)(**time)
+
+
 def test_the_whole_of_a_short_recording_has_volumes_without_an_interval_given(tmp_path):
     """Of a quarter of an hour two minutes are under a fifth."""
     first = EDGE - STEPS_PER_HOUR

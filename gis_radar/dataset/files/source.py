@@ -13,11 +13,18 @@ import pandas as pd
 import pyarrow as pa
 import pyogrio
 
-from gis_radar.base import InputError, UsageError, opened_package, step_at, zone_of
+from gis_radar.base import (
+    STEPS_PER_HOUR,
+    InputError,
+    UsageError,
+    opened_package,
+    step_at,
+    zone_of,
+)
 from gis_radar.dataset.files.manifest import TILES_FILE, Manifest, tiles_of_dataset
 from gis_radar.dataset.files.parts import MEASURE_AGAIN, hour_of_step, hour_text, single_file
 from gis_radar.dataset.files.pose_book import PoseBook
-from gis_radar.dataset.files.records import HourRecord, Span, read_hours
+from gis_radar.dataset.files.records import HourRecord, Span, hour_bounds, read_hours
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import CONTINUED, POSES, RECORDINGS, SIGHTS
 from gis_radar.dataset.files.units import convert_units
@@ -160,3 +167,24 @@ def require_vehicles(dataset: DatasetFiles) -> None:
         raise NoVehiclesError(
             "{}: holds no vehicles", dataset.folder, hint="measure it again, with vehicles"
         )
+
+
+class NotMeasuredError(InputError):
+    """A time of which a dataset has no complete hour, or only days that do not count."""
+
+
+def require_measured(dataset: DatasetFiles, span: Span | None) -> Span:
+    """Return the first and the last step of the complete hours that a span touches.
+
+    Raises
+    ------
+    NotMeasuredError
+        If there are none.
+    """
+    hours = (None, None) if span is None else map(hour_of_step, span)
+    if (bounds := hour_bounds(dataset.folder, *hours)) is None:
+        raise NotMeasuredError(
+            "{}: nothing was measured in that time", dataset.folder,
+            hint="gis-radar dataset shows from when to when it was measured",
+        )  # fmt: skip
+    return bounds[0] * STEPS_PER_HOUR, (bounds[1] + 1) * STEPS_PER_HOUR - 1

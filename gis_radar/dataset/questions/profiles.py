@@ -8,21 +8,22 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError, current_language, in_language
+from gis_radar.base import UsageError, current_language, in_language
 from gis_radar.dataset.days.asked_time import AskedTime, Holidays, day_numbers, month_edges
 from gis_radar.dataset.days.rollups import RollUps, with_month
-from gis_radar.dataset.files.parts import hour_of_step
 from gis_radar.dataset.files.records import Span, hour_bounds
 from gis_radar.dataset.files.schema import TableSchema
-from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
+from gis_radar.dataset.files.source import (
+    DatasetFiles,
+    Moment,
+    NotMeasuredError,
+    require_measured,
+    require_vehicles,
+)
 from gis_radar.dataset.files.tables import LANE_MONTHS, TILE_MONTHS
 from gis_radar.dataset.files.units import convert_units
 from gis_radar.dataset.questions.street_profile import SUMMED, By, StreetLanes, street_profile
 from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
-
-
-class NotMeasuredError(InputError):
-    """A time of which a dataset has no complete hour, or only days that do not count."""
 
 
 def lane_months(dataset: DatasetFiles, *, month: str | None = None) -> pd.DataFrame:
@@ -137,23 +138,12 @@ def _asked_span(
             raise UsageError("month and begin, end do not go together", hint="give one of them")
         begin, end = month_edges(month, dataset.timezone)
     span = dataset.span(begin, end)
-    _measured(dataset, span)
-    first, last = measured = _measured(dataset, None)
+    require_measured(dataset, span)
+    first, last = measured = require_measured(dataset, None)
     if span is not None:
         first = first if begin is None else span[0]
         last = last if end is None else span[1]
     return (first, last), measured
-
-
-def _measured(dataset: DatasetFiles, span: Span | None) -> Span:
-    """Return the first and the last step of the complete hours that a span touches."""
-    hours = (None, None) if span is None else map(hour_of_step, span)
-    if (bounds := hour_bounds(dataset.folder, *hours)) is None:
-        raise NotMeasuredError(
-            "{}: nothing was measured in that time", dataset.folder,
-            hint="gis-radar dataset shows from when to when it was measured",
-        )  # fmt: skip
-    return bounds[0] * STEPS_PER_HOUR, (bounds[1] + 1) * STEPS_PER_HOUR - 1
 
 
 def measured_span(dataset: DatasetFiles, month: str) -> Span:
@@ -167,7 +157,7 @@ def measured_span(dataset: DatasetFiles, month: str) -> Span:
         If nothing was measured in it.
     """
     span = dataset.span(*month_edges(month, dataset.timezone))
-    measured = _measured(dataset, span)
+    measured = require_measured(dataset, span)
     return (max(measured[0], span[0]), min(measured[1], span[1])) if span else measured
 
 

@@ -7,7 +7,12 @@ import numpy as np
 
 from gis_radar.base import STEP_S, UsageError, interval_steps
 from gis_radar.dataset.files.frame_times import recording_steps
-from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
+from gis_radar.dataset.files.source import (
+    DatasetFiles,
+    Moment,
+    require_measured,
+    require_vehicles,
+)
 from gis_radar.dataset.traffic.headways_cycles import add_headways
 from gis_radar.dataset.traffic.reader import TrafficReader
 
@@ -85,8 +90,8 @@ def traffic(
     UsageError
         If there is no such interval, or headways are asked of the whole time.
     InputError
-        If vehicles were not looked for, or the interval is under 15 min, or headways are asked,
-        and exact tables were deleted.
+        If vehicles were not looked for, or nothing was measured from begin to end; or if the
+        interval is under 15 min, or headways are asked, and exact tables were deleted.
     """
     if headways and whole:
         raise UsageError("headways are of intervals, not of the whole time")
@@ -140,6 +145,8 @@ def _reader(
     *, whole: bool = False,
 ) -> TrafficReader:  # fmt: skip
     require_vehicles(dataset)
+    if (span := dataset.span(begin, end)) is not None:
+        require_measured(dataset, span)
     if interval is None and whole:
         interval, begin = suited_interval(dataset, begin, end)
     return TrafficReader(

@@ -149,6 +149,15 @@ def _rows(
 ) -> list[gpd.GeoDataFrame]:
     """Read the traffic of both periods, by `_FINER` intervals where the periods are short."""
     records = [dataset.records(dataset.span(*period)) for dataset, period in sources]
+    for (dataset, (begin, end)), of_period in zip(sources, records, strict=True):
+        if not of_period:
+            raise InputError(
+                "{}: no lane is observed from {} to {}",
+                dataset.folder,
+                begin or Text("its begin"),
+                end or Text("its end"),
+                hint="gis-radar dataset shows from when to when it was measured",
+            )
     methods = [
         (number, dataset.folder)
         for (dataset, _), of_period in zip(sources, records, strict=True)
@@ -171,14 +180,6 @@ def _rows_of(
 ) -> gpd.GeoDataFrame:
     begin, end = period
     rows = dataset.traffic(interval, begin=begin, end=end, language=language)
-    if rows.empty:
-        raise InputError(
-            "{}: no lane is observed from {} to {}",
-            dataset.folder,
-            begin or Text("its begin"),
-            end or Text("its end"),
-            hint="gis-radar dataset shows from when to when it was measured",
-        )
     inside = rows["begin"].dt.day_of_week.isin(days)
     if end is not None:  # an interval that ends later holds traffic from after the period
         last = dataset.span(begin, end)
