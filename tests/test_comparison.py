@@ -282,7 +282,29 @@ def test_time_is_lost_in_a_minute_in_which_nobody_drives_the_length_of_the_lane(
         for rows in (rolled, before)
     )
     assert found["count"] == still["count"] == 60
-    assert found["before"] * (160.0 + 2.0) == pytest.approx(still["before"] * 160.0)
+    # 2 veh/h more on average, who would need 10 s at free speed
+    assert found["before"] * (160.0 + 2.0) == pytest.approx(still["before"] * 160.0 - 2.0 * 10.0)
+
+
+def test_who_drives_on_a_lane_in_two_minutes_loses_no_time():
+    """In neither of them a vehicle drives its length: there is no travel time, and no delay."""
+    rng = np.random.default_rng(11)
+    before, after = (lane_rows(3, rng, 0.0) for _ in range(2))
+    before, after = (
+        each.assign(flow_veh_h=240.0, travel_time_s=11.0, delay_s=1.0,
+                    density_veh_km=240.0 * 11.0 / 360.0)
+        for each in (before, after)
+    )  # fmt: skip
+    two = after.index % 2 == 0  # of two minutes each, a vehicle at free speed
+    after = after.assign(
+        flow_veh_h=after["flow_veh_h"].mask(two, 30.0),
+        density_veh_km=after["density_veh_km"].mask(two, 30.0 * 10.0 / 360.0),
+        travel_time_s=after["travel_time_s"].mask(two), delay_s=after["delay_s"].mask(two),
+    )  # fmt: skip
+    found = compared_rows({3: AlikeRows(before, after)}).set_index("measure").loc["delay_s"]
+    assert found["count"] == 60
+    assert found["before"] == pytest.approx(1.0)
+    assert found["after"] == pytest.approx(240.0 / 270.0)
 
 
 def test_who_drives_over_the_limit_gains_no_time():

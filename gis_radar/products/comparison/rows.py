@@ -207,8 +207,9 @@ def interval_values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
 def _lost_time(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
     """Return the time lost on a lane, and the flow, also while nobody drives its length.
 
-    The lane is that of travel times, 3600 L k / q. Where too little of it is visible for these,
-    nothing is known. As a delay, time lost is never under 0.
+    The time spent is that of travel times, 3600 L k, of which q at free speed would need a part.
+    Where too little of the lane is visible for travel times, nothing is known. As a delay, time
+    lost is never under 0.
     """
     flow, density, travel_s, delay_s = (
         rows[name].astype(np.float64)
@@ -219,7 +220,9 @@ def _lost_time(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
     hidden = travel_s.isna() & drove
     if hidden.sum() > (1.0 - LEAST_SEEN) * drove.sum():  # unknown while all stand, too
         time_per_vehicle = np.nan
-    lost = (delay_s * flow).where(drove, time_per_vehicle * density)
+    free_s = (travel_s - delay_s).max()  # less where nobody was delayed
+    else_lost = (time_per_vehicle * density - free_s * flow).clip(lower=0.0)
+    lost = (delay_s * flow).where(drove, else_lost)
     return lost if np.isfinite(time_per_vehicle) else lost * np.nan, flow
 
 
