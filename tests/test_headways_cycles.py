@@ -277,8 +277,11 @@ def test_tables_have_headways_and_their_errors(dataset):
     )
     assert whole.loc[LEFT, "headways"] == 0
     assert np.isnan(whole.loc[LEFT, "headway_mean_s"])
-    never = {"begin": "2100-01-01"}
-    assert list(dataset.traffic("1min", headways=True, **never)) == list(lanes)
+    later = dataset.traffic("1min", headways=True, begin="2023-11-14 23:59")
+    assert later.empty
+    assert list(later) == list(lanes)
+    with pytest.raises(gr.GisRadarError, match="nothing was measured in that time"):
+        dataset.traffic("1min", headways=True, begin="2100-01-01")
     late = {"begin": "2023-11-14 23:01"}
     assert (
         dataset.traffic("1min", headways=True, **late)["headways"].sum()

@@ -20,7 +20,7 @@ COMMANDS = [
     "convert bag -o {}.parquet",
     "measure R1.parquet --pose R1.json --tiles tiles.gpkg --map map.osm -o {}",
     "heatmap dataset --interval 1s -o {}",
-    "report heatmap -o {}",
+    "report heatmap --dataset dataset -o {}",
     "qgis heatmap -o {}.qgz",
     "quality dataset -o {}.csv",
     "sight --pose R1.json --tiles tiles.gpkg --scan scan.laz -o {}.gpkg",

@@ -17,7 +17,7 @@ def run(profiles, name, **inputs):
 
 def test_all_algorithms_are_there_in_german(profiles):
     done = call(profiles, "list", LANGUAGE="de", LANG="de_DE.UTF-8", LC_ALL="de_DE.UTF-8")
-    assert done.stdout.count("gisradar:") == 23
+    assert done.stdout.count("gisradar:") == 22
     assert "Standortdatei ausführen" in done.stdout
     assert "Run a site file" not in done.stdout
     assert "Traceback" not in done.stdout + done.stderr
