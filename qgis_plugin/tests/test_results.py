@@ -5,7 +5,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from unittest.mock import Mock
+from types import SimpleNamespace
 
 import pytest
 from conftest import ROOT, SAMPLE, WORKER
@@ -238,15 +238,15 @@ def test_traffic_shows_its_time_and_how_sure_its_volumes_are(run, site, tmp_path
     results, heard = run("traffic", given, load=True)
     assert heard.errors == []
     layer = layer_called("Volumes of sections")
-    canvas, settings = Mock(), QgsMapSettings()
+    settings = QgsMapSettings()
     begin = QDateTime(2025, 6, 12, 7, 31, 0, 0, Qt.TimeSpec.UTC)
     settings.setIsTemporal(True)
-    canvas.mapSettings.return_value = settings
-    canvas.temporalRange.return_value = QgsDateTimeRange(begin, begin.addSecs(60), True, False)
-    canvas.layers.return_value = [layer]
-    clock = Mock(_canvas=canvas)
+    span = QgsDateTimeRange(begin, begin.addSecs(60), True, False)
+    canvas = SimpleNamespace(
+        mapSettings=lambda: settings, temporalRange=lambda: span, layers=lambda: [layer]
+    )
     shown = "Thu 2025-06-12 09:31 – 09:32 (Europe/Berlin, UTC+02:00)"
-    assert Clock.text(clock) == shown
+    assert Clock.text(SimpleNamespace(_canvas=canvas)) == shown
     context = QgsExpressionContext()
     context.appendScope(QgsExpressionContextScope())
     context.setFields(layer.fields())
