@@ -18,7 +18,7 @@ from shapely import LineString
 from sites import pose
 
 import gis_radar as gr
-from gis_radar.base import STEPS_PER_HOUR, InputError, NoAnswerError, UsageError, in_language
+from gis_radar.base import STEPS_PER_HOUR, InputError, NoAnswerError, UsageError, in_language, tr
 from gis_radar.dataset import POSES, RECORDINGS, LaneTraffic, write_record, write_single_file
 from gis_radar.dataset.files.tables import SIGHTS, TRACKS
 from gis_radar.measures import compare_values, holm_corrected
@@ -445,6 +445,33 @@ def test_what_cannot_be_compared_is_refused(dataset, tmp_path):
         )
         with pytest.raises(InputError, match=f"different {what}"):
             gr.compare(dataset, there, before=BEFORE, after=AFTER)
+
+
+def of_another_map(dataset, folder, *, timezone="UTC", **lanes):
+    """Return a copy of a dataset with another map, and other lanes."""
+    shutil.copytree(dataset.folder, folder)
+    replace(dataset.manifest, map="another", timezone=timezone).write(folder)
+    layer = {"lanelets": ["7"]} | lanes
+    LANES.assign(**layer).to_file(folder / "tiles.gpkg", layer="lanes")
+    return gr.open_dataset(folder)
+
+
+def test_lanes_of_two_maps_compare_where_they_are_the_same(dataset, tmp_path):
+    periods = {"before": BEFORE, "after": AFTER}
+    slower = of_another_map(dataset, tmp_path / "slower", speed_limit_kmh=30.0)
+    assert len(gr.compare(dataset, slower, **periods).table)
+    for column, value in {"stop_line_m": 40.0, "lanelets": ["8"]}.items():
+        other = of_another_map(dataset, tmp_path / column, **{column: value})
+        with pytest.raises(InputError, match="different lanes"):
+            gr.compare(dataset, other, **periods)
+
+
+def test_times_of_day_of_two_zones_do_not_compare(dataset, tmp_path):
+    other = of_another_map(dataset, tmp_path / "east", timezone="Europe/Berlin")
+    with pytest.raises(InputError, match="different time zones") as caught:
+        gr.compare(dataset, other, before=BEFORE, after=AFTER)
+    with in_language("de"):
+        assert tr(caught.value.message).endswith("sind mit verschiedenen Zeitzonen entstanden")
 
 
 def test_lanes_measured_by_an_earlier_method_do_not_compare(dataset, tmp_path, monkeypatch):
