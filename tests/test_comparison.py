@@ -9,6 +9,7 @@ from dataclasses import replace
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from datasets import pose_rows, recordings_of, write_dataset
 from driven import drive, driven, straight_tiles
@@ -407,6 +408,21 @@ def test_a_second_radar_is_not_more_traffic(dataset):
     found = gr.compare(some, before=BEFORE, after=AFTER)
     assert set(found.table["watchers"]) == {"R1"}
     assert found.used == (1.0, 0.5)  # the half hour before the second radar
+
+
+def test_what_two_recordings_hold_counts_once(dataset):
+    """Else a minute of which both hold the same 36 s would count as recorded."""
+    ends = BEGIN + 3 * STEPS_PER_HOUR // 2 + 36 * 20
+    once = seen_by(dataset, {"R1": (BEGIN, ends)})
+    used = gr.compare(once, before=BEFORE, after=AFTER).used
+    rows = once.single_table(RECORDINGS)
+    copy = rows.set_column(0, "path", pa.array(["copy.parquet"]))
+    copy = copy.set_column(1, "digest", pa.array(["copy"]))
+    both = pa.concat_tables([rows, copy.cast(rows.schema)]).sort_by("path").to_pydict()
+    write_single_file(RECORDINGS, once.folder, both, once.manifest.fingerprint)
+    twice = gr.open_dataset(once.folder)
+    assert len(twice.recordings()) == 2
+    assert gr.compare(twice, before=BEFORE, after=AFTER).used == used == (1.0, 0.5)
 
 
 def test_a_sensor_that_now_sees_another_part_does_not_compare(dataset, tmp_path):

@@ -326,8 +326,10 @@ def _activity(
     """Return by interval and sensor whether it recorded all of it, and whether only a part."""
     seconds = np.zeros((len(begin), len(sensors)))
     times = (_seconds(recordings[name]) for name in ("begin", "end"))
-    for sensor, first, last in zip(recordings["sensor"], *times, strict=True):
-        overlap = np.minimum(end, last) - np.maximum(begin, first)
+    latest = dict.fromkeys(sensors, 0.0)  # what two recordings hold counts once
+    for sensor, first, last in sorted(zip(recordings["sensor"], *times, strict=True)):
+        overlap = np.minimum(end, last) - np.maximum(begin, max(first, latest[sensor]))
+        latest[sensor] = max(last, latest[sensor])
         seconds[:, sensors.index(sensor)] += np.maximum(overlap, 0.0)
     share = seconds / (end - begin)[:, None]
     active = share >= _ACTIVE_SHARE
