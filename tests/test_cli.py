@@ -491,3 +491,16 @@ def test_another_pipe_that_breaks_is_told():
     )
     assert done.returncode == 3
     assert "ended early: [Errno 32] Broken pipe" in done.stderr
+
+
+@pytest.mark.parametrize("name", ["map.osm", "SITE.toml", "R1.json"])
+def test_nobody_waits_for_a_pipe_or_reads_a_device_to_its_end(run, tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    words = {
+        "map.osm": ["tiles", tmp_path / name, "-o", tmp_path / "out.gpkg"],
+        "SITE.toml": ["check", tmp_path / name],
+        "R1.json": ["sensors", "/dev/zero", "-o", tmp_path / "out.gpkg"],
+    }[name]
+    refused(run(*words), 3, words[1], "is a pipe or a device, expected a file")
+    told = json.loads(run(*words, "--json")[1])
+    assert (told["event"], told["code"]) == ("error", 3)

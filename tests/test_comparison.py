@@ -9,6 +9,7 @@ from dataclasses import replace
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from datasets import pose_rows, recordings_of, write_dataset
 from driven import drive, driven, straight_tiles
@@ -18,7 +19,7 @@ from shapely import LineString
 from sites import pose
 
 import gis_radar as gr
-from gis_radar.base import STEPS_PER_HOUR, InputError, NoAnswerError, UsageError, in_language
+from gis_radar.base import STEPS_PER_HOUR, InputError, NoAnswerError, UsageError, in_language, tr
 from gis_radar.dataset import POSES, RECORDINGS, LaneTraffic, write_record, write_single_file
 from gis_radar.dataset.files.tables import SIGHTS, TRACKS
 from gis_radar.measures import compare_values, holm_corrected
@@ -409,6 +410,21 @@ def test_a_second_radar_is_not_more_traffic(dataset):
     assert found.used == (1.0, 0.5)  # the half hour before the second radar
 
 
+def test_what_two_recordings_hold_counts_once(dataset):
+    """Else a minute of which both hold the same 36 s would count as recorded."""
+    ends = BEGIN + 3 * STEPS_PER_HOUR // 2 + 36 * 20
+    once = seen_by(dataset, {"R1": (BEGIN, ends)})
+    used = gr.compare(once, before=BEFORE, after=AFTER).used
+    rows = once.single_table(RECORDINGS)
+    copy = rows.set_column(0, "path", pa.array(["copy.parquet"]))
+    copy = copy.set_column(1, "digest", pa.array(["copy"]))
+    both = pa.concat_tables([rows, copy.cast(rows.schema)]).sort_by("path").to_pydict()
+    write_single_file(RECORDINGS, once.folder, both, once.manifest.fingerprint)
+    twice = gr.open_dataset(once.folder)
+    assert len(twice.recordings()) == 2
+    assert gr.compare(twice, before=BEFORE, after=AFTER).used == used == (1.0, 0.5)
+
+
 def test_a_sensor_that_now_sees_another_part_does_not_compare(dataset, tmp_path):
     shutil.copytree(dataset.folder, tmp_path / "later")
     whole = {"R1": (BEGIN, BEGIN + 2 * STEPS_PER_HOUR)}
@@ -445,6 +461,33 @@ def test_what_cannot_be_compared_is_refused(dataset, tmp_path):
         )
         with pytest.raises(InputError, match=f"different {what}"):
             gr.compare(dataset, there, before=BEFORE, after=AFTER)
+
+
+def of_another_map(dataset, folder, *, timezone="UTC", **lanes):
+    """Return a copy of a dataset with another map, and other lanes."""
+    shutil.copytree(dataset.folder, folder)
+    replace(dataset.manifest, map="another", timezone=timezone).write(folder)
+    layer = {"lanelets": ["7"]} | lanes
+    LANES.assign(**layer).to_file(folder / "tiles.gpkg", layer="lanes")
+    return gr.open_dataset(folder)
+
+
+def test_lanes_of_two_maps_compare_where_they_are_the_same(dataset, tmp_path):
+    periods = {"before": BEFORE, "after": AFTER}
+    slower = of_another_map(dataset, tmp_path / "slower", speed_limit_kmh=30.0)
+    assert len(gr.compare(dataset, slower, **periods).table)
+    for column, value in {"stop_line_m": 40.0, "lanelets": ["8"]}.items():
+        other = of_another_map(dataset, tmp_path / column, **{column: value})
+        with pytest.raises(InputError, match="different lanes"):
+            gr.compare(dataset, other, **periods)
+
+
+def test_times_of_day_of_two_zones_do_not_compare(dataset, tmp_path):
+    other = of_another_map(dataset, tmp_path / "east", timezone="Europe/Berlin")
+    with pytest.raises(InputError, match="different time zones") as caught:
+        gr.compare(dataset, other, before=BEFORE, after=AFTER)
+    with in_language("de"):
+        assert tr(caught.value.message).endswith("sind mit verschiedenen Zeitzonen entstanden")
 
 
 def test_lanes_measured_by_an_earlier_method_do_not_compare(dataset, tmp_path, monkeypatch):

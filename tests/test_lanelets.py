@@ -108,6 +108,7 @@ def test_tags_say_who_uses_a_lanelet_and_how(tmp_path, tags, subtype, participan
         ("7,5", 7.5),
         ("", math.nan),
         ("walk", math.nan),
+        ("0", math.nan),
         ("50 furlongs", math.nan),
     ],
 )

@@ -184,6 +184,18 @@ def test_lanelets_of_impossible_width(tmp_path, width, action):
         assert f"1 lanelet {action}" in str(roads.remarks)
 
 
+@pytest.mark.parametrize("bound", [4, 3])  # along a bound, and across
+@pytest.mark.parametrize(("height", "is_named"), [("0", True), ("104", False), ("1000", True)])
+def test_a_height_that_jumps_is_named(tmp_path, bound, height, is_named):
+    path = lane(tmp_path / "m.osm")
+    at = f'<node id="{bound}"'
+    before, _, after = path.read_text().partition(at)
+    path.write_text(before + at + after.replace('v="100"', f'v="{height}"', 1))
+    found = gr.read_map(path).problems
+    assert found["lanelet_id"].tolist() == [1000] * is_named
+    assert all("its heights jump by" in each for each in found["reason"])
+
+
 def test_a_stray_lanelet_is_left_out(tmp_path):
     roads = gr.read_map(lane(tmp_path / "m.osm", (150_000.0, 3.5)))
     assert set(roads.lanelets["lanelet_id"]) == {1000, 1001}

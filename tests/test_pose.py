@@ -171,6 +171,13 @@ def test_not_a_pose_file(tmp_path, text):
         read_pose(path)
 
 
+def test_a_key_that_is_there_twice_leaves_open_which_counts(tmp_path):
+    path = tmp_path / "pose.json"
+    path.write_text(json.dumps(RECORD).replace("{", '{"easting": 1.0, ', 1))
+    with pytest.raises(InputError, match="the key 'easting' is there twice"):
+        read_pose(path)
+
+
 def test_missing_pose_file(tmp_path):
     with pytest.raises(InputError, match=r"gone\.json: cannot be read"):
         read_track(tmp_path / "gone.json")

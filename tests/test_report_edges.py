@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from datasets import write_dataset
+from datasets import recordings_of, write_dataset
 from report_site import (
     FILES,
     FORMULA,
@@ -88,8 +88,19 @@ def test_a_dataset_of_other_tiles_is_refused(results, tmp_path):
     shutil.copytree(results / "heatmap", tmp_path / "run" / "heatmap")
     other = write_dataset(tmp_path / "run" / "dataset").folder
     for given in (None, other):
-        with pytest.raises(gr.InputError, match="the heat map was not made with the tiles of"):
+        with pytest.raises(gr.InputError, match="the heat map was not made of"):
             gr.write_report(tmp_path / "run", dataset=given)
+
+
+@pytest.mark.parametrize("other", ["another sensor", "another day"])
+def test_a_dataset_that_the_heat_map_was_not_made_of_is_refused(results, tmp_path, other):
+    shutil.copytree(results / "heatmap", tmp_path / "run" / "heatmap")
+    tiles, sensor = gr.open_dataset(results / "dataset").layer("tiles"), "R9"
+    if other == "another day":
+        sensor = gr.open_dataset(results / "dataset").sensors[0]
+    write_dataset(tmp_path / "run" / "dataset", tiles=tiles, recordings=recordings_of([sensor]))
+    with pytest.raises(gr.InputError, match="the heat map was not made of"):
+        gr.write_report(tmp_path / "run")
 
 
 def test_a_file_of_somebody_beside_a_heat_map_stays(results, tmp_path):

@@ -235,6 +235,17 @@ def test_a_header_that_claims_too_few_or_many(tmp_path, scan):
     refused(lambda: mask(path), "more.laz")
 
 
+def test_a_plain_file_that_holds_more_points_than_its_header_says(tmp_path, scan):
+    plain = tmp_path / "plain.las"
+    laspy.read(scan).write(plain)
+    count = open_scan(plain).points
+    path = damaged(plain, tmp_path / "half.las", 247, count // 2)
+    refused(lambda: open_scan(path), "half.las", f"claims {count // 2} points")
+    with plain.open("ab") as file:
+        file.write(bytes(100))
+    assert open_scan(plain).points == count
+
+
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.02, 0.5, 0.97, 0.999])
 def test_a_cut_scan(tmp_path, scan, share):
     content = scan.read_bytes()

@@ -1,5 +1,6 @@
 """Count sections and counts by hand, on the fork: who crosses a line is counted there once."""
 
+import math
 import sqlite3
 from contextlib import closing
 from xml.etree import ElementTree as ET
@@ -237,8 +238,11 @@ def test_the_layer_of_lines_is_taken_and_of_several_none(dataset, tmp_path):
         dataset.count_sections(path)
 
 
-def test_a_section_without_a_line_is_refused(dataset):
-    layer = gpd.GeoDataFrame(geometry=[*ACROSS.geometry, None], crs=UTM)
+@pytest.mark.filterwarnings("ignore:invalid value encountered in linestrings")
+@pytest.mark.parametrize("end", [None, math.nan, math.inf])
+def test_a_section_without_a_line_is_refused(dataset, end):
+    line = None if end is None else LineString([(0.0, 0.0), (end, 0.0)])
+    layer = gpd.GeoDataFrame(geometry=[*ACROSS.geometry, line], crs=UTM)
     with pytest.raises(gr.InputError, match="a section has no line"):
         dataset.count_sections(layer)
 

@@ -23,13 +23,23 @@ def parsed_json(text: str) -> Any:
     Raises
     ------
     ValueError
-        If it is no JSON, or escapes half of a surrogate pair, which no UTF-8 file can hold.
+        If it is no JSON, has a key twice, or escapes half of a surrogate pair, which no UTF-8 file
+        can hold.
     RecursionError
         If it is nested too deeply.
     """
-    found = json.loads(text)
+    found = json.loads(text, object_pairs_hook=_with_keys_once)
     if "\\ud" in text.lower():
         json.dumps(found, ensure_ascii=False).encode()
+    return found
+
+
+def _with_keys_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in found if keys.count(key) > 1)
+        raise ValueError(f"the key {twice[:50]!r} is there twice")
     return found
 
 

@@ -6,6 +6,7 @@ The modules that parse them are imported when there is a value: `--help` needs n
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -14,10 +15,24 @@ from typing import Any, TypeVar
 import click
 
 from gis_radar import base
-from gis_radar.base import Text, UsageError
+from gis_radar.base import InputError, Text, UsageError
 
-FILE = click.Path(path_type=Path)
 Verb = TypeVar("Verb", bound=Callable[..., Any])
+
+
+class _Place(click.Path):
+    """A path of a file or a folder: what reads a pipe would wait for ever, of a device not end."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path, or refuse it."""
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        is_there = os.path.exists(path)  # noqa: PTH110 - pathlib raises where a name is too long
+        if is_there and not (path.is_file() or path.is_dir()):
+            raise InputError("{}: is a pipe or a device, expected a file", path)
+        return path
+
+
+FILE = _Place(path_type=Path)
 
 
 class Parsed(click.ParamType):  # type: ignore[type-arg]

@@ -44,6 +44,9 @@ from gis_radar.hdmap.tagging import (
 _STAGE = "reading lanelets"
 _WIDE_M = 40.0  # width from which on a lanelet is doubtful: squares and turning areas are narrower
 _WIDEST_M = 500.0  # width from which on a node must be in the wrong place
+# Step in height between two corners, beyond the distance between them, from which on a lanelet is
+# doubtful: of seven maps no corner lies steeper than 1 : 1 over the next, or over the other bound.
+_JUMP_M = 3.0
 _STRAY_M = 100_000.0  # from the middle of the map: no site is so large
 
 # Lanelets, and their share, that lead against how they are drawn in a mirrored map: 37 to 100 %
@@ -186,7 +189,7 @@ def _assembled(
 
 
 def _plausible(lanelets: list[_Lanelet]) -> tuple[list[_Lanelet], list[_Problem]]:
-    """Return the lanelets of possible place and width, and problems: left out, or doubtful."""
+    """Return the lanelets of possible place and shape, and problems: left out, or doubtful."""
     begins = np.array([each.bounds.left[0, :2] for each in lanelets]).reshape(-1, 2)
     away_m = np.hypot(*(begins - np.median(begins, axis=0)).T) if lanelets else begins[:, 0]
     kept, problems = [], []
@@ -198,13 +201,26 @@ def _plausible(lanelets: list[_Lanelet]) -> tuple[list[_Lanelet], list[_Problem]
         is_left_out = off_m > _STRAY_M or width_m > _WIDEST_M
         if not is_left_out:
             kept.append(lanelet)
-        if is_left_out or width_m > _WIDE_M:
+        jump_m = _jump_m(left, right)
+        if is_left_out or width_m > _WIDE_M or jump_m > _JUMP_M:
             far = Text("it lies {:.0f} km from the middle of the map", off_m / 1000.0)
-            reason = far if off_m > _STRAY_M else Text("its bounds are {:.0f} m apart", width_m)
+            wide = Text("its bounds are {:.0f} m apart", width_m)
+            steep = Text("its heights jump by {:.0f} m: is the ele of a node wrong?", jump_m)
+            reason = far if off_m > _STRAY_M else wide if width_m > _WIDE_M else steep
             action = LEFT_OUT if is_left_out else DOUBTFUL
             shape = outline(left, right)
             problems.append(_Problem(id=lanelet.id, action=action, reason=reason, shape=shape))
     return kept, problems
+
+
+def _jump_m(left: Floats, right: Floats) -> float:
+    """Return the largest step in height to a next corner, or across, beyond its length, metres."""
+    if left.shape[1] + right.shape[1] < 6:  # without heights
+        return 0.0
+    across = left[[0, -1]] - right[[0, -1]]
+    steps = np.concatenate([np.diff(left, axis=0), np.diff(right, axis=0), across])
+    beyond_m = np.abs(steps[:, 2]) - np.hypot(*steps[:, :2].T)
+    return float(np.nan_to_num(beyond_m).max(initial=0.0))
 
 
 def _left_out(ref: int, reason: str, drawn: list[Floats]) -> _Problem:

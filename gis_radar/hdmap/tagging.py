@@ -105,12 +105,15 @@ def truth(text: str) -> bool | None:
 
 
 def kmh(text: str) -> float:
-    """Return a speed in km/h from text such as `50`, `13.9 m/s` or `30 mph`; NaN if it is none."""
+    """Return a speed in km/h from text such as `50`, `13.9 m/s` or `30 mph`; NaN if it is none.
+
+    At a limit of 0 nobody would be delayed: that is none, too.
+    """
     match = _SPEED.fullmatch(text)
     if match is None:
         return math.nan
     factor = _KMH_PER_UNIT.get(match[2].lower(), math.nan)
-    return float(match[1].replace(",", ".")) * factor
+    return float(match[1].replace(",", ".")) * factor or math.nan
 
 
 def kmh_of_signs(signs: Iterable[str]) -> float:

@@ -33,6 +33,7 @@ _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 _LAYERED = 3  # the method of compression of point formats 6 to 10
 _VARIABLE_CHUNKS = 0xFFFFFFFF  # points in a chunk: stated for each chunk by the table
 _MOST_CHUNK = 10_000_000  # points; laszip's own chunks have 50,000, COPC's under 100,000
+_LEAST_STATED = 0.99  # share of the points of a plain file that its header must count
 _SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e3
 _FARTHEST_M = 1e8  # no projected coordinate on earth is larger
 _ROUNDED_M = 1.0  # distance of points outside the header's extent that rounding explains
@@ -258,7 +259,10 @@ def _size_fault(header: Any, size: int) -> str:
     # The first point of each chunk is stored in full: the file has room for so many chunks.
     chunk = _MOST_CHUNK if header.are_points_compressed else 1
     most = (size - header.offset_to_point_data) // header.point_format.size * chunk
-    if header.point_count > most:
+    # Behind the points of a plain file lie further records, wave forms, or some bytes of others.
+    is_last = not (header.number_of_evlrs or header.point_format.has_waveform_packet)
+    least = _LEAST_STATED * most if is_last and not header.are_points_compressed else 0
+    if not least <= header.point_count <= most:
         return Text("its header claims {} points, the file has {} bytes", header.point_count, size)
     scales, offsets = np.abs(header.scales), np.abs(header.offsets)
     if not ((scales > _SMALLEST_SCALE).all() and (scales <= _LARGEST_SCALE).all()):

@@ -132,7 +132,8 @@ def _lines(
             sections, what="layer of count sections", choose=_only_lines, columns=None
         )
     metric_crs(table.crs, what=what)
-    if table.geometry.isna().any():
+    corners = shapely.get_coordinates(table.geometry)
+    if table.geometry.isna().any() or not np.isfinite(corners).all():
         raise InputError("{}: a section has no line", what)
     table = table.to_crs(crs).reset_index(drop=True)
     lines = shapely.line_merge(np.asarray(table.geometry))  # QGIS stores lines as multi-lines

@@ -27,10 +27,12 @@ from gis_radar.base import (
     tr,
 )
 from gis_radar.dataset import Dataset, LaneTraffic, day_numbers, open_dataset
+from gis_radar.hdmap import LANES_LAYER
 from gis_radar.products.comparison.result import Comparison, Period
 from gis_radar.products.comparison.rows import AlikeRows, compared_rows
 
 INTERVAL, _FINER = "15min", "1min"
+_COUNTED_BY = ["lane", "lanelets", "stop_line_m"]  # of lanes: what is counted where
 _FEW_HOURS = 12  # periods up to so long have too few quarters of an hour: `_FINER` is used
 
 
@@ -67,7 +69,8 @@ def compare(
     UsageError
         If the periods overlap, or there are no such days.
     InputError
-        If the datasets differ in tiles, method or settings, or one holds no vehicles.
+        If the datasets differ in tiles, lanes, time zone, method or settings, or one holds no
+        vehicles.
     NoAnswerError
         If no lane was seen alike in both periods.
     """
@@ -105,11 +108,15 @@ def _as_period(period: Period | str) -> Period:
 def _require_alike(dataset: Dataset, other: Dataset) -> None:
     """Refuse datasets whose results differ for other reasons than the traffic."""
     both = (dataset, other)
-    differing: dict[str, list[Any]] = {
-        "tiles": [each.manifest.fingerprint for each in both],
-        "settings": [each.manifest.settings for each in both],
-        "methods": [number for each in both for number in each.methods],
+    differing: dict[Text, list[Any]] = {
+        Text("tiles"): [each.manifest.fingerprint for each in both],
+        Text("settings"): [each.manifest.settings for each in both],
+        Text("time zones"): [each.timezone for each in both],  # times of the day are compared
+        Text("methods"): [number for each in both for number in each.methods],
     }
+    if len({each.manifest.map for each in both}) > 1:  # such as speed limits may differ
+        lanes = [pd.DataFrame(each.layer(LANES_LAYER)) for each in both]
+        differing[Text("lanes")] = [each.filter(_COUNTED_BY).to_csv() for each in lanes]
     for what, values in differing.items():
         if any(each != values[0] for each in values):
             raise InputError(
@@ -319,8 +326,10 @@ def _activity(
     """Return by interval and sensor whether it recorded all of it, and whether only a part."""
     seconds = np.zeros((len(begin), len(sensors)))
     times = (_seconds(recordings[name]) for name in ("begin", "end"))
-    for sensor, first, last in zip(recordings["sensor"], *times, strict=True):
-        overlap = np.minimum(end, last) - np.maximum(begin, first)
+    latest = dict.fromkeys(sensors, 0.0)  # what two recordings hold counts once
+    for sensor, first, last in sorted(zip(recordings["sensor"], *times, strict=True)):
+        overlap = np.minimum(end, last) - np.maximum(begin, max(first, latest[sensor]))
+        latest[sensor] = max(last, latest[sensor])
         seconds[:, sensors.index(sensor)] += np.maximum(overlap, 0.0)
     share = seconds / (end - begin)[:, None]
     active = share >= _ACTIVE_SHARE

@@ -229,13 +229,13 @@ def _dataset(folder: Path, heat: HeatMap, given: Path | None) -> Dataset:
             "{}: no such dataset, of which the heat map was made", place, hint=_NAME_IT
         )
     dataset = open_dataset(place)
-    if dataset.manifest.fingerprint != heat.fingerprint:
-        raise InputError(
-            "{}: the heat map was not made with the tiles of {}",
-            folder,
-            place,
-            hint=_NAME_IT,
-        )
+    whole = int(heat.whole.begin[0]), int(heat.whole.end[-1]) - 1
+    if (
+        dataset.manifest.fingerprint != heat.fingerprint
+        or not set(heat.sensors) <= set(dataset.sensors)
+        or not dataset.records(whole)
+    ):
+        raise InputError("{}: the heat map was not made of {}", folder, place, hint=_NAME_IT)
     return dataset
 
 
