@@ -183,7 +183,7 @@ def pose_rows(poses):
     return {name: [row[name] for row in rows] for name in POSES.names}
 
 
-def recordings_of(sensors):
+def recordings_of(sensors, first_time=0.0, last_time=0.0):
     """Give the rows of recordings that are not there, one a sensor."""
     rows = [
         {
@@ -191,8 +191,8 @@ def recordings_of(sensors):
             "digest": name,
             "sensor": name,
             "pose": name,
-            "first_time": 0.0,
-            "last_time": 0.0,
+            "first_time": first_time,
+            "last_time": last_time,
             "clock_offset": 0.0,
             "clock_drift_ppm": 0.0,
             "clock_at": 0.0,

@@ -93,8 +93,9 @@ def driven(
             "tracks": _rows(kept),
             "vehicles": _vehicles(tracks, ends, length, width, p_heavy),
         },
-        tiles=tiles, recordings=recordings_of({"R1"}), poses=[seen_from or pose()],
-        continued=continued, sights={"pose": np.full(len(ids), "R1"), "tile_id": ids}, **options,
+        tiles=tiles, recordings=recordings_of({"R1"}, first / 20, (end - 1) / 20),
+        poses=[seen_from or pose()], continued=continued,
+        sights={"pose": np.full(len(ids), "R1"), "tile_id": ids}, **options,
     )  # fmt: skip
     assert hours_of(tracks) == len(dataset.records())
     return dataset

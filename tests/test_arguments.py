@@ -2,6 +2,8 @@
 
 import inspect
 import pickle
+import pkgutil
+import re
 from datetime import date, timedelta
 from types import FunctionType
 
@@ -11,6 +13,7 @@ import pandas as pd
 import pytest
 import shapely
 from datasets import recordings_of, write_dataset
+from doc_pages import DOCS
 
 import gis_radar as gr
 from gis_radar.base import GisRadarError, require_kind, require_kinds
@@ -36,6 +39,39 @@ def test_an_argument_of_a_wrong_kind_is_refused_by_name(name):
     for value in OTHERS if needed else []:
         with pytest.raises(GisRadarError, match=rf"{name}: \w+ is .*, expected|holds no lanes"):
             function(**dict.fromkeys(needed, value))
+
+
+def is_list_only(parameter):
+    annotation = str(parameter.annotation)
+    try:
+        require_kind("it", "R1.csv", annotation)
+    except gr.UsageError:
+        return "Sequence[" in annotation or "Collection[" in annotation
+    return False
+
+
+def takers_of_lists():
+    """Give the functions and methods of the page on Python that take a list and no single text."""
+    page = (DOCS / "api.md").read_text(encoding="utf-8")
+    for name in re.findall(r"auto(?:class|function):: ([\w.]+)", page):
+        found = pkgutil.resolve_name(name)
+        own = vars(found).values() if isinstance(found, type) else [found]
+        for each in own:
+            if not isinstance(each, FunctionType) or each.__name__.startswith("_"):
+                continue
+            if any(map(is_list_only, inspect.signature(each).parameters.values())):
+                yield each
+
+
+@pytest.mark.parametrize("function", [*takers_of_lists()], ids=lambda each: each.__qualname__)
+def test_a_text_is_not_taken_letter_by_letter(function):
+    parameters = inspect.signature(function).parameters
+    given = [
+        name for name, each in parameters.items()
+        if each.default is each.empty or is_list_only(each)
+    ]  # fmt: skip
+    with pytest.raises(gr.UsageError, match=rf"{function.__name__}: \w+ is 'R1.csv', expected"):
+        function(**dict.fromkeys(given, "R1.csv"))
 
 
 def test_other_processes_find_a_public_function_under_its_public_name():

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from types import SimpleNamespace
+from types import FunctionType, SimpleNamespace
 
 import geopandas as gpd
 import numpy as np
@@ -16,6 +16,7 @@ import gis_radar as gr
 
 sys.path.append(str(Path(__file__).parents[1] / "bench" / "vehicles"))
 
+from ablated import PARTS
 from passages import lanes_of, score_passages, true_passages
 from score import agreement, score_by_tiles, score_occupancy
 from tracks import Scored, score_tracks, similarity
@@ -311,3 +312,20 @@ def test_passages_pair_within_a_second():
     assert figures["passages_recall"] == pytest.approx(1 / 3)
     assert figures["passages_precision"] == pytest.approx(1 / 3)
     assert (figures["count_bias"], figures["count_error"]) == (0.0, pytest.approx(2 / 3))
+
+
+@pytest.mark.parametrize("part", sorted(PARTS))
+def test_a_part_is_off_in_each_module_that_imports_it(part):
+    """Its own module may hold it still, for others to call."""
+    patched = [each.__defaults__[0] for each in PARTS[part] if each.__defaults__]
+    owners = {(owner.__name__, name) for owner, name, _ in patched}
+    for owner, name, _ in patched:
+        original = vars(owner)[name]
+        if not isinstance(original, FunctionType):
+            continue
+        users = {
+            (module.__name__, name) for module in list(sys.modules.values())
+            if module.__name__.startswith("gis_radar.tracking")
+            and vars(module).get(name) is original
+        }  # fmt: skip
+        assert users - owners <= {(original.__module__, name)}

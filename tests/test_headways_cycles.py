@@ -277,9 +277,6 @@ def test_tables_have_headways_and_their_errors(dataset):
     )
     assert whole.loc[LEFT, "headways"] == 0
     assert np.isnan(whole.loc[LEFT, "headway_mean_s"])
-    later = dataset.traffic("1min", headways=True, begin="2023-11-14 23:59")
-    assert later.empty
-    assert list(later) == list(lanes)
     with pytest.raises(gr.GisRadarError, match="nothing was measured in that time"):
         dataset.traffic("1min", headways=True, begin="2100-01-01")
     late = {"begin": "2023-11-14 23:01"}
@@ -367,13 +364,6 @@ def test_green_times_are_taken_where_many_turn_at_red(at_green, at_red):
     cycle = begin[random.integers(0, len(begin) - 1, at_green + at_red)]
     after_s = np.append(random.uniform(0, 30, at_green), random.uniform(35, 69, at_red))
     assert not are_of_another(greens, np.sort(cycle + np.rint(20 * after_s).astype(np.int64)))
-
-
-def test_cycles_of_hours_without_vehicles_have_the_types_of_others(dataset):
-    every = dataset.signal_cycles()
-    none = dataset.signal_cycles(begin="2023-11-15T12:00Z", end="2023-11-15T13:00Z")
-    assert none.empty
-    assert none.dtypes.to_dict() == every.dtypes.to_dict()
 
 
 def test_green_times_that_are_not_there_are_named(dataset, tmp_path):

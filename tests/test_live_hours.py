@@ -144,7 +144,8 @@ def test_frames_that_come_late_make_their_hour_again(tmp_path):
     alone = made.parts()
     measure_hours(made.site, recorded_at(made, FULL_US - 5_000_000, ["R2"]), [HOUR])
     assert made.parts() != alone
-    assert gr.open_dataset(made.site.dataset).sensors == ["R1", "R2"]
+    dataset = gr.open_dataset(made.site.dataset)
+    assert (dataset.sensors, dataset.manifest.live) == (["R1", "R2"], True)
     assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
 
 

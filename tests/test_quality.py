@@ -1,5 +1,6 @@
 """What the numbers rest on: counts by sensor and hour, local time, verdicts."""
 
+from dataclasses import replace
 from datetime import datetime
 from zoneinfo import ZoneInfo
 
@@ -118,6 +119,23 @@ def test_frames_are_expected_while_something_was_recorded(tmp_path):
         ["R1", 120, 120, "good"],
         ["R2", 120, 60, "50 % of the frames expected"],
     ]
+
+
+def test_at_a_live_site_frames_are_expected_while_all_sensors_are_silent(tmp_path):
+    """From 22:45 on it delivers for two minutes, and for two from 23:30 on."""
+    begin = 1_700_002_800.0 - 900.0
+    for name in ("early", "late"):
+        time, points, rate = drive(begin + np.arange(0, 120, 1.0) + 2700.0 * (name == "late"))
+        path = recording(tmp_path / f"{name}.parquet", time, points, range_rate=np.float32(rate))
+        dataset = measure(
+            [path], [pose(sensor="R1")], crossing(), None, tmp_path / "a", hits_only=True,
+            check=False,
+        )  # fmt: skip
+    live = replace(dataset, manifest=replace(dataset.manifest, live=True))
+    for each, expected in ((dataset, [120, 120]), (live, [900, 1920])):
+        table = measure_quality(each).table
+        assert table["frames_expected"].tolist() == expected
+        assert table["frames"].tolist() == [120, 120]
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,7 @@ def test_traffic_reads_as_one_line_and_as_a_card(dataset):
 
 
 def test_an_interval_that_is_a_number_is_named(dataset):
-    with pytest.raises(gr.UsageError, match="interval 15 is no duration"):
+    with pytest.raises(gr.UsageError, match="interval is 15, expected a text"):
         dataset.traffic(15)
 
 
@@ -535,7 +535,7 @@ def test_a_map_without_stop_lines_is_named_as_why_there_are_no_queues(run, tmp_p
         (
             ["--begin", "2023-11-14 23:59", "--end", "2023-11-15"],
             3,
-            "no lane is observed in that time",
+            "the nearest recording goes from 2023-11-14T22:00:00Z",
         ),
         (["--begin", "2023-11-15", "--end", "2023-11-14"], 2, "is not after begin"),
     ],

@@ -76,9 +76,11 @@ def test_moving_pandas_measures_the_ways(dataset):
 
 def test_a_time_without_vehicles(dataset):
     pytest.importorskip("movingpandas", reason="movingpandas is not installed")
-    assert dataset.track_points(begin="2101-01-01").empty
+    for ask in (dataset.track_points, dataset.to_trajectories):
+        with pytest.raises(gr.InputError, match="nothing was measured in that time"):
+            ask(begin="2101-01-01")
     with pytest.raises(gr.InputError, match="there is no vehicle in that time"):
-        dataset.to_trajectories(begin="2101-01-01")
+        dataset.to_trajectories(every="23h")
 
 
 def test_what_is_refused(dataset, monkeypatch):

@@ -180,7 +180,6 @@ def road_of(lanes):
         s_m=np.tile(s, lanes),
         heading=np.zeros(201 * lanes),
         half_width_m=np.full(201 * lanes, 1.75),
-        two_way=np.zeros(lanes, bool),
         successors=[np.zeros(0, np.int64)] * lanes,
         origin=np.zeros(2),
     )

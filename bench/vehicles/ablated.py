@@ -125,7 +125,8 @@ PARTS: dict[str, Part] = {
     "untempered": _off((neighbours, "EVIDENCE_SHARE", 1.0)),
     "no-gap-prior": _off((neighbours, "_log_gap_prior", lambda *_: 0.0)),
     "no-length-prior": _off(
-        (sizes, "log_prior", lambda _: 0.0), (sizes, "_LOG_PRIORS", [0.0] * 11)
+        *((each, "log_prior", lambda _: 0.0) for each in (neighbours, sizes)),
+        (sizes, "_LOG_PRIORS", [0.0] * 11),
     ),
     "all-windows": _off((sizes, "MOST_WINDOWS", 10**6)),
     "middle-stays": _off((sizes, "FIXED_POINTS", (0.0,))),

@@ -1,5 +1,6 @@
 from .arguments import as_points as as_points
 from .arguments import checked as checked
+from .arguments import checked_methods as checked_methods
 from .arguments import require_kind as require_kind
 from .arguments import require_kinds as require_kinds
 from .arrays import Booleans as Booleans

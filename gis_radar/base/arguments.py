@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
 from functools import cache, update_wrapper
 from numbers import Integral, Real
-from types import NoneType
+from types import FunctionType, NoneType
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -21,6 +21,7 @@ from gis_radar.base.texts import Text
 
 Params = ParamSpec("Params")
 Result = TypeVar("Result")
+Class = TypeVar("Class", bound=type)
 
 # Words of messages for the types of annotations; a type that is not listed is not checked.
 _WORDS = {
@@ -54,15 +55,18 @@ _LISTS = {"Sequence", "Collection", "tuple"}
 _MOST_SHOWN = 60  # characters of a value in a message
 
 
-def checked(function: Callable[Params, Result], public: str) -> Callable[Params, Result]:
+def checked(
+    function: Callable[Params, Result], public: str | None = None
+) -> Callable[Params, Result]:
     """Return a function that refuses arguments which its annotations do not take.
 
     Parameters
     ----------
     function : callable
         Its annotations are texts (`from __future__ import annotations`).
-    public : str
-        The package that offers it under its name; other processes find it there.
+    public : str, optional
+        The package that offers it under its name; other processes find it there. By default its
+        module.
     """
     signature = inspect.signature(function)
 
@@ -73,13 +77,21 @@ def checked(function: Callable[Params, Result], public: str) -> Callable[Params,
             return function(*args, **options)
         for name, value in given.items():
             parameter = signature.parameters[name]
-            if value is not parameter.default:
+            if parameter.annotation is not parameter.empty and value is not parameter.default:
                 require_kind(f"{function.__name__}: {name}", value, parameter.annotation)
         return function(*args, **options)
 
     update_wrapper(call, function)
-    call.__module__ = public
+    call.__module__ = public or function.__module__
     return call
+
+
+def checked_methods(of: Class) -> Class:
+    """Let the public methods of a class refuse arguments as :func:`checked` does."""
+    for name, method in list(vars(of).items()):
+        if isinstance(method, FunctionType) and not name.startswith("_"):
+            setattr(of, name, checked(method))
+    return of
 
 
 def require_kinds(record: Any, error: type[GisRadarError] = InputError, *, what: str = "") -> None:

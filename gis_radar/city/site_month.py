@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from pyproj import CRS
 from gis_radar.base import Floats, InputError, NoAnswerError, metric_crs, transformer
 from gis_radar.city.city import RESULTS
 from gis_radar.city.month import CityMonth
-from gis_radar.dataset import Dataset, LaneTraffic
+from gis_radar.dataset import Dataset, LaneTraffic, TrafficReader
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork
 from gis_radar.products import PAGE, as_stated, compare, read_run, service_levels
@@ -168,9 +168,9 @@ def _lane_lines(dataset: Dataset) -> list[Floats]:
 
 def _lanes(dataset: Dataset, month: CityMonth, network: LaneNetwork) -> pd.DataFrame:
     """Return the lanes over the month, with the errors of delays and queues from day to day."""
-    begin, end = month.period
-    lanes = dataset.traffic("15min", begin=begin, end=end, whole=True)
-    days = dataset.traffic("24h", begin=begin, end=end).groupby("lane")
+    reader = TrafficReader(dataset=dataset, span=month.span(dataset))
+    lanes = replace(reader, whole=True).lanes()
+    days = replace(reader, interval="24h").lanes().groupby("lane")
     at = np.searchsorted(network.lane, lanes["lane"].to_numpy(np.int64))
     is_first = np.array([not each for each in network.before], np.bool_)
     entry = network.has_stop_line if network.has_stop_line.any() else is_first

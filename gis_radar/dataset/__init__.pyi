@@ -53,6 +53,7 @@ from .questions.sql import SqlQueries as SqlQueries
 from .questions.street_profile import By as By
 from .questions.street_profile import UnknownStreetError as UnknownStreetError
 from .questions.views import catalogue_of as catalogue_of
+from .traffic.reader import TrafficReader as TrafficReader
 from .traffic.reader import stated_lanes as stated_lanes
 from .traffic.shifts import Shifts as Shifts
 from .traffic.shifts import chance_of_others as chance_of_others

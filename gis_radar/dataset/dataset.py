@@ -12,7 +12,16 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from gis_radar.base import QUIET, Integers, Reporter, Text, UsageError, card, iso_from_time
+from gis_radar.base import (
+    QUIET,
+    Integers,
+    Reporter,
+    Text,
+    UsageError,
+    card,
+    checked_methods,
+    iso_from_time,
+)
 from gis_radar.dataset.days.lane_measures import day_makers, maker_of
 from gis_radar.dataset.files import frame_times, tables
 from gis_radar.dataset.files.manifest import Manifest
@@ -30,6 +39,7 @@ from gis_radar.dataset.vehicles import footprints, states
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER
 
 
+@checked_methods
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dataset(DatasetFiles, SqlQueries):
     """Dataset of a site: tables by hour, read when they are asked for.
@@ -151,7 +161,7 @@ class Dataset(DatasetFiles, SqlQueries):
             If it has no such sensor.
         """
         sight = self.last_poses().set_index("sensor")["sight"]
-        if not (isinstance(sensor, str) and sensor in sight):
+        if sensor not in sight:
             raise UsageError("{}: has no sensor {}", self.folder, repr(sensor),
                              hint=Text("it has {}", ", ".join(self.sensors)))  # fmt: skip
         pairs = self.sights()

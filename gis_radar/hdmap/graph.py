@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, compiled, ranges
+from gis_radar.base import Floats, Integers, NoAnswerError, compiled, ranges
 from gis_radar.hdmap.curves import lane_headings
 from gis_radar.hdmap.tagging import is_driven
 
@@ -47,8 +47,6 @@ class LaneGraph:
         Direction of travel at a sample, radians counter-clockwise from grid east.
     half_width_m : (m,) array
         Half of the lanelet's width at a sample.
-    two_way : (n,) bool array
-        Lanelets that are driven in both directions.
     successors : list of int64 arrays
         Positions of the lanelets that follow each.
     origin : (2,) array
@@ -62,7 +60,6 @@ class LaneGraph:
     s_m: Floats
     heading: Floats
     half_width_m: Floats
-    two_way: Booleans
     successors: list[Integers]
     origin: Floats
 
@@ -160,7 +157,6 @@ def lane_graph(lanelets: gpd.GeoDataFrame) -> LaneGraph:
         s_m=np.concatenate([part[1] for part in parts]),
         heading=np.concatenate([part[2] for part in parts]),
         half_width_m=np.concatenate([part[3] for part in parts]),
-        two_way=~table["one_way"].to_numpy(bool),
         successors=[],
         origin=origin,
     )

@@ -15,6 +15,7 @@ from gis_radar.base import (
     UsageError,
     add_layer,
     atomic_write,
+    checked,
     copy_saved_styles,
     require_same,
     style_layers,
@@ -26,6 +27,7 @@ _COMPONENTS = (*POSITION, *ANGLES)
 _EVIDENCE = ("fitness", "converged", "observable", "method", "time", "frames")
 
 
+@checked
 def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
     """Write sensors as the layers `sensors`, `views` and `uncertainty` of a GeoPackage.
 

@@ -25,7 +25,7 @@ import shapely
 from pyproj import CRS
 
 from gis_radar.base import QUIET, CrsError, GisRadarError, OutputError, Reporter, Text, UsageError
-from gis_radar.dataset import TILE_COUNTS, Dataset, LaneTraffic, open_dataset
+from gis_radar.dataset import TILE_COUNTS, Dataset, LaneTraffic, TrafficReader, open_dataset
 from gis_radar.hdmap import TILE_FIELDS
 from gis_radar.measures import lane_names
 from gis_radar.products.traffic import TITLES
@@ -381,8 +381,8 @@ class Session:
         counts = dataset.tile_counts(begin=begin, end=end)
         tables: dict[str, pd.DataFrame] = {"tile_counts": counts.drop(columns="interval")}
         if dataset.has_vehicles:
-            lanes = dataset.traffic(begin=begin, end=end)
-            turns = dataset.turns(begin=begin, end=end)
+            reader = TrafficReader(dataset=dataset, span=dataset.span(begin, end))
+            lanes, turns = reader.lanes(), reader.turns()
             tables["lane_measures"] = pd.DataFrame(lanes).drop(columns=["name", "geometry"])
             without = ["from_name", "to_name", "geometry"]
             tables["turns"] = pd.DataFrame(turns).drop(columns=without)

@@ -24,6 +24,7 @@ from gis_radar.base import (
     UsageError,
     atomic_writes,
     card,
+    checked,
     folder_to_fill,
 )
 from gis_radar.calibration.registration.lanes import MARGIN_M, Lanes, sample_lanes
@@ -113,6 +114,7 @@ class JointCalibration:
         return f"JointCalibration({figures})"
 
 
+@checked
 def localize_together(
     recordings: Sequence[str | Path],
     roads: LaneletMap | str | Path,
@@ -177,9 +179,8 @@ def localize_together(
         )
     ]
     places, yaws = zip(*starts, strict=True)
-    if scans:
-        for path, place in zip(paths, places, strict=True):
-            require_scans_near(scans, roads.crs, place, name=path.stem, scan_crs=scan_crs)
+    for path, place in zip(paths, places, strict=True) if scans else ():
+        require_scans_near(scans, roads.crs, place, name=path.stem, scan_crs=scan_crs)
     return locate_all(
         paths, roads, points, guesses=places, headings=yaws, scans=scans,
         scan_crs=scan_crs, reporter=reporter,

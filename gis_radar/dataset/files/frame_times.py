@@ -7,10 +7,18 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 import pyarrow.compute as pc
 
-from gis_radar.base import STEPS_PER_HOUR, Booleans, InputError, Integers, step_of
+from gis_radar.base import (
+    STEPS_PER_HOUR,
+    Booleans,
+    InputError,
+    Integers,
+    Text,
+    iso_from_step,
+    step_of,
+)
 from gis_radar.dataset.files.parts import MEASURE_AGAIN
-from gis_radar.dataset.files.records import HourRecord, read_rows
-from gis_radar.dataset.files.source import DatasetFiles
+from gis_radar.dataset.files.records import HourRecord, Span, read_rows
+from gis_radar.dataset.files.source import DatasetFiles, Moment, NotMeasuredError, require_measured
 from gis_radar.dataset.files.tables import FRAMES, RECORDINGS
 from gis_radar.measures import LONGEST_VALID_STEPS, Runs, union_of_runs, valid_steps
 
@@ -87,6 +95,41 @@ def recording_steps(
         valid_after = [valid_steps(each) for each in rows["validity_s"].to_pylist()]
         last = last + np.array(valid_after, np.int64)
     return union_of_runs([Runs(first=first, last=last)])
+
+
+def recorded_span(dataset: DatasetFiles, begin: Moment, end: Moment, steps: int = 1) -> Span | None:
+    """Return the first and the last step of a time, None for all; refuse one without frames.
+
+    Parameters
+    ----------
+    dataset : DatasetFiles
+        The dataset.
+    begin, end : str, datetime or step, optional
+        The time.
+    steps : int
+        Length of the intervals that begin in it.
+
+    Raises
+    ------
+    NotMeasuredError
+        If no such interval has a part of a recording.
+    """
+    if (span := dataset.span(begin, end)) is None:
+        return None
+    require_measured(dataset, span)
+    recorded = recording_steps(dataset)
+    first, last = -(-span[0] // steps) * steps, span[1] // steps * steps + steps - 1
+    if len(recorded) and not len(recorded.within(first, last)):
+        place = np.searchsorted(recorded.first, recorded.nearest(first), side="right") - 1
+        nearest = (iso_from_step(int(each[place])) for each in (recorded.first, recorded.last))
+        raise NotMeasuredError(
+            "{}: nothing was measured in that time", dataset.folder,
+            hint=Text(
+                "the nearest recording goes from {} to {}; an interval counts if it begins in the "
+                "time asked for", *nearest,
+            ),
+        )  # fmt: skip
+    return span
 
 
 def follow_a_recording(dataset: DatasetFiles, first: Integers, steps: int) -> Booleans:

@@ -66,6 +66,8 @@ class Manifest:
         Number of the schema of the tables.
     heights : str
         Digest of the tiles' road heights; where it is empty, they are not compared.
+    live : bool
+        Whether the live system makes its hours, so that silence of all sensors is a fault.
     """
 
     map: str
@@ -77,6 +79,7 @@ class Manifest:
     checks: dict[str, dict[str, str]] = field(default_factory=dict, compare=False)
     schema: int = SCHEMA
     heights: str = ""
+    live: bool = field(default=False, compare=False)
 
     def is_as(self, other: Manifest) -> bool:
         """Return whether another is of the same site and settings, where both state heights."""

@@ -29,6 +29,7 @@ from gis_radar.base import (
 )
 from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
+from gis_radar.dataset.files.frame_times import recorded_span
 from gis_radar.dataset.files.parts import hour_text
 from gis_radar.dataset.files.records import Span
 from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
@@ -122,11 +123,13 @@ def signal_cycles(
     Raises
     ------
     InputError
-        If vehicles were not looked for, exact tables of that time were deleted, or the signals
-        are not what they should be or of a lane without a stop line.
+        If vehicles were not looked for, nothing was measured from begin to end, exact tables of
+        that time were deleted, or the signals are not what they should be or of a lane without
+        a stop line.
     """
     require_vehicles(dataset)
-    network, hours = _exact_hours(dataset, dataset.span(begin, end))
+    span = recorded_span(dataset, begin, end)
+    network, hours = _exact_hours(dataset, span)
     with in_language(language):
         names = np.array(lane_names(dataset.layer(LANES_LAYER), network), object)
     place_of = {
@@ -137,7 +140,7 @@ def signal_cycles(
         raise InputError(
             "{}: lane {} has no stop line", signals, int(network.lane[without_line[0]])
         )
-    measured = [*dataset.records(dataset.span(begin, end))]
+    measured = [*dataset.records(span)]
     if (
         known
         and measured

@@ -447,7 +447,6 @@ def stated_lanes(
     InputError
         If a lane is none of the layer's, or something else is stated of it.
     """
-    require_kind("with_lanes: lanes", lanes, "Sequence[Mapping[str, Any]]", InputError)
     for each in lanes:
         if other := sorted(set(each) - set(_STATED)):
             raise InputError(

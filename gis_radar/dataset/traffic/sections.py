@@ -18,12 +18,14 @@ from gis_radar.base import (
     Floats,
     InputError,
     in_language,
+    interval_steps,
     metric_crs,
     one_line,
     read_vector,
-    require_kind,
 )
 from gis_radar.dataset.days.lane_measures import LaneTraffic
+from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
+from gis_radar.dataset.files.frame_times import recorded_span
 from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.traffic.reader import TrafficReader
 from gis_radar.hdmap import LANES_LAYER
@@ -87,12 +89,15 @@ def count_sections(
     ------
     InputError
         If a section crosses no lane, one lane twice, or runs along one; if two have one name;
-        if the dataset has no vehicles, or no exact tables of that time any more.
+        if the dataset has no vehicles, nothing was measured from begin to end, or there are no
+        exact tables of that time any more.
     CrsError
         If the sections state no projected coordinate system.
     """
     lines, what = _lines(sections, dataset.crs)
     require_vehicles(dataset)
+    steps = min(interval_steps(interval), STEPS_PER_QUARTER)
+    span = recorded_span(dataset, begin, end, steps)
     layer, network = dataset.layer(LANES_LAYER), LaneTraffic.of(dataset).network
     crossed = {
         name: _crossings(line, layer, network, f"{what}: section {name}")
@@ -102,9 +107,8 @@ def count_sections(
     for counted in _groups_with_distinct_lanes(crossed):
         along = {each.lane: each.along_m for name in counted for each in crossed[name]}
         rows = TrafficReader(
-            dataset=dataset, interval=interval, span=dataset.span(begin, end), language=language,
-            line_m=along,
-        ).lanes()  # fmt: skip
+            dataset=dataset, interval=interval, span=span, language=language, line_m=along
+        ).lanes()
         with in_language(language):
             by_section |= {
                 name: _by_direction(rows, lines[name], crossed[name]) for name in counted
@@ -124,7 +128,6 @@ def _lines(
 ) -> tuple[dict[str, shapely.LineString], str]:
     """Return the sections by name, in the dataset's CRS, and a name of their layer for errors."""
     what: str = "sections"
-    require_kind("count_sections: sections", sections, "gpd.GeoDataFrame | str | Path")
     table: Any = sections
     if isinstance(sections, str | Path):
         what = str(sections)

@@ -6,13 +6,9 @@ import geopandas as gpd
 import numpy as np
 
 from gis_radar.base import STEP_S, UsageError, interval_steps
-from gis_radar.dataset.files.frame_times import recording_steps
-from gis_radar.dataset.files.source import (
-    DatasetFiles,
-    Moment,
-    require_measured,
-    require_vehicles,
-)
+from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
+from gis_radar.dataset.files.frame_times import recorded_span, recording_steps
+from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.traffic.headways_cycles import add_headways
 from gis_radar.dataset.traffic.reader import TrafficReader
 
@@ -145,11 +141,11 @@ def _reader(
     *, whole: bool = False,
 ) -> TrafficReader:  # fmt: skip
     require_vehicles(dataset)
-    if (span := dataset.span(begin, end)) is not None:
-        require_measured(dataset, span)
     if interval is None and whole:
         interval, begin = suited_interval(dataset, begin, end)
+    interval = interval or _USUAL
+    steps = min(interval_steps(interval), STEPS_PER_QUARTER)
     return TrafficReader(
-        dataset=dataset, interval=interval or _USUAL, span=dataset.span(begin, end),
+        dataset=dataset, interval=interval, span=recorded_span(dataset, begin, end, steps),
         language=language, whole=whole,
     )  # fmt: skip

@@ -21,6 +21,7 @@ from gis_radar.base import (
     interval_steps,
     ranges,
 )
+from gis_radar.dataset.files.frame_times import recorded_span
 from gis_radar.dataset.files.records import Span
 from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.files.tables import TRACKS, VEHICLES
@@ -176,10 +177,11 @@ def track_points(
     UsageError
         If a time or `every` is invalid, or the times do not ascend.
     InputError
-        If vehicles were not looked for.
+        If vehicles were not looked for, or nothing was measured from begin to end.
     """
     require_vehicles(dataset)
-    hours = [*states_of(dataset, every=interval_steps(every), span=dataset.span(begin, end))]
+    span = recorded_span(dataset, begin, end)
+    hours = [*states_of(dataset, every=interval_steps(every), span=span)]
     table = pd.concat(
         [
             states.join(vehicles.set_index("vehicle")[list(_OF_VEHICLE)], on="vehicle")

@@ -19,6 +19,7 @@ from gis_radar.base import (
     WarningList,
     clear_leftovers,
     first_line,
+    only_writer,
     output_errors,
     workers_here,
 )
@@ -207,6 +208,9 @@ def make_hours(
     done = make_recordings(site, spooled)
     before_hour = hour_of_time(int(time.time() * 1e6))
     _measure_hours(site, hours, before_hour, done)
+    if Manifest.is_there(site.dataset) and not Manifest.read(site.dataset).live:
+        with only_writer(site.dataset.absolute(), reporter=done):
+            replace(Manifest.read(site.dataset), live=True).write(site.dataset)
     if hours:
         _check_poses(site, max(hours), check, done)
     _read_last_day(site, done)

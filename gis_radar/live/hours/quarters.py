@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.base import STEP_S, Floats, Integers, quotient, step_begin
-from gis_radar.dataset import STEPS_PER_QUARTER, TILE_COUNTS, Dataset
+from gis_radar.dataset import STEPS_PER_QUARTER, TILE_COUNTS, Dataset, TrafficReader
 from gis_radar.products import lane_totals, lanes_with_tiles
 
 QUARTERS_KEPT = 96  # a day
@@ -98,7 +98,7 @@ def read_quarters(
     counts = pd.concat(parts, ignore_index=True)
     traffic = None
     if dataset.has_vehicles:
-        traffic = dataset.traffic("15min", begin=span[0], end=span[1] + 1)
+        traffic = TrafficReader(dataset=dataset, span=span).lanes()
     measures = []
     for quarter in quarters:
         begin = quarter * STEPS_PER_QUARTER

@@ -73,7 +73,7 @@ def count_frames(
 
     Only hours in which some sensor has a frame count. In them frames are missing where a sensor's
     next frame comes over 1.5 cycles later, and before its first and after its last frame, while a
-    recording of any sensor goes on.
+    recording of any sensor goes on, at a live site always.
 
     Parameters
     ----------
@@ -123,12 +123,16 @@ def count_frames(
 
 
 def _recorded_us(dataset: Dataset, times: Mapping[str, FrameTimes]) -> Integers:
-    """Return first and last time of each recording with a frame, joined where they follow soon."""
+    """Return first and last time of each recording with a frame, joined where they follow soon.
+
+    A live site is on from its first to its last frame.
+    """
     table = dataset.recordings().sort_values("begin")
     begin, end = (table[name].dt.as_unit("us").to_numpy(np.int64) for name in ("begin", "end"))
     first = min(each.first_us for each in times.values())  # earlier frames may be deleted
     begin_us, end_us = np.maximum(begin, first), np.maximum.accumulate(np.maximum(end, first))
-    after = np.flatnonzero(begin_us[1:] > end_us[:-1] + _NEXT_FILE_US) + 1
+    apart_us = np.inf if dataset.manifest.live else _NEXT_FILE_US
+    after = np.flatnonzero(begin_us[1:] > end_us[:-1] + apart_us) + 1
     return np.column_stack([begin_us[[0, *after]], end_us[[*(after - 1), -1]]])
 
 

@@ -18,6 +18,7 @@ from gis_radar.base import (
     UsageError,
     add_layer,
     atomic_write,
+    checked,
     copy_saved_styles,
     paths_of,
     style_layers,
@@ -29,6 +30,7 @@ from gis_radar.scans.sight.tiles import SightTiles
 SIGHT_LAYER = "sight"
 
 
+@checked
 def write_sights(
     sights: Sequence[Sight],
     tiles: gpd.GeoDataFrame,

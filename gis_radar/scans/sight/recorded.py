@@ -21,7 +21,6 @@ from gis_radar.base import Booleans, Floats, Integers, Reporter, Text
 from gis_radar.scans.sight.sight import HIDDEN, IN_SIGHT, OUT_OF_VIEW, Sight
 from gis_radar.scans.sight.tiles import SightTiles
 
-_NO_MOVEMENT, _MOVEMENT = "nothing moves in sight", "moves where hidden"
 Table: TypeAlias = Floats  # sums by direction and distance from a sensor
 CAR_REFLECTION_M = 1.0  # over the road: between the sills and the roof of a car
 # Least absolute range rate of movement, over that of leaves and most walkers; and farthest height

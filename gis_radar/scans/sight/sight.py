@@ -34,6 +34,7 @@ from gis_radar.base import (
     Text,
     UsageError,
     atomic_write,
+    checked,
     paths_of,
 )
 from gis_radar.poses import Pose, View, as_pose
@@ -184,6 +185,7 @@ class SightScan:
                 contents.append(hashlib.file_digest(file, "blake2b").hexdigest())
         return hashlib.blake2b("".join(sorted(contents)).encode(), digest_size=16).hexdigest()
 
+    @checked
     def read(self, poses: Sequence[Pose]) -> None:
         """Read, in one pass, the windows around poses whose sight is not in the cache.
 
