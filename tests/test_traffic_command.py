@@ -30,6 +30,7 @@ from gis_radar.dataset.hours.remarks import remark_on_counting_lines
 from gis_radar.products import Traffic, publisher_of, traffic_picture
 from gis_radar.products import traffic as traffic_module
 from gis_radar.products.report.traffic import traffic_of
+from gis_radar.products.sumo import write_mean_data
 from gis_radar.products.traffic_picture import draw_turning_diagram
 from simulation.sumo import run as run_sumo
 
@@ -594,3 +595,102 @@ def test_a_file_of_the_dataset_is_not_replaced(run, dataset):
         assert code == 3
         assert f"would replace the input {output}" in err
     assert all(path.read_bytes() == content for path, content in before.items())
+
+
+EDGES = {"in": (APPROACH, "a", "b"), "on": (STRAIGHT, "b", "c"), "off": (LEFT, "b", "d")}
+
+
+def network(tmp_path, *, projection="+proj=utm +zone=32 +ellps=GRS80 +units=m +no_defs"):
+    """Write a network of SUMO under the fork, with edges of two lanes where it has one."""
+    nodes = [("a", 0, 0), ("b", 60, 0), ("c", 100, 0), ("d", 96.25, 17)]
+    files = {
+        "n.xml": "<nodes>" + "".join(f'<node id="{n}" x="{x}" y="{y}"/>' for n, x, y in nodes)
+        + "</nodes>",
+        "e.xml": "<edges>" + "".join(
+            f'<edge id="{e}" from="{a}" to="{b}" spreadType="center"/>'
+            for e, (_, a, b) in EDGES.items()
+        ) + "</edges>",
+    }  # fmt: skip
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    at = {name: str(tmp_path / name) for name in (*files, "net.xml")}
+    run_sumo("netconvert", ["-n", at["n.xml"], "-e", at["e.xml"], "-o", at["net.xml"],
+                            "--offset.disable-normalization"])  # fmt: skip
+    path = tmp_path / "net.xml"
+    text = re.sub('netOffset="[^"]*"', f'netOffset="{-EAST},{-NORTH}"', path.read_text())
+    path.write_text(text.replace('projParameter="!"', f'projParameter="{projection}"'))
+    return path
+
+
+def test_files_for_sumo_name_the_edges_of_a_network(written, tmp_path, sumo_installed):
+    net = network(tmp_path)
+    folder, last = written("--sumo-net", net, "--end", "2023-11-14 23:15")
+    assert last["summary"]["lanes_on_network"] == 3
+    edges = ET.parse(folder / "sumo.edgedata.xml").getroot()  # noqa: S314 - ours
+    entered = {each.get("id"): each.get("entered") for each in edges.iter("edge")}
+    assert entered["in"] == "8.00"
+    lanes = ET.parse(folder / "sumo.lanedata.xml").getroot()  # noqa: S314 - ours
+    assert {each.get("id") for each in lanes.iter("lane")} == {"in_0", "on_0", "off_0"}
+    (tmp_path / "f.xml").write_text(
+        '<routes><flow id="f" from="in" begin="0" end="900" number="8"/></routes>'
+    )
+    run_sumo("jtrrouter", [
+        "-n", str(net), "-r", str(tmp_path / "f.xml"), "--turn-ratio-files",
+        str(folder / "sumo.turns.xml"), "--accept-all-destinations", "--seed", "3",
+        "-o", str(tmp_path / "routes.xml"),
+    ])  # fmt: skip
+    routes = ET.parse(tmp_path / "routes.xml").iter("route")  # noqa: S314 - SUMO's
+    assert {each.get("edges").split()[-1] for each in routes} == {"on", "off"}
+
+
+def test_networks_of_no_projection_or_of_another_place_are_refused(
+    run, dataset, tmp_path, sumo_installed
+):
+    def refused(path):
+        options = ("traffic", dataset.folder, "-o", tmp_path / "out", "--sumo-net", path)
+        code, _, err = run(*options)
+        assert not (tmp_path / "out").exists()
+        return code, err
+
+    code, err = refused(network(tmp_path, projection="!"))
+    assert code == 3
+    assert "the network has no projection" in err
+    code, err = refused(network(tmp_path, projection="+proj=utm +zone=33 +ellps=GRS80"))
+    assert code == 4
+    assert "no lane of the dataset lies on one of the network" in err
+    (tmp_path / "bad.xml").write_text("<net><location")
+    assert refused(tmp_path / "bad.xml")[0] == 3
+    (tmp_path / "empty.xml").write_text("<net/>")
+    assert "it has no lanes" in refused(tmp_path / "empty.xml")[1]
+
+
+def test_an_edge_is_known_where_all_its_lanes_are(tmp_path):
+    begin = pd.Timestamp("2026-01-01")
+    lanes = pd.DataFrame(
+        {
+            "lane": [1, 2, 3], "begin": begin, "end": begin + pd.Timedelta("15min"),
+            "volume": [10.0, 30.0, 5.0], "speed_kmh": [36.0, 72.0, np.nan],
+            "flow_veh_h": [40.0, 120.0, 0.0], "occupancy": [0.1, 0.3, 0.2],
+            "density_veh_km": [1.0, 2.0, 3.0], "travel_time_s": [6.0, 3.0, np.nan],
+            "delay_s": [np.nan, 1.0, np.nan], "geometry": None,
+        }
+    )  # fmt: skip
+    edges = pd.DataFrame(
+        {
+            "lane": [1, 2, 3], "edge": ["two", "two", "half"],
+            "sumo_lane": ["two_0", "two_1", "half_0"], "edge_lanes": 2,
+        }
+    )  # fmt: skip
+    path = tmp_path / "edgedata.xml"
+    write_mean_data(lanes, edges, begin, path, by_lane=False)
+    found = {each.get("id"): each.attrib for each in ET.parse(path).iter("edge")}  # noqa: S314
+    assert found["two"] == {
+        "id": "two", "entered": "40.00", "speed": "17.50", "occupancy": "20.00",
+        "density": "3.00", "traveltime": "3.75", "timeLoss": "1.00",
+    }  # fmt: skip
+    assert found["half"] == {"id": "half"}
+    write_mean_data(lanes, edges, begin, path, by_lane=True)
+    lane = ET.parse(path).find("interval/edge[@id='half']/lane")  # noqa: S314 - ours
+    assert lane.attrib == {
+        "id": "half_0", "entered": "5.00", "occupancy": "20.00", "density": "3.00"
+    }  # fmt: skip

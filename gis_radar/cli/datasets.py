@@ -81,6 +81,10 @@ def _dataset_or_city(folder: Path, reporter: Reporter) -> gr.Dataset | gr.City:
     "--datex", metavar="CC:NAME",
     help="Write DATEX II files, too, published by this country and name: 'DE:City of Example'.",
 )  # fmt: skip
+@click.option(
+    "--sumo-net", type=FILE,
+    help="Network of SUMO (.net.xml), whose edges the files for SUMO then name.",
+)  # fmt: skip
 @names_of_lanes
 @language("Of the lanes' names and the titles.")
 @csv_locale

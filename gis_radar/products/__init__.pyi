@@ -3,6 +3,7 @@ from .comparison.result import Comparison as Comparison
 from .comparison.result import change_rows as change_rows
 from .comparison.rows import NOT_TOLD as NOT_TOLD
 from .comparison.rows import with_verdicts as with_verdicts
+from .datex import publisher_of as publisher_of
 from .heatmap.by_lane import lane_totals as lane_totals
 from .heatmap.by_lane import lanes_with_tiles as lanes_with_tiles
 from .heatmap.heatmap import HeatMap as HeatMap
@@ -49,4 +50,3 @@ from .report_files import REPORT_FILES as REPORT_FILES
 from .traffic import Traffic as Traffic
 from .traffic import make_traffic as make_traffic
 from .traffic import service_levels as service_levels
-from .traffic_exchange import publisher_of as publisher_of

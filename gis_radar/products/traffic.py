@@ -33,13 +33,19 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.dataset import Dataset, open_dataset
+from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import TURN_WORDS
-from gis_radar.products.hand_counts import beside_hand_counts
-from gis_radar.products.results_folder import write_results
-from gis_radar.products.traffic_exchange import (
+from gis_radar.products.datex import (
     publisher_of,
     write_datex_measurements,
     write_datex_sites,
+)
+from gis_radar.products.hand_counts import beside_hand_counts
+from gis_radar.products.results_folder import write_results
+from gis_radar.products.sumo import (
+    as_edges,
+    lanes_of_network,
+    read_sumo_network,
     write_mean_data,
     write_turn_counts,
 )
@@ -115,6 +121,9 @@ class Traffic:
         difference; null where ours is missing).
     cycles : DataFrame, optional
         From :meth:`gis_radar.Dataset.signal_cycles`.
+    sumo_edges : DataFrame, optional
+        The edge of a network of SUMO, and the lane of it, on which each lane is counted: `lane`,
+        `edge`, `sumo_lane`, `edge_lanes`; by default each lane is an edge with its number.
     """
 
     lanes: gpd.GeoDataFrame
@@ -123,6 +132,7 @@ class Traffic:
     sections: gpd.GeoDataFrame | None = None
     hand_counts: pd.DataFrame | None = None
     cycles: pd.DataFrame | None = None
+    sumo_edges: pd.DataFrame | None = None
 
     def figures(self) -> dict[str, Any]:
         """Return the numbers of lanes, turns and intervals, and the sums of the counts."""
@@ -137,6 +147,8 @@ class Traffic:
             figures["hand_counts_that_agree"] = int(self.hand_counts["agrees"].eq(True).sum())
         if self.cycles is not None:
             figures["cycles"] = int(self.cycles["counted"].notna().sum())
+        if self.sumo_edges is not None:
+            figures["lanes_on_network"] = len(self.sumo_edges)
         return figures | {
             "lanes": int(rows["lane"].nunique()),
             "turns": len(self.turns[["from_lane", "to_lane"]].drop_duplicates()),
@@ -164,11 +176,12 @@ class Traffic:
 
         `traffic.csv` and `turns.csv`; `traffic.xlsx` with a sheet each; `traffic.gpkg` with the
         layers `lanes`, `turns` and, where there are, `sections`, which QGIS shows in our style;
-        `sumo.edgedata.xml`, `sumo.lanedata.xml` and `sumo.turns.xml`, in which an edge is a lane
-        with its number; and where turns have volumes over the whole time `turns.png`, the turning
-        diagram, with the figures of the report. Of sections `sections.csv`, of counts by hand
-        `hand_counts.csv`, of cycles `cycles.csv`, and a sheet each; for DATEX II
-        `datex.sites.xml`, the table of measurement sites, and `datex.measured.xml`.
+        `sumo.edgedata.xml`, `sumo.lanedata.xml` and `sumo.turns.xml`, in which an edge is that of
+        the network given, else a lane with its number; and where turns have volumes over the whole
+        time `turns.png`, the turning diagram, with the figures of the report. Of sections
+        `sections.csv`, of counts by hand `hand_counts.csv`, of cycles `cycles.csv`, and a sheet
+        each; for DATEX II `datex.sites.xml`, the table of measurement sites, and
+        `datex.measured.xml`.
 
         Parameters
         ----------
@@ -194,7 +207,8 @@ class Traffic:
         UsageError
             If the publisher is no country and name.
         """
-        first_begin = self.lanes["begin"].min()
+        edges = as_edges(self.lanes) if self.sumo_edges is None else self.sumo_edges
+        for_sumo = (self.lanes, edges, self.lanes["begin"].min())
         writers: dict[str, Callable[[Path], object]] = {
             "traffic.csv": partial(write_table, self.lanes),
             "turns.csv": partial(write_table, self.turns),
@@ -204,9 +218,9 @@ class Traffic:
             },
             "traffic.xlsx": self._write_workbook,
             "traffic.gpkg": self._write_package,
-            "sumo.edgedata.xml": partial(write_mean_data, self.lanes, first_begin, by_lane=False),
-            "sumo.lanedata.xml": partial(write_mean_data, self.lanes, first_begin, by_lane=True),
-            "sumo.turns.xml": partial(write_turn_counts, self.turns, first_begin),
+            "sumo.edgedata.xml": partial(write_mean_data, *for_sumo, by_lane=False),
+            "sumo.lanedata.xml": partial(write_mean_data, *for_sumo, by_lane=True),
+            "sumo.turns.xml": partial(write_turn_counts, self.turns, *for_sumo[1:]),
         }
         if datex is not None:
             publisher = publisher_of(datex)
@@ -295,6 +309,7 @@ def make_traffic(
     cycles: bool = False,
     signals: str | Path | None = None,
     service: str | None = None,
+    sumo_net: str | Path | None = None,
     language: str | None = None,
 ) -> Traffic:
     """Return the traffic of a dataset by lane and turn, and at sections.
@@ -320,12 +335,17 @@ def make_traffic(
         returned.
     service : {"hcm"}, optional
         Add the column `los` to the lanes: the level of service by this handbook.
+    sumo_net : str or Path, optional
+        A network of SUMO with a projection (`.net.xml`): its edges and lanes, those under the
+        counting lines of ours, are named in the files for SUMO.
 
     Raises
     ------
     InputError
-        If vehicles were not looked for, or none of its lanes is observed in that time; if sections
-        or counts by hand are not what they should be.
+        If vehicles were not looked for, or none of its lanes is observed in that time; if sections,
+        counts by hand or the network are not what they should be.
+    NoAnswerError
+        If no lane lies on one of the network.
     UsageError
         If there is no such interval.
     """
@@ -348,8 +368,11 @@ def make_traffic(
             counts = beside_hand_counts(hand_counts, lanes, section_rows, zone)
     if service is not None:
         lanes.insert(lanes.columns.get_loc("stops") + 1, "los", service_levels(lanes, service))
+    edges = None
+    if sumo_net is not None:
+        edges = lanes_of_network(dataset.layer(LANES_LAYER), read_sumo_network(sumo_net))
     return Traffic(
-        lanes=lanes, turns=dataset.turns(interval, **options),
+        lanes=lanes, turns=dataset.turns(interval, **options), sumo_edges=edges,
         whole_turns=dataset.turns(whole=True, **options), sections=section_rows,
         hand_counts=counts,
         cycles=dataset.signal_cycles(signals=signals, **options) if cycles or signals else None,

@@ -1,4 +1,4 @@
-"""Files by which other programs take traffic: SUMO's, and publications of DATEX II version 3.
+"""Publications of traffic by DATEX II version 3.
 
 DATEX II (CEN/TS 16157) sends what is measured apart from the table of where it is measured: each
 lane is a measurement site, whose quantities have numbers.
@@ -37,49 +37,6 @@ _LETTERS = 1024  # most that a text of DATEX II has
 # What no XML may hold; names of a layer of streets may.
 _NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _DEGREES = 7  # decimals of latitudes and longitudes: a centimetre
-
-
-def _intervals(
-    table: pd.DataFrame, root: Element, zero: pd.Timestamp
-) -> list[tuple[Element, pd.DataFrame]]:
-    """Add an element for each interval, in seconds from `zero`; return it with its rows."""
-    intervals = []
-    for begin, rows in table.groupby("begin", sort=True):
-        edges = (pd.Timestamp(begin), rows["end"].iloc[0])  # type: ignore[arg-type]
-        seconds = (f"{(each - zero).total_seconds():.2f}" for each in edges)
-        stated = dict(zip(("begin", "end"), seconds, strict=True)) | {"id": edges[0].isoformat()}
-        intervals.append((SubElement(root, "interval", stated), rows))
-    return intervals
-
-
-def write_mean_data(
-    table: gpd.GeoDataFrame, zero: pd.Timestamp, path: Path, *, by_lane: bool
-) -> None:
-    """Write SUMO's edgeData or laneData, without attributes for unknown values."""
-    root = Element("meandata")
-    columns = {
-        "entered": ("volume", 1.0), "speed": ("speed_kmh", 1 / 3.6),
-        "occupancy": ("occupancy", 100.0), "density": ("density_veh_km", 1.0),
-        "traveltime": ("travel_time_s", 1.0), "timeLoss": ("delay_s", 1.0),
-    }  # fmt: skip
-    for element, rows in _intervals(table, root, zero):
-        for row in rows.to_dict("records"):
-            edge = SubElement(element, "edge", {"id": str(row["lane"])})
-            place = SubElement(edge, "lane", {"id": f"{row['lane']}_0"}) if by_lane else edge
-            for name, (of, factor) in columns.items():
-                if pd.notna(row[of]):
-                    place.set(name, f"{row[of] * factor:.2f}")
-    _write_xml(root, path)
-
-
-def write_turn_counts(table: gpd.GeoDataFrame, zero: pd.Timestamp, path: Path) -> None:
-    """Write edge relations, which SUMO's jtrrouter and routeSampler read as turn counts."""
-    root = Element("edgeRelations")
-    for element, rows in _intervals(table, root, zero):
-        for row in rows[rows["volume"].notna()].to_dict("records"):
-            ends = {"from": str(row["from_lane"]), "to": str(row["to_lane"])}
-            SubElement(element, "edgeRelation", ends | {"count": f"{row['volume']:.2f}"})
-    _write_xml(root, path)
 
 
 def _write_xml(root: Element, path: Path) -> None:
