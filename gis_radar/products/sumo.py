@@ -67,7 +67,9 @@ def read_sumo_network(path: str | Path) -> gpd.GeoDataFrame:
         raise InputError("{}: no network of SUMO: it has no lanes", path)
     if crs is None:
         raise InputError(
-            "{}: the network has no projection", path, hint="netconvert writes it by its option proj.utm"
+            "{}: the network has no projection",
+            path,
+            hint="netconvert writes it by its option proj.utm",
         )
     edge, name, line = zip(*lanes, strict=True)
     geometry = [shapely.LineString(each - offset) for each in line]
