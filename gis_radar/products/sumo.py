@@ -20,7 +20,10 @@ from gis_radar.base import Floats, InputError, Integers, NoAnswerError
 # places about its counting line: beside it, not across or on the next one.
 _BESIDE_M, _SAME_COS, _MOST = 2.0, 0.7, 0.5
 _AROUND_M, _STEP_M = 15.0, 3.0
-_NO_CARS = {"pedestrian", "bicycle", "ship", "subway", "tram", "cable_car"}
+_NO_CARS = {
+    "pedestrian", "bicycle", "ship", "subway", "tram", "cable_car",
+    "rail", "rail_urban", "rail_electric", "rail_fast",
+}  # fmt: skip
 # What an attribute of an edge is of those of its lanes.
 _SUM, _MEAN, _BY_FLOW = "sum", "mean", "mean by flow"
 _ATTRIBUTES = {
