@@ -177,6 +177,7 @@ def _network(roads: RoadNetwork) -> tuple[LaneNetwork, dict[str, int]]:
     ids = np.arange(len(bands), dtype=np.int64)
     network = LaneNetwork(
         lane=ids, length_m=length, line_m=np.where(stop, length, length / 2.0), has_stop_line=stop,
+        queue_line_m=np.where(stop, length, np.nan),
         free_speed=np.array([band.speed_limit for band in roads.bands.values()]),
         lanelet_id=ids, lanelet_lane=ids, offset_m=np.zeros(len(bands)),
         tile_id=np.arange(len(lane), dtype=np.int64), tile_lane=lane,

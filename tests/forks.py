@@ -56,6 +56,17 @@ def fork_lanes(line_m=LINE_M):
     return gpd.GeoDataFrame(known, geometry=lines, crs=UTM)
 
 
+def crossing():
+    """Give tiles and lanes of the fork without a stop line, and of a street across the way on."""
+    rows, lanes = [], fork_lanes(np.nan)
+    for lane, begin, length in ((40, -40, 30), (50, -10, 20)):
+        rows += strip(lane, (70, begin), 90, length, len(fork()) + len(rows))
+        ends = [(EAST + 70, NORTH + begin), (EAST + 70, NORTH + begin + length)]
+        row = lanes.iloc[[1]].assign(lane=lane, length_m=length, geometry=[LineString(ends)])
+        lanes = pd.concat([lanes, row], ignore_index=True)
+    return pd.concat([fork(), gpd.GeoDataFrame(rows, crs=UTM)], ignore_index=True), lanes
+
+
 def through(vehicle, first_step, exit_lane, *, by=0.5, begin=2.0):
     """Drive a car from the approach to an exit, so many metres a step."""
     fronts = np.arange(begin, 95.0, by)

@@ -23,6 +23,8 @@ import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset import read_hours, write_record
 from gis_radar.measures import (
+    DRAWN,
+    PRESUMED,
     FrontStates,
     Greens,
     LaneNetwork,
@@ -245,8 +247,11 @@ def test_a_level_of_service_follows_the_delay():
     line = LineString([(0, 0), (60, 0)])
     delays = [0.0, 10.0, 10.1, 34.0, 54.0, 79.0, 81.0, np.nan, 5.0, 5.0]
     back = [0.0] * 8 + [np.nan, 61.0]  # no stop line, and a queue beyond the lane's begin
-    lanes = gpd.GeoDataFrame({"delay_s": delays, "queue_max_m": back}, geometry=[line] * 10)
+    lanes = gpd.GeoDataFrame(
+        {"delay_s": delays, "queue_max_m": back, "stop_line": DRAWN}, geometry=[line] * 10
+    )
     assert service_levels(lanes, "hcm").tolist() == [*"AABCDEF", None, None, None]
+    assert service_levels(lanes.assign(stop_line=PRESUMED), "hcm").isna().all()
     assert [*HANDBOOKS["hcm"]] == [*"ABCDEF"]
     with pytest.raises(gr.UsageError, match="service is 'rilsa', expected one of hcm"):
         service_levels(lanes, "rilsa")

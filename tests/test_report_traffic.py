@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from datasets import HOUR
-from driven import drive
-from forks import APPROACH, LEFT, LINE_M, STRAIGHT, fork, fork_dataset, through
+from driven import drive, driven
+from forks import APPROACH, LEFT, LINE_M, STRAIGHT, crossing, fork, fork_dataset, through
 from maps import EAST, NORTH
 from PIL import Image
 from report_site import Page, reports_of_whole_run
@@ -129,6 +129,22 @@ def test_figures_are_those_of_the_dataset(folder, page):
         assert not any("occupancy" in name for name in row)
     assert float(rows[APPROACH]["Longest queue m"]) == round(known.loc[APPROACH, "queue_max_m"])
     assert rows[STRAIGHT]["Longest queue m"] == "\u2013"  # it has no stop line
+
+
+@pytest.mark.parametrize(("language", "words"), [
+    ("en", ["presumed stop line: 20", "20*", "*The map draws no stop line"]),
+    ("de", ["angenommene Haltlinie: 20", "20*", "*Die Karte zeichnet"]),
+])  # fmt: skip
+def test_a_queue_from_a_presumed_stop_line_says_so(tmp_path, monkeypatch, language, words):
+    monkeypatch.setattr("gis_radar.products.report.report.write_pdf", lambda *_: None)
+    tiles, lanes = crossing()
+    dataset = driven(tmp_path / "dataset", tiles, pd.concat(cars()), lanes=lanes)
+    make_heatmap(dataset).write(tmp_path / "heatmap")
+    gr.write_report(tmp_path, output=tmp_path / language, language=language)
+    text = (tmp_path / language / "report.html").read_text(encoding="utf-8")
+    queues = text.partition('<section id="queues"')[2].partition("</section>")[0]
+    assert [word for word in words if word not in queues] == []
+    assert "HCM" not in queues  # levels of service are of signals
 
 
 def test_lanes_have_the_names_of_their_traffic_in_all_tables(folder):

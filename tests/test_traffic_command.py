@@ -17,7 +17,17 @@ import pandas as pd
 import pytest
 from datasets import HOUR, write_dataset
 from driven import driven
-from forks import APPROACH, LEFT, LINE_M, STRAIGHT, fork, fork_dataset, fork_lanes, through
+from forks import (
+    APPROACH,
+    LEFT,
+    LINE_M,
+    STRAIGHT,
+    crossing,
+    fork,
+    fork_dataset,
+    fork_lanes,
+    through,
+)
 from maps import EAST, NORTH, Listener
 from shapely import LineString, box
 from shapely.affinity import rotate
@@ -526,6 +536,17 @@ def test_a_map_without_stop_lines_is_named_as_why_there_are_no_queues(run, tmp_p
     code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "1min")
     assert code == 0
     assert ("the map has no stop line" in err) == np.isnan(line_m)
+
+
+def test_queues_and_the_counts_of_stop_lines_tell_drawn_from_presumed_ones(tmp_path):
+    tiles, lanes = crossing()
+    tracks = pd.concat([through(n, HOUR * STEPS_PER_HOUR + 1200 * n, STRAIGHT) for n in range(3)])
+    dataset = driven(tmp_path / "data", tiles, tracks, lanes=lanes)
+    queues = dataset.queues("1min")
+    assert set(zip(queues["lane"], queues["stop_line"], strict=True)) == {
+        (APPROACH, "presumed"), (40, "presumed")
+    }  # fmt: skip
+    assert gr.make_traffic(dataset, interval="1min").figures()["vehicles_at_stop_lines"] is None
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,7 @@ from gis_radar.products import (
     Table,
     change_rows,
     longest_queue_text,
+    presumed_note,
     text_rows,
     with_verdicts,
 )
@@ -132,12 +133,12 @@ def lane_rows(worst: pd.DataFrame) -> Table:
     return Table(
         name="worst", caption=tr("Lanes on which most time is lost"), columns=columns,
         rows=text_rows((row for _, row in worst.iterrows()), columns),
-        note=tr(
+        note=" ".join([tr(
             "Time lost is the delay times the volume. ± is the standard error: of delays and "
             "queues by how the days of the month differ, none of less than three days; of the "
             "others by what was not seen. Delays count from the free speed as stated, so an error "
             "of that is in all of them. Nothing follows about why vehicles wait."
-        ),
+        ), *presumed_note(worst)]),
     )  # fmt: skip
 
 

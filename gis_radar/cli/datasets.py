@@ -14,14 +14,16 @@ from gis_radar.base import Reporter, Text, UsageError, placed
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import DURATION, FILE, begin_end, csv_locale, folder_output, language
 from gis_radar.cli.options import dataset as dataset_argument
+from gis_radar.measures import DRAWN
 
 _TOO_SHORT = Text(
     "no interval was visible for a fifth of its length, which a volume needs: "
     "take a shorter interval"
 )
 _NO_STOP_LINES = Text(
-    "the map has no stop line on the lanes in sight: queues, cycles and levels of service are not "
-    "known (draw each as a way of type stop_line across its lane)"
+    "the map has no stop line on the lanes in sight: queues are measured from presumed ones "
+    "before junctions, cycles and levels of service are not known (draw each as a way of type "
+    "stop_line across its lane)"
 )
 _SERVICE_INTERVAL = "15min"
 _OTHER_LEVELS = "levels of service are of 15 minutes in the handbook, here of {}"
@@ -102,7 +104,7 @@ def traffic(
     figures = made.figures()
     if not figures["rows_with_volume"]:
         reporter.warn(_TOO_SHORT)
-    if made.lanes["sight_m"].isna().all():
+    if not made.lanes["stop_line"].eq(DRAWN).any():
         reporter.log(_NO_STOP_LINES)
     elif options["service"] is not None and options["interval"] != _SERVICE_INTERVAL:
         reporter.log(Text(_OTHER_LEVELS, options["interval"]))

@@ -41,7 +41,9 @@ from .lane_names import lane_directions as lane_directions
 from .lane_names import lane_names as lane_names
 from .lane_names import place_on as place_on
 from .lane_names import turn_lines as turn_lines
+from .lane_network import DRAWN as DRAWN
 from .lane_network import JOINED_M as JOINED_M
+from .lane_network import PRESUMED as PRESUMED
 from .lane_network import LaneNetwork as LaneNetwork
 from .placing import PoseNumbers as PoseNumbers
 from .pose_sights import PlacedRecording as PlacedRecording

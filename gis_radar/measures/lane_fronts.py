@@ -283,6 +283,13 @@ class TrackedLanes:
         return self.network.tile_id[self.network.tile_at(every, self.network.line_m)]
 
     @cached_property
+    def queue_tile_id(self) -> Integers:
+        """Ids of the tiles at the lines of queues, where there are none at the lanes' lines."""
+        line_m = self.network.queue_line_m
+        line_m = np.where(np.isnan(line_m), self.network.line_m, line_m)
+        return self.network.tile_id[self.network.tile_at(np.arange(len(line_m)), line_m)]
+
+    @cached_property
     def length_m(self) -> Floats:
         """Length of the vehicle of each state, metres."""
         return self.vehicles.length_m[self.vehicles.of(self.states.vehicle)]

@@ -102,8 +102,9 @@ def measure_lanes(lanes: TrackedLanes, tiles: TileSteps) -> Measured:
     columns |= _speeds(counts, seconds, metres, share)
     columns |= _occupancies(areas)
     columns |= _flows(network, grid, areas, seconds, metres)
-    looks = share * grid.steps / QUEUE_EVERY_STEPS
-    stop = np.repeat(network.has_stop_line, grid.count) & (share > 0.0)
+    queue_share = _share_at(lanes.queue_tile_id, grid, tiles)
+    looks = queue_share * grid.steps / QUEUE_EVERY_STEPS
+    stop = np.repeat(np.isfinite(network.queue_line_m), grid.count) & (queue_share > 0.0)
     columns["queue_max_m"] = np.where(stop, most_m, np.nan)
     columns["queue_mean_m"] = np.where(stop, quotient(sum_m, looks), np.nan)
     columns["stops"] = _masked(_stops(lanes), areas.visible_steps == 0.0)

@@ -22,9 +22,11 @@ import pandas as pd
 
 from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.hdmap import joining, lanes_of, quads
+from gis_radar.measures.presumed_lines import presumed_lines_m
 
 _JOIN_M = 0.5  # largest distance from the middle of a lane's end to that of the next one's begin
 _QUEUE_REACH_M = 500.0  # distance from the stop line up to which queues are followed
+DRAWN, PRESUMED = "drawn", "presumed"  # stop lines: of the map; where it draws none
 # Longest road without a vehicle within a queue, or before it: two cars. Road that vehicles hide
 # does not count.
 JOINED_M = 10.0
@@ -81,7 +83,10 @@ class LaneNetwork:
     line_m : (n,) array
         Place along the lane at which vehicles are counted: its stop line, else its middle.
     has_stop_line : (n,) bool array
-        Whether that is a stop line.
+        Whether that is a stop line of the map.
+    queue_line_m : (n,) array
+        Place along the lane from which queues are measured: the map's stop line, else the presumed
+        one; NaN where there is neither.
     free_speed : (n,) array
         Speed without other traffic, m/s; NaN where unknown.
     lanelet_id, lanelet_lane : (m,) int64 arrays
@@ -100,6 +105,7 @@ class LaneNetwork:
     length_m: Floats
     line_m: Floats
     has_stop_line: Booleans
+    queue_line_m: Floats
     free_speed: Floats
     lanelet_id: Integers
     lanelet_lane: Integers
@@ -136,18 +142,21 @@ class LaneNetwork:
         offset = _offsets([each.lanelets for each in lanes], ends)
         length = np.array([sum(ends[ref] for ref in each.lanelets) for each in lanes], np.float64)
         number = np.array([each.number for each in lanes], np.int64)
-        stop = _values_by_lane(number, stop_line_m)
+        stop = np.clip(_values_by_lane(number, stop_line_m), 0.0, length)
+        after = _after(tiles, [each.rows for each in lanes])
+        presumed = presumed_lines_m(tiles, lanes, after, stop)
         ids = np.array(sorted(offset), np.int64)
         lane_of = dict(zip(lanelet[rows].tolist(), lane_of_row.tolist(), strict=True))
         return cls(
             lane=number, length_m=length, has_stop_line=np.isfinite(stop),
-            line_m=np.clip(np.where(np.isfinite(stop), stop, length / 2.0), 0.0, length),
+            line_m=np.where(np.isfinite(stop), stop, length / 2.0),
+            queue_line_m=np.where(np.isfinite(stop), stop, presumed),
             free_speed=_values_by_lane(number, free_speed_kmh) / 3.6,
             lanelet_id=ids, lanelet_lane=np.array([lane_of[ref] for ref in ids.tolist()], np.int64),
             offset_m=np.array([offset[ref] for ref in ids.tolist()], np.float64),
             tile_id=tiles["tile_id"].to_numpy(np.int64)[rows], tile_lane=lane_of_row,
             tile_m=s_m[rows] + np.array([offset[ref] for ref in lanelet[rows].tolist()]),
-            tile_length_m=tile_length[rows], after=_after(tiles, [each.rows for each in lanes]),
+            tile_length_m=tile_length[rows], after=after,
         )  # fmt: skip
 
     def place(self, lanelet_id: Integers, s_m: Floats) -> tuple[Integers, Floats]:
@@ -169,6 +178,14 @@ class LaneNetwork:
         tile = np.searchsorted(keys, np.maximum(lane, 0) * room + inside, side="right") - 1
         first = np.searchsorted(self.tile_lane, np.maximum(lane, 0))
         return np.where(lane >= 0, np.maximum(tile, first), -1)
+
+    @property
+    def stop_line(self) -> list[str | None]:
+        """Kind of the stop line of each lane, `drawn` or `presumed`; None without one."""
+        return [
+            DRAWN if is_drawn else None if math.isnan(at_m) else PRESUMED
+            for is_drawn, at_m in zip(self.has_stop_line, self.queue_line_m, strict=True)
+        ]
 
     @property
     def connector(self) -> Booleans:
@@ -216,10 +233,15 @@ class LaneNetwork:
 
     @cached_property
     def queue_strips(self) -> QueueStrips:
-        """Lanes on which queues may stand: back to other stop lines, or 500 m."""
+        """Lanes on which queues may stand: back to other stop lines, or 500 m.
+
+        Presumed lines end only queues at presumed lines.
+        """
         before, rows = self.before, list[tuple[int, int, int, float]]()
-        for stop in np.flatnonzero(self.has_stop_line).tolist():
-            waiting, seen = [(float(self.line_m[stop]), stop, -1)], set[int]()
+        has_any = np.isfinite(self.queue_line_m)
+        for stop in np.flatnonzero(has_any).tolist():
+            ends = self.has_stop_line if self.has_stop_line[stop] else has_any
+            waiting, seen = [(float(self.queue_line_m[stop]), stop, -1)], set[int]()
             while waiting:
                 to_line, lane_at, ahead = heappop(waiting)
                 if lane_at in seen:
@@ -228,7 +250,7 @@ class LaneNetwork:
                 rows.append((lane_at, stop, ahead, to_line))
                 if to_line < _QUEUE_REACH_M:
                     for k in before[lane_at]:
-                        if not self.has_stop_line[k]:
+                        if not ends[k]:
                             further = to_line + float(self.length_m[k])
                             heappush(waiting, (further, k, len(rows) - 1))
         lane, stop_lane, ahead_of, metres = zip(*rows, strict=True) if rows else ((), (), (), ())
@@ -250,10 +272,11 @@ class LaneNetwork:
         (n,) array
             Metres from the stop line to the farthest tile in sight that a queue can reach, as one
             does not go on over more than `JOINED_M` out of sight; NaN for lanes without a stop
-            line. Where lanes merge before the line, the way that is in sight farthest counts.
+            line, drawn or presumed. Where lanes merge before the line, the way that is in sight
+            farthest counts.
         """
         strips, in_sight = self.queue_strips, np.isin(self.tile_id, tile_id)
-        far = np.where(self.has_stop_line, 0.0, np.nan)
+        far = np.where(np.isfinite(self.queue_line_m), 0.0, np.nan)
         # by strip: how far sight reaches, and whether no gap has ended it
         reached = {-1: (0.0, True)}
         for strip, (lane, ahead) in enumerate(zip(strips.lane, strips.ahead, strict=True)):

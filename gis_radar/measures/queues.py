@@ -30,7 +30,7 @@ def queue_backs(standing: StandingFronts, lanes: TrackedLanes) -> tuple[Floats, 
     grid = lanes.grid
     interval = grid.of(queue_steps(grid))
     most, total = np.zeros((2, len(lanes.network.lane), grid.count))
-    for stop in np.flatnonzero(lanes.network.has_stop_line).tolist():
+    for stop in np.flatnonzero(np.isfinite(lanes.network.queue_line_m)).tolist():
         back_m = queue_back(stop, standing, lanes)
         np.maximum.at(most[stop], interval, back_m)
         total[stop] = np.bincount(interval, back_m, grid.count)
@@ -125,7 +125,7 @@ def queue_back(stop: int, standing: StandingFronts, lanes: TrackedLanes) -> Floa
         np.maximum.at(reach, index[joined], rear[joined])
         is_open[index[~joined]] = False
     back = np.max([reach for reach, _ in reached.values()], axis=0)
-    line = np.repeat(lanes.line_tile_id[stop], len(look_steps))
+    line = np.repeat(lanes.queue_tile_id[stop], len(look_steps))
     return np.where(lanes.visible.at(line, look_steps), back, 0.0)
 
 
@@ -211,7 +211,7 @@ def queue_course(stop: int, lanes: TrackedLanes) -> QueueCourse:
     at_steps = queue_back(stop, StandingFronts.of(lanes), lanes)
     np.maximum.at(back_m, grid.of(queue_steps(grid)), at_steps)
     begin = grid.begin + np.arange(grid.count) * grid.steps
-    line_visible = visible.at(np.repeat(lanes.line_tile_id[stop], grid.count), begin)
+    line_visible = visible.at(np.repeat(lanes.queue_tile_id[stop], grid.count), begin)
     place = pd.Series(np.arange(len(network.tile_id)), network.tile_id)
     tile = place.reindex(visible.tile_id).to_numpy()
     run = np.flatnonzero(np.isfinite(to_line[network.tile_lane[tile]]))

@@ -36,6 +36,8 @@ from .report.content import Fact as Fact
 from .report.content import Strip as Strip
 from .report.content import Table as Table
 from .report.content import text_rows as text_rows
+from .report.courses import longest_queue_text as longest_queue_text
+from .report.courses import presumed_note as presumed_note
 from .report.pages import render_page as render_page
 from .report.report import Report as Report
 from .report.report import write_report as write_report
@@ -44,7 +46,6 @@ from .report.results import lost_sensors as lost_sensors
 from .report.results import read_run as read_run
 from .report.sources import made_by as made_by
 from .report.traffic import LEAST_QUEUE_M as LEAST_QUEUE_M
-from .report.traffic import longest_queue_text as longest_queue_text
 from .report_files import PAGE as PAGE
 from .report_files import REPORT_FILES as REPORT_FILES
 from .traffic import Traffic as Traffic

@@ -34,7 +34,7 @@ from gis_radar.base import (
 )
 from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.hdmap import LANES_LAYER
-from gis_radar.measures import TURN_WORDS
+from gis_radar.measures import DRAWN, TURN_WORDS
 from gis_radar.products.datex import (
     publisher_of,
     write_datex_measurements,
@@ -71,7 +71,7 @@ TITLES = {
     "travel_time_s": Text("Travel time [s]"), "delay_s": Text("Delay [s]"),
     "queue_max_m": Text("Longest queue [m]"), "queue_mean_m": Text("Mean queue [m]"),
     "sight_m": Text("In sight before the line [m]"),
-    "stops": Text("Stops [veh]"), "los": Text("Level of service"),
+    "stop_line": Text("Stop line"), "stops": Text("Stops [veh]"), "los": Text("Level of service"),
     "headways": Text("Headways [pairs]"), "headway_mean_s": Text("Mean headway [s]"),
     "headway_se_s": Text("Standard error of the mean headway [s]"),
     "headway_median_s": Text("Median headway [s]"), "gap_mean_s": Text("Mean gap [s]"),
@@ -91,6 +91,8 @@ _NOTES = (
     Text("An empty field is not known, and no 0: too little was visible, or nobody drove there."),
     Text("Speeds, heavy vehicles, queues, stops and delays have no stated error."),
     Text("A queue that reaches as far as the road is in sight may be longer."),
+    Text("Queues are measured from the stop line that the map has, 'drawn', else from a 'presumed' "
+         "one: the end of the lane before a junction."),
     Text("Levels of service are those of a handbook for 15 minutes and more."),
     Text("The figures are of these times only: they say nothing about other hours or days, about "
          "the routes of vehicles, or why these wait."),
@@ -137,7 +139,7 @@ class Traffic:
     def figures(self) -> dict[str, Any]:
         """Return the numbers of lanes, turns and intervals, and the sums of the counts."""
         rows = self.lanes
-        at_lines = rows.loc[rows["queue_max_m"].notna(), "counted"]
+        at_lines = rows.loc[rows["queue_max_m"].notna() & rows["stop_line"].eq(DRAWN), "counted"]
         figures: dict[str, Any] = {}
         if self.sections is not None:
             figures["sections"] = int(self.sections["section"].nunique())
@@ -428,8 +430,8 @@ def service_levels(lanes: gpd.GeoDataFrame, handbook: str) -> pd.Series:
     Returns
     -------
     Series
-        Letters. Null without a stop line or a delay, and where a queue reaches back beyond the
-        lane: its delay is then not all of it.
+        Letters. Null without a stop line of the map or a delay, and where a queue reaches back
+        beyond the lane: its delay is then not all of it.
 
     Raises
     ------
@@ -443,7 +445,7 @@ def service_levels(lanes: gpd.GeoDataFrame, handbook: str) -> pd.Series:
     level = np.array(list(limits), object)[
         np.searchsorted(list(limits.values()), np.nan_to_num(delay))
     ]
-    inside = lanes["queue_max_m"] <= lanes.length
+    inside = (lanes["queue_max_m"] <= lanes.length) & lanes["stop_line"].eq(DRAWN)
     levels = np.where(inside & np.isfinite(delay), level, None)
     return pd.Series(levels, lanes.index, dtype=object)
 

@@ -49,7 +49,7 @@ from gis_radar.measures import (
     queue_course,
 )
 
-LANES_METHOD = 8
+LANES_METHOD = 9
 """Raised whenever the same parts would give other lane measures or turns."""
 
 _TILE_COLUMNS = (

@@ -61,7 +61,7 @@ _LANE_COLUMNS = (
     "lane", "name", "begin", "end", "visible_share", "counted", "volume", "volume_se",
     "volume_veh_h", "heavy", "speed_kmh", "speed_time_mean_kmh", "speed_85_kmh", "occupancy",
     "occupancy_se", "density_veh_km", "flow_veh_h", "travel_time_s", "delay_s", "queue_max_m",
-    "queue_mean_m", "sight_m", "stops",
+    "queue_mean_m", "sight_m", "stop_line", "stops",
 )  # fmt: skip
 _TURN_COLUMNS = (
     *_WITH_TURN, "from_name", "to_name", "turn", "begin", "end", "visible_share", "volume",
@@ -128,6 +128,7 @@ class TrafficReader:
             speed_85_kmh=_speed_85_kmh(table["speed_counts"]),
             density_veh_km=table["density"], flow_veh_h=table["flow"],
             sight_m=network.sight_m(self.dataset.sights()["tile_id"].unique())[place],
+            stop_line=np.array(network.stop_line, object)[place],
         )[[*_LANE_COLUMNS]]  # fmt: skip
         return gpd.GeoDataFrame(shown, geometry=lines, crs=self.dataset.manifest.crs)
 

@@ -74,12 +74,13 @@ def traffic(
         `visible_share`, `counted`, `volume` (vehicles in the interval), `volume_se`,
         `volume_veh_h`, `heavy`; `speed_kmh` (space mean), `speed_time_mean_kmh`,
         `speed_85_kmh`; `occupancy`, `occupancy_se`, `density_veh_km`, `flow_veh_h`,
-        `travel_time_s`, `delay_s`, `queue_max_m`, `queue_mean_m`, `sight_m`, `stops`; the
-        lane's line. Null where nothing is visible. Lanes that no sensor observes have no rows.
-        With headways `headways` (number of pairs of consecutive vehicles at the counting line,
-        between which it was visible throughout), `headway_mean_s` (front to front),
-        `headway_se_s`, `headway_median_s`, `gap_mean_s` (rear to front), `gap_se_s`. Null where
-        the line was not visible, means without a pair, errors with less than two.
+        `travel_time_s`, `delay_s`, `queue_max_m`, `queue_mean_m`, `sight_m`, `stop_line`
+        (`drawn` in the map, or `presumed`), `stops`; the lane's line. Null where nothing is
+        visible. Lanes that no sensor observes have no rows. With headways `headways` (number of
+        pairs of consecutive vehicles at the counting line, between which it was visible
+        throughout), `headway_mean_s` (front to front), `headway_se_s`, `headway_median_s`,
+        `gap_mean_s` (rear to front), `gap_se_s`. Null where the line was not visible, means
+        without a pair, errors with less than two.
 
     Raises
     ------
@@ -119,20 +120,21 @@ def queues(
 ) -> gpd.GeoDataFrame:  # fmt: skip
     """Return the queues at stop lines: rows of :meth:`traffic` in which a stop line is visible.
 
-    There are none where the map has no stop lines.
+    Before a junction for which the map draws none, a stop line is presumed.
 
     Returns
     -------
     GeoDataFrame
         `lane`, `name`, `begin`, `end`, `visible_share`, `queue_max_m`, `queue_mean_m`,
         `sight_m` (how far before the stop line the lane is in sight: a queue that reaches as
-        far may be longer), `stops`, `delay_s`; the lane's line.
+        far may be longer), `stop_line` (`drawn` in the map, or `presumed`), `stops`, `delay_s`;
+        the lane's line.
     """
     lanes = _reader(dataset, interval, begin, end, language).lanes()
     lanes = lanes[lanes["queue_max_m"].notna()].reset_index(drop=True)
     return lanes[
         ["lane", "name", "begin", "end", "visible_share", "queue_max_m", "queue_mean_m",
-         "sight_m", "stops", "delay_s", "geometry"]
+         "sight_m", "stop_line", "stops", "delay_s", "geometry"]
     ]  # fmt: skip
 
 

@@ -78,7 +78,8 @@ MEASURES = {
     ),
     "queue_max_m": Measure(
         name="maximum back of queue", unit=("metre", "m", "M"), parameter="visible_share",
-        about="Farthest back of the queue from the stop line in the interval.",
+        about="Farthest back of the queue from the stop line in the interval; where the map "
+        "draws none before a junction, from the end of the lane.",
     ),
 }  # fmt: skip
 """By the last word of the Datastream's name; all but `hits` are columns of traffic."""

@@ -210,7 +210,11 @@ def _compared(
     *doubts: Sequence[str],
 ) -> Comparison:  # fmt: skip
     """Return the comparison; `together` is the name of all stop lines."""
-    lines = pd.concat(rows)[["lane", "name", "geometry"]].drop_duplicates("lane").set_index("lane")
+    lines = (
+        pd.concat(rows)[["lane", "name", "stop_line", "geometry"]]
+        .drop_duplicates("lane")
+        .set_index("lane")
+    )
     left_out, rows_used = [], np.zeros(2)
     alike: dict[int, AlikeRows] = {}
     for lane in sorted(map(int, lines.index)):
@@ -237,6 +241,7 @@ def _compared(
         )
     names = lines["name"].reindex(table["lane"]).to_numpy()
     table.insert(1, "name", np.where(table["lane"].isna(), together, names))
+    table["stop_line"] = lines["stop_line"].reindex(table["lane"]).to_numpy()
     geometry = lines["geometry"].reindex(table["lane"]).to_numpy()
     before, after = ((each["begin"].min(), each["end"].max()) for each in rows)
     return Comparison(

@@ -33,7 +33,7 @@ from gis_radar.base import (
     tr,
     write_csv,
 )
-from gis_radar.measures import INTERVALS
+from gis_radar.measures import INTERVALS, PRESUMED
 from gis_radar.products.comparison.rows import COMPARED, LESS, MORE, NOT_TOLD
 from gis_radar.products.heatmap.style import text_template
 from gis_radar.products.results_folder import write_results
@@ -63,7 +63,8 @@ class Comparison:
         `measure`, `before`, `after`, `difference`, `percent`, `se`, `low` and `high` (95 % interval
         of the difference), `p`, `p_corrected` (for the number of rows), `verdict` (`more`, `less`
         or `not told`), `units` (the compared units: days, times of day or intervals) and `count`
-        (their number), `watchers` (the sensors); the lane's line.
+        (their number), `watchers` (the sensors), `stop_line` (`drawn` in the map, `presumed`, or
+        null); the lane's line.
     left_out : DataFrame
         Lanes that cannot be compared: `lane`, `name`, `seen` (sensors before / after; where they
         are the same, the number of tiles in their sight).
@@ -265,9 +266,19 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
 def _cautions(table: gpd.GeoDataFrame) -> list[str]:
     """Return cautions for the reader about the compared data."""
     apart = table["units"] == INTERVALS
+    cautions = list[str]()
     if apart.all():
-        return [tr("The periods share no times of day: what differs may be the time of day.")]
-    return [tr("What rests on intervals may differ by the time of day.")] if apart.any() else []
+        cautions.append(
+            tr("The periods share no times of day: what differs may be the time of day.")
+        )
+    elif apart.any():
+        cautions.append(tr("What rests on intervals may differ by the time of day."))
+    if table["stop_line"].eq(PRESUMED).any():
+        cautions.append(
+            tr("Queues of lanes for which the map draws no stop line are measured from a presumed "
+               "one, at the end of the lane before the junction.")
+        )  # fmt: skip
+    return cautions
 
 
 def _signed(change: float) -> str:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure as MplFigure
@@ -26,7 +27,7 @@ from gis_radar.base import (
     tr,
 )
 from gis_radar.dataset import Dataset, LaneTraffic
-from gis_radar.measures import QueueCourse
+from gis_radar.measures import JOINED_M, PRESUMED, QueueCourse
 from gis_radar.products.heatmap.picture import (
     INK,
     NARROW_IN,
@@ -114,6 +115,53 @@ _WAYS = Text(
     "Each thin line is the way of one vehicle to the stop line, level where it stands; a line that "
     "begins or ends on the way was found or lost there."
 )
+
+
+def course_title(row: pd.Series) -> str:
+    """Return the title of a diagram: the lane's name, and whether its stop line is presumed.
+
+    Parameters
+    ----------
+    row : Series
+        Row of :meth:`gis_radar.Dataset.traffic`.
+    """
+    is_presumed = row["stop_line"] == PRESUMED
+    return tr("{lane}, presumed stop line", lane=row["name"]) if is_presumed else str(row["name"])
+
+
+_MARK = "*"
+_PRESUMED = Text(
+    "The map draws no stop line for this junction: the queue is measured from the end of the lane "
+    "before it, where a stop line is presumed."
+)
+
+
+def longest_queue_text(row: pd.Series) -> str:
+    """Return the longest queue of a lane, m; `at least` where it reaches the end of sight.
+
+    One from a presumed stop line has a mark, which :func:`presumed_note` explains.
+
+    Parameters
+    ----------
+    row : Series
+        Row of :meth:`gis_radar.Dataset.traffic`, whose `queue_max_m` is known.
+    """
+    mark = _MARK if row["stop_line"] == PRESUMED else ""
+    text = figure_text(float(row["queue_max_m"])) + mark
+    ends_in_sight = row["queue_max_m"] < row["sight_m"] - JOINED_M
+    return text if ends_in_sight or row["queue_max_m"] == 0.0 else tr("at least {m}", m=text)
+
+
+def presumed_note(rows: pd.DataFrame) -> list[str]:
+    """Return what the mark of queues from presumed stop lines says, if any of them has it.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Rows of :meth:`gis_radar.Dataset.traffic`.
+    """
+    marked = rows["stop_line"].eq(PRESUMED) & rows["queue_max_m"].notna()
+    return [_MARK + tr(_PRESUMED)] if marked.any() else []
 
 
 def _window(moment: datetime, begin: datetime, end: datetime) -> tuple[datetime, datetime]:

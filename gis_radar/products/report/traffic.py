@@ -48,7 +48,15 @@ from gis_radar.products.report.content import (
     Table,
     text_rows,
 )
-from gis_radar.products.report.courses import DIAGRAM_S, MOST_COURSES, LongQueue, draw_courses
+from gis_radar.products.report.courses import (
+    DIAGRAM_S,
+    MOST_COURSES,
+    LongQueue,
+    course_title,
+    draw_courses,
+    longest_queue_text,
+    presumed_note,
+)
 from gis_radar.products.report.lanes import FAR_M, far_lanes
 from gis_radar.products.traffic import service_levels
 from gis_radar.products.traffic_picture import draw_turning_diagram
@@ -200,7 +208,7 @@ def volume_text(row: pd.Series) -> str:
 def _volume_table(traffic: ReportedTraffic) -> Table:
     """Return volumes, speeds and queues, a row a lane."""
     shown = (rows := _lanes_by_name(traffic)).head(_MOST_LANES)
-    columns = _volume_columns(_lanes_with_stop_lines(traffic))
+    columns = _volume_columns()
     return Table(
         name="volumes", caption=tr("Traffic of lanes over the whole time"), columns=columns,
         rows=text_rows((row for _, row in shown.iterrows()), columns),
@@ -209,7 +217,7 @@ def _volume_table(traffic: ReportedTraffic) -> Table:
     )  # fmt: skip
 
 
-def _volume_columns(before_lines: set[int]) -> list[Column]:
+def _volume_columns() -> list[Column]:
     def counted(row: pd.Series) -> str:
         return tr(_NOT_SEEN) if pd.isna(row["counted"]) else figure_text(int(row["counted"]))
 
@@ -218,9 +226,13 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
         return percent(row["heavy"] / row["counted"], 0) if known else NO_FIGURE
 
     def queue(row: pd.Series) -> str:
-        if row["lane"] not in before_lines:
+        if pd.isna(row["stop_line"]):
             return NO_FIGURE
-        return tr(_NOT_SEEN) if pd.isna(row["queue_max_m"]) else longest_queue_text(row)
+        # nothing stands in sight, and the first vehicle may stand farther back than that
+        is_unknown = pd.isna(row["queue_max_m"]) or (
+            row["queue_max_m"] == 0.0 and row["sight_m"] <= JOINED_M
+        )
+        return tr(_NOT_SEEN) if is_unknown else longest_queue_text(row)
 
     return [
         Column(tr("Lane"), "", lambda row: str(row["name"]), False),
@@ -239,19 +251,6 @@ def _number_column(text: Callable[[Any], str]) -> Column:
     return Column(tr("No."), tr("on the plan"), text, chapter=LANES_CHAPTER)
 
 
-def longest_queue_text(row: pd.Series) -> str:
-    """Return the longest queue of a lane, m; `at least` where it reaches the end of sight.
-
-    Parameters
-    ----------
-    row : Series
-        Row of :meth:`gis_radar.Dataset.traffic`, whose `queue_max_m` is known.
-    """
-    text = figure_text(float(row["queue_max_m"]))
-    ends_in_sight = row["queue_max_m"] < row["sight_m"] - JOINED_M
-    return text if ends_in_sight or row["queue_max_m"] == 0.0 else tr("at least {m}", m=text)
-
-
 def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> list[str]:
     """Return notes on the table: definitions, missing values, lanes without a row."""
     seconds = (traffic.end - traffic.begin).total_seconds()
@@ -264,11 +263,12 @@ def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> l
     share = percent(LEAST_VISIBLE_SHARE, 0)
     if rows["volume"].isna().any():
         notes.append(
-            tr("Not seen: the place of counting was not visible, which is not 0; too little seen: "
-               "under {share} of the time.", share=share)
+            tr("Not seen: the place of counting, or the begin of a queue, was not visible, which "
+               "is not 0; too little seen: under {share} of the time.", share=share)
         )  # fmt: skip
-    if not _lanes_with_stop_lines(traffic):
+    if rows["stop_line"].isna().all():
         notes.append(tr("The map has no stop lines, so queues are not known."))
+    notes += presumed_note(rows)
     if far := far_lanes(rows, traffic.network, traffic.dataset.poses()):
         notes.append(
             tr("Over {far} m from every sensor, where more vehicles may be missed than ± states: "
@@ -432,7 +432,7 @@ def _queues(traffic: ReportedTraffic, clock: Clock, *, paths: bool) -> list[Tabl
     longest_by_lane = table.groupby("lane").last()
     longest = [
         LongQueue(
-            int(row["lane"]), str(row["name"]), float(row["queue_max_m"]),
+            int(row["lane"]), course_title(row), float(row["queue_max_m"]),
             longest_by_lane.loc[row["lane"], ["begin", "end"]].mean().to_pydatetime(),
         )
         for _, row in queues.head(MOST_COURSES).iterrows()
@@ -472,9 +472,9 @@ def _queue_table(
           if name != "queue_max_m" and queues[name].notna().any()),
     ]  # fmt: skip
     levels = service_levels(queues, "hcm")
-    level_note = ""
+    further = presumed_note(queues)
     if levels.notna().any():
-        level_note = " " + tr(_LEVELS)
+        further.append(tr(_LEVELS))
         queues = queues.assign(los=levels.fillna(NO_FIGURE))
         columns.append(Column(tr(_LEVEL), "HCM", lambda row: str(row["los"])))
     rows = text_rows([row for _, row in queues.head(_MOST_QUEUES).iterrows()], columns)
@@ -485,7 +485,7 @@ def _queue_table(
             "between them free or out of sight: a vehicle that was missed cuts it there, so it "
             "may be longer. 'At least' is where it reaches as far as the radars see. Nothing "
             "follows about why vehicles wait."
-        ) + level_note,
+        ) + "".join(f" {each}" for each in further),
     )  # fmt: skip
 
 
