@@ -77,7 +77,7 @@ def test_each_help_has_an_example(name):
 def test_an_option_that_a_pose_overrules_is_said(site, run):
     code, _, err = run(*measure_words(site), "--max-range", "50")
     assert code == 0
-    assert "the pose of R1 has a view, which counts" in err
+    assert "the pose of R1 has another view, which counts" in err
 
 
 def test_an_option_that_a_pose_agrees_with_is_no_warning(site, run):

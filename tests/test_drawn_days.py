@@ -6,7 +6,8 @@ from unittest.mock import Mock
 import pytest
 
 from gis_radar.dataset.files.registry import RecordingEntry
-from simulation.drawn_days import DayDrawer
+from simulation.drawn_days import DRAWN, DayDrawer
+from tools import simulated_city as tool
 
 DAY = datetime(2026, 10, 1, tzinfo=UTC)
 
@@ -28,3 +29,30 @@ def test_sites_of_a_drawn_city_are_no_copies_of_each_other(registry):
         entries = drawer.entries(registry, DAY, DAY + timedelta(days=1))
         digests |= {each.digest for each in entries}
     assert len(digests) == 2
+
+
+def test_a_site_whose_making_was_broken_off_is_made_again(tmp_path, monkeypatch):
+    """What lies in the city's root is whole: its hours measured, all of its months drawn."""
+    calls = []
+
+    def measure(site, sensors, folder):
+        folder.mkdir(parents=True)
+        (folder / "dataset.json").write_text("{}", encoding="utf-8")
+        return Mock(**{"manifest.settings": {DRAWN: "begun"}})
+
+    def draw(*_):
+        calls.append("draw")
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+
+    for name, made in {"make_site": Mock(), "measured": measure, "draw": draw}.items():
+        monkeypatch.setattr(tool, name, made)
+    words = [str(tmp_path), "--sites", "1"]
+    with pytest.raises(KeyboardInterrupt):
+        tool.main(words)
+    assert not list((tmp_path / "root").glob("site=*"))
+    tool.main(words)
+    tool.main(words)
+    assert calls == ["draw", "draw"]
+    (made,) = (tmp_path / "root").iterdir()
+    assert made.name.startswith("site=")

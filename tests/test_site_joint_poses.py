@@ -223,3 +223,18 @@ def test_a_site_of_one_sensor_refuses_one_that_fits_in_several_places(site, run)
     failure = found.done.failure
     assert (failure.exit_code, failure.hint) == (4, "record longer")
     assert failure.message.endswith("R2: ambiguous, two poses")
+
+
+@pytest.mark.parametrize(("reach_m", "warnings"), [(115.0, 0), (90.0, 1)])
+def test_only_another_view_than_that_of_a_given_pose_is_a_warning(
+    site, tmp_path, reach_m, warnings
+):
+    """What site file and pose state alike overrules nothing."""
+    site.true["R2"].write(tmp_path / "R2.json")
+    listener = Listener()
+    work.pose_stage(
+        pose=tmp_path / "R2.json", outputs=[tmp_path / "pose.json"], reporter=listener,
+        sensor="R2", view=vars(View(elevation_deg=60.0, max_range_m=reach_m)), given=True,
+    )  # fmt: skip
+    assert [level for level, _ in listener.messages] == warnings * ["warning"]
+    assert gr.read_pose(tmp_path / "pose.json").view.max_range_m == 115.0

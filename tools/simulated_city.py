@@ -31,7 +31,7 @@ from simulation.city import (
     make_site,
     write_city_file,
 )
-from simulation.drawn_days import DRAWN, DayDrawer, DrawnEvents, add_finding
+from simulation.drawn_days import DayDrawer, DrawnEvents, add_finding
 from simulation.measured_minutes import PART_S, MeasuredParts
 
 REMARK = (
@@ -75,9 +75,12 @@ def main(arguments: Sequence[str]) -> None:
     for k, site in enumerate(sites):
         if not site.site_file.is_file():
             make_site(site, minutes=known.minutes, seed=1000 * known.seed + k)
-        dataset = measured(site, site.sensors, root / f"site={site.name}")
-        if DRAWN not in dataset.manifest.settings:
-            draw(dataset, site, k, known)
+        folder = root / f"site={site.name}"
+        if not folder.is_dir():
+            part = folder.with_name(f".{folder.name}.part")
+            shutil.rmtree(part, ignore_errors=True)  # of a call that was broken off
+            draw(measured(site, site.sensors, part), site, k, known)
+            part.rename(folder)
         print(f"{k + 1}/{len(sites)} {site.name}: {', '.join(site.sensors)}", flush=True)
     write_city_file(known.folder, sites)
     write_readme(known.folder, sites, known.minutes)
@@ -85,9 +88,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def measured(site: CitySite, sensors: Sequence[str], folder: Path) -> gr.Dataset:
-    """Return the dataset of some sensors of a site, which is measured where it is missing."""
-    if (folder / "dataset.json").is_file():
-        return gr.open_dataset(folder)
+    """Measure the dataset of some sensors of a site."""
     tiles = gr.make_tiles(gr.read_map(site.folder / "map.osm", crs="EPSG:25832"))
     pairs = [(sensor, level) for sensor in sensors for level in site.levels]
     return gr.measure(

@@ -231,7 +231,8 @@ class City(SqlQueries):
                 answers[name] = ask(dataset)
             except without as error:
                 refused.append(error)
-                reporter.warn("{} is left out: {}", name, error.message)
+                if not isinstance(error, UnknownStreetError):  # a street is at few of many sites
+                    reporter.warn("{} is left out: {}", name, error.message)
         if not answers:  # "nothing measured" comes before "no such street": some site may have it
             raise next((each for each in refused if isinstance(each, NotMeasuredError)), refused[0])
         return answers

@@ -72,8 +72,8 @@ def site_table(sites: Sequence[SiteMonth], health: pd.DataFrame) -> Table:
     notes = [
         tr("Vehicles are counted once each: at the stop lines, else where lanes begin. ± is the "
            "standard error, rounded up; it holds what was not visible, but no error that all days "
-           "share, such as vehicles that are always missed. A dash: not known, which is not 0; "
-           "vehicles a day need all 24 hours."),
+           "share, such as vehicles that are always missed or followed as two: that one is mostly "
+           "larger. A dash: not known, which is not 0; vehicles a day need all 24 hours."),
     ]  # fmt: skip
     return Table(
         name="sites", caption=tr("Sites, those with the largest gaps first"), columns=columns,

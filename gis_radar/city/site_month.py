@@ -139,7 +139,7 @@ def site_month(month: CityMonth, name: str, folder: Path) -> SiteMonth:
     if lanes.empty:
         return SiteMonth(**fields)
     sums = dataset.lane_months(month=month.month)
-    lanes = lanes.join(_worst_hours(sums), on="lane")
+    lanes = lanes.join(worst_hours(sums), on="lane")
     changes, not_alike = _changes(dataset, name, month)
     return SiteMonth(
         **fields, lanes=lanes, profile=_profile(sums, lanes), changes=changes,
@@ -213,21 +213,30 @@ def _profile(sums: pd.DataFrame, lanes: pd.DataFrame) -> pd.DataFrame:
     return profile.assign(volume_se=np.sqrt(profile["variance"].astype(np.float64))).reset_index()
 
 
-def _worst_hours(sums: pd.DataFrame) -> pd.DataFrame:
-    """Return by lane the hour of Monday to Friday with most delay: `worst_hour`, `worst_delay_s`.
+def worst_hours(sums: pd.DataFrame) -> pd.DataFrame:
+    """Return by lane the hour of Monday to Friday in which most time is lost, and its mean delay.
 
-    Hours in which less is lost than a minute a day do not count: a single car may wait long.
+    Parameters
+    ----------
+    sums : pd.DataFrame
+        A row a lane, day of the week and hour of the day, as of `Dataset.lane_months`.
+
+    Returns
+    -------
+    pd.DataFrame
+        `worst_hour`, and `worst_delay_s` a vehicle, by `lane`; none of lanes without delay.
     """
     week = (
         sums[sums["weekday"] < _WEEKEND]
         .groupby(["lane", "hour"], as_index=False)[["delay_h", "volume", "quarters"]]
         .sum()
     )
-    days = week["quarters"] / _QUARTERS_PER_HOUR
-    week = week[(week["volume"] > 0.0) & (week["delay_h"] * 60.0 > days)]
-    week = week.assign(worst_delay_s=week["delay_h"] / week["volume"] * 3600.0)
-    most = week.loc[week.groupby("lane")["worst_delay_s"].idxmax()]
-    return most.set_index("lane")[["hour", "worst_delay_s"]].rename(columns={"hour": "worst_hour"})
+    week = week[week["delay_h"] > 0.0]
+    # Not the longest delay: a few vehicles at night may wait longest.
+    most = week.loc[(week["delay_h"] / week["quarters"]).groupby(week["lane"]).idxmax()]
+    delay_s = most["delay_h"] / most["volume"] * 3600.0
+    most = most.assign(worst_delay_s=delay_s).set_index("lane")
+    return most[["hour", "worst_delay_s"]].rename(columns={"hour": "worst_hour"})
 
 
 def _changes(dataset: Dataset, name: str, month: CityMonth) -> tuple[pd.DataFrame | None, int]:

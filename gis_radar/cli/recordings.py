@@ -129,9 +129,8 @@ def _with_view(
         view = gr.View(**given)
     except gr.InputError as error:
         raise gr.UsageError(error.message) from error
-    own = [pose.view for pose in track.poses if pose.view is not None]
-    if any(getattr(each, name) != value for each in own for name, value in given.items()):
-        reporter.warn("the pose of {} has a view, which counts", track.sensor)
+    if track.has_other_view(given):
+        reporter.warn("the pose of {} has another view, which counts", track.sensor)
     return track.with_view(view)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -74,6 +74,11 @@ class PoseTrack:
         for index, (begin, end) in enumerate(pairwise([0, *borders, len(time)]), start=first):
             if begin < end:
                 yield index, begin, end
+
+    def has_other_view(self, given: Mapping[str, float]) -> bool:
+        """Say whether a pose has a view of its own that differs from these values."""
+        own = [pose.view for pose in self.poses if pose.view is not None]
+        return any(getattr(each, name) != value for each in own for name, value in given.items())
 
     def with_view(self, view: View) -> PoseTrack:
         """Return the same track with a view wherever a pose has none."""

@@ -161,8 +161,8 @@ def pose_stage(
         track = replace(track, poses=tuple(replace(p, view=View(**view)) for p in track.poses))
     elif given and track.sensor != sensor:
         reporter.log(Text("{}: is the pose of {}, taken for {}", pose, track.sensor, sensor))
-    if given and view is not None and any(each.view is not None for each in track.poses):
-        reporter.warn("the pose of {} has a view, which counts", sensor)
+    if given and track.has_other_view(view or {}):
+        reporter.warn("the pose of {} has another view, which counts", sensor)
     if outputs[0].suffix == ".csv":
         with atomic_write(outputs[0]) as part:
             shutil.copyfile(pose, part)

@@ -4,6 +4,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pandas as pd
 import pytest
@@ -13,6 +14,7 @@ from months import drawn_months, hour_at, roll_up
 
 import gis_radar as gr
 from gis_radar.base import CrsError, InputError, UsageError
+from gis_radar.dataset import UnknownStreetError
 
 OCTOBER = range(hour_at("2026-10-30T20"), hour_at("2026-10-31T02"))
 NOVEMBER = range(hour_at("2026-11-02T20"), hour_at("2026-11-03T02"))
@@ -46,6 +48,14 @@ def test_a_profile_is_that_of_each_site(city):
         city.profile(holidays="2026-11-02")
     with pytest.raises(UsageError, match="names no days of the week"):
         city.profile(days="Mon")
+
+
+def test_sites_elsewhere_than_on_a_street_are_no_warning(tmp_path, city, caplog):
+    """A street is at few of hundreds of sites: a line for each of the others says nothing."""
+    elsewhere = Mock(**{"profile.side_effect": UnknownStreetError("there is no street 'Ring'")})
+    both = gr.City(root=tmp_path, sites={"east": city.sites["east"], "far": elsewhere})
+    assert both.profile("Ring", month="2026-11")["site"].unique().tolist() == ["east"]
+    assert caplog.text == ""
 
 
 def test_sites_without_vehicles_are_left_out_of_profiles(tmp_path, city):
