@@ -43,6 +43,7 @@ LEFT_OUT = {
         "signals": "for cycles",
         "service": "a table for engineers; a run's report has the levels",
         "datex": "files for a data exchange, which an administrator fills",
+        "sumo_net": "for SUMO, which is run by commands, too",
     },
     "dataset": {
         "keep": "an administrator's, every night",
