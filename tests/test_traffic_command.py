@@ -673,9 +673,10 @@ def test_networks_of_no_projection_or_of_another_place_are_refused(
         assert not (tmp_path / "out").exists()
         return code, err
 
-    code, err = refused(network(tmp_path, projection="!"))
-    assert code == 3
-    assert "the network has no projection" in err
+    for none in "!-":  # without one, and by degrees times a length
+        code, err = refused(network(tmp_path, projection=none))
+        assert code == 3
+        assert "the network has no projection" in err
     code, err = refused(network(tmp_path, projection="+proj=utm +zone=33 +ellps=GRS80"))
     assert code == 4
     assert "no lane of the dataset lies on one of the network" in err
@@ -700,6 +701,7 @@ def test_an_edge_is_known_where_all_its_lanes_are(tmp_path):
         {
             "lane": [1, 2, 3], "edge": ["two", "two", "half"],
             "sumo_lane": ["two_0", "two_1", "half_0"], "edge_lanes": 2,
+            "counts": True, "place": "line",
         }
     )  # fmt: skip
     path = tmp_path / "edgedata.xml"
@@ -715,3 +717,11 @@ def test_an_edge_is_known_where_all_its_lanes_are(tmp_path):
     assert lane.attrib == {
         "id": "half_0", "entered": "5.00", "occupancy": "20.00", "density": "3.00"
     }  # fmt: skip
+
+
+def test_turns_to_lanes_that_nobody_observes_are_written_for_sumo(dataset, tmp_path):
+    made = gr.make_traffic(dataset)
+    seen = made.lanes[made.lanes["lane"] != LEFT].reset_index(drop=True)
+    replace(made, lanes=seen).write(tmp_path / "out")
+    turns = ET.parse(tmp_path / "out" / "sumo.turns.xml").iter("edgeRelation")  # noqa: S314 - ours
+    assert str(LEFT) in {each.get("to") for each in turns}
