@@ -28,13 +28,14 @@ _NO_CARS = {
 }  # fmt: skip
 # What an attribute of an edge is of those of its lanes.
 _SUM, _MEAN, _BY_FLOW = "sum", "mean", "mean by flow"
+_AS_LONG = 0.1  # share by which lengths differ of lanes whose travel times are the same
 _ATTRIBUTES = {
     "entered": ("volume", 1.0, _SUM),
     "speed": ("speed_kmh", 1 / 3.6, _BY_FLOW),
     "occupancy": ("occupancy", 100.0, _MEAN),
     "density": ("density_veh_km", 1.0, _SUM),
     "traveltime": ("travel_time_s", 1.0, _BY_FLOW),
-    "timeLoss": ("delay_s", 1.0, _BY_FLOW),
+    "timeLoss": ("lost_s", 1.0, _SUM),  # of all vehicles together
 }
 
 
@@ -127,11 +128,11 @@ def lanes_of_network(
     Returns
     -------
     DataFrame
-        `place` (`begin`, `line` or `end`), `lane`, `edge`, `sumo_lane`, `edge_lanes`, the number
-        of lanes of that edge, and `counts`: the traffic of that lane of the network is that of this
-        lane, which none follows on the edge, and beside which none lies on the same lane of the
-        network. Lanes on none have no row, nor have those of an edge beside which another one lies
-        that the network lacks.
+        `place` (`begin`, `line` or `end`), `lane`, `edge`, `sumo_lane`; `edge_lanes`, the number
+        of lanes of that edge; `as_long`, whether both lanes are of one length; and `counts`: the
+        traffic of that lane of the network is that of this lane, which none follows on the edge,
+        and beside which none lies on the same lane of the network. Lanes on none have no row, nor
+        have those of an edge beside which another one lies that the network lacks.
 
     Raises
     ------
@@ -155,6 +156,9 @@ def lanes_of_network(
         )
     found = pd.concat(parts, ignore_index=True)
     found["edge_lanes"] = found["edge"].map(network["edge"].value_counts())
+    there = found["sumo_lane"].map(network.set_index("sumo_lane").length)
+    ours = found["lane"].map(lanes.set_index("lane").length)
+    found["as_long"] = (ours / there - 1.0).abs() < _AS_LONG
     return found.drop(columns="is_on")
 
 
@@ -236,8 +240,9 @@ def as_edges(lanes: Iterable[int]) -> pd.DataFrame:
     """Return lanes as edges of their own, as :func:`lanes_of_network` does."""
     lane = pd.Series(sorted(set(lanes)))
     name = lane.astype(str)
-    own = {"lane": lane, "edge": name, "sumo_lane": name + "_0", "edge_lanes": 1, "counts": True}
-    return pd.concat([pd.DataFrame(own).assign(place=place) for place in ("begin", "line", "end")])
+    own = pd.DataFrame({"lane": lane, "edge": name, "sumo_lane": name + "_0", "edge_lanes": 1})
+    own[["as_long", "counts"]] = True
+    return pd.concat([own.assign(place=place) for place in ("begin", "line", "end")])
 
 
 def write_mean_data(
@@ -250,8 +255,8 @@ def write_mean_data(
     lanes : DataFrame
         From :meth:`gis_radar.Dataset.traffic`.
     edges : DataFrame
-        From :func:`lanes_of_network` or :func:`as_edges`. A volume, an occupancy or a density of an
-        edge is known where that of each of its lanes is.
+        From :func:`lanes_of_network` or :func:`as_edges`. A volume, an occupancy, a density or the
+        time lost on an edge is known where that of each of its lanes is.
     zero : Timestamp
         Time from which seconds count.
     path : Path
@@ -279,6 +284,9 @@ def write_mean_data(
 
 def _mean_data(table: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
     """Return the attributes of the lanes with the same keys together."""
+    lost_s = (table["delay_s"] * table["volume"]).mask(table["volume"] == 0.0, 0.0)
+    table = table.assign(lost_s=lost_s)
+    table.loc[~table["as_long"], ["travel_time_s", "lost_s"]] = np.nan
     by = [table[key] for key in keys]
     together = table.groupby(by, sort=False)
     found = pd.DataFrame(index=together.size().index)

@@ -125,8 +125,8 @@ class Traffic:
         From :meth:`gis_radar.Dataset.signal_cycles`.
     sumo_edges : DataFrame, optional
         The edge of a network of SUMO, and the lane of it, on which each lane begins, is counted
-        and ends: `place`, `lane`, `edge`, `sumo_lane`, `edge_lanes`, `counts`; by default each lane
-        is an edge with its number.
+        and ends: `place`, `lane`, `edge`, `sumo_lane`, `edge_lanes`, `as_long`, `counts`; by
+        default each lane is an edge with its number.
     """
 
     lanes: gpd.GeoDataFrame
