@@ -10,7 +10,7 @@ import pytest
 from shapely import LineString
 
 import gis_radar as gr
-from gis_radar.products.sumo import lanes_of_network, write_turn_counts
+from gis_radar.products.sumo import lanes_of_network, read_sumo_network, write_turn_counts
 
 
 def straight_lanes(*lanes):
@@ -93,3 +93,14 @@ def test_turns_lead_to_the_edge_on_which_the_exit_begins():
     at = {place: counting(matched(exit_lane, split, at=place)) for place in ("begin", "line")}
     assert at == {"begin": {1: "near_0"}, "line": {1: "far_0"}}
     assert counting(matched(exit_lane, split[::-1], at="end")) == {1: "far_0"}
+
+
+def test_ways_for_walking_and_cycling_are_no_lanes(tmp_path):
+    allowed = ["pedestrian wheelchair", "bicycle scooter", "bus", "all"]
+    rows = [f'<lane id="e_{k}" allow="{each}" shape="0,0 9,0"/>' for k, each in enumerate(allowed)]
+    path = tmp_path / "net.xml"
+    path.write_text(
+        '<net><location netOffset="0,0" projParameter="EPSG:25832"/><edge id="e">'
+        + "".join(rows) + "</edge></net>"
+    )  # fmt: skip
+    assert read_sumo_network(path)["sumo_lane"].tolist() == ["e_2", "e_3"]

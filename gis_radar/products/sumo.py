@@ -23,7 +23,7 @@ _ON_M, _BESIDE_M, _SAME_COS, _MOST = 2.0, 5.0, 0.7, 0.5
 _AROUND_M, _STEP_M = 15.0, 3.0
 _LEAST_STEPS = 3  # on an edge on which a lane begins or ends
 _NO_CARS = {
-    "pedestrian", "bicycle", "ship", "subway", "tram", "cable_car",
+    "pedestrian", "wheelchair", "bicycle", "scooter", "ship", "subway", "tram", "cable_car",
     "rail", "rail_urban", "rail_electric", "rail_fast",
 }  # fmt: skip
 # What an attribute of an edge is of those of its lanes.
@@ -40,7 +40,7 @@ _ATTRIBUTES = {
 
 
 def read_sumo_network(path: str | Path) -> gpd.GeoDataFrame:
-    """Read the lanes of a network on which cars may drive, without those inside of junctions.
+    """Read the lanes of a network for cars or buses, without those inside of junctions.
 
     Parameters
     ----------
