@@ -193,7 +193,8 @@ def test_a_height_that_jumps_is_named(tmp_path, bound, height, is_named):
     path.write_text(before + at + after.replace('v="100"', f'v="{height}"', 1))
     found = gr.read_map(path).problems
     assert found["lanelet_id"].tolist() == [1000] * is_named
-    assert all("its heights jump by" in each for each in found["reason"])
+    step = abs(int(height) - 100)
+    assert all(f"its heights jump by {step} m" in each for each in found["reason"])
 
 
 def test_a_stray_lanelet_is_left_out(tmp_path):

@@ -673,9 +673,10 @@ def test_networks_of_no_projection_or_of_another_place_are_refused(
         assert not (tmp_path / "out").exists()
         return code, err
 
-    code, err = refused(network(tmp_path, projection="!"))
-    assert code == 3
-    assert "the network has no projection" in err
+    for none in "!-":  # without one, and by degrees times a length
+        code, err = refused(network(tmp_path, projection=none))
+        assert code == 3
+        assert "the network has no projection" in err
     code, err = refused(network(tmp_path, projection="+proj=utm +zone=33 +ellps=GRS80"))
     assert code == 4
     assert "no lane of the dataset lies on one of the network" in err
@@ -693,13 +694,14 @@ def test_an_edge_is_known_where_all_its_lanes_are(tmp_path):
             "volume": [10.0, 30.0, 5.0], "speed_kmh": [36.0, 72.0, np.nan],
             "flow_veh_h": [40.0, 120.0, 0.0], "occupancy": [0.1, 0.3, 0.2],
             "density_veh_km": [1.0, 2.0, 3.0], "travel_time_s": [6.0, 3.0, np.nan],
-            "delay_s": [np.nan, 1.0, np.nan], "geometry": None,
+            "delay_s": [2.0, 1.0, np.nan], "geometry": None,
         }
     )  # fmt: skip
     edges = pd.DataFrame(
         {
             "lane": [1, 2, 3], "edge": ["two", "two", "half"],
             "sumo_lane": ["two_0", "two_1", "half_0"], "edge_lanes": 2,
+            "counts": True, "place": "line", "as_long": True,
         }
     )  # fmt: skip
     path = tmp_path / "edgedata.xml"
@@ -707,11 +709,22 @@ def test_an_edge_is_known_where_all_its_lanes_are(tmp_path):
     found = {each.get("id"): each.attrib for each in ET.parse(path).iter("edge")}  # noqa: S314
     assert found["two"] == {
         "id": "two", "entered": "40.00", "speed": "17.50", "occupancy": "20.00",
-        "density": "3.00", "traveltime": "3.75", "timeLoss": "1.00",
+        "density": "3.00", "traveltime": "3.75", "timeLoss": "50.00",  # as SUMO's: of all vehicles
     }  # fmt: skip
     assert found["half"] == {"id": "half"}
+    longer = edges.assign(as_long=[False, False, True])
+    write_mean_data(lanes, longer, begin, path, by_lane=False)
+    assert {"traveltime", "timeLoss"}.isdisjoint(ET.parse(path).find("*/edge").attrib)  # noqa: S314
     write_mean_data(lanes, edges, begin, path, by_lane=True)
     lane = ET.parse(path).find("interval/edge[@id='half']/lane")  # noqa: S314 - ours
     assert lane.attrib == {
         "id": "half_0", "entered": "5.00", "occupancy": "20.00", "density": "3.00"
     }  # fmt: skip
+
+
+def test_turns_to_lanes_that_nobody_observes_are_written_for_sumo(dataset, tmp_path):
+    made = gr.make_traffic(dataset)
+    seen = made.lanes[made.lanes["lane"] != LEFT].reset_index(drop=True)
+    replace(made, lanes=seen).write(tmp_path / "out")
+    turns = ET.parse(tmp_path / "out" / "sumo.turns.xml").iter("edgeRelation")  # noqa: S314 - ours
+    assert str(LEFT) in {each.get("to") for each in turns}

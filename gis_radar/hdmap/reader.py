@@ -202,7 +202,7 @@ def _plausible(lanelets: list[_Lanelet]) -> tuple[list[_Lanelet], list[_Problem]
         if not is_left_out:
             kept.append(lanelet)
         jump_m = _jump_m(left, right)
-        if is_left_out or width_m > _WIDE_M or jump_m > _JUMP_M:
+        if is_left_out or width_m > _WIDE_M or jump_m:
             far = Text("it lies {:.0f} km from the middle of the map", off_m / 1000.0)
             wide = Text("its bounds are {:.0f} m apart", width_m)
             steep = Text("its heights jump by {:.0f} m: is the ele of a node wrong?", jump_m)
@@ -214,13 +214,13 @@ def _plausible(lanelets: list[_Lanelet]) -> tuple[list[_Lanelet], list[_Problem]
 
 
 def _jump_m(left: Floats, right: Floats) -> float:
-    """Return the largest step in height to a next corner, or across, beyond its length, metres."""
+    """Return the largest step in height to a next corner, or across; 0 where none is too steep."""
     if left.shape[1] + right.shape[1] < 6:  # without heights
         return 0.0
     across = left[[0, -1]] - right[[0, -1]]
     steps = np.concatenate([np.diff(left, axis=0), np.diff(right, axis=0), across])
     beyond_m = np.abs(steps[:, 2]) - np.hypot(*steps[:, :2].T)
-    return float(np.nan_to_num(beyond_m).max(initial=0.0))
+    return float(np.abs(steps[beyond_m > _JUMP_M, 2]).max(initial=0.0))
 
 
 def _left_out(ref: int, reason: str, drawn: list[Floats]) -> _Problem:

@@ -32,7 +32,7 @@ from gis_radar.base import (
     write_csv,
     zone_of,
 )
-from gis_radar.dataset import Dataset, open_dataset
+from gis_radar.dataset import Dataset, LaneTraffic, open_dataset
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import DRAWN, TURN_WORDS
 from gis_radar.products.datex import (
@@ -124,8 +124,9 @@ class Traffic:
     cycles : DataFrame, optional
         From :meth:`gis_radar.Dataset.signal_cycles`.
     sumo_edges : DataFrame, optional
-        The edge of a network of SUMO, and the lane of it, on which each lane is counted: `lane`,
-        `edge`, `sumo_lane`, `edge_lanes`; by default each lane is an edge with its number.
+        The edge of a network of SUMO, and the lane of it, on which each lane begins, is counted
+        and ends: `place`, `lane`, `edge`, `sumo_lane`, `edge_lanes`, `as_long`, `counts`; by
+        default each lane is an edge with its number.
     """
 
     lanes: gpd.GeoDataFrame
@@ -150,7 +151,7 @@ class Traffic:
         if self.cycles is not None:
             figures["cycles"] = int(self.cycles["counted"].notna().sum())
         if self.sumo_edges is not None:
-            figures["lanes_on_network"] = len(self.sumo_edges)
+            figures["lanes_on_network"] = int(self.sumo_edges["place"].eq("line").sum())
         return figures | {
             "lanes": int(rows["lane"].nunique()),
             "turns": len(self.turns[["from_lane", "to_lane"]].drop_duplicates()),
@@ -209,7 +210,10 @@ class Traffic:
         UsageError
             If the publisher is no country and name.
         """
-        edges = as_edges(self.lanes) if self.sumo_edges is None else self.sumo_edges
+        edges = self.sumo_edges
+        if edges is None:
+            ends = self.turns[["from_lane", "to_lane"]].to_numpy().ravel()
+            edges = as_edges([*self.lanes["lane"], *ends])
         for_sumo = (self.lanes, edges, self.lanes["begin"].min())
         writers: dict[str, Callable[[Path], object]] = {
             "traffic.csv": partial(write_table, self.lanes),
@@ -372,7 +376,8 @@ def make_traffic(
         lanes.insert(lanes.columns.get_loc("stops") + 1, "los", service_levels(lanes, service))
     edges = None
     if sumo_net is not None:
-        edges = lanes_of_network(dataset.layer(LANES_LAYER), read_sumo_network(sumo_net))
+        order = LaneTraffic.of(dataset).network
+        edges = lanes_of_network(dataset.layer(LANES_LAYER), order, read_sumo_network(sumo_net))
     return Traffic(
         lanes=lanes, turns=dataset.turns(interval, **options), sumo_edges=edges,
         whole_turns=dataset.turns(whole=True, **options), sections=section_rows,

@@ -369,6 +369,8 @@ def test_a_time_in_which_nothing_was_recorded_is_refused(tmp_path, table):
     if table in {"traffic", "turns", "queues", "count_sections"}:  # no interval begins in it
         with pytest.raises(InputError, match="an interval counts if it begins in the time"):
             ask(begin=day + "22:31", end=day + "22:45")
+        with pytest.raises(InputError, match="an interval counts if it begins in the time"):
+            ask(begin=day + "22:16", end=day + "22:29")
 
 
 def test_the_whole_of_a_short_recording_has_volumes_without_an_interval_given(tmp_path):

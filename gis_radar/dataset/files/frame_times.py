@@ -119,7 +119,7 @@ def recorded_span(dataset: DatasetFiles, begin: Moment, end: Moment, steps: int 
     require_measured(dataset, span)
     recorded = recording_steps(dataset)
     first, last = -(-span[0] // steps) * steps, span[1] // steps * steps + steps - 1
-    if len(recorded) and not len(recorded.within(first, last)):
+    if len(recorded) and (first > last or not len(recorded.within(first, last))):
         place = np.searchsorted(recorded.first, recorded.nearest(first), side="right") - 1
         nearest = (iso_from_step(int(each[place])) for each in (recorded.first, recorded.last))
         raise NotMeasuredError(
