@@ -8,13 +8,12 @@ from typing import Any
 import click
 
 import gis_radar as gr
-from gis_radar import base, products
+from gis_radar import base, measures, products
 from gis_radar import dataset as dataset_room
 from gis_radar.base import Reporter, Text, UsageError, placed
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import DURATION, FILE, begin_end, csv_locale, folder_output, language
 from gis_radar.cli.options import dataset as dataset_argument
-from gis_radar.measures import DRAWN
 
 _TOO_SHORT = Text(
     "no interval was visible for a fifth of its length, which a volume needs: "
@@ -104,7 +103,7 @@ def traffic(
     figures = made.figures()
     if not figures["rows_with_volume"]:
         reporter.warn(_TOO_SHORT)
-    if not made.lanes["stop_line"].eq(DRAWN).any():
+    if not made.lanes["stop_line"].eq(measures.DRAWN).any():
         reporter.log(_NO_STOP_LINES)
     elif options["service"] is not None and options["interval"] != _SERVICE_INTERVAL:
         reporter.log(Text(_OTHER_LEVELS, options["interval"]))

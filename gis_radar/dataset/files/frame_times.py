@@ -122,13 +122,15 @@ def recorded_span(dataset: DatasetFiles, begin: Moment, end: Moment, steps: int 
     if len(recorded) and (first > last or not len(recorded.within(first, last))):
         place = np.searchsorted(recorded.first, recorded.nearest(first), side="right") - 1
         nearest = (iso_from_step(int(each[place])) for each in (recorded.first, recorded.last))
-        raise NotMeasuredError(
-            "{}: nothing was measured in that time", dataset.folder,
-            hint=Text(
-                "the nearest recording goes from {} to {}; an interval counts if it begins in the "
-                "time asked for", *nearest,
-            ),
+        hint = Text(
+            "the nearest recording goes from {} to {}; an interval counts if it begins in the "
+            "time asked for", *nearest,
         )  # fmt: skip
+        if len(recorded.within(*span)):
+            raise NotMeasuredError(
+                "{}: no interval with a recording begins in that time", dataset.folder, hint=hint
+            )
+        raise NotMeasuredError("{}: nothing was measured in that time", dataset.folder, hint=hint)
     return span
 
 
