@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import geopandas as gpd
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from gis_radar.base import Floats, Integers, ranges
 from gis_radar.hdmap import SAME_LEVEL_M, Lane, quads
@@ -121,7 +121,7 @@ def _meetings(points: _Points, count: int) -> list[dict[int, float]]:
     """Return where each lanelet first meets others, m from its begin: those that lead elsewhere."""
     low = points.place.min(axis=0)
     soon = np.flatnonzero(points.along_m <= _SOON_M)
-    tree, whole = (cKDTree(each - low) for each in (points.place[soon], points.place))
+    tree, whole = (scipy.spatial.cKDTree(each - low) for each in (points.place[soon], points.place))
     near = tree.query_ball_tree(whole, _MEET_M)
     of = np.repeat(soon, [len(each) for each in near])
     other = np.concatenate([np.zeros(0, np.int64), *(np.array(each, np.int64) for each in near)])
