@@ -11,12 +11,13 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
+from xml.etree.ElementTree import Element, SubElement
 
 import geopandas as gpd
 import pandas as pd
 
 from gis_radar.base import UsageError, current_language, iso_from_time
+from gis_radar.products.results_folder import write_xml
 
 _DATEX = {
     **{
@@ -37,11 +38,6 @@ _LETTERS = 1024  # most that a text of DATEX II has
 # What no XML may hold; names of a layer of streets may.
 _NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _DEGREES = 7  # decimals of latitudes and longitudes: a centimetre
-
-
-def _write_xml(root: Element, path: Path) -> None:
-    indent(root)
-    ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
 
 def publisher_of(text: str) -> tuple[str, str]:
@@ -94,7 +90,7 @@ def write_datex_sites(lanes: gpd.GeoDataFrame, publisher: tuple[str, str], path:
         line = SubElement(where, "loc:gmlLineString", srsName="EPSG:4326")
         pairs = [f"{y:.{_DEGREES}f} {x:.{_DEGREES}f}" for x, y, *_ in site.geometry.coords]
         _add(line, "loc:posList", " ".join(pairs))
-    _write_xml(root, path)
+    write_xml(root, path)
 
 
 def write_datex_measurements(
@@ -128,7 +124,7 @@ def write_datex_measurements(
         period = SubElement(time, "roa:period")
         _add(period, "com:startOfPeriod", iso_from_time(row["begin"]))
         _add(period, "com:endOfPeriod", iso_from_time(row["end"]))
-    _write_xml(root, path)
+    write_xml(root, path)
 
 
 def _period_s(lanes: gpd.GeoDataFrame) -> float:

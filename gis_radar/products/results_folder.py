@@ -1,9 +1,10 @@
-"""Write the files of a result into one folder, which appears whole or not at all."""
+"""Write the files of a result into one folder, which appears whole or not at all, and XML."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from xml.etree.ElementTree import Element, ElementTree, indent
 
 from gis_radar.base import (
     QUIET,
@@ -62,3 +63,9 @@ def write_results(
                 reporter.progress(stage, done, len(writers))
         copy_saved_styles(fresh / package, earlier=folder / package)
     return [folder / file for file in writers]
+
+
+def write_xml(root: Element, path: Path) -> None:
+    """Write a document of XML, indented, in UTF-8."""
+    indent(root)
+    ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)

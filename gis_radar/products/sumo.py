@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, ElementTree, ParseError, SubElement, indent, iterparse
+from xml.etree.ElementTree import Element, ParseError, SubElement, iterparse
 
 import geopandas as gpd
 import numpy as np
@@ -16,6 +16,7 @@ from pyproj.exceptions import CRSError
 
 from gis_radar.base import Floats, InputError, Integers, NoAnswerError
 from gis_radar.measures import LaneNetwork
+from gis_radar.products.results_folder import write_xml
 
 # A lane lies on the lane of a network that is nearest, and leads the same way, at most of the
 # places about its counting line: not across. Farther beside it is one that the network lacks.
@@ -279,7 +280,7 @@ def write_mean_data(
                 for attribute in _ATTRIBUTES:
                     if pd.notna(row[attribute]):
                         place.set(attribute, f"{row[attribute]:.2f}")
-    _write_xml(root, path)
+    write_xml(root, path)
 
 
 def _mean_data(table: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
@@ -327,7 +328,7 @@ def write_turn_counts(
         for row in rows[rows["volume"].notna()].to_dict("records"):
             ends = {"from": row["from"], "to": row["to"]}
             SubElement(element, "edgeRelation", ends | {"count": f"{row['volume']:.2f}"})
-    _write_xml(root, path)
+    write_xml(root, path)
 
 
 def _intervals(
@@ -341,8 +342,3 @@ def _intervals(
         stated = dict(zip(("begin", "end"), seconds, strict=True)) | {"id": edges[0].isoformat()}
         intervals.append((SubElement(root, "interval", stated), rows))
     return intervals
-
-
-def _write_xml(root: Element, path: Path) -> None:
-    indent(root)
-    ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
