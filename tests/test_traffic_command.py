@@ -261,6 +261,31 @@ def test_the_workbook_shows_heads_and_whole_times(written):
         assert wide  # columns of times, which are ### where they do not fit
 
 
+def test_the_workbook_can_be_read_on_paper(written):
+    """Each page names its rows and columns; numbers have the digits that mean something."""
+    folder, _ = written()
+    with zipfile.ZipFile(folder / "traffic.xlsx") as file:
+        sheet = ET.fromstring(file.read("xl/worksheets/sheet1.xml"))  # noqa: S314 - ours
+        book, styles = (file.read(f"xl/{name}.xml").decode() for name in ("workbook", "styles"))
+    page = sheet.find(f"{SHEET}pageSetup")
+    assert page.get("orientation") == "landscape"
+    assert 2 <= int(page.get("fitToWidth", "1")) <= 5
+    assert page.get("fitToHeight") == "0"  # as many as the rows need
+    assert "Lanes!$A:$B,Lanes!$1:$1" in book
+    assert 'formatCode="0.0"' in styles
+    shown = {
+        column: each.get("style")
+        for each in sheet.iter(f"{SHEET}col")
+        for column in range(int(each.get("min")), int(each.get("max")) + 1)
+    }
+    names = list(sheet_of(folder / "traffic.xlsx", 1)[1][0].values())
+    share, volume, name = (
+        shown[names.index(title) + 1]
+        for title in ("Visible share [0-1]", "Volume, estimated [veh]", "Lane")
+    )
+    assert len({share, volume, name}) == 3
+
+
 def test_the_workbook_speaks_german(written):
     """Its titles are read whole: no word is wider than its column, no line below the row's end."""
     folder, _ = written("--language", "de", "--headways")
