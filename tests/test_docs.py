@@ -21,7 +21,6 @@ from sites import START, crossing, pose, recording
 
 import gis_radar as gr
 from gis_radar.cli import group
-from gis_radar.dataset import TILE_COUNTS
 from gis_radar.hdmap import TILE_COLUMNS as TILES
 from gis_radar.poses.files import TRACK_FIELDS
 
@@ -207,9 +206,7 @@ def test_every_measure_of_a_file_is_defined(tmp_path):
     row = {*gr.measure_quality(dataset).table}
     track = {name.removeprefix("sigma_").partition("_")[0] for name in TRACK_FIELDS}
     measures = {"occupied_s", "visible_s", "occupancy", "occupancy_se", "hit_s", "observed_s"}
-    layers = (
-        measures | {"hit_share", "begin", "end"} | {f"{name}.tif" for name in TILE_COUNTS.shares}
-    )
+    layers = measures | {"hit_share", "begin", "end"}
     assert (row | {*TILES} | track | layers) - defined == set()
 
 

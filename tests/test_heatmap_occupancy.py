@@ -160,27 +160,6 @@ def test_the_raster_shows_occupancy_and_hits_stands_beside(written):
     assert 'attr="occupancy"' in (folder / "heatmap.qml").read_text()
 
 
-@pytest.mark.parametrize("interval", [None, "5s"])  # from the counts, and from the exact tables
-def test_maps_of_further_columns_are_those_of_sets_of_steps(tmp_path, interval):
-    tiles = lane_tiles(9)
-    dataset, occupied, visible, span = both_of(tiles)
-    heat = make_heatmap(dataset, interval=interval, further=["hidden_steps", "occupied_steps"])
-    heat.write(tmp_path)
-    wanted = {"hidden_steps": [], "occupied_steps": []}
-    for tile in range(len(tiles)):
-        shown = visible.get((tile, True), set())
-        under = (occupied[tile, True] | occupied[tile, False]) & shown
-        wanted["hidden_steps"].append(len(span - shown) / len(span))
-        wanted["occupied_steps"].append(len(under) / len(shown) if shown else np.nan)
-    middles = [(point.x, point.y) for point in tiles.representative_point()]
-    for name, shares in wanted.items():
-        with rasterio.open(tmp_path / f"{name}.tif") as raster:
-            found = [float(values[0]) for values in raster.sample(middles, indexes=1)]
-            assert list(json.loads(raster.tags()["definitions"])) == [name]
-        assert found == pytest.approx(shares, nan_ok=True)
-    assert 0 < wanted["hidden_steps"][0] < 1
-
-
 def test_the_layer_by_interval_reads_as_made(written):
     heat, folder = written
     again = read_heatmap(folder)

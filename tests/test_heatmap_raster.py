@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pyogrio
 import pytest
@@ -13,8 +11,6 @@ import shapely
 from counted_sites import T0, lane_tiles, make_site, two_sensors
 from maps import Listener
 
-from gis_radar.base import UsageError
-from gis_radar.dataset import TILE_COUNTS
 from gis_radar.products import make_heatmap
 
 
@@ -167,30 +163,3 @@ def test_500_bands_are_possible(tmp_path):
         assert raster.descriptions[500] == "2023-11-14T22:13:44.950Z"
         assert np.nanmax(raster.read(5)) == 1.0
         assert np.nanmax(raster.read(6)) == 0.0
-
-
-def test_a_share_of_the_time_has_a_map_and_a_style(tmp_path):
-    """That of the hits is the map of the hit share, pixel by pixel."""
-    heat = make_heatmap(two_sensors().dataset, interval="5s", further=["hit_steps", "hidden_steps"])
-    assert {"hidden_steps.tif", "hidden_steps.qml"} <= {each.name for each in heat.write(tmp_path)}
-    with (
-        rasterio.open(tmp_path / "hits.tif") as wanted,
-        rasterio.open(tmp_path / "hit_steps.tif") as found,
-        rasterio.open(tmp_path / "hidden_steps.tif") as hidden,
-    ):
-        np.testing.assert_array_equal(found.read(), wanted.read())
-        assert found.descriptions == wanted.descriptions
-        np.testing.assert_array_equal(np.isnan(hidden.read()), np.isnan(wanted.read()))
-    with pytest.raises(UsageError, match="no inferred_steps"):
-        heat.shown(0, "inferred_steps")
-
-
-def test_a_map_of_what_is_no_share_is_refused():
-    with pytest.raises(UsageError, match="'observed_steps'") as caught:
-        make_heatmap(two_sensors().dataset, further=["observed_steps"])
-    assert caught.value.hint.endswith("; occupancy is mapped anyway")
-
-
-def test_the_help_names_what_can_be_mapped(run):
-    _, shown, _ = run("heatmap", "--help")
-    assert set(re.findall(r"\w+_steps", shown)) == {*TILE_COUNTS.shares}

@@ -96,15 +96,6 @@ def mask(
     help="Where the data come from, to stand under the picture.",
 )
 @click.option("--at", help="Map of the one 50 ms step at this time: '2025-06-12 07:30:05'.")
-@click.option(
-    "--map-of",
-    "further",
-    multiple=True,
-    metavar="COLUMN",
-    help="A further GeoTIFF, of a column of tile_counts as a share of another one: hit_steps, "
-    "occupied_steps, hidden_steps (for which share of the observed time vehicles hid a tile) or "
-    "inferred_steps; repeatable.",
-)
 def heatmap(
     *, folder: Path, output: Path, title: str, language: str, sources: tuple[str, ...],
     reporter: Reporter, **options: Any,
@@ -134,7 +125,7 @@ def _map_of_city(
     if given := [name for name, value in others.items() if value]:
         raise UsageError(
             "{} is of the map of a dataset, not of a city",
-            f"--{given[0].replace('further', 'map-of')}",
+            f"--{given[0]}",
         )
     city = gr.open_city(folder, reporter=reporter)
     path = city.write_map(month, output)

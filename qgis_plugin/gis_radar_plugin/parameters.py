@@ -157,12 +157,8 @@ class Names(Text):
     """Several names, with a comma or a space between them."""
 
     def words(self, given: Given) -> list[str]:
-        return self._option(*names_in(given.text(self.name)))
-
-
-def names_in(text: str) -> list[str]:
-    """Return names with a comma or a space between them, each once."""
-    return list(dict.fromkeys(text.replace(",", " ").split()))
+        names = given.text(self.name).replace(",", " ").split()
+        return self._option(*dict.fromkeys(names))
 
 
 @dataclass(frozen=True)

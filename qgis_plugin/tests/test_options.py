@@ -170,9 +170,9 @@ WORDS = {
          "--jobs", "2", "-o", "OUT"],
     ),
     "heatmap": (
-        {"DATASET": "d", "BEGIN": "2025-06-12 07:30", "MAP_OF": "hidden_steps, hit_steps"},
+        {"DATASET": "d", "BEGIN": "2025-06-12 07:30"},
         ["heatmap", "d", "--interval", "15min", "--begin", "2025-06-12 07:30", "--language", "en",
-         "--map-of", "hidden_steps", "--map-of", "hit_steps", "-o", "OUT"],
+         "-o", "OUT"],
     ),
     "footprints": ({"DATASET": "d"}, ["footprints", "d", "-o", "OUT"]),
     "detections": (

@@ -31,15 +31,12 @@ class TableColumn:
         Meaning of its values, with the unit where the name has none.
     nullable : bool
         Whether values may be missing.
-    share_of : str
-        The column of which this one is a share, if any: maps can show the quotient, 0 to 1.
     """
 
     name: str
     type: pa.DataType
     means: str
     nullable: bool = False
-    share_of: str = ""
 
 
 TILE = TableColumn("tile_id", _INT, "the tile, as in the layer `tiles`")
@@ -86,11 +83,6 @@ class TableSchema:
     def names(self) -> list[str]:
         """Names of the columns, in order."""
         return [column.name for column in self.columns]
-
-    @property
-    def shares(self) -> dict[str, str]:
-        """The columns that maps show as a share, each with the column of which it is one."""
-        return {column.name: column.share_of for column in self.columns if column.share_of}
 
     @property
     def schema(self) -> pa.Schema:

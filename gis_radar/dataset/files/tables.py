@@ -136,22 +136,13 @@ TILE_COUNTS = TableSchema(
     columns=(
         TILE,
         TableColumn("interval", _SHORT, "quarter of an hour of the UTC day, 0 to 95"),
-        TableColumn("hit_steps", _SHORT, "steps both hit and observed", share_of="observed_steps"),
+        TableColumn("hit_steps", _SHORT, "steps both hit and observed"),
         TableColumn("observed_steps", _SHORT, "steps observed"),
-        TableColumn(
-            "occupied_steps", _SHORT, "steps both occupied and visible", share_of="visible_steps"
-        ),
+        TableColumn("occupied_steps", _SHORT, "steps both occupied and visible"),
         TableColumn("visible_steps", _SHORT, "steps visible"),
-        TableColumn(
-            "hidden_steps", _SHORT, "steps observed and not visible", share_of="observed_steps"
-        ),
+        TableColumn("hidden_steps", _SHORT, "steps observed and not visible"),
         TableColumn("occupied_variance", _SINGLE, "of occupied_steps by the tracks, steps^2"),
-        TableColumn(
-            "inferred_steps",
-            _SHORT,
-            "steps visible while hidden by vehicles",
-            share_of="visible_steps",
-        ),
+        TableColumn("inferred_steps", _SHORT, "steps visible while hidden by vehicles"),
     ),
     order=("tile_id", "interval"),
     period="day",

@@ -6,8 +6,7 @@ from its exact tables, an hour at a time.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, Self
 from zoneinfo import ZoneInfo
 
@@ -26,12 +25,11 @@ from gis_radar.base import (
     InputError,
     Integers,
     Reporter,
-    Text,
     UsageError,
     iso_from_step,
     zone_of,
 )
-from gis_radar.dataset import TILE_COUNTS, Dataset, shifts_of
+from gis_radar.dataset import Dataset, shifts_of
 from gis_radar.hdmap import own_columns
 from gis_radar.products.heatmap.intervals import MOST_BANDS, MapLabels, Timeline, When, intervals_at
 from gis_radar.products.heatmap.occupancy import (
@@ -101,9 +99,6 @@ class Tally:
         Steps in which they were visible and occupied, where vehicles are known.
     labels : MapLabels
         Labels of pictures and reports.
-    further : mapping
-        By name of a further column of `tile_counts` that is a share of another one: steps of the
-        column and of the other, (intervals, k) uint32 arrays each.
     """
 
     tiles: gpd.GeoDataFrame
@@ -116,7 +111,6 @@ class Tally:
     observed: Counts
     occupancy: Occupancy | None = None
     labels: MapLabels = _NO_LABELS
-    further: Mapping[str, tuple[Counts, Counts]] = field(default_factory=dict)
 
     @property
     def measure(self) -> str:
@@ -143,7 +137,7 @@ class Tally:
     @classmethod
     def count(
         cls, dataset: Dataset, whole: Timeline, timeline: Timeline, *,
-        labels: MapLabels | None = None, further: Sequence[str] = (), month: str | None = None,
+        labels: MapLabels | None = None, month: str | None = None,
         reporter: Reporter = QUIET,
     ) -> Self:  # fmt: skip
         """Count the steps in which tiles were hit, observed, occupied and visible.
@@ -156,8 +150,6 @@ class Tally:
             The whole time, and the intervals.
         labels : MapLabels, optional
             Labels of pictures and reports.
-        further : sequence of str
-            Further columns of `tile_counts` to keep, each a share of another one.
         month : str, optional
             The month that the whole time is, whose roll-up is taken.
         reporter : Reporter
@@ -165,13 +157,9 @@ class Tally:
 
         Raises
         ------
-        UsageError
-            If a column is no share of another one.
         InputError
             If no tile is in sight, or a part of the dataset is damaged.
         """
-        for name in further:
-            _require_share(name)
         tiles = own_tiles(dataset)
         ids = tiles["tile_id"].to_numpy(np.int64)
         seen = positions(ids, np.unique(dataset.sights()["tile_id"].to_numpy(np.int64)))
@@ -201,10 +189,6 @@ class Tally:
             if shifts is None
             else occupancy_of(sums, whole_sums, tiles, seen, shifts),
             labels=labels or _NO_LABELS,
-            further={
-                name: (sums[name].astype(np.uint32), sums[SHARES[name]].astype(np.uint32))
-                for name in further
-            },
         )
 
     def chosen(
@@ -275,7 +259,7 @@ class Tally:
         interval : int, slice, str or datetime, optional
             As for :meth:`shares`.
         measure : str, optional
-            `occupancy`, `hit_share`, or one of `further`; without it, :attr:`measure`.
+            `occupancy` or `hit_share`; without it, :attr:`measure`.
 
         Raises
         ------
@@ -288,10 +272,7 @@ class Tally:
         known = self.occupancy_shares(interval)
         if measure == "occupancy" and known is not None:
             return known.occupancy
-        if measure not in self.further:
-            raise UsageError("the heat map has no {}", measure)
-        part, whole = (summed(each, self.chosen(interval)) for each in self.further[measure])
-        return shares_of_tiles(self.seen, len(self.tiles), part, whole)[2]
+        raise UsageError("the heat map has no {}", measure)
 
     def least_visible_s(self, interval: When = None) -> float:
         """Return the visible time, seconds, below which a tile's occupancy is uncertain."""
@@ -397,16 +378,3 @@ def positions(tile_ids: Integers, wanted: Integers) -> Integers:
     if not known.all():
         raise InputError("the dataset names tile {}, which its tiles lack", wanted[~known][0])
     return position
-
-
-SHARES = TILE_COUNTS.shares
-
-
-def _require_share(name: str) -> None:
-    """Refuse a column that is no share of another one."""
-    if name not in SHARES:
-        raise UsageError(
-            "no further map shows {}",
-            repr(name),
-            hint=Text("choose one of {}; occupancy is mapped anyway", ", ".join(SHARES)),
-        )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from gis_radar.base import (
 from gis_radar.dataset import Dataset, measured_span, open_dataset
 from gis_radar.measures import Runs
 from gis_radar.products.heatmap.by_lane import table_by_lane
-from gis_radar.products.heatmap.counting import SHARES, Tally
+from gis_radar.products.heatmap.counting import Tally
 from gis_radar.products.heatmap.figure import SMALL_PIXELS, draw, write_figure
 from gis_radar.products.heatmap.intervals import MapLabels, Timeline, intervals_of, whole_of
 from gis_radar.products.heatmap.layers import (
@@ -45,7 +45,7 @@ from gis_radar.products.results_folder import write_results
 NO_OCCUPANCY = Text("occupancy is missing: no vehicles were measured; the map shows the hit share")
 _MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
 # Begins of the names of its files, and of those of a report, which is removed with the heat map.
-OWNED_BY_HEATMAP = ("heatmap.", "hits.", *(f"{name}." for name in SHARES), *REPORT_FILES)
+OWNED_BY_HEATMAP = ("heatmap.", "hits.", *REPORT_FILES)
 
 
 class HeatMap(Tally):
@@ -72,7 +72,6 @@ class HeatMap(Tally):
 
         Beside them `heatmap.qml` lets QGIS show the GeoTIFF and the table in the same colours.
         Where vehicles were not looked for, all show the hit share, and `heatmap.tif` is missing.
-        Each of `further` has a GeoTIFF of its name with its style; reading back leaves them out.
 
         Parameters
         ----------
@@ -103,9 +102,6 @@ class HeatMap(Tally):
             writers["heatmap.tif"] = raster
         else:
             writers["hits.qml"] = writers["heatmap.qml"]
-        for name in self.further:
-            writers[f"{name}.tif"] = partial(raster, measure=name)
-            writers[f"{name}.qml"] = partial(_write_style, self, measure=name)
         return write_results(
             folder, writers, name="heatmap", owned=OWNED_BY_HEATMAP, reporter=reporter
         )
@@ -121,7 +117,6 @@ def make_heatmap(
     month: str | None = None,
     timezone: str | None = None,
     labels: MapLabels | None = None,
-    further: Sequence[str] = (),
     reporter: Reporter = QUIET,
 ) -> HeatMap:
     """Make the heat map of all tiles (the paper's section "Global Occupancy Heat Map").
@@ -148,9 +143,6 @@ def make_heatmap(
         `labels` are not given; tables and layers stay in UTC. By default the dataset's.
     labels : MapLabels, optional
         Title, time zone and sources for pictures and reports.
-    further : sequence of str
-        Columns of `tile_counts` that become further maps, each as a share of its
-        time: `hidden_steps` shows how much of the observed time vehicles hid a tile.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -205,7 +197,7 @@ def make_heatmap(
     for doubt in dataset.doubts:
         reporter.warn("{}", doubt)
     return HeatMap.count(
-        dataset, whole, timeline, labels=labels, further=further, month=month, reporter=reporter
+        dataset, whole, timeline, labels=labels, month=month, reporter=reporter
     )  # fmt: skip
 
 
@@ -244,9 +236,9 @@ def joint_layer(maps: Mapping[str, HeatMap], crs: Any = None) -> gpd.GeoDataFram
     return gpd.GeoDataFrame(pd.concat(tables, ignore_index=True))
 
 
-def _write_style(tally: Tally, path: Path, *, measure: str | None = None) -> None:
+def _write_style(tally: Tally, path: Path) -> None:
     """Write the QGIS style (QML) of the raster and the table with that name."""
-    style = sidecar_qml(measure or tally.measure, least_s=tally.least_visible_s())
+    style = sidecar_qml(tally.measure, least_s=tally.least_visible_s())
     path.write_text(style, encoding="utf-8")
 
 

@@ -22,7 +22,6 @@ from rasterio.enums import Resampling
 from rasterio.transform import Affine
 
 from gis_radar.base import CELL_M, Floats, Integers, OutputError, Reporter, iso_from_step, ranges
-from gis_radar.dataset import TILE_COUNTS
 from gis_radar.hdmap import TileGrid, quads
 from gis_radar.measures import Runs, union_of_runs
 from gis_radar.products.heatmap.counting import Tally
@@ -235,8 +234,4 @@ def _write_bands(
             about = iso_from_step(int(tally.timeline.begin[interval]))
         raster.set_band_description(band, about)
         reporter.progress("writing bands", band, len(intervals))
-    definitions = dict(tally.definitions)
-    if measure is not None and measure in tally.further:
-        shown = next(each for each in TILE_COUNTS.columns if each.name == measure)
-        definitions = {measure: f"{shown.means}, as a share of {shown.share_of}"}
-    raster.update_tags(fingerprint=tally.fingerprint, definitions=json.dumps(definitions))
+    raster.update_tags(fingerprint=tally.fingerprint, definitions=json.dumps(tally.definitions))

@@ -57,8 +57,6 @@ MAP_WORDS = {
 }
 
 
-_OTHER_SHARE = MeasureWords("Share of time", "", "never", "no data")  # of a column of tile counts
-
 # A lane's name is shown as text: QGIS takes a tip for HTML.
 _LANE = "replace(replace(attribute('lane'), '&', '&amp;'), '<', '&lt;')"
 _SEEN = f"""([% format_number("{{}}_s", 0) %] s)[% coalesce('<br>' || {_LANE}, '') %]"""
@@ -85,7 +83,7 @@ def colour_classes(measure: str = "hit_share") -> tuple[ColourClass, ...]:
     """Return the classes of hit share or occupancy from 0 to 1, lowest first."""
     bounds = zip(pairwise(BREAKS), RAMP, strict=True)
     return (
-        ColourClass(0.0, 0.0, NEVER_HIT, f"0 %, {MAP_WORDS.get(measure, _OTHER_SHARE).zero}"),
+        ColourClass(0.0, 0.0, NEVER_HIT, f"0 %, {MAP_WORDS[measure].zero}"),
         *(ColourClass(low, high, colour, _label(low, high)) for (low, high), colour in bounds),
     )
 
@@ -173,7 +171,7 @@ def _filled(measure: str, least_s: float, **more: Any) -> str:
     rule = escape(uncertain_rule(least_s), {'"': "&quot;"}) if measure == "occupancy" else ""
     return text_template(_HERE / "tiles.qml.jinja").render(
         measure=measure, classes=colour_classes(measure), hatches=hatches(), rule=rule,
-        tip=escape(_TIPS.get(measure, "")), rgba=_rgba, single=_single, **more,
+        tip=escape(_TIPS[measure]), rgba=_rgba, single=_single, **more,
     )  # fmt: skip
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from qgis.core import (
 
 from ..base import TRAFFIC, WorkerAlgorithm
 from ..loading import INTERVALS, as_ground, dress, dress_only, heatmap_titles, load, shows_occupancy
-from ..parameters import Folder, Given, Names, OutputFolder, Result, Text, names_in
+from ..parameters import Folder, Given, OutputFolder, Result, Text
 from ..runner import Answer
 from ..words import tr
 from . import shared
@@ -60,11 +59,6 @@ class MakeHeatMap(WorkerAlgorithm):
         Text(
             "AT", "One moment only", "The map of one step of 50 ms, in UTC: 2025-06-12T07:30:10Z.",
         ),
-        Names(
-            "MAP_OF", "Maps of further columns",
-            "Columns of the table 'tile_counts', with a comma between them: hidden_steps maps the "
-            "share of the time in which vehicles hid a tile.",
-        ),
         shared.LOAD,
         OutputFolder("OUTPUT", "Heat map", "A folder."),
         Result("HEATMAP", "Heat map, whole time", kind=QgsProcessingOutputVectorLayer),
@@ -77,8 +71,7 @@ class MakeHeatMap(WorkerAlgorithm):
         del answer
         folder = Path(given.outputs["OUTPUT"])
         if given.is_on("LOAD"):
-            further = names_in(given.text("MAP_OF"))
-            load_heatmap(given.context, folder, folder.name, further=further)
+            load_heatmap(given.context, folder, folder.name)
         self.made = [
             (tr("Open the picture"), folder / "heatmap.png"), (tr("Show the folder"), folder)
         ]  # fmt: skip
@@ -102,20 +95,16 @@ def load_heatmap(
     group: str,
     *,
     sets_time: bool = True,
-    further: Sequence[str] = (),
 ) -> None:
     """Have QGIS load a heat map as a group, the layer by interval on top and switched on.
 
-    The project steps by its intervals, unless `sets_time` is false. Each of the `further` columns
-    has a raster, switched off.
+    The project steps by its intervals, unless `sets_time` is false.
     """
     layers, titles = layers_of(folder), heatmap_titles(folder)
     finish = dress if sets_time else dress_only
     load(context, layers["INTERVALS"], titles[INTERVALS], group=group, order=3, finish=finish)
     load(context, layers["HEATMAP"], titles["heatmap"], group=group, order=2, visible=False)
-    rasters = {column: str(folder / f"{column}.tif") for column in further}
-    for name, source in {titles["raster"]: layers["RASTER"], **rasters}.items():
-        load(context, source, name, group=group, order=1, visible=False)
+    load(context, layers["RASTER"], titles["raster"], group=group, order=1, visible=False)
     # In other words, as Processing loads a source once.
     source = f"{layers['HEATMAP']}|geometrytype=Polygon"
     load(context, source, tr("Road, not observed"), group=group, order=0, finish=as_ground)
