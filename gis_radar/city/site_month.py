@@ -15,8 +15,7 @@ import shapely
 from pyproj import CRS
 
 from gis_radar.base import Floats, InputError, NoAnswerError, metric_crs, transformer
-from gis_radar.city.city import RESULTS
-from gis_radar.city.month import CityMonth
+from gis_radar.city.city import RESULTS, CityMonth
 from gis_radar.dataset import Dataset, LaneTraffic, TrafficReader
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork

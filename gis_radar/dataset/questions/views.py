@@ -27,8 +27,8 @@ from gis_radar.dataset.files.tables import (
 )
 from gis_radar.dataset.files.units import UNITS
 from gis_radar.dataset.questions.profiles import roll_ups
-from gis_radar.dataset.questions.statement import LAYERS
 
+LAYERS = ("tiles", "lanes", "stop_lines")
 _BEGIN = f"epoch(date)::BIGINT * {STEPS_PER_SECOND} + interval * {STEPS_PER_QUARTER}::BIGINT"
 
 
