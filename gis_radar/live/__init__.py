@@ -2,9 +2,9 @@
 
 The way of a frame:
 
-- at a sensor, `edge` reads it (`wire.sources`), with the pose that it follows, selects what lies near
-  the road (`wire.detections`) and packs it (`wire.payload`); `wire.outbox` keeps it until the
-  centre has stored it; `wire.broker` sends it;
+- at a sensor, `edge` reads it (`wire.sources`), with the pose that it follows, selects what lies
+  near the road (`wire.detections`) and packs it (`wire.payload`); `wire.outbox` keeps it until
+  the centre has stored it; `wire.broker` sends it;
 - at the centre, which `fusion` runs, `intake` checks it and hands it to the map of `now`, to the
   vehicles of `now`, and to the spool on the disk (`hours.spool`);
 - `hours` writes the spool into recordings and makes quarters and hours of the dataset of them;

@@ -49,7 +49,7 @@ from gis_radar.recordings import keys_in_common
 from gis_radar.scans import SightTiles
 from gis_radar.tracking import BLOCK_MARGIN_STEPS, HourVehicles, map_of_tiles, vehicles_of_hour
 
-HOUR_METHOD = 17
+_HOUR_METHOD = 17
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # equal frames of two sensors that may be chance
@@ -188,7 +188,7 @@ def make_hour(
     sight_runs = valid_runs(sensors, valid, window)
     sights = {each.name: each for sensor in sensors for each in sensor.sights}
     origin = Origin(
-        fingerprint=site.target.road.fingerprint, method=HOUR_METHOD,
+        fingerprint=site.target.road.fingerprint, method=_HOUR_METHOD,
         inputs=digest_of_inputs(sensors, site.settings, validity_s),
     )  # fmt: skip
     vehicles, on_lanes = 0, list[pd.DataFrame]()
@@ -417,7 +417,7 @@ def hours_to_make(
     expected = set(registry.hours)
     outdated = {
         hour for hour in expected.intersection(asked, records)
-        if records[hour].origin.method != HOUR_METHOD and not records[hour].dropped
+        if records[hour].origin.method != _HOUR_METHOD and not records[hour].dropped
     }  # fmt: skip
     missing = [each for each in registry.entries if outdated and not Path(each.path).is_file()]
     outdated -= {*touched_hours(outdated, missing, margin)}  # they cannot be made again: they stay

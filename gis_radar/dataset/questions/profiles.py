@@ -50,7 +50,7 @@ By: TypeAlias = Literal["hour", "weekday", "month"]
 _OVER_LANES = (  # columns that lanes add to without a weight: they hold the lengths already
     "visible_km_h", "occupied_km_h", "occupied_variance", "vehicle_km", "vehicle_h",
 )  # fmt: skip
-SUMMED = (
+_SUMMED = (
     "quarters", "visible_s", "counted", "volume", "volume_variance", "heavy", *_OVER_LANES,
 )  # fmt: skip
 _MOST_LANES = 8  # side by side in one direction
@@ -152,7 +152,7 @@ def street_profile(
     Parameters
     ----------
     sums : DataFrame
-        Sums of lanes by `month`, `weekday` and `hour`, with the columns `SUMMED`.
+        Sums of lanes by `month`, `weekday` and `hour`, with the columns `_SUMMED`.
     time : AskedTime
         The time that they are of.
     street : StreetLanes
@@ -160,7 +160,7 @@ def street_profile(
     by : {"hour", "weekday", "month"}
         Whether cells are hours of the day, days of the week or months.
     """
-    sums = sums[sums["lane"].isin(street.lane)].groupby(["lane", by])[list(SUMMED)].sum()
+    sums = sums[sums["lane"].isin(street.lane)].groupby(["lane", by])[list(_SUMMED)].sum()
     sums = sums.reset_index()
     row = np.searchsorted(street.lane, sums["lane"].to_numpy(np.int64))
     length, road = street.length_m[row], street.road_m[row]
@@ -282,7 +282,7 @@ def profile(
             "{}: no day is left of those that were measured", dataset.folder,
             hint="holidays (without) and days of the week leave none",
         )  # fmt: skip
-    columns = ["lane", "weekday", "hour", *SUMMED]
+    columns = ["lane", "weekday", "hour", *_SUMMED]
     rolled = roll_ups(dataset)
     lanes = _street_lanes(dataset, rolled, street, language)
     wanted = pa.array(lanes.lane), pa.array(sorted(day_numbers(days)), pa.int32())

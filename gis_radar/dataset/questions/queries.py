@@ -22,7 +22,7 @@ from gis_radar.dataset.files.tables import TABLES
 from gis_radar.dataset.questions.views import LAYERS, quoted, views_of_sites
 
 _ASKABLE = (*TABLES, *LAYERS)
-ASK_ONE = Text("ask one SELECT of the tables {}", ", ".join(_ASKABLE))
+_ASK_ONE = Text("ask one SELECT of the tables {}", ", ".join(_ASKABLE))
 # Allowed nodes of a parsed query; others may write: DuckDB takes COPY in a WITH, to any file.
 _NODES = {"SELECT_NODE", "SET_OPERATION_NODE", "RECURSIVE_CTE_NODE", "CTE_NODE"}
 _TABLE_FUNCTIONS = {"range", "generate_series", "unnest"}
@@ -55,7 +55,9 @@ def tables_of(connection: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
         if kind == "BASE_TABLE" and name in _ASKABLE:
             tables.add(name)
         elif (kind == "BASE_TABLE" and name not in ctes) or (kind == "SHOW_REF" and name):
-            raise UsageError("the query names {}, which is no table here", repr(name), hint=ASK_ONE)
+            raise UsageError(
+                "the query names {}, which is no table here", repr(name), hint=_ASK_ONE
+            )
     return tables
 
 
@@ -64,13 +66,15 @@ def _tree(connection: duckdb.DuckDBPyConnection, sql: str) -> Any:
         ((answer,),) = connection.execute("SELECT json_serialize_sql(?)", [sql]).fetchall()
         tree = json.loads(answer)
     except (duckdb.Error, ValueError, RecursionError) as error:
-        raise UsageError("the query cannot be read: {}", first_line(error), hint=ASK_ONE) from error
+        raise UsageError(
+            "the query cannot be read: {}", first_line(error), hint=_ASK_ONE
+        ) from error
     if tree.get("error_type") == "not implemented":
-        raise UsageError("the query is no SELECT", hint=ASK_ONE)
+        raise UsageError("the query is no SELECT", hint=_ASK_ONE)
     if tree["error"]:
-        raise UsageError("the query cannot be read: {}", tree["error_message"], hint=ASK_ONE)
+        raise UsageError("the query cannot be read: {}", tree["error_message"], hint=_ASK_ONE)
     if (count := len(tree["statements"])) != 1:
-        raise UsageError("the query has {} statements, one is needed", count, hint=ASK_ONE)
+        raise UsageError("the query has {} statements, one is needed", count, hint=_ASK_ONE)
     return tree
 
 
@@ -91,12 +95,12 @@ def _refuse_forbidden(node: dict[str, Any]) -> None:
     kind, function = str(node.get("type")), node.get("function")
     if kind.endswith("_NODE") and kind not in _NODES:
         what = kind.partition("_")[0]
-        raise UsageError("the query holds {}, which could write", what, hint=ASK_ONE)
+        raise UsageError("the query holds {}, which could write", what, hint=_ASK_ONE)
     called = function.get("function_name") if isinstance(function, dict) else None
     name = node.get("function_name")
     if (kind == "TABLE_FUNCTION" and called not in _TABLE_FUNCTIONS) or name in _NO_FUNCTIONS:
         raise UsageError(
-            "the query calls {}, which reaches out of the tables", called or name, hint=ASK_ONE
+            "the query calls {}, which reaches out of the tables", called or name, hint=_ASK_ONE
         )
 
 
@@ -263,7 +267,7 @@ def _errors_of(folder: Path) -> Iterator[None]:
         if damaged or ".parquet" in str(error):
             raise InputError("{}: {}", folder, first_line(error), hint=MEASURE_AGAIN) from error
         raise UsageError(
-            "the query fails: {}", _first_line_and_proposals(error), hint=ASK_ONE
+            "the query fails: {}", _first_line_and_proposals(error), hint=_ASK_ONE
         ) from error
 
 
