@@ -48,10 +48,10 @@ from .lane_matching import match_lanes as match_lanes
 from .lane_matching import write_lane_matches as write_lane_matches
 from .measuring import manifest_of as manifest_of
 from .measuring import measure as measure
+from .questions.answers import SqlQueries as SqlQueries
 from .questions.profiles import By as By
 from .questions.profiles import UnknownStreetError as UnknownStreetError
 from .questions.profiles import measured_span as measured_span
-from .questions.sql import SqlQueries as SqlQueries
 from .questions.views import catalogue_of as catalogue_of
 from .traffic.reader import TrafficReader as TrafficReader
 from .traffic.reader import stated_lanes as stated_lanes

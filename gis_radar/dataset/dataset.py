@@ -32,7 +32,7 @@ from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import DatasetFiles, Moment
 from gis_radar.dataset.hours import upkeep
 from gis_radar.dataset.questions import profiles
-from gis_radar.dataset.questions.sql import SqlQueries
+from gis_radar.dataset.questions.answers import SqlQueries
 from gis_radar.dataset.traffic import sections
 from gis_radar.dataset.traffic import tables as traffic_tables
 from gis_radar.dataset.traffic.reader import stated_lanes
