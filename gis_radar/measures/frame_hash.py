@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gis_radar.base import Floats, Integers, compiled, contiguous
-from gis_radar.recordings import RawRows
+from gis_radar.recordings import Detections
 
 Hashes: TypeAlias = NDArray[np.uint64]
 Bits: TypeAlias = NDArray[np.uint32]
@@ -66,27 +66,35 @@ class HashedFrames:
 
 @dataclass(kw_only=True)
 class FrameHasher:
-    """Hasher of the frames of a recording, batch by batch."""
+    """Hasher of the frames of a recording, batch by batch.
 
+    Parameters
+    ----------
+    rcs : bool
+        Whether radar cross sections count.
+    """
+
+    rcs: bool
     _time: Floats = field(default_factory=lambda: np.array([math.nan]))
     _state: Hashes = field(default_factory=lambda: np.zeros(3, np.uint64))
     _found: list[tuple[Floats, Hashes]] = field(default_factory=list)
 
-    def add(self, time: Floats, rows: RawRows, begin: int, end: int) -> None:
+    def add(self, time: Floats, rows: Detections, begin: int, end: int) -> None:
         """Take rows that follow those so far.
 
         Parameters
         ----------
         time : (n,) array
             Corrected times of all rows of the batch, UNIX seconds.
-        rows : RawRows
-            Columns of the batch.
+        rows : Detections
+            The batch.
         begin, end : int
             Range of the rows to take.
         """
         x, y, z, rate, rcs = (
-            _bits(each[begin:end]) for each in (rows.x, rows.y, rows.z, rows.range_rate, rows.rcs)
+            _bits(each[begin:end]) for each in (*rows.points.T, rows.range_rate, rows.rcs)
         )
+        rcs = rcs if self.rcs else rcs[:0]
         times, frames = np.empty(end - begin + 1), np.empty((end - begin + 1, 2), np.uint64)
         count = _hash_rows(
             contiguous(time[begin:end]), x, y, z, rate, rcs, self._time, self._state, times, frames

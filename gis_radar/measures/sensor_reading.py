@@ -12,12 +12,12 @@ from gis_radar.hdmap import Numbers, TileGrid
 from gis_radar.measures.counting_loop import FRAME_POSE, TILES_HIT, TIME_US
 from gis_radar.measures.filters import Filters
 from gis_radar.measures.frame_hash import FrameHasher, HashedFrames
-from gis_radar.measures.hit_counter import NO_TILES, Counted, HitCounter, rows_of_columns
+from gis_radar.measures.hit_counter import NO_TILES, Counted, HitCounter, rows_of_detections
 from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
 from gis_radar.measures.placing import PoseNumbers
 from gis_radar.measures.pose_sights import PlacedRecording, PoseSight, first_since_move
 from gis_radar.measures.validity import FrameTimes
-from gis_radar.recordings import RangeCounts, RawRows, read_raw
+from gis_radar.recordings import Detections, RangeCounts, has_height
 from gis_radar.scans import SightTiles
 
 _NEVER_US = -(2**62)  # a time before all others
@@ -209,36 +209,34 @@ class _Reading:
 
     def read(self, *, count_hits: bool) -> None:
         """Read the rows of the window; count hits of frames that may be valid in the hour."""
-        hasher = FrameHasher()
+        hasher = FrameHasher(rcs=self.target.rcs)
         counter = _Counter(self)
         first_us, after_us = self.window.span_us
         since_us = (self.window.begin - LONGEST_VALID_STEPS) * STEP_US
-        for raw, time, shift_us in self._batches():
+        for rows, time, shift_us in self._batches():
             begin, end = rows_between(time, first_us, after_us)
-            hasher.add(time, raw, begin, end)
+            hasher.add(time, rows, begin, end)
             low, high = rows_between(
                 time, max(since_us, self.until_us + 1), self.window.end * STEP_US
             )
             if count_hits and low < high:
-                counter.add(raw, time, shift_us, low, high)
+                counter.add(rows, time, shift_us, low, high)
         counter.end()
         self.frames = hasher.end()
 
-    def _batches(self) -> Iterator[tuple[RawRows, Floats, Integers]]:
+    def _batches(self) -> Iterator[tuple[Detections, Floats, Integers]]:
         """Yield batches around the window: rows, corrected times (s), and the corrections (us)."""
         clock = self.source.clock
         first, after = self.window.span
         limits = np.array([first - 1, after + 1]) * STEP_S
         begin, end = limits if clock is None else clock.shown(limits)
-        for raw in read_raw(
-            self.source.recording, rcs=self.target.rcs, begin=float(begin), end=float(end)
-        ):
+        for rows in self.source.recording.read_between(float(begin), float(end)):
             if clock is None:
-                yield raw, raw.time, NO_TILES
+                yield rows, rows.time, NO_TILES
                 continue
-            time = clock.corrected(raw.time)
+            time = clock.corrected(rows.time)
             step_of(time[[0, -1]])  # refuses times outside the known years
-            yield raw, time, np.rint((time - raw.time) * 1e6).astype(np.int64)
+            yield rows, time, np.rint((time - rows.time) * 1e6).astype(np.int64)
 
 
 class _Counter:
@@ -254,13 +252,13 @@ class _Counter:
         self._placed: dict[int, PoseNumbers] = {}
         self._places = first_since_move(reading.source.track.poses)
 
-    def add(self, raw: RawRows, time: Floats, shift_us: Integers, low: int, high: int) -> None:
+    def add(
+        self, detections: Detections, time: Floats, shift_us: Integers, low: int, high: int
+    ) -> None:
         """Count rows that follow those so far."""
         reading = self._reading
         source, evidence = reading.source, reading.evidence
-        rows = rows_of_columns(
-            time, raw.x, raw.y, raw.z, raw.range_rate, raw.rcs, shift_us=shift_us
-        )
+        rows = rows_of_detections(detections, time, shift_us)
         for index, begin, end in source.track.runs(time[low:high]):
             counter = evidence.movement.setdefault(
                 source.sights[self._places[index]].name,
@@ -270,7 +268,8 @@ class _Counter:
             first, last = low + begin, low + end
             for counted in self._counter.add(rows, first, last, placing, movement=counter):
                 self._take(counted)
-        evidence.lacks_elevation |= raw.without_height
+        if detections.present.any():
+            evidence.lacks_elevation |= not has_height(detections)
         evidence.rows += high - low
 
     def _placing(self, index: int) -> PoseNumbers:
