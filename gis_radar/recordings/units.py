@@ -36,9 +36,10 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
     """
     if len(points) < _LEAST_CHECKED:
         return
-    range_m = np.hypot(points[:, 0], points[:, 1])
-    median = float(np.median(range_m))
-    if median > FARTHEST_RADAR_M:
+    x, y, _ = points.T
+    range_m = np.hypot(x, y)
+    is_far = 2 * np.count_nonzero(range_m > FARTHEST_RADAR_M) >= len(points)
+    if is_far and (median := float(np.median(range_m))) > FARTHEST_RADAR_M:
         raise InputError(
             "{}: half of the detections are over {:,.0f} m away, beyond any radar: {}",
             what,
@@ -46,7 +47,7 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
             _likely(median),
             hint="x, y and z are metres from the sensor, x forward and y to the left",
         )
-    extent = np.ptp(points[:, :2], axis=0)
+    extent = np.array([np.ptp(x), np.ptp(y)])
     if (extent < _LEAST_EXTENT_M).all() and len(np.unique(points[:, :2], axis=0)) >= _LEAST_CHECKED:
         middle = np.median(points[:, :2], axis=0)
         raise InputError(
