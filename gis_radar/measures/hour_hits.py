@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from gis_radar.base import STEP_US, STEPS_PER_HOUR, Integers, compiled
+from gis_radar.base import STEP_US, STEPS_PER_HOUR, Booleans, Integers, compiled
 from gis_radar.hdmap import Numbers
 from gis_radar.measures.counting_loop import DETECTIONS, MOVING, SHIFT_US, TILES_HIT, TIME_US, WILD
 from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
@@ -20,11 +19,6 @@ from gis_radar.measures.validity import Runs, union_of_runs
 NEVER = np.iinfo(np.int64).min // 2  # a number below all steps
 _BATCH_PAIRS = 1 << 19  # pairs in a batch, 8 MiB; more than a tile can have
 _RUN_BASE = LONGEST_VALID_STEPS  # a run is packed as offset x _RUN_BASE + number of steps after it
-_WORDS = STEPS_PER_HOUR // 64 + 1  # of 64 bits, one for each step of an hour
-# A de Bruijn sequence: the first six bits of its product with 2^k differ for each k, which
-# `_PLACE_OF` gives.
-_DE_BRUIJN, SHIFT, _ONE = np.uint64(0x03F79D71B4CB0A89), np.uint64(58), np.uint64(1)
-_PLACE_OF = np.argsort([(0x03F79D71B4CB0A89 << k) % 2**64 >> 58 for k in range(64)])
 _CHECKSUM_BITS = np.uint64(0xFFFF)  # bits of the hash that the table `frames` keeps
 
 
@@ -179,11 +173,11 @@ def sorted_hits(
     window : HourWindow
         The hour.
     """
-    ends = np.zeros(len(tile_id) + 1, np.int64)
+    counts = np.zeros(len(tile_id), np.int64)
     for sensor in sensors:
         for tile in sensor.tile:
-            _count_tiles(tile, ends)
-    first = np.concatenate([[0], np.cumsum(ends[:-1])])
+            counts += np.bincount(tile, minlength=len(tile_id))
+    first = np.concatenate([[0], np.cumsum(counts)])
     packed, place = np.empty(first[-1], np.int32), first[:-1].copy()
     for sensor, frames in zip(sensors, valid, strict=True):
         frame, run = 0, _packed_runs(sensor, frames, window)
@@ -191,10 +185,10 @@ def sorted_hits(
             frame = _sort_runs_by_tile(
                 run, sensor.counted[:, TILES_HIT], frame, tile, place, packed
             )
-    state, words = np.zeros(2, np.int64), np.zeros(_WORDS, np.uint64)
+    state, is_hit = np.zeros(2, np.int64), np.zeros(STEPS_PER_HOUR, np.bool_)
     while state[0] < len(tile_id):
         tiles, steps = np.empty(_BATCH_PAIRS, np.int64), np.empty(_BATCH_PAIRS, np.int64)
-        _fill_pairs(packed, first, tile_id, window.begin, words, state, tiles, steps)
+        _fill_pairs(packed, first, tile_id, window.begin, is_hit, state, tiles, steps)
         if state[1]:
             yield {"tile_id": tiles[: state[1]], "step": steps[: state[1]]}
         state[1] = 0
@@ -205,12 +199,6 @@ def _packed_runs(sensor: SensorHour, frames: ValidFrames, window: HourWindow) ->
     step = sensor.counted[:, TIME_US] // STEP_US
     valid = frames.until_of(step) - step
     return ((step - window.begin + _RUN_BASE) * _RUN_BASE + valid).astype(np.int32)
-
-
-@compiled
-def _count_tiles(tile: Numbers, counts: Integers) -> None:  # pragma: no cover - compiled
-    for each in tile:
-        counts[each] += 1
 
 
 @compiled
@@ -230,16 +218,17 @@ def _sort_runs_by_tile(  # pragma: no cover - compiled
 
 @compiled
 def _fill_pairs(
-    packed: Numbers, first: Integers, tile_id: Integers, begin: int, words: NDArray[np.uint64],
+    packed: Numbers, first: Integers, tile_id: Integers, begin: int, is_hit: Booleans,
     state: Integers, tiles: Integers, steps: Integers,
 ) -> None:  # fmt: skip
     """Fill in the pairs of consecutive tiles, as long as there is room for all pairs of a tile.
 
-    `state` holds the next tile and the number of pairs filled in; both are updated.
+    `state` holds the next tile and the number of pairs filled in; both are updated. `is_hit`, by
+    step of the hour, is working memory and all False.
     """
     tile, filled = state[0], state[1]
     while tile < len(tile_id):
-        least, most = _WORDS, 0
+        least, most = STEPS_PER_HOUR, 0
         room = 0
         for k in range(first[tile], first[tile + 1]):
             room += packed[k] % _RUN_BASE + 1
@@ -247,17 +236,14 @@ def _fill_pairs(
             break
         for k in range(first[tile], first[tile + 1]):
             offset = packed[k] // _RUN_BASE - _RUN_BASE
-            for step in range(
-                max(offset, 0), min(offset + packed[k] % _RUN_BASE + 1, STEPS_PER_HOUR)
-            ):
-                words[step >> 6] |= _ONE << np.uint64(step & 63)
-                least, most = min(least, step >> 6), max(most, step >> 6)
-        for number in range(least, most + 1):
-            while words[number]:
-                low = words[number] & (~words[number] + _ONE)
-                steps[filled] = begin + 64 * number + _PLACE_OF[(low * _DE_BRUIJN) >> SHIFT]
-                tiles[filled] = tile_id[tile]
+            low, high = max(offset, 0), min(offset + packed[k] % _RUN_BASE + 1, STEPS_PER_HOUR)
+            for step in range(low, high):
+                is_hit[step] = True
+            least, most = min(least, low), max(most, high)
+        for step in range(least, most):
+            if is_hit[step]:
+                steps[filled], tiles[filled] = begin + step, tile_id[tile]
                 filled += 1
-                words[number] &= words[number] - _ONE
+                is_hit[step] = False
         tile += 1
     state[0], state[1] = tile, filled

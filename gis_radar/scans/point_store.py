@@ -172,8 +172,6 @@ def _clipped(shapes: Any, boxes: list[Box]) -> list[Any]:
 
 MOST_IN_MEMORY = 1_000_000  # points in memory
 _MM = 1000.0  # in a metre
-# Equal points are found by sorting one number each: 20 bits north, 20 east, 22 up, 1 for no ground.
-_SHIFT, _MOST_TALL = 100_000, 2**22 - 1  # mm: added, as a margin has negative places; most height
 # Millimetres from the block's corner: smaller than float64, and exact for equal points.
 _RECORD = np.dtype(
     [("x", np.int32), ("y", np.int32), ("z", np.int32), ("category", np.uint8), ("scan", np.uint16)]
@@ -287,18 +285,8 @@ class PointStore:
 
 def _unique_points(records: Any, ground: Booleans) -> tuple[Floats, Booleans]:
     """Return sorted points; of equal ones (of overlapping scans) one, as ground if any is."""
-    if len(records) == 0:
-        return np.empty((0, 3)), np.empty(0, bool)
-    bottom = int(records["z"].min())
-    tall = np.minimum(records["z"].astype(np.int64) - bottom, _MOST_TALL)
-    key = (records["y"].astype(np.int64) + _SHIFT) << 20
-    key = ((key | (records["x"].astype(np.int64) + _SHIFT)) << 22 | tall) << 1 | ~ground
-    key.sort()
-    new = np.ones(len(key), bool)
-    new[1:] = np.diff(key >> 1) != 0
-    key = key[new]
-    place = key >> 1
-    columns = [
-        (place >> 22 & 0xFFFFF) - _SHIFT, (place >> 42) - _SHIFT, (place & _MOST_TALL) + bottom
-    ]  # fmt: skip
-    return np.column_stack(columns) / _MM, (key & 1) == 0
+    order = np.lexsort((~ground, records["z"], records["x"], records["y"]))
+    places = np.column_stack([records[axis][order] for axis in "xyz"])
+    new = np.ones(len(places), np.bool_)
+    new[1:] = (places[1:] != places[:-1]).any(axis=1)
+    return places[new] / _MM, ground[order][new]
