@@ -29,7 +29,7 @@ from gis_radar.measures.counting_loop import (
     end_frame,
 )
 from gis_radar.measures.filters import Filters
-from gis_radar.measures.placing import Places, PoseNumbers
+from gis_radar.measures.placing import PoseNumbers
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections, RangeCounts
 from gis_radar.scans import SightTiles
@@ -87,7 +87,6 @@ class HitCounter:
             of_frame=np.zeros(count, np.int64),
             moved=np.zeros(count, np.int64),
             inside=np.empty(grid.most_in_a_cell + 1, np.int64),
-            places=Places.empty(),
             ranges=(ranges or RangeCounts()).counts,
             movement=NO_TILES,
         )
