@@ -16,7 +16,6 @@ from gis_radar.measures.pose_sights import PoseSight
 from gis_radar.measures.sensor_reading import SensorHour
 from gis_radar.measures.validity import Runs, union_of_runs
 
-NEVER = np.iinfo(np.int64).min // 2  # a number below all steps
 _BATCH_PAIRS = 1 << 19  # pairs in a batch, 8 MiB; more than a tile can have
 _RUN_BASE = LONGEST_VALID_STEPS  # a run is packed as offset x _RUN_BASE + number of steps after it
 _CHECKSUM_BITS = np.uint64(0xFFFF)  # bits of the hash that the table `frames` keeps
@@ -40,7 +39,7 @@ class ValidFrames:
     @classmethod
     def of(cls, sensor: SensorHour, most: int) -> ValidFrames:
         """Return the valid frames of a sensor; each is valid for `most` steps after its own."""
-        step = distinct(sensor.frames.time_us // STEP_US)
+        step = np.unique(sensor.frames.time_us // STEP_US)
         return cls(step=step, until=valid_until(step, most))
 
     def until_of(self, step: Integers) -> Integers:
@@ -52,11 +51,6 @@ def valid_until(step: Integers, most: int) -> Integers:
     """Return the last step in which frames of ascending steps are valid: up to `most` later."""
     before_next = np.append(step[1:], np.iinfo(np.int64).max) - 1
     return np.asarray(np.minimum(step + most, before_next))
-
-
-def distinct(ascending: Integers) -> Integers:
-    """Return each of some ascending numbers once, in one pass; `np.unique` would sort."""
-    return ascending[np.diff(ascending, prepend=NEVER) > 0]
 
 
 def frame_columns(sensor: SensorHour, valid: ValidFrames, window: HourWindow) -> dict[str, object]:
@@ -106,7 +100,7 @@ def valid_runs(
         step = sensor.frames.time_us // STEP_US
         name = np.array([each.name for each in sensor.sights], object)[sensor.place]
         for sight in sorted(set(name.tolist())):
-            of_sight = distinct(step[name == sight])
+            of_sight = np.unique(step[name == sight])
             runs = union_of_runs([Runs(first=of_sight, last=frames.until_of(of_sight))])
             first, last = runs.first, np.minimum(runs.last, window.span[1] - 1)
             tables.append(pd.DataFrame({"sight": sight, "first_step": first, "last_step": last}))
