@@ -11,7 +11,8 @@ from gis_radar.base import STEP_S, STEP_US, Floats, InputError, Integers, iso_fr
 from gis_radar.hdmap import Numbers, TileGrid
 from gis_radar.measures.counting_loop import FRAME_POSE, TILES_HIT, TIME_US
 from gis_radar.measures.filters import Filters
-from gis_radar.measures.frame_hash import FrameHasher, HashedFrames
+from gis_radar.measures.frame_hash import HashedFrames, hash_frames
+from gis_radar.measures.frames import rows_of, whole_frames
 from gis_radar.measures.hit_counter import NO_TILES, Counted, HitCounter, rows_of_detections
 from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
 from gis_radar.measures.placing import PoseNumbers
@@ -209,28 +210,29 @@ class _Reading:
 
     def read(self, *, count_hits: bool) -> None:
         """Read the rows of the window; count hits of frames that may be valid in the hour."""
-        hasher = FrameHasher(rcs=self.target.rcs)
+        hashed: list[HashedFrames] = []
         counter = _Counter(self)
         first_us, after_us = self.window.span_us
         since_us = (self.window.begin - LONGEST_VALID_STEPS) * STEP_US
         for rows, time, shift_us in self._batches():
             begin, end = rows_between(time, first_us, after_us)
-            hasher.add(time, rows, begin, end)
+            of_window = rows_of(rows, slice(begin, end))
+            hashed.append(hash_frames(time[begin:end], of_window, rcs=self.target.rcs))
             low, high = rows_between(
                 time, max(since_us, self.until_us + 1), self.window.end * STEP_US
             )
             if count_hits and low < high:
                 counter.add(rows, time, shift_us, low, high)
         counter.end()
-        self.frames = hasher.end()
+        self.frames = HashedFrames.join(hashed)
 
     def _batches(self) -> Iterator[tuple[Detections, Floats, Integers]]:
-        """Yield batches around the window: rows, corrected times (s), and the corrections (us)."""
+        """Yield whole frames around the window, with corrected times (s) and corrections (us)."""
         clock = self.source.clock
         first, after = self.window.span
         limits = np.array([first - 1, after + 1]) * STEP_S
         begin, end = limits if clock is None else clock.shown(limits)
-        for rows in self.source.recording.read_between(float(begin), float(end)):
+        for rows in whole_frames(self.source.recording.read_between(float(begin), float(end))):
             if clock is None:
                 yield rows, rows.time, NO_TILES
                 continue
