@@ -75,13 +75,13 @@ def hash_frames(time: Floats, rows: Detections, *, rcs: bool) -> HashedFrames:
         Whether radar cross sections count.
     """
     frames = FrameIndex.of(time)
-    x, y, z, rate, strength = map(_bits, (*rows.points.T, rows.range_rate, rows.rcs))
+    x, y, z, rate = map(_bits, (*rows.points.T, rows.range_rate))
     place = (np.arange(len(time)) - frames.begins[frames.of_row] + 1).astype(np.uint64) * _STEP
     row = ((x << _HALF | y) ^ place) * _FIRST
     row ^= (row >> _TURN) ^ (z << _HALF | rate)
     row *= _SECOND
     if rcs:
-        row = (row ^ (row >> _TURN) ^ strength) * _FIRST
+        row = (row ^ (row >> _TURN) ^ _bits(rows.rcs)) * _FIRST
     return HashedFrames(
         time=frames.time,
         hash=np.add.reduceat(row ^ (row >> _TURN), frames.begins),

@@ -331,7 +331,9 @@ class RowChecks:
         without_height = _refuse_mixed_heights(
             rows, self.path, self.row, without_height=self.without_height
         )
-        refuse_positions_in_other_units(rows.points[rows.present], str(self.path))
+        present = rows.present
+        points = rows.points if present.all() else rows.points[present]
+        refuse_positions_in_other_units(points, str(self.path))
         self.without_height = without_height
         refuse_whole_seconds(rows.time, str(self.path))
         if len(rows):

@@ -36,10 +36,11 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
     """
     if len(points) < _LEAST_CHECKED:
         return
-    x, y, _ = points.T
-    range_m = np.hypot(x, y)
-    is_far = 2 * np.count_nonzero(range_m > FARTHEST_RADAR_M) >= len(points)
-    if is_far and (median := float(np.median(range_m))) > FARTHEST_RADAR_M:
+    plane, (x, y, _) = points[:, :2], points.T
+    # a median takes long: only where half of the detections may be beyond
+    may_be_far = x * x + y * y > 0.99 * FARTHEST_RADAR_M**2
+    is_far = 2 * np.count_nonzero(may_be_far) >= len(points)
+    if is_far and (median := float(np.median(np.hypot(x, y)))) > FARTHEST_RADAR_M:
         raise InputError(
             "{}: half of the detections are over {:,.0f} m away, beyond any radar: {}",
             what,
@@ -47,9 +48,11 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
             _likely(median),
             hint="x, y and z are metres from the sensor, x forward and y to the left",
         )
-    extent = np.array([np.ptp(x), np.ptp(y)])
-    if (extent < _LEAST_EXTENT_M).all() and len(np.unique(points[:, :2], axis=0)) >= _LEAST_CHECKED:
-        middle = np.median(points[:, :2], axis=0)
+    if (np.ptp(plane[:_LEAST_CHECKED], axis=0) >= _LEAST_EXTENT_M).any():
+        return
+    extent = np.ptp(plane, axis=0)
+    if (extent < _LEAST_EXTENT_M).all() and len(np.unique(plane, axis=0)) >= _LEAST_CHECKED:
+        middle = np.median(plane, axis=0)
         raise InputError(
             "{}: all detections are within {:.1g} of x {:g}, y {:g}: it looks like degrees",
             what,
