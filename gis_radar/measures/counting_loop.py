@@ -14,7 +14,7 @@ import numpy as np
 
 from gis_radar.base import Floats, Integers, compiled
 from gis_radar.hdmap import Numbers, TileCells, cell_at, is_inside
-from gis_radar.measures.placing import PoseNumbers, height_of, in_view, place_of
+from gis_radar.measures.placing import PoseNumbers, height_of, in_view, place_in_map
 from gis_radar.scans import CAR_REFLECTION_M, MOVEMENT_LEVEL_M, MOVEMENT_MPS
 
 # Columns of the table of frames.
@@ -207,7 +207,7 @@ def _count_frame(  # pragma: no cover - compiled
         x, y, z = xs[row], ys[row], zs[row]
         if math.isnan(x) or math.isnan(y):
             continue
-        east, north, range_m = place_of(x, y, z, pose)
+        east, north, range_m = place_in_map(x, y, z, pose)
         present += 1
         ranges[int(min(last_m, range_m))] += 1
         east, north = east - cells.west, north - cells.south

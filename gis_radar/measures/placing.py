@@ -63,7 +63,7 @@ class PoseNumbers(NamedTuple):
 
 
 @compiled
-def place_of(  # pragma: no cover - compiled
+def place_in_map(  # pragma: no cover - compiled
     x: float, y: float, z: float, to: PoseNumbers
 ) -> tuple[float, float, float]:
     """Return easting, northing and slant range (m) of a detection, as :meth:`Pose.to_map` does."""
