@@ -58,7 +58,7 @@ CHILD = """
 import json, sys, time
 from pathlib import Path
 import gis_radar as gr
-from gis_radar.recordings.raw_rows import RAW_COLUMNS
+from gis_radar.recordings.recording import COLUMNS
 given = json.loads(sys.argv[1])
 def measure(site, folder):
     poses, tiles = [gr.read_pose(name) for name in site["poses"]], gr.read_tiles(site["tiles"])
@@ -74,7 +74,7 @@ folder = Path(given["folder"])
 measure(given["first"], folder / "first")  # compiles
 def read():
     for name in given["names"]:
-        sum(map(len, gr.open_recording(name).batches(RAW_COLUMNS)))
+        sum(map(len, gr.open_recording(name).batches(COLUMNS)))
 decode_s = spent_s(read) if given["hits_only"] else 0.0
 print(json.dumps({"decode_s": decode_s,
                   "measure_s": spent_s(lambda: measure(given, folder / "made"))}))

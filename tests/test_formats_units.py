@@ -14,7 +14,7 @@ from sites import EAST, NORTH, recording
 import gis_radar as gr
 from gis_radar.base import InputError
 from gis_radar.cli import main
-from gis_radar.recordings import open_recording, read_raw
+from gis_radar.recordings import open_recording
 from gis_radar.recordings.units import refuse_degrees, refuse_positions_in_other_units
 
 
@@ -42,8 +42,6 @@ def test_another_unit_is_named(tmp_path, unit):
     path = written(tmp_path / "r.parquet", CASES[unit](scene()))
     with pytest.raises(InputError, match=rf"r\.parquet: .*it looks like {unit}"):
         list(open_recording(path).read())
-    with pytest.raises(InputError, match=rf"r\.parquet: .*it looks like {unit}"):
-        list(read_raw(open_recording(path), rcs=False))
     with pytest.raises(InputError, match=rf"it looks like {unit}"):
         gr.convert(path, tmp_path / "out.parquet")
     assert not (tmp_path / "out.parquet").exists()
@@ -120,7 +118,6 @@ def test_times_without_fractions_are_refused(tmp_path, kind):
     pd.read_parquet(path).assign(time=lost_fractions(kind)).to_parquet(path)
     for read in (
         lambda: list(open_recording(path).read()),
-        lambda: list(read_raw(open_recording(path), rcs=False)),
         lambda: gr.convert(path, tmp_path / "out.parquet"),
     ):
         with pytest.raises(InputError, match="whole seconds"):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,9 +14,8 @@ from gis_radar.base import InputError
 from gis_radar.hdmap import TileGrid, quads
 from gis_radar.measures import FrameCounter, PoseNumbers
 from gis_radar.measures.counting_loop import DETECTIONS, TILES_HIT
-from gis_radar.measures.hit_counter import HitCounter, rows_of_columns
-from gis_radar.measures.placing import PLACED_AT_ONCE
-from gis_radar.recordings import RangeCounts
+from gis_radar.measures.hit_counter import HitCounter, rows_of_detections
+from gis_radar.recordings import Detections, RangeCounts
 from gis_radar.scans import SightTiles
 
 SAMPLE = gr.sample_folder()
@@ -63,7 +63,7 @@ def tree(tiles):
 
 @given(
     seed=st.integers(0, 2**32 - 1),
-    rows=st.integers(1, 3 * PLACED_AT_ONCE),  # of a frame: more than are placed at once
+    rows=st.integers(1, 3000),
     kind=st.sampled_from([np.float32, np.float64]),
     level=st.booleans(),
     least=st.sampled_from([None, 0.3]),
@@ -83,7 +83,9 @@ def test_any_rows_hit_what_the_tree_and_numpy_say(tiles, tree, seed, rows, kind,
     counter = HitCounter(
         road, TileGrid(road.quads), filters=gr.Filters(min_speed=least), ranges=ranges
     )
-    columns = rows_of_columns(time, *np.ascontiguousarray(points.T), rate, rate[:0])
+    none = pa.RecordBatch.from_arrays([], names=[])
+    batch = Detections(time=time, points=points, range_rate=rate, rcs=rate, further=none)
+    columns = rows_of_detections(batch, time)
     road_m = pose.height - 3.0
     numbers = PoseNumbers.of(pose, road_m=road_m)
     found = [*counter.add(columns, 0, rows, numbers), counter.end()]

@@ -44,7 +44,7 @@ def counted(path, tiles):
     counter, count, frames = HitCounter(tiles, TileGrid(tiles.quads)), np.zeros(240, np.int64), 0
     numbers = PoseNumbers.of(SENSOR, road_m=np.nan)
     for batch in gr.open_recording(path).read():
-        rows = rows_of_detections(batch)
+        rows = rows_of_detections(batch, batch.time)
         frames += sum(
             len(each.frames) for each in counter.add(rows, 0, len(batch), numbers, movement=count)
         )

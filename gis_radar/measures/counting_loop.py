@@ -1,8 +1,8 @@
 """The compiled loop from detections to the tiles that each frame hits.
 
-In one pass over the rows of a recording, the detections of a frame are placed in the map
-(:mod:`gis_radar.measures.placing`), and those over cells with tiles are filtered and tested against
-these tiles. Each tile keeps the number of the frame that hit it last, so that it counts once.
+In one pass over the rows of a recording, detections are placed in the map
+(:mod:`gis_radar.measures.placing`), tested against the tiles of the cell that they are in, and
+filtered. Each tile keeps the number of the frame that hit it last, so that it counts once.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gis_radar.base import Floats, Integers, compiled
-from gis_radar.hdmap import Numbers, TileCells, is_inside
-from gis_radar.measures.placing import Places, PoseNumbers, fill_places, height_of, in_view
+from gis_radar.hdmap import Numbers, TileCells, cell_at, is_inside
+from gis_radar.measures.placing import PoseNumbers, height_of, in_view, place_in_map
 from gis_radar.scans import CAR_REFLECTION_M, MOVEMENT_LEVEL_M, MOVEMENT_MPS
 
 # Columns of the table of frames.
@@ -37,8 +37,7 @@ class RowColumns(NamedTuple):
         UNIX seconds, corrected, float64; microseconds that the correction added, int64, empty
         without one.
     x, y, z, range_rate, rcs : arrays
-        As in :class:`Detections`, all float64 or all float32; `rcs` may be empty where no filter
-        needs it.
+        As in :class:`Detections`.
     """
 
     time: Floats
@@ -87,8 +86,8 @@ class Accumulator(NamedTuple):
         seconds, NaN if none is open; its columns so far.
     of_frame, moved : (n,) int64 arrays
         By tile, the number of the last frame that hit it, and of the last one with movement on it.
-    inside, places : (m,) int64 array, Places
-        Working memory: tiles around one detection, and places of some detections.
+    inside : (m,) int64 array
+        Working memory: tiles around one detection.
     ranges : (r,) int64 array
         Number of detections by range in whole metres; the last entry counts all beyond.
     movement : (n,) int64 array
@@ -101,7 +100,6 @@ class Accumulator(NamedTuple):
     of_frame: Integers
     moved: Integers
     inside: Integers
-    places: Places
     ranges: Integers
     movement: Integers
 
@@ -195,99 +193,54 @@ def _count_frame(  # pragma: no cover - compiled
     sums: Accumulator,
     buffer: CountBuffer,
 ) -> None:
-    """Count rows of the open frame on the tiles under them."""
-    places, ranges, last_m = sums.places, sums.ranges, len(sums.ranges) - 1.0
-    for low in range(begin, end, len(places.cell)):
-        high = min(low + len(places.cell), end)
-        over = fill_places(
-            rows.x[low:high],
-            rows.y[low:high],
-            rows.z[low:high],
-            pose,
-            index.cells,
-            last_m,
-            places,
-        )
-        present = 0
-        for k in range(high - low):
-            if places.metres[k] >= 0:
-                ranges[places.metres[k]] += 1
-                present += 1
-        sums.frame[DETECTIONS] += present
-        hit = buffer.tile[sums.counts[FILLED_HITS] + sums.frame[TILES_HIT] :]
-        sums.frame[TILES_HIT] += _write_tiles_hit(rows, low, over, pose, limits, index, sums, hit)
-
-
-@compiled
-def _write_tiles_hit(  # pragma: no cover - compiled
-    rows: RowColumns,
-    low: int,
-    over: int,
-    pose: PoseNumbers,
-    limits: Limits,
-    index: TileIndex,
-    sums: Accumulator,
-    hit: Numbers,
-) -> int:
-    """Write to `hit` the tiles that the frame has not hit before; return their number.
-
-    `low` is the row of the first placed detection, `over` how many are over cells with tiles.
-    """
+    """Count rows of the open frame, and on the tiles that they hit and it has not hit before."""
     # Taken out of their tuples before the loop: in it, counting references would take longer than
     # the tests of tiles.
+    cells, per_m, road_m = index.cells, 1.0 / index.cells.cell_m, index.road_m
     xs, ys, zs, rates, strengths = rows.x, rows.y, rows.z, rows.range_rate, rows.rcs
-    first, tiles, edges = index.cells.first, index.cells.tiles, index.cells.edges
-    east, north, range_m, cell, _, nth_over = sums.places
-    road_m, inside, moved, movement = index.road_m, sums.inside, sums.moved, sums.movement
-    of_frame, number, count = sums.of_frame, sums.counts[_BEGUN_FRAMES], 0
-    has_least = not (math.isnan(limits.min_speed) and math.isnan(limits.min_rcs))
-    counts_moves, has_clearance = len(movement) > 0, not math.isnan(limits.lowest_m)
-    for nth in range(over):
-        k = nth_over[nth]
-        row, begin, end = low + k, first[cell[k]], first[cell[k] + 1]
-        # Without elevation, a detection nearer than the road is not on it.
-        hits = not math.isnan(zs[row]) or range_m[k] > pose.drop_m
-        x, y, z = np.float64(xs[row]), np.float64(ys[row]), np.float64(zs[row])
-        hits &= in_view(x, y, z, range_m[k], pose)
-        hits &= not has_least or _passes(rates, strengths, row, limits)
-        moves = counts_moves and abs(rates[row]) >= MOVEMENT_MPS
-        if not moves and not has_clearance:
-            for nth_tile in range(begin, end if hits else begin):
-                tile = tiles[nth_tile]
-                stamp, is_hit = of_frame[tile], is_inside(edges, tile, east[k], north[k])
-                hit[count] = tile
-                count += is_hit * (stamp != number)
-                of_frame[tile] = number if is_hit else stamp
+    first, tiles, edges = cells.first, cells.tiles, cells.edges
+    inside, moved, movement, of_frame = sums.inside, sums.moved, sums.movement, sums.of_frame
+    number, ranges, last_m = sums.counts[_BEGUN_FRAMES], sums.ranges, len(sums.ranges) - 1.0
+    hit = buffer.tile[sums.counts[FILLED_HITS] :]
+    present, count = 0, sums.frame[TILES_HIT]
+    for row in range(begin, end):
+        x, y, z = xs[row], ys[row], zs[row]
+        if math.isnan(x) or math.isnan(y):
             continue
-        around = _fill_tiles_under(tiles, edges, begin, end, east[k], north[k], inside)
+        east, north, range_m = place_in_map(x, y, z, pose)
+        present += 1
+        ranges[int(min(last_m, range_m))] += 1
+        east, north = east - cells.west, north - cells.south
+        cell = cell_at(east, north, cells.width, cells.height, per_m, cells.columns)
+        around = _fill_tiles_under(tiles, edges, first[cell], first[cell + 1], east, north, inside)
+        if around == 0:
+            continue
         height = height_of(x, y, z, pose)
-        if moves:
+        if len(movement) > 0 and abs(rates[row]) >= MOVEMENT_MPS:
             _count_movement(inside, around, height, road_m, moved, number, movement)
-        if hits and has_clearance:
-            around = _keep_fitting_height(inside, around, height, range_m[k], limits, road_m)
-        for nth_tile in range(around if hits else 0):
-            count = _append_if_new(inside[nth_tile], number, of_frame, hit, count)
-    return count
-
-
-@compiled
-def _append_if_new(  # pragma: no cover - compiled
-    tile: int, number: int, of_frame: Integers, hit: Numbers, count: int
-) -> int:
-    """Write a tile to `hit` if the frame has not hit it yet; return the number of tiles there."""
-    hit[count] = tile
-    count += of_frame[tile] != number
-    of_frame[tile] = number
-    return count
+        # Without elevation, a detection nearer than the road is not on it.
+        on_road = not math.isnan(z) or range_m > pose.drop_m
+        if not (on_road and in_view(x, y, z, range_m, pose)):
+            continue
+        if not _passes(rates[row], strengths[row], limits):
+            continue
+        if not math.isnan(limits.lowest_m):
+            around = _keep_fitting_height(inside, around, height, range_m, limits, road_m)
+        for nth in range(around):
+            if of_frame[inside[nth]] != number:
+                of_frame[inside[nth]], hit[count] = number, inside[nth]
+                count += 1
+    sums.frame[DETECTIONS] += present
+    sums.frame[TILES_HIT] = count
 
 
 @compiled
 def _passes(  # pragma: no cover - compiled
-    rates: Floats, strengths: Floats, row: int, limits: Limits
+    rate: float, strength: float, limits: Limits
 ) -> bool:
     """Return whether a detection is fast and strong enough; NaN is not."""
-    fast = math.isnan(limits.min_speed) or abs(rates[row]) >= limits.min_speed
-    return fast and (math.isnan(limits.min_rcs) or strengths[row] >= limits.min_rcs)
+    fast = math.isnan(limits.min_speed) or abs(rate) >= limits.min_speed
+    return fast and (math.isnan(limits.min_rcs) or strength >= limits.min_rcs)
 
 
 @compiled

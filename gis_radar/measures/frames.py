@@ -59,7 +59,7 @@ class FrameIndex:
     @classmethod
     def of(cls, time: Floats) -> FrameIndex:
         """Return the frames of rows with these times, which ascend."""
-        new = differs_from_previous(time)
+        new = np.diff(time, prepend=-np.inf) != 0.0
         begins = np.flatnonzero(new)
         return cls(time=time[begins], begins=begins, of_row=np.cumsum(new) - 1)
 
@@ -71,10 +71,3 @@ class FrameIndex:
     def count(self, flags: Booleans) -> Integers:
         """Return, for each frame, the number of its rows with a flag set."""
         return np.add.reduceat(flags.astype(np.int64), self.begins)
-
-
-def differs_from_previous(values: Integers | Floats) -> Booleans:
-    """Return which values differ from the one before; True for the first one."""
-    differs = np.ones(len(values), dtype=np.bool_)
-    np.not_equal(values[1:], values[:-1], out=differs[1:])
-    return differs

@@ -29,7 +29,7 @@ from gis_radar.measures.counting_loop import (
     end_frame,
 )
 from gis_radar.measures.filters import Filters
-from gis_radar.measures.placing import Places, PoseNumbers
+from gis_radar.measures.placing import PoseNumbers
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections, RangeCounts
 from gis_radar.scans import SightTiles
@@ -87,7 +87,6 @@ class HitCounter:
             of_frame=np.zeros(count, np.int64),
             moved=np.zeros(count, np.int64),
             inside=np.empty(grid.most_in_a_cell + 1, np.int64),
-            places=Places.empty(),
             ranges=(ranges or RangeCounts()).counts,
             movement=NO_TILES,
         )
@@ -208,7 +207,7 @@ class FrameCounter:
         time = np.asarray(detections.time, np.float64)
         if not (np.isfinite(time).all() and (time[1:] >= time[:-1]).all()):
             raise InputError("times of frames are not finite, or go back")
-        rows = rows_of_detections(detections)
+        rows = rows_of_detections(detections, time)
         numbers = PoseNumbers.of(pose) if isinstance(pose, Pose) else pose
         frames: list[CountedFrame] = []
         for counted in (*self._counter.add(rows, 0, len(time), numbers), self._counter.end()):
@@ -242,18 +241,10 @@ def _or_nan(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def rows_of_detections(detections: Detections) -> RowColumns:
-    """Return detections as rows for the counting loop."""
-    x, y, z = np.asarray(detections.points, np.float64).T
-    return rows_of_columns(
-        detections.time, x, y, z, np.asarray(detections.range_rate, np.float64),
-        np.asarray(detections.rcs, np.float64),
-    )  # fmt: skip
-
-
-def rows_of_columns(
-    time: Floats, x: Floats, y: Floats, z: Floats, range_rate: Floats, rcs: Floats,
-    shift_us: Integers = NO_TILES,
-) -> RowColumns:  # fmt: skip
-    """Return columns as rows for the counting loop; arguments as in :class:`RowColumns`."""
-    return RowColumns(*map(contiguous, (time, shift_us, x, y, z, range_rate, rcs)))
+def rows_of_detections(
+    detections: Detections, time: Floats, shift_us: Integers = NO_TILES
+) -> RowColumns:
+    """Return detections as rows for the counting loop, with corrected times and the corrections."""
+    columns = *detections.points.T, detections.range_rate, detections.rcs
+    numbers = (np.asarray(each, np.float64) for each in columns)
+    return RowColumns(*map(contiguous, (time, shift_us, *numbers)))

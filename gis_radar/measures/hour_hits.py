@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+import scipy
 
-from gis_radar.base import STEP_US, STEPS_PER_HOUR, Integers, compiled
+from gis_radar.base import STEP_US, STEPS_PER_HOUR, Booleans, Integers, compiled
 from gis_radar.hdmap import Numbers
 from gis_radar.measures.counting_loop import DETECTIONS, MOVING, SHIFT_US, TILES_HIT, TIME_US, WILD
 from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
@@ -17,14 +17,8 @@ from gis_radar.measures.pose_sights import PoseSight
 from gis_radar.measures.sensor_reading import SensorHour
 from gis_radar.measures.validity import Runs, union_of_runs
 
-NEVER = np.iinfo(np.int64).min // 2  # a number below all steps
 _BATCH_PAIRS = 1 << 19  # pairs in a batch, 8 MiB; more than a tile can have
 _RUN_BASE = LONGEST_VALID_STEPS  # a run is packed as offset x _RUN_BASE + number of steps after it
-_WORDS = STEPS_PER_HOUR // 64 + 1  # of 64 bits, one for each step of an hour
-# A de Bruijn sequence: the first six bits of its product with 2^k differ for each k, which
-# `_PLACE_OF` gives.
-_DE_BRUIJN, SHIFT, _ONE = np.uint64(0x03F79D71B4CB0A89), np.uint64(58), np.uint64(1)
-_PLACE_OF = np.argsort([(0x03F79D71B4CB0A89 << k) % 2**64 >> 58 for k in range(64)])
 _CHECKSUM_BITS = np.uint64(0xFFFF)  # bits of the hash that the table `frames` keeps
 
 
@@ -46,7 +40,7 @@ class ValidFrames:
     @classmethod
     def of(cls, sensor: SensorHour, most: int) -> ValidFrames:
         """Return the valid frames of a sensor; each is valid for `most` steps after its own."""
-        step = distinct(sensor.frames.time_us // STEP_US)
+        step = np.unique(sensor.frames.time_us // STEP_US)
         return cls(step=step, until=valid_until(step, most))
 
     def until_of(self, step: Integers) -> Integers:
@@ -58,11 +52,6 @@ def valid_until(step: Integers, most: int) -> Integers:
     """Return the last step in which frames of ascending steps are valid: up to `most` later."""
     before_next = np.append(step[1:], np.iinfo(np.int64).max) - 1
     return np.asarray(np.minimum(step + most, before_next))
-
-
-def distinct(ascending: Integers) -> Integers:
-    """Return each of some ascending numbers once, in one pass; `np.unique` would sort."""
-    return ascending[np.diff(ascending, prepend=NEVER) > 0]
 
 
 def frame_columns(sensor: SensorHour, valid: ValidFrames, window: HourWindow) -> dict[str, object]:
@@ -112,7 +101,7 @@ def valid_runs(
         step = sensor.frames.time_us // STEP_US
         name = np.array([each.name for each in sensor.sights], object)[sensor.place]
         for sight in sorted(set(name.tolist())):
-            of_sight = distinct(step[name == sight])
+            of_sight = np.unique(step[name == sight])
             runs = union_of_runs([Runs(first=of_sight, last=frames.until_of(of_sight))])
             first, last = runs.first, np.minimum(runs.last, window.span[1] - 1)
             tables.append(pd.DataFrame({"sight": sight, "first_step": first, "last_step": last}))
@@ -179,22 +168,22 @@ def sorted_hits(
     window : HourWindow
         The hour.
     """
-    ends = np.zeros(len(tile_id) + 1, np.int64)
-    for sensor in sensors:
-        for tile in sensor.tile:
-            _count_tiles(tile, ends)
-    first = np.concatenate([[0], np.cumsum(ends[:-1])])
-    packed, place = np.empty(first[-1], np.int32), first[:-1].copy()
-    for sensor, frames in zip(sensors, valid, strict=True):
-        frame, run = 0, _packed_runs(sensor, frames, window)
-        for tile in sensor.tile:
-            frame = _sort_runs_by_tile(
-                run, sensor.counted[:, TILES_HIT], frame, tile, place, packed
-            )
-    state, words = np.zeros(2, np.int64), np.zeros(_WORDS, np.uint64)
+    none = np.empty(0, np.int32)
+    tile = np.concatenate([none, *(each for sensor in sensors for each in sensor.tile)])
+    packed = np.concatenate([
+        none,
+        *(np.repeat(_packed_runs(sensor, frames, window), sensor.counted[:, TILES_HIT])
+          for sensor, frames in zip(sensors, valid, strict=True)),
+    ])  # fmt: skip
+    by_tile = scipy.sparse.csr_array(
+        (packed, (tile, np.arange(len(tile)))), shape=(len(tile_id), len(tile))
+    )
+    state, is_hit = np.zeros(2, np.int64), np.zeros(STEPS_PER_HOUR, np.bool_)
     while state[0] < len(tile_id):
         tiles, steps = np.empty(_BATCH_PAIRS, np.int64), np.empty(_BATCH_PAIRS, np.int64)
-        _fill_pairs(packed, first, tile_id, window.begin, words, state, tiles, steps)
+        _fill_pairs(
+            by_tile.data, by_tile.indptr, tile_id, window.begin, is_hit, state, tiles, steps
+        )
         if state[1]:
             yield {"tile_id": tiles[: state[1]], "step": steps[: state[1]]}
         state[1] = 0
@@ -208,38 +197,18 @@ def _packed_runs(sensor: SensorHour, frames: ValidFrames, window: HourWindow) ->
 
 
 @compiled
-def _count_tiles(tile: Numbers, counts: Integers) -> None:  # pragma: no cover - compiled
-    for each in tile:
-        counts[each] += 1
-
-
-@compiled
-def _sort_runs_by_tile(  # pragma: no cover - compiled
-    run: Numbers, hits: Integers, frame: int, tile: Numbers, place: Integers, packed: Numbers
-) -> int:
-    """Store the runs of frames from `frame` on by the tiles they hit; return the next frame."""
-    begin = 0
-    while begin < len(tile):
-        for k in range(begin, begin + hits[frame]):
-            packed[place[tile[k]]] = run[frame]
-            place[tile[k]] += 1
-        begin += hits[frame]
-        frame += 1
-    return frame
-
-
-@compiled
 def _fill_pairs(
-    packed: Numbers, first: Integers, tile_id: Integers, begin: int, words: NDArray[np.uint64],
+    packed: Numbers, first: Numbers, tile_id: Integers, begin: int, is_hit: Booleans,
     state: Integers, tiles: Integers, steps: Integers,
 ) -> None:  # fmt: skip
     """Fill in the pairs of consecutive tiles, as long as there is room for all pairs of a tile.
 
-    `state` holds the next tile and the number of pairs filled in; both are updated.
+    `state` holds the next tile and the number of pairs filled in; both are updated. `is_hit`, by
+    step of the hour, is working memory and all False.
     """
     tile, filled = state[0], state[1]
     while tile < len(tile_id):
-        least, most = _WORDS, 0
+        least, most = STEPS_PER_HOUR, 0
         room = 0
         for k in range(first[tile], first[tile + 1]):
             room += packed[k] % _RUN_BASE + 1
@@ -247,17 +216,14 @@ def _fill_pairs(
             break
         for k in range(first[tile], first[tile + 1]):
             offset = packed[k] // _RUN_BASE - _RUN_BASE
-            for step in range(
-                max(offset, 0), min(offset + packed[k] % _RUN_BASE + 1, STEPS_PER_HOUR)
-            ):
-                words[step >> 6] |= _ONE << np.uint64(step & 63)
-                least, most = min(least, step >> 6), max(most, step >> 6)
-        for number in range(least, most + 1):
-            while words[number]:
-                low = words[number] & (~words[number] + _ONE)
-                steps[filled] = begin + 64 * number + _PLACE_OF[(low * _DE_BRUIJN) >> SHIFT]
-                tiles[filled] = tile_id[tile]
+            low, high = max(offset, 0), min(offset + packed[k] % _RUN_BASE + 1, STEPS_PER_HOUR)
+            for step in range(low, high):
+                is_hit[step] = True
+            least, most = min(least, low), max(most, high)
+        for step in range(least, most):
+            if is_hit[step]:
+                steps[filled], tiles[filled] = begin + step, tile_id[tile]
                 filled += 1
-                words[number] &= words[number] - _ONE
+                is_hit[step] = False
         tile += 1
     state[0], state[1] = tile, filled

@@ -1,22 +1,12 @@
-"""Place the detections of a frame in the map: the part of the counting loop without branches.
-
-Mispredicted branches take most of a processor's time. So a first loop, without any, places all
-detections, several at a time as vectors, and lists those over cells with tiles. Only these few are
-left for the second loop.
-"""
+"""Place the detections of a sensor in the map, in compiled code."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
-import numpy as np
-
-from gis_radar.base import Floats, compiled
-from gis_radar.hdmap import Numbers, TileCells, cell_at
+from gis_radar.base import compiled
 from gis_radar.poses import Pose, View
-
-PLACED_AT_ONCE = 1024  # detections: 36 KiB, which fit in the processor's cache
 
 
 class PoseNumbers(NamedTuple):
@@ -72,81 +62,22 @@ class PoseNumbers(NamedTuple):
         )  # fmt: skip
 
 
-class Places(NamedTuple):
-    """Buffers for the places of some detections.
-
-    Parameters
-    ----------
-    east, north, range_m : (m,) float64 arrays
-        Position from the corner of the cells, and range from the sensor, metres.
-    cell, metres : (m,) int32 arrays
-        Cell of :class:`TileCells`; index of the range in a histogram, -1 without a position.
-    over : (m,) int32 array
-        Indices of the detections over a cell with tiles.
-    """
-
-    east: Floats
-    north: Floats
-    range_m: Floats
-    cell: Numbers
-    metres: Numbers
-    over: Numbers
-
-    @classmethod
-    def empty(cls) -> Self:
-        """Return buffers for `PLACED_AT_ONCE` detections."""
-        east, north, range_m = np.empty((3, PLACED_AT_ONCE))
-        cell, metres, over = np.empty((3, PLACED_AT_ONCE), np.int32)
-        return cls(east, north, range_m, cell, metres, over)
-
-
 @compiled
-def fill_places(  # pragma: no cover - compiled
-    xs: Floats, ys: Floats, zs: Floats, pose: PoseNumbers, cells: TileCells, last_m: float,
-    places: Places,
-) -> int:  # fmt: skip
-    """Fill in the places of detections (m; float64 or float32); return how many are over tiles.
-
-    Ranges over `last_m` metres count as `last_m`.
-    """
-    east, north, range_m, metres = places.east, places.north, places.range_m, places.metres
-    cell, per_m, has_nan = places.cell, 1.0 / cells.cell_m, False
-    for k in range(len(xs)):
-        x, y, z = np.float64(xs[k]), np.float64(ys[k]), np.float64(zs[k])
-        east[k] = ((x * pose.xx + z * pose.xz) + y * pose.xy) + pose.easting - cells.west
-        north[k] = ((x * pose.yx + z * pose.yz) + y * pose.yy) + pose.northing - cells.south
-        range_m[k] = math.sqrt(x * x + y * y + z * z)
-        metres[k] = np.int32(min(last_m, range_m[k]))
-        cell[k] = cell_at(east[k], north[k], cells.width, cells.height, per_m, cells.columns)
-        has_nan |= math.isnan(range_m[k])
-    if has_nan:
-        _place_without_elevation(xs, ys, zs, pose, cells, last_m, places)
-    over, first, count = places.over, cells.first, 0
-    for k in range(len(xs)):
-        over[count] = k
-        count += first[cell[k] + 1] > first[cell[k]]
-    return count
-
-
-@compiled
-def _place_without_elevation(  # pragma: no cover - compiled
-    xs: Floats, ys: Floats, zs: Floats, pose: PoseNumbers, cells: TileCells, last_m: float,
-    places: Places,
-) -> None:  # fmt: skip
-    """Fill in the places of detections without elevation, and of rows without a detection."""
-    for k in range(len(xs)):
-        x, y = np.float64(xs[k]), np.float64(ys[k])
-        if math.isnan(x) or math.isnan(y):
-            places.metres[k] = -1
-        elif math.isnan(zs[k]):
-            range_m = math.sqrt(x * x + y * y)
-            east, north = _on_plane(x, y, pose)
-            east, north = east - cells.west, north - cells.south
-            places.range_m[k], places.east[k], places.north[k] = range_m, east, north
-            places.metres[k] = np.int32(min(last_m, range_m))
-            places.cell[k] = cell_at(
-                east, north, cells.width, cells.height, 1.0 / cells.cell_m, cells.columns
-            )
+def place_in_map(  # pragma: no cover - compiled
+    x: float, y: float, z: float, to: PoseNumbers
+) -> tuple[float, float, float]:
+    """Return easting, northing and slant range (m) of a detection, as :meth:`Pose.to_map` does."""
+    if not math.isnan(z):
+        east = ((x * to.xx + z * to.xz) + y * to.xy) + to.easting
+        north = ((x * to.yx + z * to.yz) + y * to.yy) + to.northing
+        return east, north, math.sqrt(x * x + y * y + z * z)
+    # without elevation it is on the plane of the road
+    range_m = math.sqrt(x * x + y * y)
+    east, north = x * to.xx + y * to.xy, x * to.yx + y * to.yy
+    length, slant_m = math.hypot(east, north), math.hypot(x, y)
+    flat_m = math.sqrt(max(slant_m * slant_m - to.drop_m2, 0.0))
+    share = flat_m / length if length > 0.0 else 0.0
+    return east * share + to.easting, north * share + to.northing, range_m
 
 
 @compiled
@@ -167,15 +98,3 @@ def height_of(  # pragma: no cover - compiled
     if math.isnan(z):
         return to.height - to.drop_m
     return ((x * to.zx + z * to.zz) + y * to.zy) + to.height
-
-
-@compiled
-def _on_plane(  # pragma: no cover - compiled
-    x: float, y: float, to: PoseNumbers
-) -> tuple[float, float]:
-    """Return easting and northing of a detection without elevation, as :meth:`Pose.to_map` does."""
-    east, north = x * to.xx + y * to.xy, x * to.yx + y * to.yy
-    range_m, length = math.hypot(x, y), math.hypot(east, north)
-    flat_m = math.sqrt(max(range_m * range_m - to.drop_m2, 0.0))
-    share = flat_m / length if length > 0.0 else 0.0
-    return east * share + to.easting, north * share + to.northing

@@ -11,13 +11,14 @@ from gis_radar.base import STEP_S, STEP_US, Floats, InputError, Integers, iso_fr
 from gis_radar.hdmap import Numbers, TileGrid
 from gis_radar.measures.counting_loop import FRAME_POSE, TILES_HIT, TIME_US
 from gis_radar.measures.filters import Filters
-from gis_radar.measures.frame_hash import FrameHasher, HashedFrames
-from gis_radar.measures.hit_counter import NO_TILES, Counted, HitCounter, rows_of_columns
+from gis_radar.measures.frame_hash import HashedFrames, hash_frames
+from gis_radar.measures.frames import rows_of, whole_frames
+from gis_radar.measures.hit_counter import NO_TILES, Counted, HitCounter, rows_of_detections
 from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
 from gis_radar.measures.placing import PoseNumbers
 from gis_radar.measures.pose_sights import PlacedRecording, PoseSight, first_since_move
 from gis_radar.measures.validity import FrameTimes
-from gis_radar.recordings import RangeCounts, RawRows, read_raw
+from gis_radar.recordings import Detections, RangeCounts, has_height
 from gis_radar.scans import SightTiles
 
 _NEVER_US = -(2**62)  # a time before all others
@@ -209,36 +210,35 @@ class _Reading:
 
     def read(self, *, count_hits: bool) -> None:
         """Read the rows of the window; count hits of frames that may be valid in the hour."""
-        hasher = FrameHasher()
+        hashed: list[HashedFrames] = []
         counter = _Counter(self)
         first_us, after_us = self.window.span_us
         since_us = (self.window.begin - LONGEST_VALID_STEPS) * STEP_US
-        for raw, time, shift_us in self._batches():
+        for rows, time, shift_us in self._batches():
             begin, end = rows_between(time, first_us, after_us)
-            hasher.add(time, raw, begin, end)
+            of_window = rows_of(rows, slice(begin, end))
+            hashed.append(hash_frames(time[begin:end], of_window, rcs=self.target.rcs))
             low, high = rows_between(
                 time, max(since_us, self.until_us + 1), self.window.end * STEP_US
             )
             if count_hits and low < high:
-                counter.add(raw, time, shift_us, low, high)
+                counter.add(rows, time, shift_us, low, high)
         counter.end()
-        self.frames = hasher.end()
+        self.frames = HashedFrames.join(hashed)
 
-    def _batches(self) -> Iterator[tuple[RawRows, Floats, Integers]]:
-        """Yield batches around the window: rows, corrected times (s), and the corrections (us)."""
+    def _batches(self) -> Iterator[tuple[Detections, Floats, Integers]]:
+        """Yield whole frames around the window, with corrected times (s) and corrections (us)."""
         clock = self.source.clock
         first, after = self.window.span
         limits = np.array([first - 1, after + 1]) * STEP_S
         begin, end = limits if clock is None else clock.shown(limits)
-        for raw in read_raw(
-            self.source.recording, rcs=self.target.rcs, begin=float(begin), end=float(end)
-        ):
+        for rows in whole_frames(self.source.recording.read_between(float(begin), float(end))):
             if clock is None:
-                yield raw, raw.time, NO_TILES
+                yield rows, rows.time, NO_TILES
                 continue
-            time = clock.corrected(raw.time)
+            time = clock.corrected(rows.time)
             step_of(time[[0, -1]])  # refuses times outside the known years
-            yield raw, time, np.rint((time - raw.time) * 1e6).astype(np.int64)
+            yield rows, time, np.rint((time - rows.time) * 1e6).astype(np.int64)
 
 
 class _Counter:
@@ -254,13 +254,13 @@ class _Counter:
         self._placed: dict[int, PoseNumbers] = {}
         self._places = first_since_move(reading.source.track.poses)
 
-    def add(self, raw: RawRows, time: Floats, shift_us: Integers, low: int, high: int) -> None:
+    def add(
+        self, detections: Detections, time: Floats, shift_us: Integers, low: int, high: int
+    ) -> None:
         """Count rows that follow those so far."""
         reading = self._reading
         source, evidence = reading.source, reading.evidence
-        rows = rows_of_columns(
-            time, raw.x, raw.y, raw.z, raw.range_rate, raw.rcs, shift_us=shift_us
-        )
+        rows = rows_of_detections(detections, time, shift_us)
         for index, begin, end in source.track.runs(time[low:high]):
             counter = evidence.movement.setdefault(
                 source.sights[self._places[index]].name,
@@ -270,7 +270,8 @@ class _Counter:
             first, last = low + begin, low + end
             for counted in self._counter.add(rows, first, last, placing, movement=counter):
                 self._take(counted)
-        evidence.lacks_elevation |= raw.without_height
+        if detections.present.any():
+            evidence.lacks_elevation |= not has_height(detections)
         evidence.rows += high - low
 
     def _placing(self, index: int) -> PoseNumbers:

@@ -12,8 +12,6 @@ from .frames import ReaderContext as ReaderContext
 from .overlaps import detection_keys as detection_keys
 from .overlaps import keys_in_common as keys_in_common
 from .overlaps import time_warnings as time_warnings
-from .raw_rows import RawRows as RawRows
-from .raw_rows import read_raw as read_raw
 from .recording import Detections as Detections
 from .recording import RangeCounts as RangeCounts
 from .recording import Recording as Recording

@@ -124,8 +124,8 @@ class Recording:
     batches : callable
         Takes columns, or None for all; returns an iterator over record batches of bounded size.
     batches_from : callable, optional
-        Takes a time (UNIX seconds) and columns; returns a number of earlier rows to skip, and an
-        iterator over the batches after them. None where the file has no index for that.
+        Takes a time (UNIX seconds); returns a number of earlier rows to skip, and an iterator over
+        the batches after them. None where the file has no index for that.
     time_spans : callable, optional
         Returns first and last time (UNIX seconds) of consecutive parts of the file, without reading
         them; None where the file does not state them.
@@ -139,9 +139,7 @@ class Recording:
     path: Path
     rows: int | None
     batches: Callable[[Sequence[str] | None], Iterator[pa.RecordBatch]]
-    batches_from: Callable[[float, Sequence[str]], tuple[int, Iterator[pa.RecordBatch]]] | None = (
-        None
-    )
+    batches_from: Callable[[float], tuple[int, Iterator[pa.RecordBatch]]] | None = None
     time_spans: Callable[[], list[tuple[float, float]] | None] | None = None
     sensor: str = ""
     selected: bool = False
@@ -171,40 +169,25 @@ class Recording:
             detections have a height and others none, or there is no row at all. Rows are counted
             from 1, without a header.
         """
-        checks = RowChecks(path=self.path)
-        with checks.reading():
-            for batch in self.batches(None if further else COLUMNS):
-                rows = checks.take(batch)
-                if len(rows):
-                    yield rows
+        return self._checked_rows(0, self.batches(None if further else COLUMNS))
 
     def read_between(self, begin: float, end: float) -> Iterator[Detections]:
         """Read the batches with rows between two times (UNIX seconds), as :meth:`read` does."""
-        before, batches = self.batches_since(begin, COLUMNS)
+        found = self.batches_from(begin) if self.batches_from else (0, self.batches(COLUMNS))
+        for rows in self._checked_rows(*found):
+            if rows.time[0] > end:
+                return
+            if rows.time[-1] >= begin:
+                yield rows
+
+    def _checked_rows(self, before: int, batches: Iterator[pa.RecordBatch]) -> Iterator[Detections]:
+        """Yield the rows of batches, of which the first follows `before` other rows."""
         checks = RowChecks(path=self.path, row=before)
         with checks.reading():
             for batch in batches:
                 rows = checks.take(batch)
-                if len(rows) and rows.time[0] > end:
-                    return
-                if len(rows) and rows.time[-1] >= begin:
+                if len(rows):
                     yield rows
-
-    def batches_since(
-        self, begin: float, columns: Sequence[str]
-    ) -> tuple[int, Iterator[pa.RecordBatch]]:
-        """Return the batches that may hold rows from a time (UNIX seconds) on.
-
-        Returns
-        -------
-        before : int
-            Number of rows before them.
-        batches : iterator
-            Record batches with the columns.
-        """
-        if self.batches_from is None or begin == -np.inf:
-            return 0, self.batches(columns)
-        return self.batches_from(begin, columns)
 
     def measures_elevation(self) -> bool:
         """Return whether the sensor measures elevation: whether first detections have various z."""
@@ -264,9 +247,9 @@ def _open_parquet(path: Path) -> Recording:
         sensor = (file.schema_arrow.metadata or {}).get(SENSOR_KEY, b"").decode(errors="replace")
         selected = "pose" in file.schema_arrow.names
 
-    def batches_from(begin: float, columns: Sequence[str]) -> tuple[int, Iterator[pa.RecordBatch]]:
+    def batches_from(begin: float) -> tuple[int, Iterator[pa.RecordBatch]]:
         group, before = first_group_of(path, "time", begin)
-        return before, parquet_batches(path, columns, first_group=group)
+        return before, parquet_batches(path, COLUMNS, first_group=group)
 
     return Recording(
         path=path, rows=rows, batches=partial(parquet_batches, path), batches_from=batches_from,
@@ -348,17 +331,16 @@ class RowChecks:
         without_height = _refuse_mixed_heights(
             rows, self.path, self.row, without_height=self.without_height
         )
-        refuse_positions_in_other_units(rows.points[rows.present], str(self.path))
-        self.accept(rows.time, without_height=without_height)
-        return rows
-
-    def accept(self, time: Floats, *, without_height: bool | None) -> None:
-        """Count rows that were found sound; refuse more of one time than a frame can have."""
+        present = rows.present
+        points = rows.points if present.all() else rows.points[present]
+        refuse_positions_in_other_units(points, str(self.path))
         self.without_height = without_height
-        refuse_whole_seconds(time, str(self.path))
-        if len(time):
-            self.rows_of_last = _refuse_long_frame(time, self.path, self.last, self.rows_of_last)
-            self.row, self.last = self.row + len(time), float(time[-1])
+        refuse_whole_seconds(rows.time, str(self.path))
+        if len(rows):
+            before, time = self.rows_of_last, rows.time
+            self.rows_of_last = _refuse_long_frame(time, self.path, self.last, before)
+            self.row, self.last = self.row + len(rows), float(time[-1])
+        return rows
 
 
 def _checked(batch: pa.RecordBatch, *, path: Path, row: int, last: float) -> Detections:

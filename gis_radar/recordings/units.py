@@ -7,11 +7,11 @@ import numpy as np
 from gis_radar.base import Floats, InputError, Text
 
 FARTHEST_RADAR_M = 1514.0  # the farthest an ARS548 can be set to; others end at 300 m
-LEAST_CHECKED = 100  # detections: the median of fewer may be that of a ghost target
+_LEAST_CHECKED = 100  # detections: the median of fewer may be that of a ghost target
 # Median range; of roadside radars 20 to 60 m. Less: a smaller unit was meant
 _LEAST_MEDIAN_M = 10.0
 _MAP_M = 1e5  # numbers beyond are no millimetres: the median range of a radar is under 100 m
-LEAST_EXTENT_M = 0.02  # positions of even one still target vary by more; 0.02 degrees are 2 km
+_LEAST_EXTENT_M = 0.02  # positions of even one still target vary by more; 0.02 degrees are 2 km
 _TURN_RAD = 2.0 * np.pi
 # Most detections of one frame: radars have some 500; more of each time are several frames. Fewer
 # than those of _LEAST_FRAMES are not checked.
@@ -25,7 +25,7 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
     Parameters
     ----------
     points : (n, 3) array
-        Positions of detections, x and y finite; fewer than `LEAST_CHECKED` are not checked.
+        Positions of detections, x and y finite; fewer than `_LEAST_CHECKED` are not checked.
     what : str
         Their file, for the message.
 
@@ -34,11 +34,13 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
     InputError
         If their median is beyond any radar, or all are in one spot.
     """
-    if len(points) < LEAST_CHECKED:
+    if len(points) < _LEAST_CHECKED:
         return
-    range_m = np.hypot(points[:, 0], points[:, 1])
-    median = float(np.median(range_m))
-    if median > FARTHEST_RADAR_M:
+    plane, (x, y, _) = points[:, :2], points.T
+    # a median takes long: only where half of the detections may be beyond
+    may_be_far = x * x + y * y > 0.99 * FARTHEST_RADAR_M**2
+    is_far = 2 * np.count_nonzero(may_be_far) >= len(points)
+    if is_far and (median := float(np.median(np.hypot(x, y)))) > FARTHEST_RADAR_M:
         raise InputError(
             "{}: half of the detections are over {:,.0f} m away, beyond any radar: {}",
             what,
@@ -46,9 +48,11 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
             _likely(median),
             hint="x, y and z are metres from the sensor, x forward and y to the left",
         )
-    extent = np.ptp(points[:, :2], axis=0)
-    if (extent < LEAST_EXTENT_M).all() and len(np.unique(points[:, :2], axis=0)) >= LEAST_CHECKED:
-        middle = np.median(points[:, :2], axis=0)
+    if (np.ptp(plane[:_LEAST_CHECKED], axis=0) >= _LEAST_EXTENT_M).any():
+        return
+    extent = np.ptp(plane, axis=0)
+    if (extent < _LEAST_EXTENT_M).all() and len(np.unique(plane, axis=0)) >= _LEAST_CHECKED:
+        middle = np.median(plane, axis=0)
         raise InputError(
             "{}: all detections are within {:.1g} of x {:g}, y {:g}: it looks like degrees",
             what,
@@ -112,7 +116,7 @@ def refuse_degrees(angles: Floats, field: str, name: str) -> None:
     known = np.abs(angles[np.isfinite(angles)])
     if name == "azimuth_deg":
         # radars look ahead
-        if len(known) >= LEAST_CHECKED and 0.0 < known.max() <= _TURN_RAD / 4.0:
+        if len(known) >= _LEAST_CHECKED and 0.0 < known.max() <= _TURN_RAD / 4.0:
             raise InputError(
                 "{}: no value is over {:.3g}, expected degrees: it looks like radians",
                 field,

@@ -201,23 +201,11 @@ def large_clusters(filled: Booleans, settings: MaskSettings = DEFAULTS) -> Boole
     around = ndimage.convolve(filled.astype(np.uint8), disc.astype(np.uint8), mode="constant")
     core = filled & (around >= settings.core_cells)
     # Cores within the radius (two cells) touch once each is grown by a cell.
-    patch, _ = ndimage.label(grown(core), np.ones((3, 3)))
+    patch, _ = ndimage.label(ndimage.maximum_filter(core, 3, mode="constant"), np.ones((3, 3)))
     member = np.where(filled, patch, 0)
     sizes = np.bincount(member.ravel())
     sizes[0] = 0
     return np.asarray(sizes[member] >= settings.least_cells)
-
-
-def grown(cells: Booleans) -> Booleans:
-    """Return cells and the eight around each."""
-    # 45 times as fast as scipy.ndimage.binary_dilation
-    wide = cells.copy()
-    wide[:, 1:] |= cells[:, :-1]
-    wide[:, :-1] |= cells[:, 1:]
-    tall = wide.copy()
-    tall[1:] |= wide[:-1]
-    tall[:-1] |= wide[1:]
-    return tall
 
 
 @compiled
@@ -382,7 +370,7 @@ def _cells_of_level(
     block[margin : margin + BLOCK_CELLS, margin : margin + BLOCK_CELLS] = True
     road = area & block
     cell = grid.keys(xyz[:, 0], xyz[:, 1])
-    kept = grown(area).ravel()[cell]
+    kept = ndimage.maximum_filter(area, 3, mode="constant").ravel()[cell]
     xyz, ground, cell = xyz[kept], ground[kept], cell[kept]
     if level.has_heights and not np.isnan(offset_m):
         off_m = np.abs(xyz[:, 2] - level.height_near(xyz[:, :2] + corner) - offset_m)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gis_radar.base import CELL_M, Booleans, Box, Floats, Grid, InputError, Integers
 from gis_radar.scans.roads import Roads
@@ -20,11 +19,9 @@ from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 
 BLOCK_CELLS = 512  # side of a block, cells
 BLOCK_M = CELL_M * BLOCK_CELLS
-_OUTSIDE, _INSIDE, EDGE = 0, 1, 2  # of a cell, by the roads in its block
 # Roads in more blocks are no site: so many cover a city of 16 by 16 km. Each takes 10 ms, and more
 # with points.
 MOST_BLOCKS = 4_000
-_MOST_STATES = 512  # blocks whose cells are kept: 128 MiB
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,11 +57,6 @@ class RoadBlocks:
         )
 
     @cached_property
-    def _states_of(self) -> Callable[[int], NDArray[np.uint8]]:
-        """Cached function from a block to its cells' states: `_OUTSIDE`, `_INSIDE` or `EDGE`."""
-        return lru_cache(_MOST_STATES)(lambda block: _states(self.shapes[block], self.cells(block)))
-
-    @cached_property
     def level_shapes(self) -> list[list[Any]]:
         """For each level, its roads in each block."""
         if len(self.roads.levels) == 1:
@@ -76,7 +68,7 @@ class RoadBlocks:
         """Return which cells of a block and a margin have their centre on roads of a level."""
         shapes = self.level_shapes[level]
         near = [shapes[number] for number in self.neighbours(block).tolist()]
-        return centres_in(near, self.cells(block, margin))
+        return _centres_in(near, self.cells(block, margin))
 
     @cached_property
     def _lookup(self) -> NDArray[np.int32]:
@@ -96,22 +88,10 @@ class RoadBlocks:
         block = self._block_of(*self.grid.cells(x, y))
         point = np.flatnonzero(block >= 0)
         block = block[point]
-        column, row = (
-            np.floor_divide(side[point], CELL_M).astype(np.int64) % BLOCK_CELLS for side in (x, y)
-        )
-        state = np.empty(len(block), np.uint8)
+        inside = np.zeros(len(block), np.bool_)
         for number, rows in _by_block(block):
-            state[rows] = self._states_of(number)[row[rows], column[rows]]
-        kept = state != _OUTSIDE
-        point, block, state = point[kept], block[kept], state[kept]
-        inside = state == _INSIDE
-        edge = np.flatnonzero(state == EDGE)
-        for number in np.unique(block[edge]):
-            of_block = edge[block[edge] == number]
-            points_at = point[of_block]
-            inside[of_block] = shapely.intersects_xy(
-                self.shapes[number], x[points_at], y[points_at]
-            )
+            at = point[rows]
+            inside[rows] = shapely.intersects_xy(self.shapes[number], x[at], y[at])
         return point[inside], block[inside].astype(np.int64)
 
     def _block_of(self, column: Integers, row: Integers) -> NDArray[np.int32]:
@@ -171,19 +151,15 @@ def _by_block(block: NDArray[Any]) -> Iterator[tuple[int, Integers]]:
     yield from zip(numbers.tolist(), np.split(order, begins)[1:], strict=True)
 
 
-def centres_in(shapes: Any, cells: Grid) -> Booleans:
+def _centres_in(shapes: Any, cells: Grid) -> Booleans:
     """Return which cells have their centre in any shape; rows run from the south."""
-    some = [shape for shape in np.atleast_1d(shapes) if not shapely.is_empty(shape)]
-    return _rasterised(some, cells) if some else np.zeros((cells.rows, cells.columns), bool)
-
-
-def _rasterised(shapes: list[Any], cells: Grid, *, touched: bool = False) -> Booleans:
-    """Return which cells have their centre in any shape, or are touched by one."""
     from rasterio.features import rasterize  # noqa: PLC0415 - most commands need none
 
+    some = [shape for shape in np.atleast_1d(shapes) if not shapely.is_empty(shape)]
     size = (cells.rows, cells.columns)
-    burnt = rasterize(shapes, size, transform=cells.transform, all_touched=touched, dtype="uint8")
-    return np.asarray(burnt).astype(bool)
+    if not some:
+        return np.zeros(size, np.bool_)
+    return np.asarray(rasterize(some, size, transform=cells.transform, dtype="uint8")).astype(bool)
 
 
 def _clipped(shapes: Any, boxes: list[Box]) -> list[Any]:
@@ -194,20 +170,8 @@ def _clipped(shapes: Any, boxes: list[Box]) -> list[Any]:
     return [shapely.union_all(shapely.clip_by_rect(some, *box)) for some, box in pairs]
 
 
-def _states(shape: Any, cells: Grid) -> NDArray[np.uint8]:
-    """Return the state of each cell: `_OUTSIDE`, `_INSIDE` or `EDGE` of the roads."""
-    inside = centres_in(shape, cells)
-    edge = _rasterised([shapely.boundary(shape)], cells, touched=True)
-    # Neighbours of which one is inside and one outside are on the edge, despite rounding.
-    cross = ndimage.generate_binary_structure(2, 1)
-    edge |= ndimage.morphological_gradient(inside.astype(np.uint8), footprint=cross) > 0
-    return np.where(edge, EDGE, np.where(inside, _INSIDE, _OUTSIDE)).astype(np.uint8)
-
-
 MOST_IN_MEMORY = 1_000_000  # points in memory
 _MM = 1000.0  # in a metre
-# Equal points are found by sorting one number each: 20 bits north, 20 east, 22 up, 1 for no ground.
-_SHIFT, _MOST_TALL = 100_000, 2**22 - 1  # mm: added, as a margin has negative places; most height
 # Millimetres from the block's corner: smaller than float64, and exact for equal points.
 _RECORD = np.dtype(
     [("x", np.int32), ("y", np.int32), ("z", np.int32), ("category", np.uint8), ("scan", np.uint16)]
@@ -321,18 +285,8 @@ class PointStore:
 
 def _unique_points(records: Any, ground: Booleans) -> tuple[Floats, Booleans]:
     """Return sorted points; of equal ones (of overlapping scans) one, as ground if any is."""
-    if len(records) == 0:
-        return np.empty((0, 3)), np.empty(0, bool)
-    bottom = int(records["z"].min())
-    tall = np.minimum(records["z"].astype(np.int64) - bottom, _MOST_TALL)
-    key = (records["y"].astype(np.int64) + _SHIFT) << 20
-    key = ((key | (records["x"].astype(np.int64) + _SHIFT)) << 22 | tall) << 1 | ~ground
-    key.sort()
-    new = np.ones(len(key), bool)
-    new[1:] = np.diff(key >> 1) != 0
-    key = key[new]
-    place = key >> 1
-    columns = [
-        (place >> 22 & 0xFFFFF) - _SHIFT, (place >> 42) - _SHIFT, (place & _MOST_TALL) + bottom
-    ]  # fmt: skip
-    return np.column_stack(columns) / _MM, (key & 1) == 0
+    order = np.lexsort((~ground, records["z"], records["x"], records["y"]))
+    places = np.column_stack([records[axis][order] for axis in "xyz"])
+    new = np.ones(len(places), np.bool_)
+    new[1:] = (places[1:] != places[:-1]).any(axis=1)
+    return places[new] / _MM, ground[order][new]

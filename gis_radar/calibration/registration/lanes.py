@@ -234,12 +234,10 @@ def _scanned_heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
     gap, index = (np.asarray(a).reshape(len(local), -1) for a in (gap, index))
     z = np.where(np.isfinite(gap), road[np.minimum(index, len(road) - 1), 2], np.nan)
     z = np.where(np.abs(z - map_height[:, None]) > SAME_LEVEL_M, np.nan, z)
-    count = np.isfinite(z).sum(axis=1)
-    ranked = np.sort(z, axis=1)
-    rows = np.arange(len(z))
-    low, high = ranked[rows, np.maximum(count - 1, 0) // 2], ranked[rows, count // 2 % z.shape[1]]
-    height = np.where(count > 0, np.where(count % 2 == 1, low, (low + high) / 2), map_height)
-    return height, np.asarray(count > 0)
+    scanned = np.asarray(np.isfinite(z).any(axis=1), np.bool_)
+    height = map_height.copy()
+    height[scanned] = np.nanmedian(z[scanned], axis=1)
+    return height, scanned
 
 
 def _slopes(points: Floats, along: Floats, lane: Integers) -> Floats:
@@ -361,24 +359,14 @@ def place(samples: Samples, state: State) -> Placed:
     state : State
         Assumed state of the sensor.
     """
-    turn = np.ascontiguousarray(state.R_map_sensor)  # numba compiles anew for another layout
-    points, arms, flat, sight = _transform(samples.points, turn, state.position)
-    return Placed(samples=samples, state=state, points=points, arms=arms, flat=flat, sight=sight)
-
-
-@compiled
-def _transform(  # pragma: no cover - compiled
-    seen: Floats, turn: Floats, position: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return points, arms, distances and directions of sight, as in `Placed`."""
-    points, arms = np.empty((len(seen), 3)), np.empty((len(seen), 3))
-    flat, sight = np.empty(len(seen)), np.empty((len(seen), 2))
-    for i in range(len(seen)):
-        for j in range(3):
-            arms[i, j] = turn[j, 0] * seen[i, 0] + turn[j, 1] * seen[i, 1] + turn[j, 2] * seen[i, 2]
-            points[i, j] = arms[i, j] + position[j]
-        flat[i] = np.hypot(arms[i, 0], arms[i, 1])
-        sight[i, 0], sight[i, 1] = 1.0, 0.0
-        if flat[i] > _NO_DIRECTION_M:
-            sight[i, 0], sight[i, 1] = arms[i, 0] / flat[i], arms[i, 1] / flat[i]
-    return points, arms, flat, sight
+    ahead, left, up = samples.points.T
+    rows = [row[0] * ahead + row[1] * left + row[2] * up for row in state.R_map_sensor]
+    arms = np.column_stack(rows)
+    flat = np.hypot(rows[0], rows[1])
+    sight = np.tile([1.0, 0.0], (len(flat), 1))
+    clear = (flat > _NO_DIRECTION_M)[:, None]
+    np.divide(arms[:, :2], flat[:, None], out=sight, where=clear)
+    return Placed(
+        samples=samples, state=state, points=arms + state.position, arms=arms, flat=flat,
+        sight=sight,
+    )  # fmt: skip

@@ -70,7 +70,7 @@ def fix_open_direction(pose: Pose, check: ScanCheck) -> tuple[Pose, Pose]:
         given pose twice where no direction is open, where scan and traffic together do not clearly
         prefer one place, or where the variance by the scan is hardly smaller.
     """
-    covariance = _stated_covariance(pose)
+    covariance = pose.parsed_evidence().covariance
     if covariance is None or not _is_open(covariance) or not check.covered >= LEAST_COVERED:
         return pose, pose
     lever = np.array([1.0, 1.0, LEVER_M])
@@ -158,7 +158,7 @@ def updated_by_scan(pose: Pose, check: ScanCheck) -> Pose | None:
         where static structures leave a direction open; None where scan and traffic contradict each
         other.
     """
-    known = _stated_covariance(pose)
+    known = pose.parsed_evidence().covariance
     if known is None or check.verdict != CONFIRMS or check.best is None:
         return pose
     offset_noise = offset_covariance(align(check.standing, check.structure), check.best)
@@ -171,11 +171,6 @@ def updated_by_scan(pose: Pose, check: ScanCheck) -> Pose | None:
     gap = to_map @ np.array(check.best.place)
     gap += [*(check.pose.position - pose.position)[:2], turn]
     return _updated(pose, known, rows, gap, to_map @ offset_noise @ to_map.T + map_noise)
-
-
-def _stated_covariance(pose: Pose) -> Floats | None:
-    stated_value = pose.evidence.get("covariance")
-    return None if stated_value is None else np.asarray(stated_value, np.float64)
 
 
 def _updated(
