@@ -135,10 +135,11 @@ class MeasuredParts:
         of = self.lanes
         found = _volumes(times, of)
         found |= {name: _total(times, of[name]) for name in _SUMS}
-        found |= {
-            name: _total(times, of[name] * of[by]) / _total(times, _where(of[by], of[name]))
-            for name, by in _WEIGHTS.items()
-        }
+        with np.errstate(invalid="ignore"):  # nothing known, with a weight of 0
+            found |= {
+                name: _total(times, of[name] * of[by]) / _total(times, _where(of[by], of[name]))
+                for name, by in _WEIGHTS.items()
+            }
         found[_KM_H] = times @ of[_KM_H]
         spread, known = of["occupancy_se"] * of[_KM_H], _where(of[_KM_H], of["occupancy_se"])
         found["occupancy_se"] = np.sqrt(_total(times, spread**2)) / _total(times, known)

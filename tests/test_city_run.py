@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import signal
 import socket
@@ -571,6 +572,14 @@ def test_a_run_goes_on_where_a_worker_is_killed_and_the_scheduler_restarted(clus
                 cluster.begin()
     assert sorted(done) == sorted(calls)
     assert "workers were lost: what they had not finished is done again" in said.warnings
+
+
+def test_dask_prints_no_tracebacks(cluster):
+    with workers_of(cluster.address, None, Said()):
+        known = [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]
+        loud = [name for name in known if logging.getLogger(name).isEnabledFor(logging.ERROR)]
+    assert "distributed.client" in known
+    assert loud == []
 
 
 def test_a_cluster_that_is_not_there_is_named():

@@ -274,7 +274,8 @@ class Cluster(Workers):
             self._dask: Any = importlib.import_module("distributed")
         except ImportError as error:
             raise UsageError("a cluster needs the package distributed", hint=_INSTALL) from error
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it prints tracebacks
+        for name in _loggers_of_dask():  # they print tracebacks
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         try:  # before there is a client, which Dask could not close
             importlib.import_module("distributed.comm").get_address_host_port(address)
         except ValueError as error:
@@ -327,6 +328,12 @@ class Cluster(Workers):
                 time.sleep(1.0)
             else:
                 return executor
+
+
+def _loggers_of_dask() -> list[str]:
+    """Return the names of Dask's loggers: its settings give some a level of their own."""
+    known = (name for name in logging.root.manager.loggerDict if name.startswith("distributed."))
+    return ["distributed", *known]
 
 
 @contextmanager

@@ -43,6 +43,7 @@ from gis_radar.city.month_tables import (
     changes_of,
     health_table,
     lane_rows,
+    odd_table,
     sensor_faults,
     share_with_error,
     site_table,
@@ -229,7 +230,8 @@ def _page(
     remarks = [
         *(tr("Site {name} is left out: {why}", name=name, why=tr(why))
           for name, why in left_out.items()),
-        *_ends_early(month, sites, clock), *sensor_faults(health, sites, clock),
+        *_not_measured(sites), *_ends_early(month, sites, clock),
+        *sensor_faults(health, sites, clock),
     ]  # fmt: skip
     text = files("gis_radar.city").joinpath("month_page.html.jinja").read_text(encoding="utf-8")
     city_map = draw_city(sites, faulty, legend)
@@ -238,7 +240,8 @@ def _page(
         text, css=css, title=title, subtitle=clock.long_span(clock.first, clock.last),
         zone=clock.name, facts=facts, remarks=remarks, map=city_map,
         sites=site_table(sites, health), worst=lane_rows(worst) if len(worst) else None,
-        profiles=_profiles(sites), changes=change_table(changes, sites),
+        odd=odd_table(sites, clock), profiles=_profiles(sites),
+        changes=change_table(changes, sites),
         health=health_table(health, sites, clock), made_by=made_by(),
     )  # fmt: skip
     significant = changes[changes["verdict"] != NOT_TOLD] if len(changes) else changes
@@ -248,9 +251,22 @@ def _page(
         "sites_left_out": left_out, "sensors": len(health),
         "sensors_by_state": {str(n): int(v) for n, v in health["state"].value_counts().items()},
         "lanes_with_a_change": int(significant["lane"].notna().sum()) if len(significant) else 0,
+        "odd_times": sum(len(each.odd_times) for each in sites),
         "facts": {fact.name: f"{fact.value} ({fact.rests})" for fact in facts},
         "remarks": remarks,
     }  # fmt: skip
+
+
+def _not_measured(sites: Sequence[SiteMonth]) -> list[str]:
+    """Return what the datasets state of hours that were not measured, with the sites of each."""
+    titles: dict[str, list[str]] = {}
+    for site in sites:
+        if site.remark:
+            titles.setdefault(site.remark, []).append(site.title)
+    return [
+        f"{remark} {tr('All sites.') if len(of) == len(sites) else ', '.join(of)}"
+        for remark, of in titles.items()
+    ]
 
 
 def _ends_early(month: CityMonth, sites: Sequence[SiteMonth], clock: Clock) -> list[str]:

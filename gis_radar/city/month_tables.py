@@ -19,6 +19,7 @@ from gis_radar.base import (
     tr,
 )
 from gis_radar.calibration import HealthState
+from gis_radar.city.odd_times import OddTime
 from gis_radar.city.site_month import SiteMonth
 from gis_radar.products import (
     LEAST_QUEUE_M,
@@ -34,6 +35,7 @@ from gis_radar.products import (
 
 _WORST_LANES = 20  # rows of the table
 _MOST_CHANGES = 30  # rows of the table
+_MOST_ODD = 20  # rows of the table
 _MOST_NAMED = 6  # sensors of a state in a sentence
 
 
@@ -232,6 +234,42 @@ def _change_notes(changes: pd.DataFrame, sites: Sequence[SiteMonth], differences
             plural(left_out, "{n} lane was not seen alike.", "{n} lanes were not seen alike.")
         )
     return notes
+
+
+def odd_table(sites: Sequence[SiteMonth], clock: Clock) -> Table | None:
+    """Return the hours in which far more time was lost than usual, the most first."""
+    found = [(site, each) for site in sites for each in site.odd_times]
+    found.sort(key=lambda pair: -pair[1].beyond_h)
+
+    def lane(pair: tuple[SiteMonth, OddTime]) -> str:
+        site, odd = pair
+        assert site.lanes is not None  # noqa: S101 - it has lost time
+        names = site.lanes.set_index("lane")["name"]
+        return str(names.get(odd.lane, NO_FIGURE))
+
+    columns = [
+        Column(tr("Site"), "", lambda pair: pair[0].title, False),
+        Column(tr("From"), "", lambda pair: clock.stamp(pair[1].begin.to_pydatetime()), False),
+        Column(tr("Until"), "", lambda pair: clock.stamp(pair[1].end.to_pydatetime()), False),
+        Column(tr("Time lost"), tr("vehicle hours"),
+               lambda pair: figure_text(pair[1].lost_h, 1)),
+        Column(tr("Usual"), tr("vehicle hours"), lambda pair: figure_text(pair[1].usual_h, 1)),
+        Column(tr("Most of it"), tr("lane"), lane, False),
+    ]  # fmt: skip
+    note = tr(
+        "Hours in which half as much again as usual was lost or more, far beyond how such hours "
+        "differ, with the hours beside them in which it was raised. Usual is the median over "
+        "Mondays to Fridays, or weekends, of the month at that hour. All visible lanes count, so a "
+        "sensor that moved can look like this, too."
+    )
+    if len(found) > _MOST_ODD:
+        note += " " + tr("Here are {part} of {all}.", part=_MOST_ODD, all=len(found))
+    if not found:
+        return None
+    return Table(
+        name="odd", caption=tr("Hours with far more time lost than usual"), columns=columns,
+        rows=text_rows(found[:_MOST_ODD], columns), note=note,
+    )  # fmt: skip
 
 
 def health_table(health: pd.DataFrame, sites: Sequence[SiteMonth], clock: Clock) -> Table:

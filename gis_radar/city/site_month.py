@@ -16,6 +16,7 @@ from pyproj import CRS
 
 from gis_radar.base import Floats, InputError, NoAnswerError, metric_crs, transformer
 from gis_radar.city.city import RESULTS, CityMonth
+from gis_radar.city.odd_times import OddTime, odd_times
 from gis_radar.dataset import Dataset, LaneTraffic, TrafficReader
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork
@@ -54,6 +55,10 @@ class SiteMonth:
         nothing compares.
     not_alike : int
         Lanes that were not seen alike in both months.
+    odd_times : sequence of OddTime
+        Hours in which far more time was lost than usual.
+    remark : str
+        What its dataset states of hours that were not measured; empty where all were.
     """
 
     name: str
@@ -65,6 +70,8 @@ class SiteMonth:
     profile: pd.DataFrame | None = None
     changes: pd.DataFrame | None = None
     not_alike: int = 0
+    odd_times: Sequence[OddTime] = ()
+    remark: str = ""
 
     @property
     def place(self) -> Floats:
@@ -130,6 +137,7 @@ def site_month(month: CityMonth, name: str, folder: Path) -> SiteMonth:
     fields: dict[str, Any] = {
         "name": name, "title": str(site.get("title") or name), "lines": _lane_lines(dataset),
         "link": _link(place / PAGE, folder), "hours": len(month.hours[name].get(month.month, [])),
+        "remark": dataset.manifest.not_measured,
     }  # fmt: skip
     if not (dataset.has_vehicles and month.has_data(name)):
         return SiteMonth(**fields)
@@ -142,7 +150,7 @@ def site_month(month: CityMonth, name: str, folder: Path) -> SiteMonth:
     changes, not_alike = _changes(dataset, name, month)
     return SiteMonth(
         **fields, lanes=lanes, profile=_profile(sums, lanes), changes=changes,
-        not_alike=not_alike,
+        not_alike=not_alike, odd_times=odd_times(dataset, month.span(dataset)),
     )  # fmt: skip
 
 

@@ -135,6 +135,17 @@ def test_sql_over_all_sites(city):
     assert next(iter(city.query("FROM passages"))) == "site"
 
 
+def test_lanes_in_sql_have_the_names_that_traffic_gives_them(city):
+    names = city.query("SELECT site, lane, name FROM lanes ORDER BY ALL")
+    assert names["site"].unique().tolist() == ["east", "west"]
+    for site, of_site in names.groupby("site"):
+        traffic = city.sites[site].traffic("1h")
+        wanted = traffic.drop_duplicates("lane").set_index("lane")["name"].to_dict()
+        found = of_site.set_index("lane")["name"].to_dict()
+        assert found == wanted
+        assert all(found.values())
+
+
 @pytest.mark.parametrize(
     ("sql", "message"),
     [

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -182,6 +183,17 @@ def test_damaged_sites_are_left_out_and_named_in_the_words_of_the_city_file(made
     assert page.all("html")[0]["lang"] == "de"
     for name in ("Adlerweg", "Birkenallee"):
         assert f"Standort {name}" in " ".join(page.words)
+
+
+def test_hours_that_were_not_measured_are_told_with_their_site(made, tmp_path):
+    root = shutil.copytree(made / "city", tmp_path / "city")
+    dataset = gr.open_dataset(root / "site=Adlerweg")
+    settings = dataset.manifest.settings | {"drawn": "NOT MEASURED: drawn."}
+    replace(dataset.manifest, settings=settings).write(dataset.folder)
+    report = gr.write_month_page(root, MONTH, output=tmp_path / "page")
+    assert "NOT MEASURED: drawn. Ring <b>1</b> & Tor" in report.summary["remarks"]
+    text = report.outputs[0].read_text(encoding="utf-8")
+    assert "NOT MEASURED: drawn. Ring &lt;b&gt;1&lt;/b&gt; &amp; Tor" in text
 
 
 @pytest.fixture(scope="module")

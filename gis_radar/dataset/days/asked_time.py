@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any, Self, TypeAlias
 
@@ -57,6 +58,7 @@ def day_numbers(days: str | None) -> set[int]:
     return numbers
 
 
+@cache
 def month_edges(month: str, zone: str) -> tuple[pd.Timestamp, pd.Timestamp]:
     """Return the begin of a month such as `2026-10`, and of the next, by the clocks of a zone.
 

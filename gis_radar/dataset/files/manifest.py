@@ -107,6 +107,11 @@ class Manifest:
         """Remarks on sensors whose pose and recordings are not known to fit, by sensor."""
         return {name: found.doubt for name, found in self.findings.items() if found.doubt}
 
+    @property
+    def not_measured(self) -> str:
+        """Remark on hours that were drawn and not measured; empty where all were measured."""
+        return str(self.settings.get("drawn", ""))
+
     def write(self, folder: Path) -> None:
         """Write `dataset.json`, replacing the present one."""
         path = folder / MANIFEST

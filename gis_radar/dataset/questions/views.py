@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import duckdb
+import geopandas as gpd
 import pyarrow as pa
 
 from gis_radar.base import STEPS_PER_SECOND, Reporter
@@ -27,6 +28,8 @@ from gis_radar.dataset.files.tables import (
 )
 from gis_radar.dataset.files.units import UNITS
 from gis_radar.dataset.questions.profiles import roll_ups
+from gis_radar.hdmap import LANES_LAYER
+from gis_radar.measures import LaneNetwork, lane_names
 
 LAYERS = ("tiles", "lanes", "stop_lines")
 _BEGIN = f"epoch(date)::BIGINT * {STEPS_PER_SECOND} + interval * {STEPS_PER_QUARTER}::BIGINT"
@@ -108,9 +111,18 @@ def make_views(
         if table.name in names:
             views.view_of_rows(table, dataset.single_table(table))
     for layer in names.intersection(LAYERS):
-        rows = dataset.layer(layer).drop(columns="geometry")
-        connection.register(f"{prefix}{layer}", pa.Table.from_pandas(rows, preserve_index=False))
+        rows = dataset.layer(layer)
+        if layer == LANES_LAYER and dataset.has_vehicles:
+            rows = _with_names(rows, roll_ups(dataset).traffic.network)
+        plain = pa.Table.from_pandas(rows.drop(columns="geometry"), preserve_index=False)
+        connection.register(f"{prefix}{layer}", plain)
     return paths
+
+
+def _with_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> gpd.GeoDataFrame:
+    """Return lanes with a column `name`, as the methods of a dataset call them."""
+    names = dict(zip(network.lane.tolist(), lane_names(lanes, network), strict=True))
+    return lanes.assign(name=lanes["lane"].map(names).astype(object))
 
 
 def catalogue_of(folders: Sequence[Path], place: str) -> str:
