@@ -8,11 +8,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gis_radar.base import Floats, Integers
+from gis_radar.base import Floats, Integers, compiled
 from gis_radar.measures.frames import FrameIndex
 from gis_radar.recordings import Detections
 
 Hashes: TypeAlias = NDArray[np.uint64]
+Bits: TypeAlias = NDArray[np.uint32]
 # Odd multipliers with about as many ones as zeros (Knuth's and Steele's), so that all bits mix.
 _FIRST, _SECOND, _TURN = (
     np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(31),
@@ -76,18 +77,33 @@ def hash_frames(time: Floats, rows: Detections, *, rcs: bool) -> HashedFrames:
     """
     frames = FrameIndex.of(time)
     x, y, z, rate = map(_bits, (*rows.points.T, rows.range_rate))
-    place = (np.arange(len(time)) - frames.begins[frames.of_row] + 1).astype(np.uint64) * _STEP
-    row = ((x << _HALF | y) ^ place) * _FIRST
-    row ^= (row >> _TURN) ^ (z << _HALF | rate)
-    row *= _SECOND
-    if rcs:
-        row = (row ^ (row >> _TURN) ^ _bits(rows.rcs)) * _FIRST
+    strength = _bits(rows.rcs if rcs else rows.rcs[:0])
     return HashedFrames(
         time=frames.time,
-        hash=np.add.reduceat(row ^ (row >> _TURN), frames.begins),
+        hash=_hashed(x, y, z, rate, strength, frames.begins),
         detections=frames.count(rows.present),
     )
 
 
-def _bits(values: Floats) -> Hashes:
-    return np.asarray(values, np.float32).view(np.uint32).astype(np.uint64)
+def _bits(values: Floats) -> Bits:
+    return np.asarray(values).astype(np.float32).view(np.uint32)
+
+
+@compiled
+def _hashed(
+    x: Bits, y: Bits, z: Bits, rate: Bits, rcs: Bits, begins: Integers
+) -> Hashes:  # pragma: no cover - compiled
+    """Return the hash of each frame: the sum over its rows, each mixed by itself and its place."""
+    found = np.zeros(len(begins), np.uint64)
+    for frame in range(len(begins)):
+        end = begins[frame + 1] if frame + 1 < len(begins) else len(x)
+        place = np.uint64(0)
+        for k in range(begins[frame], end):
+            place += _STEP
+            row = (((np.uint64(x[k]) << _HALF) | np.uint64(y[k])) ^ place) * _FIRST
+            row ^= (row >> _TURN) ^ ((np.uint64(z[k]) << _HALF) | np.uint64(rate[k]))
+            row *= _SECOND
+            if len(rcs) > 0:
+                row = (row ^ (row >> _TURN) ^ np.uint64(rcs[k])) * _FIRST
+            found[frame] += row ^ (row >> _TURN)
+    return found

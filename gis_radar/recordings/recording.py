@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +64,7 @@ class Detections:
     def __len__(self) -> int:
         return len(self.time)
 
-    @property
+    @cached_property
     def present(self) -> Booleans:
         """Mask of the rows that are detections; other rows are frames without detections."""
         return ~np.isnan(self.points[:, 0])
@@ -220,7 +220,7 @@ class Recording:
 
 def has_height(rows: Detections) -> bool:
     """Return whether the first detection, and so all of a recording, has a height."""
-    return bool(np.isfinite(rows.points[rows.present, 2][0]))
+    return bool(np.isfinite(rows.points[rows.present.argmax(), 2]))
 
 
 def constant_value(column: Floats, least: int = _LEAST_CONSTANT) -> float | None:
