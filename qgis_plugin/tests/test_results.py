@@ -237,6 +237,11 @@ def test_traffic_shows_its_time_and_how_sure_its_volumes_are(run, site, tmp_path
              "OUTPUT": str(tmp_path / "traffic")}  # fmt: skip
     results, heard = run("traffic", given, load=True)
     assert heard.errors == []
+    # not in the group of the layer that was chosen before, such as the sensors'
+    group = QgsProject.instance().layerTreeRoot().findGroup("traffic")
+    assert [node.name() for node in group.findLayers()] == [
+        "Volumes of sections", "Volumes of turns", "Traffic of lanes"
+    ]  # fmt: skip
     layer = layer_called("Volumes of sections")
     settings = QgsMapSettings()
     begin = QDateTime(2025, 6, 12, 7, 31, 0, 0, Qt.TimeSpec.UTC)

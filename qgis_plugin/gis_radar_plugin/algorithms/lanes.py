@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from qgis.core import QgsProcessing, QgsProcessingOutputVectorLayer
 
 from ..base import TRAFFIC, WorkerAlgorithm
-from ..loading import dress, load
+from ..loading import load
 from ..parameters import File, Folder, Given, Layer, OutputFolder, Result, Text
 from ..runner import Answer
 from ..words import tr
@@ -59,11 +60,12 @@ class CountTraffic(WorkerAlgorithm):
         folder = Path(given.outputs["OUTPUT"])
         package = folder / "traffic.gpkg"
         layers = {name.upper(): f"{package}|layername={name}" for name in ("lanes", "turns")}
-        load(given.context, layers["LANES"], tr("Traffic of lanes"), finish=dress)
-        load(given.context, layers["TURNS"], tr("Volumes of turns"))
+        show = partial(load, given.context, group=folder.name)
+        show(layers["LANES"], tr("Traffic of lanes"), order=0)
+        show(layers["TURNS"], tr("Volumes of turns"), order=1)
         if given.has("SECTIONS"):
             layers["SECTION_VOLUMES"] = f"{package}|layername=sections"
-            load(given.context, layers["SECTION_VOLUMES"], tr("Volumes of sections"))
+            show(layers["SECTION_VOLUMES"], tr("Volumes of sections"), order=2)
         self.made = [
             (tr("Open the workbook"), folder / "traffic.xlsx"), (tr("Show the folder"), folder)
         ]  # fmt: skip
