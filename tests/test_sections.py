@@ -197,6 +197,8 @@ def test_counts_by_hand_stand_beside_ours(run, dataset, given, tmp_path):
     assert np.isnan(gone["volume"])
     assert pd.isna(gone["agrees"])
     assert '"hand_counts": 5, "hand_counts_compared": 4, "hand_counts_that_agree": 2' in out
+    columns = list(pd.read_csv(tmp_path / "out" / "sections.csv"))
+    assert columns[columns.index("volume") :][:3] == ["volume", "volume_se", "volume_veh_h"]
     layer = gpd.read_file(tmp_path / "out" / "traffic.gpkg", layer="sections")
     assert layer["counted"].sum() == 26
     sheets = pyogrio.list_layers(tmp_path / "out" / "traffic.xlsx")[:, 0]

@@ -258,5 +258,5 @@ def _sums_of_lanes(rows: gpd.GeoDataFrame, crossed: list[_Crossing]) -> pd.DataF
         }
     ).reset_index()  # fmt: skip
     hours = (table["end"] - table["begin"]).dt.total_seconds() / 3600.0
-    table.insert(5, "volume_veh_h", table["volume"] / hours)
+    table.insert(6, "volume_veh_h", table["volume"] / hours)
     return table
