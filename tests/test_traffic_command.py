@@ -286,6 +286,29 @@ def test_the_workbook_can_be_read_on_paper(written):
     assert len({share, volume, name}) == 3
 
 
+def test_titles_of_the_workbook_stand_over_their_values(written):
+    """Numbers are on the right, and text that follows one does not touch it."""
+    folder, _ = written()
+    _, lanes = sheet_of(folder / "traffic.xlsx", 1)
+    with zipfile.ZipFile(folder / "traffic.xlsx") as file:
+        sheet, styles = (
+            ET.fromstring(file.read(f"xl/{name}.xml"))  # noqa: S314 - ours
+            for name in ("worksheets/sheet1", "styles")
+        )
+    formats = [each.find(f"{SHEET}alignment") for each in styles.find(f"{SHEET}cellXfs")]
+    heads = [formats[int(each.get("s"))] for each in next(sheet.iter(f"{SHEET}row"))]
+    titles = dict(zip(lanes[0].values(), heads, strict=True))
+    assert titles["Counted [veh]"].get("horizontal") == "right"
+    assert titles["Volume, estimated [veh]"].get("horizontal") == "right"
+    assert titles["Lane"].get("horizontal") == "left"
+    columns = {
+        int(each.get("min")): formats[int(each.get("style"))] for each in sheet.iter(f"{SHEET}col")
+    }
+    assert list(titles).index("Stop line") + 1 in columns
+    assert columns[list(titles).index("Stop line") + 1].get("indent") == "1"
+    assert titles["Stop line"].get("indent") == "1"
+
+
 def test_the_workbook_speaks_german(written):
     """Its titles are read whole: no word is wider than its column, no line below the row's end."""
     folder, _ = written("--language", "de", "--headways")

@@ -43,23 +43,43 @@ def write_workbook(sheets: Mapping[str, pd.DataFrame], path: Path) -> None:
     ) as writer:  # fmt: skip
         book = writer.book
         book.set_properties({"created": datetime.combine(FILE_DATE, datetime.min.time())})
-        title = book.add_format({"bold": True, "text_wrap": True, "valign": "top", "bottom": 1})
-        shares, numbers = (book.add_format({"num_format": form}) for form in ("0.00", "0.0"))
-        texts = book.add_format({"text_wrap": True, "valign": "top"})
+        whole, shares, numbers = (
+            book.add_format({"valign": "top"} | form)
+            for form in ({}, {"num_format": "0.00"}, {"num_format": "0.0"})
+        )
+        # without the indent texts touch a number on their left
+        texts = book.add_format({"text_wrap": True, "valign": "top", "align": "left", "indent": 1})
+        titles = _title_formats(book)
         for name, table in sheets.items():
             table.to_excel(writer, sheet_name=name, index=False, header=False, startrow=1)
             sheet = writer.sheets[name]
-            sheet.write_row(0, 0, list(table), title)
             sheet.freeze_panes(1, 0)
             widths = [_column_width(str(each), values) for each, values in table.items()]
             for column, (width, each) in enumerate(zip(widths, table, strict=True)):
-                shown = texts
+                is_text = not _is_on_the_right(table[each])
+                shown = texts if is_text else whole
                 if pd.api.types.is_float_dtype(table[each]):
                     shown = shares if str(each).endswith("[0-1]") else numbers
+                sheet.write(0, column, each, titles[is_text])
                 sheet.set_column(column, column, width, shown)
             for row, height in _heights(table, widths).items():
                 sheet.set_row(row, height)
             _set_up_print(sheet, len(table), widths)
+
+
+def _title_formats(book: Any) -> dict[bool, Any]:
+    """Return how titles are written, by whether they are those of texts."""
+    title = {"bold": True, "text_wrap": True, "valign": "top", "bottom": 1}
+    return {
+        True: book.add_format(title | {"align": "left", "indent": 1}),
+        False: book.add_format(title | {"align": "right"}),
+    }
+
+
+def _is_on_the_right(values: pd.Series) -> bool:
+    """Return whether spreadsheets put a column's values on the right: numbers and times."""
+    of_numbers = pd.api.types.is_numeric_dtype(values) and not pd.api.types.is_bool_dtype(values)
+    return of_numbers or pd.api.types.is_datetime64_any_dtype(values)
 
 
 def _heights(table: pd.DataFrame, widths: Sequence[int]) -> dict[int, int]:
