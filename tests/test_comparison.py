@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 from contextlib import nullcontext
 from dataclasses import replace
@@ -546,6 +547,8 @@ def test_the_command_writes_page_table_layer_and_maps(run, dataset, tmp_path):
     with (tmp_path / "out" / "compare.csv").open(encoding="utf-8-sig") as file:
         rows = list(csv.DictReader(file))
     assert {row["measure"] for row in rows} >= {"volume_veh_h", "speed_kmh", "occupancy"}
+    numbers = [cell for row in rows for cell in row.values() if re.fullmatch(r"-?\d+\.\d+", cell)]
+    assert max(len(number.partition(".")[2]) for number in numbers) <= 6
     layer = gpd.read_file(tmp_path / "out" / "compare.gpkg", layer="comparison")
     assert layer["volume_veh_h_change"].iloc[0] == pytest.approx(-33.0, abs=8.0)
     page = (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")

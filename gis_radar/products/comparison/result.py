@@ -143,7 +143,7 @@ class Comparison:
             If the folder cannot be written, or holds other files.
         """
         writers: dict[str, Callable[[Path], object]] = {
-            "compare.csv": lambda path: write_csv(path, self.table.drop(columns="geometry")),
+            "compare.csv": lambda path: write_csv(path, _rounded(self.table)),
             "compare.gpkg": partial(_write_layer, self.table),
             "compare.png": partial(draw_changes, self),
             "compare.html": partial(_write_page, self),
@@ -174,6 +174,17 @@ def wide_table(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
         )
     wide = pd.concat([lanes[["name", "watchers"]], pd.DataFrame(columns)], axis=1).reset_index()
     return gpd.GeoDataFrame(wide, geometry=lanes["geometry"].to_numpy(), crs=table.crs)
+
+
+def _rounded(table: gpd.GeoDataFrame) -> pd.DataFrame:
+    """Return a comparison for people: no digits far below the errors, probabilities to 1e-6."""
+    shown = pd.DataFrame(table.drop(columns="geometry"))
+    digits = {
+        name: 6 if name in {"p", "p_corrected"} else 4
+        for name in shown
+        if pd.api.types.is_float_dtype(shown[name])
+    }
+    return shown.round(digits)
 
 
 def _write_layer(table: gpd.GeoDataFrame, path: Path) -> None:
