@@ -111,6 +111,13 @@ def test_what_is_no_osm_is_refused_in_one_line(tmp_path, text, reason):
     assert reason in refused(written(tmp_path / "a.osm", text))
 
 
+@pytest.mark.parametrize("text", ["lanes, not XML", "<gpx/>", ""])
+def test_another_kind_of_file_is_told_what_is_wanted(tmp_path, text):
+    with pytest.raises(InputError) as refusal:
+        read_osm(written(tmp_path / "a.osm", text))
+    assert refusal.value.hint == "a Lanelet2 map in OSM XML is needed"
+
+
 @pytest.mark.parametrize(
     "content", [b"\x89PNG\r\n\x1a\n\x00\x00", b"\xff\xfe\x00", b"<osm>\xff</osm>"]
 )

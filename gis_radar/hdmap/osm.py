@@ -20,6 +20,7 @@ _DEEPEST = 100  # depth of nested elements; osm, relation and member make three
 _BYTES_AT_ONCE = 1 << 18
 _NOWHERE = (math.nan, math.nan)
 _IDS = range(-(2**63), 2**63)
+_WANTED = Text("a Lanelet2 map in OSM XML is needed")
 
 
 class Member(NamedTuple):
@@ -131,7 +132,8 @@ def read_osm(path: str | Path) -> OsmMap:
     except OSError as error:
         raise InputError("{}: cannot be read: {}", path, error.strerror or error) from error
     except (expat.ExpatError, ValueError, LookupError) as error:
-        raise InputError(_not_xml(path, error, parser.CurrentLineNumber)) from error
+        reason = _not_xml(path, error, parser.CurrentLineNumber)
+        raise InputError(reason, hint=_WANTED) from error
     return collector.finished()
 
 
@@ -219,7 +221,9 @@ class _Collector:
         if self.depth > _DEEPEST:
             self.refuse(Text("elements are nested {} deep, a map's are three", _DEEPEST))
         if self.depth == 1 and name != "osm":
-            raise InputError("{}: not OSM: its root is <{}>, expected <osm>", self.path, name)
+            raise InputError(
+                "{}: not OSM: its root is <{}>, expected <osm>", self.path, name, hint=_WANTED
+            )
         if name == "tag":
             self.tags[attributes.get("k", "")] = attributes.get("v", "")
         elif name == "nd":
