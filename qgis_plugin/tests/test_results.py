@@ -264,6 +264,21 @@ def test_traffic_shows_its_time_and_how_sure_its_volumes_are(run, site, tmp_path
         assert tip == f"<b>South &rarr; {each['direction']}</b><br>{volume:.0f} ± {error:.0f} veh/h"
 
 
+def test_a_comparison_is_a_group(run, fake_worker, site, tmp_path):
+    fake_worker(
+        "from osgeo import ogr\nout = words[words.index('-o') + 1]\n"
+        "os.makedirs(out, exist_ok=True)\nogr.UseExceptions()\n"
+        "package = ogr.GetDriverByName('GPKG').CreateDataSource(out + '/compare.gpkg')\n"
+        "package.CreateLayer('comparison')\ndel package\n"
+        "say(event='result', outputs=[], summary={})"
+    )
+    given = {"DATASET": str(site / "dataset"), "OUTPUT": str(tmp_path / "compared")}
+    _, heard = run("compare", given, load=True)
+    assert heard.errors == []
+    group = QgsProject.instance().layerTreeRoot().findGroup("compared")
+    assert [node.name() for node in group.findLayers()] == ["What changed by lane"]
+
+
 def test_layers_of_a_heat_map_are_a_group(heatmap):
     group = QgsProject.instance().layerTreeRoot().findGroup("map")
     shown = {node.name(): node.itemVisibilityChecked() for node in group.findLayers()}

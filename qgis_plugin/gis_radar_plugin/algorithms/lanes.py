@@ -106,6 +106,6 @@ class ComparePeriods(WorkerAlgorithm):
         del answer
         folder = Path(given.outputs["OUTPUT"])
         layer = f"{folder / 'compare.gpkg'}|layername=comparison"
-        load(given.context, layer, tr("What changed by lane"))
+        load(given.context, layer, tr("What changed by lane"), group=folder.name)
         self.made = [(tr("Open the page"), folder / "compare.html")]
         return {"LANES": layer}
