@@ -125,3 +125,10 @@ def test_a_heat_map_that_was_changed_is_not_read(site, tmp_path):
     (tmp_path / "text.gpkg").write_text("no")
     with pytest.raises(gr.InputError, match="not a heat map"):
         gr.read_heatmap(tmp_path / "text.gpkg")
+
+
+def test_the_folder_of_a_run_is_told_where_its_heat_map_lies(site, tmp_path):
+    gr.make_heatmap(site.dataset).write(tmp_path / "heatmap")
+    with pytest.raises(gr.InputError, match="no such file") as refusal:
+        gr.read_heatmap(tmp_path)
+    assert refusal.value.hint == f"did you mean {tmp_path / 'heatmap'}?"

@@ -251,8 +251,10 @@ def read_package(path: Path) -> dict[str, Any]:
     InputError
         If there is none, it is damaged, or its tiles were changed since.
     """
+    inside = path / "heatmap"
+    hint = Text("did you mean {}?", inside) if (inside / HEATMAP_FILE).is_file() else _HINT
     path = path / HEATMAP_FILE if path.is_dir() else path
-    with opened_package(path, what="a heat map", hint=_HINT) as place:
+    with opened_package(path, what="a heat map", hint=hint) as place:
         return _fields(place, path)
 
 
