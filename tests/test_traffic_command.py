@@ -273,6 +273,9 @@ def test_the_workbook_can_be_read_on_paper(written):
     assert page.get("fitToHeight") == "0"  # as many as the rows need
     assert "Lanes!$A:$B,Lanes!$1:$1" in book
     assert 'formatCode="0.0"' in styles
+    assert 'formatCode="0.000"' in styles  # an occupancy of 0.4 % is not shown as 0
+    for cell_format in ET.fromstring(styles).find(f"{SHEET}cellXfs"):  # noqa: S314 - ours
+        assert cell_format.find(f"{SHEET}alignment").get("vertical") == "top"
     shown = {
         column: each.get("style")
         for each in sheet.iter(f"{SHEET}col")

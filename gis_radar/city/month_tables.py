@@ -257,9 +257,10 @@ def odd_table(sites: Sequence[SiteMonth], clock: Clock) -> Table | None:
         Column(tr("Most of it"), tr("lane"), lane, False),
     ]  # fmt: skip
     note = tr(
-        "Hours in which half as much again as usual was lost or more, far beyond how such hours "
-        "differ, with the hours beside them in which it was raised. Usual is the median over "
-        "Mondays to Fridays, or weekends, of the month at that hour. All visible lanes count, so a "
+        "Hours with at least 1.5 times the usual time lost that are also over one vehicle hour, "
+        "and over six standard deviations of such hours, above the usual; neighbouring hours "
+        "belong to them from half of that on. Usual is the median of the month at that hour, over "
+        "Mondays to Fridays or over weekends, of at least four days. All visible lanes count, so a "
         "sensor that moved can look like this, too."
     )
     if len(found) > _MOST_ODD:

@@ -175,9 +175,8 @@ def sorted_hits(
         *(np.repeat(_packed_runs(sensor, frames, window), sensor.counted[:, TILES_HIT])
           for sensor, frames in zip(sensors, valid, strict=True)),
     ])  # fmt: skip
-    by_tile = scipy.sparse.csr_array(
-        (packed, (tile, np.arange(len(tile)))), shape=(len(tile_id), len(tile))
-    )
+    place = np.arange(len(tile), dtype=np.int32)  # int64 takes three times the memory
+    by_tile = scipy.sparse.csr_array((packed, (tile, place)), shape=(len(tile_id), len(tile)))
     state, is_hit = np.zeros(2, np.int64), np.zeros(STEPS_PER_HOUR, np.bool_)
     while state[0] < len(tile_id):
         tiles, steps = np.empty(_BATCH_PAIRS, np.int64), np.empty(_BATCH_PAIRS, np.int64)

@@ -19,7 +19,10 @@ _A4, _PAGE_WIDTH = 9, 180  # paper of Excel; characters that a landscape page sh
 _HEADS = 2  # columns that name a row
 _BOLD = 1.2  # width of a bold letter
 _LINE_PT = 16  # height of a line of the titles, which wrap
-_AS_TEXT = {"strings_to_formulas": False, "strings_to_urls": False}
+_OPTIONS = {
+    "strings_to_formulas": False, "strings_to_urls": False,
+    "default_format_properties": {"valign": "top"},  # a line of figures beside a name of two
+}  # fmt: skip
 
 
 def write_workbook(sheets: Mapping[str, pd.DataFrame], path: Path) -> None:
@@ -39,16 +42,15 @@ def write_workbook(sheets: Mapping[str, pd.DataFrame], path: Path) -> None:
     # its temporary files lie beside it: a full disk there is named as that of any output
     with pd.ExcelWriter(
         path, engine="xlsxwriter", datetime_format="yyyy-mm-dd hh:mm:ss",
-        engine_kwargs={"options": _AS_TEXT | {"tmpdir": str(path.parent)}},
+        engine_kwargs={"options": _OPTIONS | {"tmpdir": str(path.parent)}},
     ) as writer:  # fmt: skip
         book = writer.book
         book.set_properties({"created": datetime.combine(FILE_DATE, datetime.min.time())})
         whole, shares, numbers = (
-            book.add_format({"valign": "top"} | form)
-            for form in ({}, {"num_format": "0.00"}, {"num_format": "0.0"})
+            book.add_format(form) for form in ({}, {"num_format": "0.000"}, {"num_format": "0.0"})
         )
         # without the indent texts touch a number on their left
-        texts = book.add_format({"text_wrap": True, "valign": "top", "align": "left", "indent": 1})
+        texts = book.add_format({"text_wrap": True, "align": "left", "indent": 1})
         titles = _title_formats(book)
         for name, table in sheets.items():
             table.to_excel(writer, sheet_name=name, index=False, header=False, startrow=1)
@@ -69,7 +71,7 @@ def write_workbook(sheets: Mapping[str, pd.DataFrame], path: Path) -> None:
 
 def _title_formats(book: Any) -> dict[bool, Any]:
     """Return how titles are written, by whether they are those of texts."""
-    title = {"bold": True, "text_wrap": True, "valign": "top", "bottom": 1}
+    title = {"bold": True, "text_wrap": True, "bottom": 1}
     return {
         True: book.add_format(title | {"align": "left", "indent": 1}),
         False: book.add_format(title | {"align": "right"}),

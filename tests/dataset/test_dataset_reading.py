@@ -131,6 +131,9 @@ def test_without_vehicles_their_tables_are_named_as_missing(tmp_path):
     with pytest.raises(InputError, match="the hour 2023-11-14T22:00Z has no tracks") as refused:
         dataset.tracks()
     assert "without vehicles" in refused.value.hint
+    for asked in (dataset.lanes, lambda: dataset.query("SELECT lane FROM lanes")):
+        with pytest.raises(InputError, match="data: holds no vehicles"):
+            asked()
     assert dataset.tile_counts()[["observed_steps", "hidden_steps"]].to_numpy().tolist() == [
         [10, 0]
     ]

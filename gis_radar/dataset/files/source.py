@@ -128,6 +128,8 @@ class DatasetFiles:
 
     def _other_layer(self, name: str) -> gpd.GeoDataFrame:
         with opened_package(self.folder / TILES_FILE, what="the tiles of a dataset") as place:
+            if name not in pyogrio.list_layers(place)[:, 0]:
+                require_vehicles(self)
             return pyogrio.read_dataframe(place, layer=name, use_arrow=True)
 
     def _read(self, table: TableSchema, begin: Moment, end: Moment) -> pd.DataFrame:
