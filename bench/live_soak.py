@@ -51,7 +51,7 @@ from gis_radar.live import (
     write_broker_files,
 )
 from gis_radar.live.now.map_of_now import SensorReport
-from gis_radar.live.wire.outbox import Waiting
+from gis_radar.live.wire.buffer import Waiting
 from gis_radar.live.wire.payload import POSE_BYTES, varint
 from gis_radar.measures import road_near
 from gis_radar.scans import SightTiles, find_sight

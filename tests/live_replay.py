@@ -12,7 +12,7 @@ import gis_radar as gr
 from gis_radar.base import step_begin
 from gis_radar.dataset.files.tables import HITS, OBSERVED
 from gis_radar.live import Place, QuarterMeasures, Snapshot
-from gis_radar.live.now.vehicles_now import VehiclesNow
+from gis_radar.live.now.now_filter import VehiclesNow
 from gis_radar.live.served.snapshot import ShownSensor
 
 

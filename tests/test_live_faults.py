@@ -30,7 +30,7 @@ from gis_radar.live import (
     unpack_detections,
     unpack_message,
 )
-from gis_radar.live.edge import WAITING_FRAMES, PoseFollower
+from gis_radar.live.own_pose import WAITING_FRAMES, PoseFollower
 from gis_radar.live.wire.payload import MOST_BYTES, MOST_CONTENT, in_parts
 
 PRINT = "00112233445566778899aabbccddeeff"
@@ -89,7 +89,7 @@ def filled(path, count=5):
 
 def test_an_acknowledgement_on_a_full_disk_ends_no_edge(tmp_path, monkeypatch):
     connect = partial(sqlite3.connect, factory=Database)
-    monkeypatch.setattr("gis_radar.live.wire.outbox.sqlite3.connect", connect)
+    monkeypatch.setattr("gis_radar.live.wire.buffer.sqlite3.connect", connect)
     with filled(tmp_path / "b") as buffer:
         link, reporter = NoLink(), Lines()
         outbox = outbox_of(buffer, link, reporter)

@@ -46,8 +46,8 @@ from gis_radar.live.now.map_of_now import SensorReport
 from gis_radar.live.served.page import read_token
 from gis_radar.live.served.snapshot import ShownMap
 from gis_radar.live.wire.broker import parts_of
+from gis_radar.live.wire.buffer import FullError
 from gis_radar.live.wire.detections import FARTHEST, UNKNOWN_Z
-from gis_radar.live.wire.outbox import FullError
 from gis_radar.live.wire.payload import VersionError
 from gis_radar.live.wire.sources import Replay
 from gis_radar.measures import NO_FURTHER

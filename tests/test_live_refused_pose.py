@@ -18,7 +18,7 @@ from gis_radar.live import (
     frames_of_recording,
     read_edge_file,
 )
-from gis_radar.live.edge import FollowedPose
+from gis_radar.live.own_pose import FollowedPose
 from gis_radar.scans import SightTiles
 
 RIGHT = gr.read_pose(SAMPLE / "R1.json")

@@ -22,7 +22,8 @@ from gis_radar.products import make_heatmap
 from gis_radar.products.heatmap.occupancy import surest
 from gis_radar.products.report import chart
 from gis_radar.products.report.lanes import lane_table, sums_of, write_lanes
-from gis_radar.products.report.maps import place_numbers, with_room_for_scale
+from gis_radar.products.report.maps import with_room_for_scale
+from gis_radar.products.report.plan import place_numbers
 
 
 def straight(*starts_m, heading=0.0, aside_m=0.0):

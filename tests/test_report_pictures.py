@@ -13,7 +13,7 @@ from matplotlib.figure import Figure as MplFigure
 
 from gis_radar.base import Clock, label_map, legend_below
 from gis_radar.products.heatmap import picture
-from gis_radar.products.report import chart, maps
+from gis_radar.products.report import chart, maps, plan
 
 PHONE_PX, LEAST_PX = 350, 10  # of a page 390 pixels wide, between its edges
 LONELY = np.array([0.2, np.nan, 0.4]), np.array([0.1, np.nan, 0.1])
@@ -73,7 +73,7 @@ def test_ticks_and_legend_of_a_map_are_clear_of_each_other(size_m):
 
 def test_words_in_pictures_can_be_read_on_a_phone():
     for letters_pt, width_in in (
-        (maps.LETTERS_PT, picture.NARROW_IN),
+        (plan.LETTERS_PT, picture.NARROW_IN),
         (7.0, picture.NARROW_IN),  # of the north arrow, the smallest of a map
         (8.0, maps.SIGHT_IN),
     ):

@@ -28,6 +28,9 @@ from .crs import same_coordinates as same_coordinates
 from .crs import transformer as transformer
 from .crs import utm_zone as utm_zone
 from .crs import yaw_from_compass as yaw_from_compass
+from .csv_rows import csv_rows as csv_rows
+from .csv_rows import stated_moment as stated_moment
+from .csv_rows import text_in as text_in
 from .errors import INSTALL_LOCALIZE as INSTALL_LOCALIZE
 from .errors import INSTALL_TRAJECTORIES as INSTALL_TRAJECTORIES
 from .errors import CrsError as CrsError
@@ -106,9 +109,6 @@ from .progress import WarningList as WarningList
 from .progress import one_line as one_line
 from .progress import warnings_once as warnings_once
 from .spreadsheets import csv_for as csv_for
-from .spreadsheets import csv_rows as csv_rows
-from .spreadsheets import stated_moment as stated_moment
-from .spreadsheets import text_in as text_in
 from .spreadsheets import write_csv as write_csv
 from .steps import CLOCK_SET_S as CLOCK_SET_S
 from .steps import CYCLE_HINT as CYCLE_HINT

@@ -19,7 +19,8 @@ import pyarrow.compute as pc
 
 from gis_radar.base import STEP_S, Floats, Text, figure_text, seconds_text, tr
 from gis_radar.calibration import FITS, SENSOR_STATES, WRONG, HealthState
-from gis_radar.city.city import RESULTS, City, CityMonth, month_of, open_city
+from gis_radar.city.city import RESULTS, City, open_city
+from gis_radar.city.month import CityMonth, month_of
 from gis_radar.dataset import POSES, RECORDINGS, TILE_COUNTS, Dataset
 from gis_radar.poses import ANGLES, POSITION
 from gis_radar.products import lost_sensors, read_run

@@ -34,9 +34,10 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.calibration import HealthState
-from gis_radar.city.city import RESULTS, City, CityMonth, month_of, open_city
+from gis_radar.city.city import RESULTS, City, open_city
 from gis_radar.city.executors import Workers, workers_of
 from gis_radar.city.health import health_of, worst_first
+from gis_radar.city.month import CityMonth, month_of
 from gis_radar.city.month_map import draw_city
 from gis_radar.city.month_tables import (
     change_table,

@@ -15,7 +15,8 @@ import shapely
 from pyproj import CRS
 
 from gis_radar.base import Floats, InputError, NoAnswerError, metric_crs, transformer
-from gis_radar.city.city import RESULTS, CityMonth
+from gis_radar.city.city import RESULTS
+from gis_radar.city.month import CityMonth
 from gis_radar.city.odd_times import OddTime, odd_times
 from gis_radar.dataset import Dataset, LaneTraffic, TrafficReader
 from gis_radar.hdmap import LANES_LAYER

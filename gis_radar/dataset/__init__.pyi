@@ -12,9 +12,6 @@ from .files.manifest import Manifest as Manifest
 from .files.manifest import create_dataset as create_dataset
 from .files.manifest import require_same_settings as require_same_settings
 from .files.manifest import require_same_site as require_same_site
-from .files.manifest import site_folder as site_folder
-from .files.manifest import site_folders as site_folders
-from .files.manifest import warn_of_copies as warn_of_copies
 from .files.parts import Origin as Origin
 from .files.parts import hour_begin as hour_begin
 from .files.parts import hour_of_step as hour_of_step
@@ -31,6 +28,9 @@ from .files.records import read_rows as read_rows
 from .files.records import record_path as record_path
 from .files.records import write_record as write_record
 from .files.schema import TableSchema as TableSchema
+from .files.sites import site_folder as site_folder
+from .files.sites import site_folders as site_folders
+from .files.sites import warn_of_copies as warn_of_copies
 from .files.source import Moment as Moment
 from .files.source import NotMeasuredError as NotMeasuredError
 from .files.source import NoVehiclesError as NoVehiclesError
@@ -40,10 +40,10 @@ from .files.tables import POSES as POSES
 from .files.tables import RECORDINGS as RECORDINGS
 from .files.tables import TILE_COUNTS as TILE_COUNTS
 from .hours.job import MeasureSettings as MeasureSettings
-from .hours.job import make_registered as make_registered
 from .hours.making import OpenHours as OpenHours
 from .hours.making import open_hours as open_hours
 from .hours.making import update_days as update_days
+from .hours.registered import make_registered as make_registered
 from .lane_matching import match_lanes as match_lanes
 from .lane_matching import write_lane_matches as write_lane_matches
 from .measuring import manifest_of as manifest_of
@@ -60,7 +60,7 @@ from .traffic.shifts import chance_of_others as chance_of_others
 from .traffic.shifts import lanes_beside as lanes_beside
 from .traffic.shifts import shifts_of as shifts_of
 from .traffic.tables import suited_interval as suited_interval
-from .vehicles import FOOTPRINTS as FOOTPRINTS
-from .vehicles import SHOWN_S as SHOWN_S
-from .vehicles import footprint_style as footprint_style
-from .vehicles import states_of as states_of
+from .vehicles.footprints import FOOTPRINTS as FOOTPRINTS
+from .vehicles.footprints import SHOWN_S as SHOWN_S
+from .vehicles.footprints import footprint_style as footprint_style
+from .vehicles.states import states_of as states_of

@@ -22,7 +22,6 @@ from gis_radar.base import (
     checked_methods,
     iso_from_time,
 )
-from gis_radar.dataset import vehicles
 from gis_radar.dataset.days.lane_measures import day_makers, maker_of
 from gis_radar.dataset.files import frame_times, tables
 from gis_radar.dataset.files.manifest import Manifest
@@ -33,9 +32,10 @@ from gis_radar.dataset.files.source import DatasetFiles, Moment
 from gis_radar.dataset.hours import upkeep
 from gis_radar.dataset.questions import profiles
 from gis_radar.dataset.questions.answers import SqlQueries
-from gis_radar.dataset.traffic import sections
+from gis_radar.dataset.traffic import headways_cycles, sections
 from gis_radar.dataset.traffic import tables as traffic_tables
 from gis_radar.dataset.traffic.reader import stated_lanes
+from gis_radar.dataset.vehicles import footprints, states
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER
 
 
@@ -68,10 +68,10 @@ class Dataset(DatasetFiles, SqlQueries):
     turns = traffic_tables.turns
     queues = traffic_tables.queues
     count_sections = sections.count_sections
-    signal_cycles = traffic_tables.signal_cycles
-    track_points = vehicles.track_points
-    to_trajectories = vehicles.to_trajectories
-    write_footprints = vehicles.write_footprints
+    signal_cycles = headways_cycles.signal_cycles
+    track_points = states.track_points
+    to_trajectories = states.to_trajectories
+    write_footprints = footprints.write_footprints
 
     @property
     def sensors(self) -> list[str]:

@@ -5,6 +5,7 @@ from .fusion import run_fusion as run_fusion
 from .health import SensorHealth as SensorHealth
 from .health import prometheus_text as prometheus_text
 from .hours.quarters import QuarterMeasures as QuarterMeasures
+from .hours.recent import RecentCounts as RecentCounts
 from .hours.recordings import HOUR_OFFSET_US as HOUR_OFFSET_US
 from .hours.recordings import HOUR_US as HOUR_US
 from .hours.recordings import join_parts as join_parts
@@ -17,7 +18,6 @@ from .hours.spool import SpoolFile as SpoolFile
 from .hours.spool import spool_files as spool_files
 from .intake import Intake as Intake
 from .now.map_of_now import MapOfNow as MapOfNow
-from .now.map_of_now import RecentCounts as RecentCounts
 from .now.map_of_now import Windows as Windows
 from .served.page import make_app as make_app
 from .served.snapshot import Place as Place
@@ -28,11 +28,11 @@ from .wire.broker import Link as Link
 from .wire.broker import Received as Received
 from .wire.broker import SensorTopics as SensorTopics
 from .wire.broker_files import write_broker_files as write_broker_files
+from .wire.buffer import DiskBuffer as DiskBuffer
 from .wire.detections import DetectionSelector as DetectionSelector
 from .wire.detections import FrameDetections as FrameDetections
 from .wire.detections import pack_detections as pack_detections
 from .wire.detections import unpack_detections as unpack_detections
-from .wire.outbox import DiskBuffer as DiskBuffer
 from .wire.outbox import Outbox as Outbox
 from .wire.payload import Acknowledgement as Acknowledgement
 from .wire.payload import Envelope as Envelope

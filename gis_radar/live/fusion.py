@@ -35,9 +35,10 @@ from gis_radar.live.health import prometheus_text
 from gis_radar.live.hours.hour_work import MeasuredSite, refuse_other_settings
 from gis_radar.live.hours.jobs import HourJobs
 from gis_radar.live.hours.quarters import Quarters
+from gis_radar.live.hours.recent import RecentCounts
 from gis_radar.live.hours.spool import Spool, SpoolFile, spool_files
 from gis_radar.live.intake import Intake, SensorState
-from gis_radar.live.now.map_of_now import MapOfNow, MapState, RecentCounts, SensorReport, Windows
+from gis_radar.live.now.map_of_now import MapOfNow, MapState, SensorReport, Windows
 from gis_radar.live.now.vehicles_now import LiveVehicles, layer_of
 from gis_radar.live.served.lane_push import LanePush
 from gis_radar.live.served.snapshot import place_of

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-import scipy
 
 from gis_radar.base import STEP_US, STEPS_PER_HOUR, Booleans, Integers, compiled
 from gis_radar.hdmap import Numbers
@@ -168,21 +167,22 @@ def sorted_hits(
     window : HourWindow
         The hour.
     """
-    none = np.empty(0, np.int32)
-    tile = np.concatenate([none, *(each for sensor in sensors for each in sensor.tile)])
-    packed = np.concatenate([
-        none,
-        *(np.repeat(_packed_runs(sensor, frames, window), sensor.counted[:, TILES_HIT])
-          for sensor, frames in zip(sensors, valid, strict=True)),
-    ])  # fmt: skip
-    place = np.arange(len(tile), dtype=np.int32)  # int64 takes three times the memory
-    by_tile = scipy.sparse.csr_array((packed, (tile, place)), shape=(len(tile_id), len(tile)))
+    counts = np.zeros(len(tile_id), np.int64)
+    for sensor in sensors:
+        for tile in sensor.tile:
+            counts += np.bincount(tile, minlength=len(tile_id))
+    first = np.concatenate([[0], np.cumsum(counts)])
+    packed, place = np.empty(first[-1], np.int32), first[:-1].copy()
+    for sensor, frames in zip(sensors, valid, strict=True):
+        frame, run = 0, _packed_runs(sensor, frames, window)
+        for tile in sensor.tile:
+            frame = _sort_runs_by_tile(
+                run, sensor.counted[:, TILES_HIT], frame, tile, place, packed
+            )
     state, is_hit = np.zeros(2, np.int64), np.zeros(STEPS_PER_HOUR, np.bool_)
     while state[0] < len(tile_id):
         tiles, steps = np.empty(_BATCH_PAIRS, np.int64), np.empty(_BATCH_PAIRS, np.int64)
-        _fill_pairs(
-            by_tile.data, by_tile.indptr, tile_id, window.begin, is_hit, state, tiles, steps
-        )
+        _fill_pairs(packed, first, tile_id, window.begin, is_hit, state, tiles, steps)
         if state[1]:
             yield {"tile_id": tiles[: state[1]], "step": steps[: state[1]]}
         state[1] = 0
@@ -196,8 +196,23 @@ def _packed_runs(sensor: SensorHour, frames: ValidFrames, window: HourWindow) ->
 
 
 @compiled
+def _sort_runs_by_tile(  # pragma: no cover - compiled
+    run: Numbers, hits: Integers, frame: int, tile: Numbers, place: Integers, packed: Numbers
+) -> int:
+    """Store the runs of frames from `frame` on by the tiles they hit; return the next frame."""
+    begin = 0
+    while begin < len(tile):
+        for k in range(begin, begin + hits[frame]):
+            packed[place[tile[k]]] = run[frame]
+            place[tile[k]] += 1
+        begin += hits[frame]
+        frame += 1
+    return frame
+
+
+@compiled
 def _fill_pairs(
-    packed: Numbers, first: Numbers, tile_id: Integers, begin: int, is_hit: Booleans,
+    packed: Numbers, first: Integers, tile_id: Integers, begin: int, is_hit: Booleans,
     state: Integers, tiles: Integers, steps: Integers,
 ) -> None:  # fmt: skip
     """Fill in the pairs of consecutive tiles, as long as there is room for all pairs of a tile.

@@ -10,8 +10,8 @@ from typing import Any, Literal
 from gis_radar.base import GisRadarError, Text
 from gis_radar.products import REPORT_FILES
 from gis_radar.site import stages
+from gis_radar.site.joint_poses import CANDIDATES_FILE, POSE_FILE, RECORDING_FILE
 from gis_radar.site.settings import ConvertTable, Sensor, Site
-from gis_radar.site.stages import CANDIDATES_FILE, POSE_FILE, RECORDING_FILE
 
 OWNED_BY_RUN = (
     "road.", "tiles.gpkg", "sensors", "dataset", "heatmap", "sight.gpkg",

@@ -337,7 +337,7 @@ def test_what_a_killed_run_withdrew_is_completed(files, two_days, tmp_path, monk
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("gis_radar.dataset.hours.job.make_hour", killed)
+        patched.setattr("gis_radar.dataset.hours.registered.make_hour", killed)
         with pytest.raises(KeyboardInterrupt):
             dataset.withdraw([files["R1", DAY]])
     assert contents(tmp_path / "site") != contents(tmp_path / "never")

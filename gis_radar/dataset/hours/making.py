@@ -39,15 +39,13 @@ from gis_radar.dataset.files.registry import (
 )
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.tables import DAY_TABLES, HOUR_TABLES
-from gis_radar.dataset.hours.job import (
-    HourSite,
-    MadeHour,
+from gis_radar.dataset.hours.job import HourSite, MadeHour, read_sensors
+from gis_radar.dataset.hours.registered import (
     hours_to_make,
     is_complete,
     kept_site,
     make_registered,
     measure_settings_of,
-    read_sensors,
 )
 from gis_radar.measures import HourWindow
 

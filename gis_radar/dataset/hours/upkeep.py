@@ -102,11 +102,11 @@ def withdraw(
         If there is no such recording, one reaches out of the day, another needed one is missing
         or changed, or exact tables of their hours were deleted.
     """
-    from gis_radar.dataset.hours.job import measure_settings_of, site_of  # noqa: PLC0415
     from gis_radar.dataset.hours.making import (  # noqa: PLC0415 - the tracker, 0.6 s
         finish_tables,
         update_dataset,
     )
+    from gis_radar.dataset.hours.registered import measure_settings_of, site_of  # noqa: PLC0415
 
     if bool(recordings) == (sensor is not None or day is not None):
         raise UsageError("name either recordings to withdraw, or a sensor, a day or both")
@@ -257,7 +257,7 @@ def keep(
     InputError
         If counts of these hours cannot be made or read; then nothing is deleted.
     """
-    from gis_radar.dataset.hours.job import measure_settings_of  # noqa: PLC0415 - 0.6 s
+    from gis_radar.dataset.hours.registered import measure_settings_of  # noqa: PLC0415 - 0.6 s
 
     if not 0.0 <= days < math.inf:
         raise UsageError("{} days are no time to keep exact tables", days)

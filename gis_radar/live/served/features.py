@@ -23,7 +23,8 @@ from starlette.routing import Route
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, InputError, iso_from_step, seconds_from_iso
 from gis_radar.live.health import ALARMS
 from gis_radar.live.hours.quarters import TRAFFIC_FIELDS
-from gis_radar.live.now.vehicles_now import VehiclesNow, layer_of
+from gis_radar.live.now.now_filter import VehiclesNow
+from gis_radar.live.now.vehicles_now import layer_of
 from gis_radar.live.served.snapshot import ShownMap, Snapshot, geometries
 
 CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"

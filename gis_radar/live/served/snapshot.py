@@ -32,9 +32,11 @@ from gis_radar.base import (
 from gis_radar.dataset import stated_lanes
 from gis_radar.hdmap import fingerprint, read_map
 from gis_radar.live.hours.quarters import QuarterMeasures, Quarters
+from gis_radar.live.hours.recent import QUARTER, RecentCounts
 from gis_radar.live.intake import SensorState
-from gis_radar.live.now.map_of_now import QUARTER, MapState, RecentCounts
-from gis_radar.live.now.vehicles_now import LiveVehicles, VehiclesNow
+from gis_radar.live.now.map_of_now import MapState
+from gis_radar.live.now.now_filter import VehiclesNow
+from gis_radar.live.now.vehicles_now import LiveVehicles
 from gis_radar.live.wire.settings import LiveSite
 from gis_radar.measures import LaneNetwork, lane_names
 from gis_radar.poses import Pose

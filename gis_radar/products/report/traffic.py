@@ -36,16 +36,7 @@ from gis_radar.measures import JOINED_M, LEAST_VISIBLE_SHARE, TURN_WORDS, LaneNe
 from gis_radar.products import report_files as names
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.picture import NARROW_IN, for_a_phone, image_of_figure, png
-from gis_radar.products.report.chart import (
-    DIAGRAM_S,
-    MOST_COURSES,
-    LongQueue,
-    chart_over,
-    course_title,
-    draw_courses,
-    longest_queue_text,
-    presumed_note,
-)
+from gis_radar.products.report.chart import chart_over
 from gis_radar.products.report.content import (
     LANES_CHAPTER,
     QUEUES,
@@ -56,6 +47,15 @@ from gis_radar.products.report.content import (
     Figure,
     Table,
     text_rows,
+)
+from gis_radar.products.report.courses import (
+    DIAGRAM_S,
+    MOST_COURSES,
+    LongQueue,
+    course_title,
+    draw_courses,
+    longest_queue_text,
+    presumed_note,
 )
 from gis_radar.products.report.lanes import FAR_M, far_lanes
 from gis_radar.products.traffic import service_levels
