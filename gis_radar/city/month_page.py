@@ -265,7 +265,7 @@ def _not_measured(sites: Sequence[SiteMonth]) -> list[str]:
         if site.remark:
             titles.setdefault(site.remark, []).append(site.title)
     return [
-        f"{remark} {tr('All sites.') if len(of) == len(sites) else ', '.join(of)}"
+        f"{remark} {tr('All sites.') if len(of) == len(sites) else ', '.join(of) + '.'}"
         for remark, of in titles.items()
     ]
 

@@ -90,7 +90,8 @@ def _heights(table: pd.DataFrame, widths: Sequence[int]) -> dict[int, int]:
     for width, (_, values) in zip(widths, table.items(), strict=True):
         if width == _WIDE:
             for row, cell in enumerate(values, 1):
-                lines[row] = max(_lines(cell, width), lines.get(row, 1))
+                if len(str(cell)) > width / _BOLD:  # the only ones that wrap
+                    lines[row] = max(_lines(cell, width), lines.get(row, 1))
     return {row: _LINE_PT * count for row, count in lines.items()}
 
 

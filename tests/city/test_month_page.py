@@ -191,9 +191,9 @@ def test_hours_that_were_not_measured_are_told_with_their_site(made, tmp_path):
     settings = dataset.manifest.settings | {"drawn": "NOT MEASURED: drawn."}
     replace(dataset.manifest, settings=settings).write(dataset.folder)
     report = gr.write_month_page(root, MONTH, output=tmp_path / "page")
-    assert "NOT MEASURED: drawn. Ring <b>1</b> & Tor" in report.summary["remarks"]
+    assert "NOT MEASURED: drawn. Ring <b>1</b> & Tor." in report.summary["remarks"]
     text = report.outputs[0].read_text(encoding="utf-8")
-    assert "NOT MEASURED: drawn. Ring &lt;b&gt;1&lt;/b&gt; &amp; Tor" in text
+    assert "NOT MEASURED: drawn. Ring &lt;b&gt;1&lt;/b&gt; &amp; Tor." in text
 
 
 @pytest.fixture(scope="module")
