@@ -260,8 +260,8 @@ def odd_table(sites: Sequence[SiteMonth], clock: Clock) -> Table | None:
         "Hours with at least 1.5 times the usual time lost that are also over one vehicle hour, "
         "and over six standard deviations of such hours, above the usual; neighbouring hours "
         "belong to them from half of that on. Usual is the median of the month at that hour, over "
-        "Mondays to Fridays or over weekends, of at least four days. All visible lanes count, so a "
-        "sensor that moved can look like this, too."
+        "Mondays to Fridays or over weekends, of at least four days. All visible lanes with a free "
+        "speed count, so a sensor that moved can look like this, too."
     )
     if len(found) > _MOST_ODD:
         note += " " + tr("Here are {part} of {all}.", part=_MOST_ODD, all=len(found))

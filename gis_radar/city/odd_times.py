@@ -98,15 +98,16 @@ def odd_times_of(lost: pd.DataFrame) -> list[OddTime]:
 def _lost_by_lane(dataset: Dataset, span: tuple[int, int]) -> pd.DataFrame:
     """Return the vehicle hours lost against the free speed, a row an hour and a column a lane.
 
-    They follow from densities, so that vehicles count that wait and never reach a stop line.
+    Lanes without a free speed, by the map or as stated, are left out. The hours follow from
+    densities, so that vehicles count that wait and never reach a stop line.
     """
     traffic = LaneTraffic.of(dataset)
     parts = traffic.read(_MEASURES, dataset.records(span), span, _COLUMNS)
     rows = pa.concat_tables(parts).to_pandas()
     layer = dataset.layer(LANES_LAYER).set_index("lane")
-    limit = rows["lane"].map(layer["speed_limit_kmh"].astype(np.float64))
+    free_kmh = rows["lane"].map(layer["speed_limit_kmh"].astype(np.float64))
     length = pd.Series(traffic.network.length_m / 1000.0, traffic.network.lane)
-    lost = (rows["density"] - rows["flow"] / limit).clip(lower=0.0) * rows["lane"].map(length)
+    lost = (rows["density"] - rows["flow"] / free_kmh).clip(lower=0.0) * rows["lane"].map(length)
     begin = pd.to_datetime(rows["first_step"] * STEP_US, unit="us", utc=True)
     by_hour = rows.assign(lost=lost, hour=begin.dt.floor("h")).dropna(subset=["lost"])
     table: pd.DataFrame = by_hour.pivot_table("lost", "hour", "lane")

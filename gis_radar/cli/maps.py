@@ -123,10 +123,7 @@ def _map_of_city(
     if month is None:
         raise UsageError("{} is a city: which month?", folder, hint="name it by --month 2026-10")
     if given := [name for name, value in others.items() if value]:
-        raise UsageError(
-            "{} is of the map of a dataset, not of a city",
-            f"--{given[0]}",
-        )
+        raise UsageError("{} is of the map of a dataset, not of a city", f"--{given[0]}")
     city = gr.open_city(folder, reporter=reporter)
     path = city.write_map(month, output)
     return Result(outputs=[path], summary={"sites": len(city.sites), "month": month})
