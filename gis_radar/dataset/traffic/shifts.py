@@ -21,9 +21,10 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import scipy
+import shapely
 
 from gis_radar.base import Booleans, Floats, Integers
-from gis_radar.hdmap import TileGrid, quads
+from gis_radar.hdmap import quads
 from gis_radar.measures import LaneNetwork
 from gis_radar.poses import Pose, pose_from_dict
 
@@ -189,9 +190,10 @@ def lanes_beside(tiles: gpd.GeoDataFrame) -> Integers:
     centre, direction = _centres_and_directions(corners)
     aside_m = tiles["width_m"].to_numpy(float) / 2 + _BESIDE_M
     left = aside_m[:, None] * np.column_stack([-direction[:, 1], direction[:, 0]])
-    grid = TileGrid(corners)
+    tree = shapely.STRtree(shapely.polygons(corners))  # a tile grid's compiled code loads slowly
     for side, beside in zip((left, -left), neighbours, strict=True):
-        tile, other = grid.assign(*(centre + side).T)
+        found = tree.query(shapely.points(centre + side), predicate="intersects")
+        tile, other = found[:, np.lexsort(found[::-1])]
         alike = (direction[tile] * direction[other]).sum(axis=1) > _ALIKE
         beside[tile[alike]] = other[alike]
     return neighbours
