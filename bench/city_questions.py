@@ -29,7 +29,7 @@ MONTH = "2026-01"
 START = """
 import json, sys, time
 import gis_radar as gr
-import duckdb, geopandas, numba, pandas as pd, pyarrow.parquet
+import duckdb, geopandas, numba, pandas as pd, pyarrow.parquet, scipy.spatial
 import gis_radar.dataset.questions.profiles, gis_radar.products
 def spent_s(work):
     begin = time.process_time()
