@@ -209,6 +209,7 @@ def _digests(dataset: Dataset) -> dict[date, str]:
     records, poses = dataset.records(), pd.DataFrame(dataset.poses()).drop(columns="geometry")
     free_speeds = pd.DataFrame(dataset.lanes()).reindex(columns=["lane", "speed_limit_kmh"])
     traffic = LaneTraffic.of(dataset)
+    traffic.remember(records)
     digests = {}
     for day in sorted({hour // 24 for hour in records}):
         hours = [hour for hour in range(24 * day - 1, 24 * day + 24) if hour in records]
@@ -297,10 +298,14 @@ class Session:
 
     def prepare(self, tiles: str) -> None:
         """Make the schema if it is missing; refuse one of another version or other tiles."""
-        self.run("CREATE EXTENSION IF NOT EXISTS postgis")
+        self.prepare_extension()
         self.prepare_schema(f"{MARK} tables of version {VERSION}, tiles {tiles}")
         if self.is_new:
             self._prepare_tables()
+
+    def prepare_extension(self) -> None:
+        """Add PostGIS to the database if it is missing."""
+        self.run("CREATE EXTENSION IF NOT EXISTS postgis")
 
     def prepare_schema(self, expected: str) -> None:
         """Make the schema if it is missing, with a comment; refuse one with another comment."""

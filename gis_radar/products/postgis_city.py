@@ -1,7 +1,7 @@
 """A city in PostGIS: a schema a site, and one whose views hold all sites with a column `site`.
 
-A site is published in a transaction of its own, so that one that fails stops no other. Programs
-open the views, of which there are as many for one site as for two hundred.
+A site is published in a transaction of its own, several side by side, so that one that fails stops
+no other. Programs open the views, of which there are as many for one site as for two hundred.
 """
 
 from __future__ import annotations
@@ -10,11 +10,21 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Mapping
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gis_radar.base import QUIET, GisRadarError, InputError, OutputError, Reporter
+from gis_radar.base import (
+    QUIET,
+    GisRadarError,
+    InputError,
+    OutputError,
+    Reporter,
+    watch_parent,
+    worker_pool,
+    workers_here,
+)
 from gis_radar.dataset import site_folders, warn_of_copies
 from gis_radar.products.postgis import (
     MARK,
@@ -104,18 +114,26 @@ def publish_city(
     schemas = _schemas(Path(root), list(places), schema)
     warn_of_copies(places, reporter)
     with opened_session(url, schema) as session:
+        session.prepare_extension()  # not by several sites at once
         session.prepare_schema(f"{MARK} a city of version {VERSION}")
     published, failed = dict[str, Publication](), dict[str, GisRadarError]()
-    for number, (name, folder) in enumerate(places.items()):
-        reporter.progress("publishing sites", number, len(places))
-        try:
-            published[name] = publish(
-                folder, url, schema=schemas[name], reader=reader, notify=False
-            )
-        except GisRadarError as error:
-            failed[name] = error
-            reporter.warn("site {}: {}", name, error.message)
-    reporter.progress("publishing sites", len(places), len(places))
+    reporter.progress("publishing sites", 0, len(places))
+    with worker_pool(min(workers_here(), len(places)), watch_parent) as pool:
+        running = {
+            pool.submit(
+                publish, folder, url, schema=schemas[name], reader=reader, notify=False
+            ): name
+            for name, folder in places.items()
+        }
+        for done, each in enumerate(as_completed(running), start=1):
+            name = running[each]
+            try:
+                published[name] = each.result()
+            except GisRadarError as error:
+                failed[name] = error
+                reporter.warn("site {}: {}", name, error.message)
+            reporter.progress("publishing sites", done, len(places))
+    published = {name: published[name] for name in places if name in published}
     with opened_session(url, schema) as session:
         _make_views(session, schemas)
         session.grant(reader)
@@ -125,7 +143,7 @@ def publish_city(
                 session.notify(schemas[name])
     if failed:
         raise OutputError(
-            "{} of {} sites were not published: {}", len(failed), len(places), ", ".join(failed),
+            "{} of {} sites were not published: {}", len(failed), len(places), ", ".join(sorted(failed)),
             hint="the others were",
         )  # fmt: skip
     return CityPublication(schema=schema, sites=published)
