@@ -143,8 +143,8 @@ def publish_city(
                 session.notify(schemas[name])
     if failed:
         raise OutputError(
-            "{} of {} sites were not published: {}", len(failed), len(places), ", ".join(sorted(failed)),
-            hint="the others were",
+            "{} of {} sites were not published: {}", len(failed), len(places),
+            ", ".join(sorted(failed)), hint="the others were",
         )  # fmt: skip
     return CityPublication(schema=schema, sites=published)
 
