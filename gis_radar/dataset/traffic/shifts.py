@@ -190,8 +190,8 @@ def lanes_beside(tiles: gpd.GeoDataFrame) -> Integers:
     centre, direction = _centres_and_directions(corners)
     aside_m = tiles["width_m"].to_numpy(float) / 2 + _BESIDE_M
     left = aside_m[:, None] * np.column_stack([-direction[:, 1], direction[:, 0]])
-    polygons = np.atleast_1d(shapely.polygons(corners))
-    tree = shapely.STRtree(polygons)  # compiled code of a tile grid loads for a second
+    # No tile grid, whose compiled code loads for a second.
+    tree = shapely.STRtree(np.asarray(shapely.polygons(corners)))
     for side, beside in zip((left, -left), neighbours, strict=True):
         found = tree.query(shapely.points(centre + side), predicate="intersects")
         tile, other = found[:, np.lexsort(found[::-1])]
