@@ -79,7 +79,7 @@ class SpooledSite:
                 "folder": self.folder, "map": SAMPLE / "junction.osm", "tiles": tiles,
                 "sensors": ("R1", "R2"), "scans": (), "scan_crs": None, "filters": gr.Filters(),
                 "cycles": {}, "timezone": "UTC", "vehicles": False, "keep_s": 1e10,
-                "most_bytes": 1e12,
+                "most_bytes": 1e12, "of_lanes": {"lanes": []},
             } | given
         )  # fmt: skip
         self.spool = Spool(self.folder / "spool")

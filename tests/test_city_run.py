@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
@@ -239,6 +240,30 @@ def test_a_run_that_ended_before_its_page_makes_it_when_it_goes_on(site, tmp_pat
     before = page.stat().st_mtime_ns
     gr.run_city(city, tmp_path / "root", jobs=1)
     assert page.stat().st_mtime_ns == before
+
+
+@pytest.mark.usefixtures("in_a_thread")
+def test_lanes_that_are_named_later_are_named_everywhere_and_no_hour_is_made(site, tmp_path):
+    file = copied(site, tmp_path / "one", hours=1)
+    city, root = city_file(tmp_path, one=file), tmp_path / "root"
+    gr.run_city(city, root, jobs=1)
+    lane = int(gr.open_city(root).sites["one"].lanes()["lane"].min())
+    text = file.read_text(encoding="utf-8")
+    for stated in ({lane: "To the harbour"}, {lane: "To the quay"}, {}):
+        tables = "".join(f'[[lane]]\nid = {k}\nname = "{v}"\n' for k, v in stated.items())
+        file.write_text(text + tables, encoding="utf-8")
+        before = (root / "month.html").stat().st_mtime_ns
+        assert gr.run_city(city, root, jobs=1).sites["one"].hours == 0
+        assert lanes_in_sql(root).dropna().to_dict() == stated
+        assert (root / "month.html").stat().st_mtime_ns > before
+    before = (root / "month.html").stat().st_mtime_ns
+    gr.run_city(city, root, jobs=1)
+    assert (root / "month.html").stat().st_mtime_ns == before
+
+
+def lanes_in_sql(root):
+    lanes = gr.open_city(root).query("FROM lanes").set_index("lane")
+    return lanes["name"] if "name" in lanes else pd.Series()
 
 
 def interrupted(*_, **__):

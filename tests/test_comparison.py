@@ -564,7 +564,9 @@ def test_the_command_writes_page_table_layer_and_maps(run, dataset, tmp_path):
         'name = "To the harbour"\n[[sensor]]\nname = "R1"\nrecordings = ["R1.parquet"]\n'
         'pose = "R1.json"\n'
     )
-    code, out, said = run(*words, "-o", tmp_path / "own", "--site", tmp_path / "SITE.toml")
+    named = shutil.copytree(dataset.folder, tmp_path / "named")
+    assert run("dataset", named, "--site", tmp_path / "SITE.toml")[0] == 0
+    code, out, said = run("compare", named, *words[2:], "-o", tmp_path / "own")
     assert code == 0, said
     assert "To the harbour" in (tmp_path / "own" / "compare.csv").read_text(encoding="utf-8")
 

@@ -149,6 +149,19 @@ def test_frames_that_come_late_make_their_hour_again(tmp_path):
     assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
 
 
+def test_lanes_have_the_names_of_the_site_file(tmp_path):
+    made = SpooledSite(tmp_path)
+    spooled = recorded_at(made, FULL_US - 5_000_000)
+    lane = int(gr.read_tiles(made.site.tiles)["lane"].min())
+    for work, name in ((make_hours, "To the harbour"), (resume_hours, "To the quay")):
+        site = replace(made.site, of_lanes={"lanes": [{"id": lane, "name": name}]})
+        work(site, spooled, *([[HOUR]] if work is make_hours else []))
+        before, spooled = made.parts(), []
+        found = gr.open_dataset(site.dataset).query("FROM lanes").set_index("lane")["name"]
+        assert found.dropna().to_dict() == {lane: name}
+    assert made.parts() == before
+
+
 def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_path, monkeypatch):
     made = SpooledSite(tmp_path, vehicles=True)
     quarter = FULL_US // QUARTER_US - 2  # from a quarter past to half past

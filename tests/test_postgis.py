@@ -92,7 +92,7 @@ def first_hour(tmp_path_factory):
     return days(tmp_path_factory.mktemp("one") / "data", [HOUR])
 
 
-def test_the_database_holds_what_the_dataset_holds(database, asked, two_days):
+def test_the_database_holds_what_the_dataset_holds(database, asked, two_days, tmp_path):
     done = gr.publish(two_days, database)
     assert (done.sent, done.kept, done.removed) == (2, 0, 0)
     traffic = two_days.traffic()
@@ -121,9 +121,11 @@ def test_the_database_holds_what_the_dataset_holds(database, asked, two_days):
     )
     assert (area, srid) == (pytest.approx(TILES.area.sum()), 25832)
     assert asked("SELECT name FROM gis_radar.latest_traffic") == [(traffic["name"].iloc[0],)]
-    named = two_days.with_lanes([{"id": int(traffic["lane"].iloc[0]), "name": "To the harbour"}])
-    assert gr.publish(named, database).sent == 0
-    assert asked("SELECT name FROM gis_radar.latest_traffic") == [("To the harbour",)]
+    folder = shutil.copytree(two_days.folder, tmp_path / "named")
+    for name in ("To the harbour", "To the quay"):
+        gr.open_dataset(folder).state_lanes([{"id": int(traffic["lane"].iloc[0]), "name": name}])
+        assert gr.publish(folder, database).sent == 0
+        assert asked("SELECT name FROM gis_radar.latest_traffic") == [(name,)]
 
 
 def test_only_what_changed_is_sent(database, asked, two_days, tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from base64 import b64decode
@@ -326,21 +325,14 @@ def test_ways_of_vehicles_can_be_left_out(folder, tmp_path, without_pdf):
 
 
 def test_lanes_have_the_names_of_the_site_file(folder, tmp_path, without_pdf):
-    """Of the run that is reported, though its dataset was measured with the map's.
-
-    A name is a text, in HTML and in pictures.
-    """
+    """A name is a text, in HTML and in pictures."""
     for name in ("dataset", "heatmap"):
         shutil.copytree(folder / name, tmp_path / name)
     name = r"Ring, <b>bus</b> $\foo$ lane"
     lane = {"id": APPROACH, "name": name, "speed_kmh": 72.0}
-    stated = [lane, {"id": 77, "name": "gone"}]  # the second of a map before
-    site = {"title": "Fork", "timezone": "Europe/Berlin", "lane": stated, "sensor": [],
-            "map": {"file": "fork.osm", "speed_kmh": None}}  # fmt: skip
-    (tmp_path / "run.json").write_text(json.dumps({"site": site, "stages": []}))
+    gr.open_dataset(tmp_path / "dataset").state_lanes([lane])
     gr.write_report(tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "names lanes that the map has not: 77" in text
     assert volumes(Page(text))[APPROACH]["Lane"] == name
     rows = pd.read_csv(tmp_path / "traffic.csv").set_index("lane").loc[APPROACH]
     free = pd.read_csv(folder / "en" / "traffic.csv").set_index("lane").loc[APPROACH]

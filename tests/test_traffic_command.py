@@ -635,29 +635,6 @@ def test_a_dataset_of_hits_alone_is_refused(run, tmp_path):
     assert "holds no vehicles" in err
 
 
-def test_a_site_file_names_lanes(run, dataset, tmp_path):
-    (tmp_path / "map.osm").touch()
-    (tmp_path / "R1.parquet").touch()
-    (tmp_path / "R1.json").touch()
-    site = (
-        'title = "Fork"\n[map]\nfile = "map.osm"\n[[lane]]\nid = 10\nname = "Ring, left"\n'
-        '[[sensor]]\nname = "R1"\n'
-    )
-    (tmp_path / "SITE.toml").write_text(site + 'recordings = ["R1.parquet"]\npose = "R1.json"\n')
-    options = ("--site", tmp_path / "SITE.toml")
-    code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", *options)
-    assert code == 0, err
-    rows = pd.read_csv(tmp_path / "out" / "traffic.csv")
-    assert set(rows.loc[rows["lane"] == 10, "name"]) == {"Ring, left"}
-    (tmp_path / "SITE.toml").write_text((tmp_path / "SITE.toml").read_text().replace("10", "11"))
-    code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", *options)
-    assert code == 3
-    assert f"{tmp_path / 'SITE.toml'}: {dataset.folder}: has no lane 11" in err
-    code, _, err = run("traffic", dataset.folder, "-o", tmp_path, *options)
-    assert code == 3
-    assert "would replace the input" in err
-
-
 def test_a_file_of_the_dataset_is_not_replaced(run, dataset):
     before = {path: path.read_bytes() for path in dataset.folder.rglob("*") if path.is_file()}
     for name, more in (("query", ["SELECT 1 AS a"]), ("quality", []), ("footprints", [])):

@@ -21,7 +21,7 @@ from gis_radar.city.odd_times import OddTime, odd_times
 from gis_radar.dataset import Dataset, LaneTraffic, TrafficReader
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork
-from gis_radar.products import PAGE, as_stated, compare, read_run, service_levels
+from gis_radar.products import PAGE, compare, read_run, service_levels
 
 _LEAST_DAYS = 3  # of the error of a mean over days
 _QUARTERS_PER_HOUR = 4
@@ -133,8 +133,6 @@ def site_month(month: CityMonth, name: str, folder: Path) -> SiteMonth:
     # The layers that it reads go with it: those of hundreds of sites would fill the memory.
     dataset = Dataset(folder=opened.folder, manifest=opened.manifest)
     site = read_run(place).get("site") or {}
-    if dataset.has_vehicles:
-        dataset, _ = as_stated(dataset, site)
     fields: dict[str, Any] = {
         "name": name, "title": str(site.get("title") or name), "lines": _lane_lines(dataset),
         "link": _link(place / PAGE, folder), "hours": len(month.hours[name].get(month.month, [])),

@@ -27,7 +27,14 @@ from gis_radar.base import (
 )
 from gis_radar.city.city import RESULTS
 from gis_radar.city.settings import CityFile
-from gis_radar.dataset import Manifest, make_registered, open_dataset, site_folder, update_days
+from gis_radar.dataset import (
+    LANES_FILE,
+    Manifest,
+    make_registered,
+    open_dataset,
+    site_folder,
+    update_days,
+)
 from gis_radar.site import (
     HASH_LENGTH,
     RunState,
@@ -123,6 +130,8 @@ def add_recordings(task: SiteTask) -> SiteTask:
     ]  # fmt: skip
     if sensors:
         register_checked(site.model_copy(update={"sensor": tuple(sensors)}), task)
+    if Manifest.is_there(task.dataset):
+        open_dataset(task.dataset).state_lanes(**site.of_lanes, reporter=task)
     return task
 
 
@@ -249,10 +258,10 @@ def make_site_hour(dataset: Path, hour: int, processes: int) -> int:
 
 def is_older(path: Path, dataset: Path) -> bool:
     """Return whether a result is missing, or older than the last change of a dataset."""
-    changed = dataset / "recordings.parquet"  # written after hours were made, too
-    if not path.exists():
-        return True
-    return changed.exists() and path.stat().st_mtime_ns < changed.stat().st_mtime_ns
+    # the first is written after hours were made, too
+    changed = [dataset / name for name in ("recordings.parquet", LANES_FILE)]
+    written_at = [each.stat().st_mtime_ns for each in changed if each.exists()]
+    return not path.exists() or path.stat().st_mtime_ns < max(written_at, default=0)
 
 
 def update_site(task: SiteTask, city: CityFile) -> SiteTask:

@@ -10,7 +10,7 @@ import click
 import gis_radar as gr
 from gis_radar import base, measures, products
 from gis_radar import dataset as dataset_room
-from gis_radar.base import Reporter, Text, UsageError, placed
+from gis_radar.base import Reporter, Text, UsageError
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import DURATION, FILE, begin_end, csv_locale, folder_output, language
 from gis_radar.cli.options import dataset as dataset_argument
@@ -27,22 +27,6 @@ _NO_STOP_LINES = Text(
 _SERVICE_INTERVAL = "15min"
 _OTHER_LEVELS = "levels of service are of 15 minutes in the handbook, here of {}"
 DAY_S = 86_400.0
-names_of_lanes = click.option(
-    "--site", type=FILE, help="SITE.toml with names and free speeds of lanes."
-)
-
-
-def _opened(folder: Path, site: Path | None, reporter: Reporter) -> gr.Dataset:
-    """Open a dataset, with names and free speeds of lanes as a site file states them."""
-    dataset = gr.open_dataset(folder, reporter=reporter)
-    if site is None:
-        return dataset
-    stated = gr.read_site(site)
-    with placed(str(site)):
-        lanes = [each.model_dump() for each in stated.lane]
-        return dataset.with_lanes(lanes, stated.map.speed_kmh)
-
-
 several_sites = click.argument("folder", metavar="DATASET|CITY", type=FILE)
 
 
@@ -86,17 +70,16 @@ def _dataset_or_city(folder: Path, reporter: Reporter) -> gr.Dataset | gr.City:
     "--sumo-net", type=FILE,
     help="Network of SUMO (.net.xml), whose edges the files for SUMO then name.",
 )  # fmt: skip
-@names_of_lanes
 @language("Of the lanes' names and the titles.")
 @csv_locale
 def traffic(
-    *, folder: Path, output: Path, site: Path | None, datex: str | None, language: str,
-    csv_locale: str, reporter: Reporter, **options: Any,
+    *, folder: Path, output: Path, datex: str | None, language: str, csv_locale: str,
+    reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
     """Count traffic by lane and turn: volumes, speeds, queues; tables, layers, SUMO, DATEX II."""
     if datex is not None:
         products.publisher_of(datex)  # refuses a wrong one before the work
-    measured = _opened(folder, site, reporter)
+    measured = gr.open_dataset(folder, reporter=reporter)
     made = gr.make_traffic(measured, language=language, **options)
     with base.csv_for(csv_locale):
         outputs = made.write(output, datex=datex, language=language, reporter=reporter)
@@ -120,20 +103,19 @@ def traffic(
 @click.option("--before", metavar="T/T", help="The first period, such as 2026-09-07/2026-09-21.")
 @click.option("--after", metavar="T/T", help="The second period; of DATASET2, where it is given.")
 @click.option("--days", help="Only these days of the week, such as Mo-Fr or Sa,Su.")
-@names_of_lanes
 @language("Of the page, the lanes' names and the titles.")
 @csv_locale
 def compare(
     *, folder: Path, other: Path | None, output: Path, before: str | None, after: str | None,
-    site: Path | None, csv_locale: str, language: str, days: str | None, reporter: Reporter,
+    csv_locale: str, language: str, days: str | None, reporter: Reporter,
 ) -> Result:  # fmt: skip
     """Compare the traffic of two periods by lane: what changed, and how sure that is."""
     if other is None and (before is None or after is None):
         raise UsageError(
             "a period is missing", hint="name both, before and after, or a second dataset"
         )
-    first = _opened(folder, site, reporter)
-    second = None if other is None else _opened(other, site, reporter)
+    first = gr.open_dataset(folder, reporter=reporter)
+    second = None if other is None else gr.open_dataset(other, reporter=reporter)
     all_time = (None, None)
     found = gr.compare(
         first, second, before=all_time if before is None else before,
@@ -263,14 +245,18 @@ def publish(
     "--relink", metavar="FOLDER", type=FILE, help="Find recordings that were moved, by content."
 )
 @click.option(
+    "--site", type=FILE, metavar="SITE.toml",
+    help="Take names and free speeds of lanes from it, in place of those before.",
+)  # fmt: skip
+@click.option(
     "--match-lanes", "new_map", metavar="NEW", type=FILE,
     help="Match its lanes to those of a new map (a dataset or tiles.gpkg); write the table to -o.",
 )  # fmt: skip
 @click.option("-o", "--output", type=FILE, help="The table of matched lanes (CSV).")
 def dataset(
     *, folder: Path, check: bool, withdraw: tuple[str, ...], sensor: str | None, day: str | None,
-    keep_s: float | None, relink: Path | None, new_map: Path | None, output: Path | None,
-    reporter: Reporter,
+    keep_s: float | None, relink: Path | None, site: Path | None, new_map: Path | None,
+    output: Path | None, reporter: Reporter,
 ) -> Result:  # fmt: skip
     """Say what a dataset holds: recordings, hours, rows by table."""
     if (new_map is None) != (output is None):
@@ -283,6 +269,8 @@ def dataset(
         done["withdrawn"] = [Path(each).name for each in withdrawn]
     if keep_s is not None:
         done["hours_deleted"] = len(found.keep(keep_s / DAY_S, reporter=reporter))
+    if site is not None:
+        found = found.state_lanes(**gr.read_site(site).of_lanes, reporter=reporter)
     if check:
         found.check(reporter)
     if new_map is not None and output is not None:

@@ -34,6 +34,8 @@ from .files.sites import warn_of_copies as warn_of_copies
 from .files.source import Moment as Moment
 from .files.source import NotMeasuredError as NotMeasuredError
 from .files.source import NoVehiclesError as NoVehiclesError
+from .files.stated_lanes import LANES_FILE as LANES_FILE
+from .files.stated_lanes import stated_lanes as stated_lanes
 from .files.tables import FRAMES as FRAMES
 from .files.tables import PASSAGES as PASSAGES
 from .files.tables import POSES as POSES
@@ -54,7 +56,6 @@ from .questions.profiles import UnknownStreetError as UnknownStreetError
 from .questions.profiles import measured_span as measured_span
 from .questions.views import catalogue_of as catalogue_of
 from .traffic.reader import TrafficReader as TrafficReader
-from .traffic.reader import stated_lanes as stated_lanes
 from .traffic.shifts import Shifts as Shifts
 from .traffic.shifts import chance_of_others as chance_of_others
 from .traffic.shifts import lanes_beside as lanes_beside

@@ -29,12 +29,12 @@ from gis_radar.dataset.files.parts import hour_begin, hour_text
 from gis_radar.dataset.files.records import Span, hour_bounds, read_hour, read_rows
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import DatasetFiles, Moment
+from gis_radar.dataset.files.stated_lanes import stated_lanes, write_stated
 from gis_radar.dataset.hours import upkeep
 from gis_radar.dataset.questions import profiles
 from gis_radar.dataset.questions.answers import SqlQueries
 from gis_radar.dataset.traffic import headways_cycles, sections
 from gis_radar.dataset.traffic import tables as traffic_tables
-from gis_radar.dataset.traffic.reader import stated_lanes
 from gis_radar.dataset.vehicles import footprints, states
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER
 
@@ -290,10 +290,10 @@ class Dataset(DatasetFiles, SqlQueries):
         Parameters
         ----------
         lanes : sequence of mapping
-            For each lane its number `id`, `name` and `speed_kmh`; the last two are None if not
-            stated.
+            For each lane its number `id`, and what is stated of it: `name`, `speed_kmh`, `street`,
+            `street_part`; the dataset's own, or the map's, where that is None or missing.
         speed_kmh : float, optional
-            Free speed of lanes that have none by the map.
+            Free speed of lanes that have none.
 
         Raises
         ------
@@ -304,6 +304,34 @@ class Dataset(DatasetFiles, SqlQueries):
             return self
         layer = stated_lanes(self.layer(LANES_LAYER), lanes, speed_kmh, self.folder)
         return replace(self, cache={}, _layers={**self._layers, LANES_LAYER: layer})
+
+    def state_lanes(
+        self, lanes: Sequence[Mapping[str, Any]], speed_kmh: float | None = None, *,
+        reporter: Reporter = QUIET,
+    ) -> Dataset:  # fmt: skip
+        """Write names and free speeds of lanes into the dataset, in place of those it has.
+
+        Hours stay as they are. Returns the dataset with them.
+
+        Parameters
+        ----------
+        lanes, speed_kmh
+            As for :meth:`with_lanes`. Lanes that the dataset has not are left out.
+        reporter : Reporter
+            Receives a warning about these.
+        """
+        of_map = self._other_layer(LANES_LAYER)
+        known = set(of_map["lane"].tolist())
+        unknown = [str(each.get("id")) for each in lanes if each.get("id") not in known]
+        if unknown:
+            reporter.warn(
+                "the site file names lanes that the map has not: {}; they are left out",
+                ", ".join(unknown),
+            )
+        kept = [each for each in lanes if each.get("id") in known]
+        stated_lanes(of_map, kept, speed_kmh, self.folder)  # refuses what is no statement
+        write_stated(self.folder, kept, speed_kmh)
+        return open_dataset(self.folder)
 
 
 def open_dataset(path: str | Path | Dataset, *, reporter: Reporter = QUIET) -> Dataset:

@@ -41,7 +41,6 @@ from .report.courses import presumed_note as presumed_note
 from .report.pages import render_page as render_page
 from .report.report import Report as Report
 from .report.report import write_report as write_report
-from .report.results import as_stated as as_stated
 from .report.results import lost_sensors as lost_sensors
 from .report.results import read_run as read_run
 from .report.sources import made_by as made_by

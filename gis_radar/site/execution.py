@@ -27,6 +27,7 @@ from gis_radar.base import (
     restored,
     with_texts,
 )
+from gis_radar.dataset import LANES_FILE
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.plan import Ending, Outcome, Stage
 from gis_radar.site.versions import software
@@ -38,7 +39,9 @@ HASH_LENGTH = 32  # characters of the hash of a file
 _POLL_S = 0.1  # longest delay of a bar
 _CHUNK = 1 << 20  # bytes
 _SETTLED_S = 2.0  # resolution of file times: a younger file may change without a new time
-_VIEWER_ENDINGS = ("-wal", "-shm", "-journal", ".aux.xml", ".qmd")
+# Of files that are no part of a folder: those of viewers, and the names of a dataset's lanes, which
+# have a stage of their own.
+_NOT_HASHED = ("-wal", "-shm", "-journal", ".aux.xml", ".qmd", LANES_FILE)
 
 Stamp = tuple[int, int, int, int]
 
@@ -321,7 +324,7 @@ class RunState:
         Parameters
         ----------
         path : Path
-            A file, or a folder, whose files count except those that viewers leave there.
+            A file, or a folder, whose files count but for `_NOT_HASHED`.
         progress : callable
             Called with the number of bytes of each chunk that was read.
         """
@@ -330,7 +333,7 @@ class RunState:
             parts = [
                 (each.relative_to(path).as_posix(), each)
                 for each in files
-                if not each.name.endswith(_VIEWER_ENDINGS)
+                if not each.name.endswith(_NOT_HASHED)
             ]
             return _digest([(name, self.hash_of(part, progress)) for name, part in sorted(parts)])
         try:

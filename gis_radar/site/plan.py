@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gis_radar.base import GisRadarError, Text
+from gis_radar.dataset import LANES_FILE
 from gis_radar.products import REPORT_FILES
 from gis_radar.site import stages
 from gis_radar.site.joint_poses import CANDIDATES_FILE, POSE_FILE, RECORDING_FILE
@@ -156,6 +157,7 @@ def stages_of(site: Site, folder: Path) -> list[Stage]:
         *(_pose(site, each, folder) for each in sensors),
         _tiles(site, folder),
         _measure(site, folder),
+        *_lanes(site, folder),
         *_products(site, folder),
     ]
 
@@ -377,6 +379,19 @@ def _measure(site: Site, folder: Path) -> Stage:
     )
 
 
+def _lanes(site: Site, folder: Path) -> Iterator[Stage]:
+    """Yield the stage that names lanes, where the site file states something of them."""
+    if any(site.of_lanes.values()):
+        yield Stage(
+            name=Text("lanes"),
+            work=stages.lanes_stage,
+            inputs={},
+            beside=((folder / "dataset",),),
+            options=site.of_lanes,
+            outputs=(folder / "dataset" / LANES_FILE,),
+        )
+
+
 def _scans(site: Site) -> tuple[Path, ...] | None:
     return (site.scan.files or None) if site.scan else None
 
@@ -398,6 +413,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
             phases=4,
         )  # fmt: skip
     poses = tuple(path for each in site.sensor for path in _pose(site, each, folder).outputs)
+    lane_files = [each.outputs for each in _lanes(site, folder)]
     yield Stage(
         name=Text("QGIS project"),
         work=stages.project_stage,
@@ -415,7 +431,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
         name=Text("report"),
         work=stages.report_stage,
         inputs={},
-        beside=((folder / "heatmap",), (folder / "run.json",), (dataset,)),
+        beside=((folder / "heatmap",), (folder / "run.json",), (dataset,), *lane_files),
         options={"csv_locale": site.csv_locale},
         outputs=tuple(folder / name for name in REPORT_FILES),
         phases=3,

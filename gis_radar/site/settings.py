@@ -338,6 +338,11 @@ class Site(TomlFile):
                 "sources": self.credits}  # fmt: skip
 
     @property
+    def of_lanes(self) -> dict[str, Any]:
+        """Names and free speeds of lanes, as :meth:`gis_radar.Dataset.with_lanes` takes them."""
+        return {"lanes": [each.model_dump() for each in self.lane], "speed_kmh": self.map.speed_kmh}
+
+    @property
     def inputs(self) -> tuple[Path, ...]:
         """All files that a run reads."""
         scanned = (*self.scan.files, self.scan.road) if self.scan else ()

@@ -222,6 +222,12 @@ def measure_stage(
     }  # fmt: skip
 
 
+def lanes_stage(*, outputs: Paths, **of_lanes: Any) -> Figures:
+    """Write names and free speeds of lanes, as the site file states them, into the dataset."""
+    dataset_room.open_dataset(outputs[0].parent).state_lanes(**of_lanes)
+    return {}
+
+
 def refusals_of(figures: Mapping[str, Any], timezone: str) -> dict[str, GisRadarError]:
     """Return the error of each sensor that :func:`measure_stage` has left out, by its figures."""
     refusals = dict[str, GisRadarError]()

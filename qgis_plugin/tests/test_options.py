@@ -37,7 +37,6 @@ LEFT_OUT = {
     "localize": {"guess_crs": "a click has its own", "together": "the site wizard takes several"},
     "convert": {"duration": "QGIS does not listen to a network"},
     "traffic": {
-        "site": "QGIS renames lanes in the layer; a run's report has the names",
         "headways": "a table for engineers; the command has it",
         "cycles": "a table for engineers, without lines to show",
         "signals": "for cycles",
@@ -47,10 +46,10 @@ LEFT_OUT = {
     },
     "dataset": {
         "keep": "an administrator's, every night",
+        "site": "QGIS renames lanes in the layer; a site's run has the names of its file",
         "match_lanes": "a table for a new version of the map; the command has it",
         "output": "of matched lanes",
     },
-    "compare": {"site": "QGIS renames lanes in the layer"},
     "report": {"month": "a page of many sites, for a browser; the command writes it"},
     "heatmap": {"month": "'Map of a month' has it"},
     "run": {

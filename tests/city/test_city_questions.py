@@ -68,6 +68,18 @@ def test_sites_without_vehicles_are_left_out_of_profiles(tmp_path, city):
         alone.profile()
 
 
+def test_sites_without_vehicles_add_no_lanes_in_sql(tmp_path, city):
+    shutil.copytree(city.root / "site=east", tmp_path / "site=east")
+    write_dataset(tmp_path / "site=hits", hours=[hour_at("2026-11-02T20")], vehicles=False)
+    both = gr.open_city(tmp_path)
+    lanes = both.query("SELECT site, lane, name, turn FROM lanes ORDER BY lane")
+    mine = city.query("SELECT site, lane, name, turn FROM lanes WHERE site = 'east' ORDER BY lane")
+    pd.testing.assert_frame_equal(lanes, mine)
+    assert set(both.query("FROM tiles")["site"]) == {"east", "hits"}
+    with pytest.raises(InputError, match="holds no vehicles"):
+        both.sites["hits"].query("FROM lanes")
+
+
 def test_the_catalogue_opens_in_duckdb_from_any_folder(city, tmp_path, run):
     code, *_ = run("query", city.root, "--catalogue", tmp_path / "catalogue.sql")
     assert code == 0

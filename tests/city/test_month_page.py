@@ -55,6 +55,14 @@ def page(made):
     return Page((made / "en" / "month.html").read_text(encoding="utf-8"))
 
 
+def test_lanes_have_the_names_that_their_site_states(made, tmp_path):
+    root = shutil.copytree(made / "city", tmp_path / "city")
+    named = gr.open_city(root).sites["Adlerweg"].state_lanes([{"id": 7, "name": "To the harbour"}])
+    assert "To the harbour" in set(named.traffic()["name"])
+    gr.write_month_page(root, MONTH, output=tmp_path / "page", title="Town")
+    assert "To the harbour" in (tmp_path / "page" / "month.html").read_text(encoding="utf-8")
+
+
 def table(page, first):
     """Give the rows of the table whose first heading is given, by their first cell."""
     (found,) = (

@@ -348,5 +348,34 @@ def test_names_of_streets_that_come_later_count_nothing_anew(copied, blank_paper
     pd.testing.assert_frame_equal(after[counted], before[counted])
 
 
+def test_lanes_that_are_named_later_count_nothing_anew(small, copied, blank_paper):
+    path, out = copied
+    hours = {each: each.stat().st_mtime_ns for each in (out / "dataset").rglob("*.*")}
+    lane = f"[[lane]]\nid = {lanes_of(out)['lane'][0]}\nname = "
+    change(path, "[heatmap]", f'{lane}"To the harbour"\n\n[heatmap]')
+    for name in ("To the harbour", "To the quay"):
+        change(path, "To the harbour", name)
+        done = gr.run_site(path, out)
+        assert done_by(done) == ["lanes", "report"]
+        assert name in set(lanes_of(out)["name"])
+        assert name in set(pd.read_csv(out / "traffic.csv")["name"])
+        assert name in set(gr.open_dataset(out / "dataset").query("FROM lanes")["name"])
+    (out / "dataset" / "lanes.json").unlink()
+    change(path, "[[lane]]", '[[lane]]\nid = 77\nname = "gone"\n\n[[lane]]')
+    heard = Listener()
+    done = gr.run_site(path, out, reporter=heard)
+    assert done_by(done) == ["lanes", "report"]
+    said = "the site file names lanes that the map has not: 77; they are left out"
+    assert [each for each in heard.lines if said in each] == [f"lanes: {said}"]
+    assert said in (out / "report.html").read_text(encoding="utf-8")
+    assert name in set(lanes_of(out)["name"])
+    assert set(states(gr.run_site(path, out)).values()) == {"kept"}
+    assert {each: each.stat().st_mtime_ns for each in hours} == hours
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace(text[text.index("[[lane]]") : text.index("[heatmap]")], ""))
+    assert done_by(gr.run_site(path, out)) == ["report"]
+    same(out, small[1], but=PAPER)
+
+
 def lanes_of(out):
     return pd.read_csv(out / "lanes.csv")

@@ -26,9 +26,10 @@ from gis_radar.dataset.files.parts import MEASURE_AGAIN, hour_of_step, hour_text
 from gis_radar.dataset.files.pose_book import PoseBook
 from gis_radar.dataset.files.records import HourRecord, Span, hour_bounds, read_hours
 from gis_radar.dataset.files.schema import TableSchema
+from gis_radar.dataset.files.stated_lanes import with_stated
 from gis_radar.dataset.files.tables import CONTINUED, POSES, RECORDINGS, SIGHTS
 from gis_radar.dataset.files.units import convert_units
-from gis_radar.hdmap import TILES_LAYER
+from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 
 Moment: TypeAlias = str | datetime | int | None
 """A time as ISO 8601 text or with its zone; without one by the clocks of the site; or a step."""
@@ -123,7 +124,8 @@ class DatasetFiles:
         """Read a layer of the tiles: `tiles`, `lanes` or `stop_lines`; each is read once."""
         if name not in self._layers:
             tiles = tiles_of_dataset(self.folder, self.manifest)  # refuses a file with other tiles
-            self._layers[name] = tiles if name == TILES_LAYER else self._other_layer(name)
+            layer = tiles if name == TILES_LAYER else self._other_layer(name)
+            self._layers[name] = with_stated(layer, self.folder) if name == LANES_LAYER else layer
         return self._layers[name].copy()
 
     def _other_layer(self, name: str) -> gpd.GeoDataFrame:

@@ -16,7 +16,7 @@ from gis_radar.dataset.days.tables import STEPS_PER_QUARTER, records_of
 from gis_radar.dataset.files.parts import days_of, hour_text, part_path
 from gis_radar.dataset.files.records import HourRecord
 from gis_radar.dataset.files.schema import TableSchema
-from gis_radar.dataset.files.source import DatasetFiles
+from gis_radar.dataset.files.source import DatasetFiles, NoVehiclesError
 from gis_radar.dataset.files.tables import (
     DAY_TABLES,
     HOUR_TABLES,
@@ -111,12 +111,21 @@ def make_views(
         if table.name in names:
             views.view_of_rows(table, dataset.single_table(table))
     for layer in names.intersection(LAYERS):
-        rows = dataset.layer(layer)
-        if layer == LANES_LAYER and dataset.has_vehicles:
-            rows = _with_names(rows, roll_ups(dataset).traffic.network)
-        plain = pa.Table.from_pandas(rows.drop(columns="geometry"), preserve_index=False)
-        connection.register(f"{prefix}{layer}", plain)
+        connection.register(f"{prefix}{layer}", _layer(dataset, layer, is_one_of_many=bool(prefix)))
     return paths
+
+
+def _layer(dataset: DatasetFiles, layer: str, *, is_one_of_many: bool) -> pa.Table:
+    """Return a layer without its geometry; where one of many sites lacks it, no rows."""
+    try:
+        rows = dataset.layer(layer)
+    except NoVehiclesError:
+        if not is_one_of_many:
+            raise
+        return pa.table({"lane": pa.array([], pa.int64())})
+    if layer == LANES_LAYER and dataset.has_vehicles:
+        rows = _with_names(rows, roll_ups(dataset).traffic.network)
+    return pa.Table.from_pandas(rows.drop(columns="geometry"), preserve_index=False)
 
 
 def _with_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> gpd.GeoDataFrame:

@@ -1,14 +1,10 @@
-"""Traffic by lane as tidy tables with names, local times, km/h and vehicles an hour.
-
-A site states names and free speeds of lanes in place of those of its map.
-"""
+"""Traffic by lane as tidy tables with names, local times, km/h and vehicles an hour."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
@@ -30,7 +26,6 @@ from gis_radar.base import (
     in_language,
     interval_steps,
     quotient,
-    require_kind,
     zone_of,
 )
 from gis_radar.dataset.days.lane_measures import LaneTraffic
@@ -67,9 +62,6 @@ _TURN_COLUMNS = (
     *_WITH_TURN, "from_name", "to_name", "turn", "begin", "end", "visible_share", "volume",
     "volume_se", "volume_veh_h",
 )  # fmt: skip
-
-# What a site states of a lane, and of which type it is.
-_STATED = {"id": "int", "name": "str | None", "speed_kmh": "float | None"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -426,48 +418,6 @@ def _speed_85_kmh(counts: pd.Series) -> Floats:
     before = np.where(k > 0, below[row, k - 1], 0.0)
     speeds[rows] = (k + (wanted - before) / (below[row, k] - before)) * SPEED_CLASS_KMH
     return speeds
-
-
-def stated_lanes(
-    layer: gpd.GeoDataFrame, lanes: Sequence[Mapping[str, Any]], speed_kmh: float | None,
-    source: Path,
-) -> gpd.GeoDataFrame:  # fmt: skip
-    """Return the layer `lanes` with the column `name`, and the free speeds stated.
-
-    Parameters
-    ----------
-    layer : GeoDataFrame
-        The layer of the dataset.
-    lanes, speed_kmh
-        As for :meth:`gis_radar.Dataset.with_lanes`.
-    source : Path
-        Dataset or site file, for the message.
-
-    Raises
-    ------
-    InputError
-        If a lane is none of the layer's, or something else is stated of it.
-    """
-    for each in lanes:
-        if other := sorted(set(each) - set(_STATED)):
-            raise InputError(
-                "{}: a lane has {}, expected {}", source, repr(other[0]), ", ".join(_STATED)
-            )
-        for name, kind in _STATED.items():
-            require_kind(f"with_lanes: {name}", each.get(name), kind, InputError)
-    stated = {int(each["id"]): each for each in lanes}
-    if unknown := sorted(set(stated) - set(layer["lane"].tolist())):
-        raise InputError(
-            "{}: has no lane {}", source, unknown[0], hint="the column lane of traffic.csv has them"
-        )
-    names, speeds = (
-        layer["lane"].map({number: each.get(name) for number, each in stated.items()})
-        for name in ("name", "speed_kmh")
-    )
-    limit = pd.Series(layer.get("speed_limit_kmh", np.nan), layer.index).astype(np.float64)
-    free = speeds.astype(np.float64).fillna(limit)
-    free = free if speed_kmh is None else free.fillna(speed_kmh)
-    return layer.assign(name=names.astype(object), speed_limit_kmh=free)
 
 
 def delays(table: pd.DataFrame, layer: gpd.GeoDataFrame, network: LaneNetwork) -> pd.Series:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -88,6 +88,8 @@ class MeasuredSite:
         Whether vehicles are followed.
     keep_s, most_bytes : float
         Time for which recordings are kept, seconds, and their largest total size, bytes.
+    of_lanes : mapping
+        Names and free speeds of lanes, as :meth:`gis_radar.Dataset.state_lanes` takes them.
     processes : int, optional
         Number of processes that measure in parallel; by default all cores but fusion's.
     """
@@ -104,6 +106,7 @@ class MeasuredSite:
     vehicles: bool
     keep_s: float
     most_bytes: float
+    of_lanes: Mapping[str, Any]
     processes: int | None = None
 
     @property
@@ -352,8 +355,9 @@ def make_quarter(site: MeasuredSite, spooled: Sequence[Path], quarter: int) -> J
 
 
 def _read_last_day(site: MeasuredSite, done: JobResult) -> None:
-    """Read the quarters of the last day from the dataset."""
+    """Name the lanes of the dataset, and read the quarters of the last day from it."""
     if Manifest.is_there(site.dataset):
+        open_dataset(site.dataset).state_lanes(**site.of_lanes, reporter=done)
         last = int(time.time() * 1e6) // QUARTER_US
         done.quarters += _quarters_in(site, site.dataset, range(last - QUARTERS_KEPT, last + 1))
 

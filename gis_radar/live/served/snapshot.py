@@ -340,10 +340,9 @@ def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:
     """
     roads = read_map(site.map.file, crs=tiles.crs, origin=site.map.origin)
     layer = roads.lanes(streets=site.map.streets, street_field=site.map.street_field)
-    stated = [each.model_dump() for each in site.lane]
     place = Place(
         title=site.title, zone=zone_of(site.timezone), tiles=tiles,
-        lanes=stated_lanes(layer, stated, site.map.speed_kmh, site.path),
+        lanes=stated_lanes(layer, **site.of_lanes, source=site.path),
     )  # fmt: skip
     if missing := set(place.lane_numbers) - set(layer["lane"].tolist()):
         raise InputError(

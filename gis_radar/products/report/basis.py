@@ -46,6 +46,7 @@ from gis_radar.products.report.traffic import (
 )
 from gis_radar.scans import VIEW_ONLY
 
+_NO_RUN = Text("The folder is not that of a run: settings are listed only as far as known.")
 _SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
 DAY_S = 86_400.0
 _MOST_HOURS = 168  # rows of the table as read; the CSV file holds all
@@ -327,7 +328,7 @@ def remarks_of(data: ReportData) -> list[str]:
           for name, why in results.lost.items()),
         *(tr(each) for each in own_remarks(data)),
         *results.warnings,
-        *(tr(each) for each in results.missing),
+        *([] if results.run else [tr(_NO_RUN)]),
     ]  # fmt: skip
 
 

@@ -62,8 +62,6 @@ class Results:
         Whether there are pictures of how poses were found.
     run : mapping
         The `run.json` of `gis-radar run`; empty where the steps were made one by one.
-    missing : sequence of str
-        Sentences on what is missing.
     """
 
     name: str
@@ -73,7 +71,6 @@ class Results:
     streets: Mapping[int, tuple[str, str]]
     figures: bool
     run: Mapping[str, Any]
-    missing: Sequence[str]
 
     @property
     def sensors(self) -> list[str]:
@@ -175,12 +172,6 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
     run, place = read_run(folder), _heat_map(folder)
     heat = read_heatmap(place)
     of_map = _dataset(folder, heat, dataset)
-    missing = list[str]()
-    if not run:
-        missing.append("The folder is not that of a run: settings are listed only as far as known.")
-    if of_map.has_vehicles:
-        of_map, left_out = as_stated(of_map, run.get("site") or {})
-        missing += left_out
     return Results(
         name=place.name,
         heat=heat,
@@ -189,19 +180,7 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
         streets=_streets(folder),
         figures=any((folder / "sensors").glob("*/localization.png")),
         run=run,
-        missing=missing,
     )
-
-
-def as_stated(dataset: Dataset, site: Mapping[str, Any]) -> tuple[Dataset, list[str]]:
-    """Return a dataset with the lanes' names and free speeds of a site, and what was left out."""
-    known = set(dataset.layer(LANES_LAYER)["lane"].tolist())
-    lanes = site.get("lane") or []
-    unknown = [str(each["id"]) for each in lanes if int(each["id"]) not in known]
-    lanes = [each for each in lanes if int(each["id"]) in known]
-    text = "The site file names lanes that the map has not: {}; they are left out."
-    left_out = [Text(text, ", ".join(unknown))] if unknown else []
-    return dataset.with_lanes(lanes, (site.get("map") or {}).get("speed_kmh")), [*left_out]
 
 
 def _heat_map(folder: Path) -> Path:

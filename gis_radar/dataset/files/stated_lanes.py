@@ -1,0 +1,105 @@
+"""What a site states of its lanes, `lanes.json` of a dataset: names, streets, free speeds.
+
+They come before those of the map wherever lanes are read. No hour follows from them, so that they
+may change at any time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from gis_radar.base import InputError, Text, json_text, read_json, require_kind
+from gis_radar.dataset.files.parts import replacing
+
+LANES_FILE = "lanes.json"
+_HINT = Text("run the site again")
+
+# What a site states of a lane, and of which type it is; in the layer, of which column it is.
+_STATED = {
+    "id": "int", "name": "str | None", "speed_kmh": "float | None", "street": "str | None",
+    "street_part": "str | None",
+}  # fmt: skip
+_COLUMNS = {"speed_kmh": "speed_limit_kmh"}
+
+
+def stated_lanes(
+    layer: gpd.GeoDataFrame, lanes: Sequence[Mapping[str, Any]], speed_kmh: float | None,
+    source: Path,
+) -> gpd.GeoDataFrame:  # fmt: skip
+    """Return the layer `lanes` with what is stated; a column `name` holds names of their own.
+
+    Parameters
+    ----------
+    layer : GeoDataFrame
+        The layer of the dataset.
+    lanes, speed_kmh
+        As for :meth:`gis_radar.Dataset.with_lanes`.
+    source : Path
+        Dataset or file, for the message.
+
+    Raises
+    ------
+    InputError
+        If a lane is none of the layer's, or something else is stated of it.
+    """
+    for each in lanes:
+        if other := sorted(set(each) - set(_STATED)):
+            raise InputError(
+                "{}: a lane has {}, expected {}", source, repr(other[0]), ", ".join(_STATED)
+            )
+        for key, kind in _STATED.items():
+            require_kind(Text("{}: {}", source, key), each.get(key), kind, InputError)
+    require_kind(Text("{}: {}", source, "speed_kmh"), speed_kmh, "float | None", InputError)
+    stated = {int(each["id"]): each for each in lanes}
+    if unknown := sorted(set(stated) - set(layer["lane"].tolist())):
+        raise InputError(
+            "{}: has no lane {}", source, unknown[0], hint="the column lane of traffic.csv has them"
+        )
+    for key in [key for key in _STATED if key != "id"]:
+        given = {number: each[key] for number, each in stated.items() if each.get(key) is not None}
+        if given:
+            column = _COLUMNS.get(key, key)
+            before = layer.get(column, [None] * len(layer))
+            pairs = zip(layer["lane"].tolist(), before, strict=True)
+            layer = layer.assign(**{column: [given.get(lane, value) for lane, value in pairs]})
+    if speed_kmh is not None:
+        limit = pd.Series(layer.get("speed_limit_kmh", np.nan), layer.index).astype(np.float64)
+        layer = layer.assign(speed_limit_kmh=limit.fillna(speed_kmh))
+    return layer
+
+
+def with_stated(layer: gpd.GeoDataFrame, folder: Path) -> gpd.GeoDataFrame:
+    """Return the layer `lanes` of a dataset with what its site states.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged.
+    """
+    path = folder / LANES_FILE
+    if not path.is_file():
+        return layer
+    document = read_json(path, what="names of lanes", hint=_HINT)
+    try:
+        lanes, speed_kmh = list(map(dict, document["lanes"])), document.get("speed_kmh")
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=_HINT) from error
+    return stated_lanes(layer, lanes, speed_kmh, path)
+
+
+def write_stated(folder: Path, lanes: Sequence[Mapping[str, Any]], speed_kmh: float | None) -> None:
+    """Write what a site states of its lanes, unless that is stated already."""
+    path = folder / LANES_FILE
+    stated = [{key: value for key, value in each.items() if value is not None} for each in lanes]
+    document = {"lanes": sorted(stated, key=lambda each: each["id"]), "speed_kmh": speed_kmh}
+    content = (json_text(document, indent=1) + "\n").encode()
+    before = path.read_bytes() if path.is_file() else b""
+    if content != before and (stated or speed_kmh is not None or before):
+        with replacing(path) as fresh:
+            fresh.write_bytes(content)
