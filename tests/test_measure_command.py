@@ -2,7 +2,9 @@
 
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
+import geopandas as gpd
 import pandas as pd
 import pytest
 from click.testing import CliRunner
@@ -69,6 +71,24 @@ def test_options_reach_their_arguments(site, monkeypatch, words, cycles):
     assert seen["clocks"]["R2"].offset_s == 3.5
     assert seen["filters"] == gr.Filters(min_speed=0.5)
     assert (seen["hits_only"], seen["timezone"], seen["processes"]) == (True, "Europe/Berlin", 3)
+
+
+def test_lanes_have_the_streets_of_the_tiles(site):
+    line = gr.read_map(SAMPLE / "junction.osm").lanes().set_index("lane").geometry.loc[[83]]
+    gpd.GeoDataFrame({"name": ["Weststraße"]}, geometry=list(line), crs=line.crs).to_file(
+        site / "streets.gpkg"
+    )
+    words = ("tiles", MAP[1], "--streets", "streets.gpkg", "-o", "tiles.gpkg")
+    assert run(*words).exit_code == 0
+    assert run("measure", *BOTH, *MAP, "-o", "site", "--hits-only").exit_code == 0
+    streets = gr.open_dataset("site").lanes().set_index("lane")["street"]
+    tiles = gpd.read_file("tiles.gpkg", layer="lanes").set_index("lane")["street"]
+    assert streets[83] == "Weststraße"
+    assert streets.dropna().to_dict() == tiles.dropna().to_dict()
+    gr.open_dataset("site").state_lanes([{"id": 83, "name": "To the harbour"}])
+    named = (Path("site") / "lanes.json").read_bytes()
+    assert run("measure", *BOTH, *MAP, "-o", "site", "--hits-only").exit_code == 0
+    assert (Path("site") / "lanes.json").read_bytes() == named
 
 
 @pytest.mark.parametrize("text", ["57ms", "auto", "R1=fast", "R1=57", "R1=57ms,,R2=1s"])

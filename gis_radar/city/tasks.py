@@ -28,7 +28,7 @@ from gis_radar.base import (
 from gis_radar.city.city import RESULTS
 from gis_radar.city.settings import CityFile
 from gis_radar.dataset import (
-    LANES_FILE,
+    STATED_LANES,
     Manifest,
     make_registered,
     open_dataset,
@@ -131,7 +131,8 @@ def add_recordings(task: SiteTask) -> SiteTask:
     if sensors:
         register_checked(site.model_copy(update={"sensor": tuple(sensors)}), task)
     if Manifest.is_there(task.dataset):
-        open_dataset(task.dataset).state_lanes(**site.of_lanes, reporter=task)
+        streets = task.results / "tiles.gpkg" if site.map.streets else None
+        open_dataset(task.dataset).state_lanes(**site.of_lanes, streets=streets, reporter=task)
     return task
 
 
@@ -259,7 +260,7 @@ def make_site_hour(dataset: Path, hour: int, processes: int) -> int:
 def is_older(path: Path, dataset: Path) -> bool:
     """Return whether a result is missing, or older than the last change of a dataset."""
     # the first is written after hours were made, too
-    changed = [dataset / name for name in ("recordings.parquet", LANES_FILE)]
+    changed = [dataset / name for name in ("recordings.parquet", STATED_LANES)]
     written_at = [each.stat().st_mtime_ns for each in changed if each.exists()]
     return not path.exists() or path.stat().st_mtime_ns < max(written_at, default=0)
 

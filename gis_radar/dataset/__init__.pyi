@@ -34,7 +34,7 @@ from .files.sites import warn_of_copies as warn_of_copies
 from .files.source import Moment as Moment
 from .files.source import NotMeasuredError as NotMeasuredError
 from .files.source import NoVehiclesError as NoVehiclesError
-from .files.stated_lanes import LANES_FILE as LANES_FILE
+from .files.stated_lanes import STATED_LANES as STATED_LANES
 from .files.stated_lanes import stated_lanes as stated_lanes
 from .files.tables import FRAMES as FRAMES
 from .files.tables import PASSAGES as PASSAGES

@@ -29,7 +29,7 @@ from gis_radar.dataset.files.parts import hour_begin, hour_text
 from gis_radar.dataset.files.records import Span, hour_bounds, read_hour, read_rows
 from gis_radar.dataset.files.schema import TableSchema
 from gis_radar.dataset.files.source import DatasetFiles, Moment
-from gis_radar.dataset.files.stated_lanes import stated_lanes, write_stated
+from gis_radar.dataset.files.stated_lanes import stated_lanes, streets_of, write_stated
 from gis_radar.dataset.hours import upkeep
 from gis_radar.dataset.questions import profiles
 from gis_radar.dataset.questions.answers import SqlQueries
@@ -306,8 +306,8 @@ class Dataset(DatasetFiles, SqlQueries):
         return replace(self, cache={}, _layers={**self._layers, LANES_LAYER: layer})
 
     def state_lanes(
-        self, lanes: Sequence[Mapping[str, Any]], speed_kmh: float | None = None, *,
-        reporter: Reporter = QUIET,
+        self, lanes: Sequence[Mapping[str, Any]] = (), speed_kmh: float | None = None, *,
+        streets: str | Path | None = None, reporter: Reporter = QUIET,
     ) -> Dataset:  # fmt: skip
         """Write names and free speeds of lanes into the dataset, in place of those it has.
 
@@ -317,18 +317,22 @@ class Dataset(DatasetFiles, SqlQueries):
         ----------
         lanes, speed_kmh
             As for :meth:`with_lanes`. Lanes that the dataset has not are left out.
+        streets : str or Path, optional
+            File of tiles whose lanes have streets, from `gis-radar tiles --streets`.
         reporter : Reporter
-            Receives a warning about these.
+            Receives a warning about lanes that are left out.
         """
-        of_map = self._other_layer(LANES_LAYER)
+        of_map, stated = self._other_layer(LANES_LAYER), dict[Any, dict[str, Any]]()
+        for each in (*(streets_of(Path(streets), of_map) if streets else ()), *lanes):
+            given = {key: value for key, value in each.items() if value is not None}
+            stated.setdefault(each.get("id"), {}).update(given)
         known = set(of_map["lane"].tolist())
-        unknown = [str(each.get("id")) for each in lanes if each.get("id") not in known]
-        if unknown:
+        if unknown := [str(each) for each in stated if each not in known]:
             reporter.warn(
                 "the site file names lanes that the map has not: {}; they are left out",
                 ", ".join(unknown),
             )
-        kept = [each for each in lanes if each.get("id") in known]
+        kept = [each for lane, each in stated.items() if lane in known]
         stated_lanes(of_map, kept, speed_kmh, self.folder)  # refuses what is no statement
         write_stated(self.folder, kept, speed_kmh)
         return open_dataset(self.folder)

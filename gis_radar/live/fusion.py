@@ -399,7 +399,7 @@ def _measured_site(site: LiveSite) -> MeasuredSite:
         scans=scan.files if scan else (), scan_crs=scan.crs if scan else None,
         filters=site.filters(), cycles=site.cycles(), timezone=site.timezone,
         vehicles=site.live.vehicles, keep_s=site.live.keep, most_bytes=1e9 * site.live.gigabytes,
-        of_lanes=site.of_lanes,
+        of_lanes={**site.of_lanes, "streets": site.live.tiles if site.map.streets else None},
     )  # fmt: skip
 
 

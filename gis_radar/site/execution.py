@@ -27,7 +27,7 @@ from gis_radar.base import (
     restored,
     with_texts,
 )
-from gis_radar.dataset import LANES_FILE
+from gis_radar.dataset import STATED_LANES
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.plan import Ending, Outcome, Stage
 from gis_radar.site.versions import software
@@ -41,7 +41,7 @@ _CHUNK = 1 << 20  # bytes
 _SETTLED_S = 2.0  # resolution of file times: a younger file may change without a new time
 # Of files that are no part of a folder: those of viewers, and the names of a dataset's lanes, which
 # have a stage of their own.
-_NOT_HASHED = ("-wal", "-shm", "-journal", ".aux.xml", ".qmd", LANES_FILE)
+_NOT_HASHED = ("-wal", "-shm", "-journal", ".aux.xml", ".qmd", STATED_LANES)
 
 Stamp = tuple[int, int, int, int]
 

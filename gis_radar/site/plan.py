@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gis_radar.base import GisRadarError, Text
-from gis_radar.dataset import LANES_FILE
+from gis_radar.dataset import STATED_LANES
 from gis_radar.products import REPORT_FILES
 from gis_radar.site import stages
 from gis_radar.site.joint_poses import CANDIDATES_FILE, POSE_FILE, RECORDING_FILE
@@ -381,14 +381,15 @@ def _measure(site: Site, folder: Path) -> Stage:
 
 def _lanes(site: Site, folder: Path) -> Iterator[Stage]:
     """Yield the stage that names lanes, where the site file states something of them."""
-    if any(site.of_lanes.values()):
+    streets = folder / "tiles.gpkg" if site.map.streets else None
+    if streets or any(site.of_lanes.values()):
         yield Stage(
             name=Text("lanes"),
             work=stages.lanes_stage,
-            inputs={},
+            inputs=_given(streets=streets),
             beside=((folder / "dataset",),),
             options=site.of_lanes,
-            outputs=(folder / "dataset" / LANES_FILE,),
+            outputs=(folder / "dataset" / STATED_LANES,),
         )
 
 

@@ -132,11 +132,14 @@ def measure_recordings(
     """
     chosen, tiles = measures.Filters(**filters), hdmap.read_tiles(tile_file)
     known = {} if clocks is None else _clocks(clocks, tracks, reporter)
-    return dataset.measure(
+    measured = dataset.measure(
         recordings, tracks, tiles, map_file, output,
         filters=chosen, clocks=known, processes=processes or workers_here(), reporter=reporter,
         **options,
     )  # fmt: skip
+    if map_file is None or (output / dataset.STATED_LANES).exists():
+        return measured
+    return measured.state_lanes(streets=tile_file)
 
 
 def write_sights_of(

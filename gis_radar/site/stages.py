@@ -223,7 +223,7 @@ def measure_stage(
 
 
 def lanes_stage(*, outputs: Paths, **of_lanes: Any) -> Figures:
-    """Write names and free speeds of lanes, as the site file states them, into the dataset."""
+    """Write names, streets and free speeds of lanes, as the site file states, into the dataset."""
     dataset_room.open_dataset(outputs[0].parent).state_lanes(**of_lanes)
     return {}
 

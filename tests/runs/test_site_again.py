@@ -341,9 +341,13 @@ def test_names_of_streets_that_come_later_count_nothing_anew(copied, blank_paper
     street.to_file(path.parent / "streets.gpkg")
     change(path, "[map]\n", '[map]\nstreets = "streets.gpkg"\n')
     done = gr.run_site(path, out)
-    assert {name for name in done_by(done) if name != "QGIS project"} == {"tiles", "report"}
+    assert {*done_by(done)} - {"QGIS project"} == {"tiles", "lanes", "report"}
     after = lanes_of(out)
-    assert "Newly Named Street" in set(after["street"])
+    names = after.loc[after["street"] == "Newly Named Street", "name"].dropna()
+    assert len(names) > 0
+    assert names.str.startswith("Newly Named Street ").all()
+    directions = gr.open_dataset(out / "dataset").profile("Newly Named Street")["direction"]
+    assert names.str.startswith(tuple(directions)).all()
     counted = ["lane", "occupancy", "hit_share", "visible_m"]
     pd.testing.assert_frame_equal(after[counted], before[counted])
 

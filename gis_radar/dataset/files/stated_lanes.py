@@ -13,19 +13,22 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import pyogrio
 
-from gis_radar.base import InputError, Text, json_text, read_json, require_kind
+from gis_radar.base import InputError, Text, json_text, opened_package, read_json, require_kind
 from gis_radar.dataset.files.parts import replacing
+from gis_radar.hdmap import LANES_LAYER
 
-LANES_FILE = "lanes.json"
+STATED_LANES = "lanes.json"
 _HINT = Text("run the site again")
 
-# What a site states of a lane, and of which type it is; in the layer, of which column it is.
+# What a site states of a lane: the column of the layer, and the type.
 _STATED = {
-    "id": "int", "name": "str | None", "speed_kmh": "float | None", "street": "str | None",
-    "street_part": "str | None",
+    "id": ("lane", "int"), "name": ("name", "str | None"),
+    "speed_kmh": ("speed_limit_kmh", "float | None"), "street": ("street", "str | None"),
+    "street_part": ("street_part", "str | None"),
 }  # fmt: skip
-_COLUMNS = {"speed_kmh": "speed_limit_kmh"}
+_STREETS = ["lane", "street", "street_part"]
 
 
 def stated_lanes(
@@ -53,7 +56,7 @@ def stated_lanes(
             raise InputError(
                 "{}: a lane has {}, expected {}", source, repr(other[0]), ", ".join(_STATED)
             )
-        for key, kind in _STATED.items():
+        for key, (_, kind) in _STATED.items():
             require_kind(Text("{}: {}", source, key), each.get(key), kind, InputError)
     require_kind(Text("{}: {}", source, "speed_kmh"), speed_kmh, "float | None", InputError)
     stated = {int(each["id"]): each for each in lanes}
@@ -61,10 +64,9 @@ def stated_lanes(
         raise InputError(
             "{}: has no lane {}", source, unknown[0], hint="the column lane of traffic.csv has them"
         )
-    for key in [key for key in _STATED if key != "id"]:
+    for key, (column, _) in _STATED.items():
         given = {number: each[key] for number, each in stated.items() if each.get(key) is not None}
         if given:
-            column = _COLUMNS.get(key, key)
             before = layer.get(column, [None] * len(layer))
             pairs = zip(layer["lane"].tolist(), before, strict=True)
             layer = layer.assign(**{column: [given.get(lane, value) for lane, value in pairs]})
@@ -82,7 +84,7 @@ def with_stated(layer: gpd.GeoDataFrame, folder: Path) -> gpd.GeoDataFrame:
     InputError
         If the file is damaged.
     """
-    path = folder / LANES_FILE
+    path = folder / STATED_LANES
     if not path.is_file():
         return layer
     document = read_json(path, what="names of lanes", hint=_HINT)
@@ -93,13 +95,28 @@ def with_stated(layer: gpd.GeoDataFrame, folder: Path) -> gpd.GeoDataFrame:
     return stated_lanes(layer, lanes, speed_kmh, path)
 
 
+def streets_of(path: Path, layer: gpd.GeoDataFrame) -> list[dict[str, Any]]:
+    """Return the streets of lanes, as they are stated, that a file of tiles has beyond a layer."""
+    with opened_package(path, what="a GeoPackage of tiles") as place:
+        if LANES_LAYER not in pyogrio.list_layers(place)[:, 0]:
+            return []
+        of_tiles = pyogrio.read_dataframe(place, layer=LANES_LAYER, read_geometry=False)
+    before, after = (
+        pd.DataFrame(each).reindex(columns=_STREETS).astype(object).fillna("").to_numpy().tolist()
+        for each in (layer, of_tiles)
+    )
+    return [
+        {"id": lane, "street": street, "street_part": part or None}
+        for lane, street, part in after if street and [lane, street, part] not in before
+    ]  # fmt: skip
+
+
 def write_stated(folder: Path, lanes: Sequence[Mapping[str, Any]], speed_kmh: float | None) -> None:
     """Write what a site states of its lanes, unless that is stated already."""
-    path = folder / LANES_FILE
-    stated = [{key: value for key, value in each.items() if value is not None} for each in lanes]
-    document = {"lanes": sorted(stated, key=lambda each: each["id"]), "speed_kmh": speed_kmh}
+    path = folder / STATED_LANES
+    document = {"lanes": sorted(lanes, key=lambda each: each["id"]), "speed_kmh": speed_kmh}
     content = (json_text(document, indent=1) + "\n").encode()
     before = path.read_bytes() if path.is_file() else b""
-    if content != before and (stated or speed_kmh is not None or before):
+    if content != before and (lanes or speed_kmh is not None or before):
         with replacing(path) as fresh:
             fresh.write_bytes(content)

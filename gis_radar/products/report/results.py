@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyogrio
 
 from gis_radar.base import (
     NO_FIGURE,
@@ -19,7 +18,6 @@ from gis_radar.base import (
     Text,
     direction,
     figure_text,
-    opened_package,
     plus_minus,
     read_json,
     restored,
@@ -27,8 +25,7 @@ from gis_radar.base import (
     warnings_once,
 )
 from gis_radar.calibration import Finding, is_record
-from gis_radar.dataset import Dataset, open_dataset
-from gis_radar.hdmap import LANES_LAYER
+from gis_radar.dataset import Dataset, NoVehiclesError, open_dataset
 from gis_radar.poses import Pose, View, pose_from_dict
 from gis_radar.products.heatmap.heatmap import HeatMap, read_heatmap
 from gis_radar.products.heatmap.layers import HEATMAP_FILE as PACKAGE
@@ -177,7 +174,7 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
         heat=heat,
         dataset=of_map,
         poses=_poses(of_map),
-        streets=_streets(folder),
+        streets=_streets(of_map),
         figures=any((folder / "sensors").glob("*/localization.png")),
         run=run,
     )
@@ -218,17 +215,12 @@ def _dataset(folder: Path, heat: HeatMap, given: Path | None) -> Dataset:
     return dataset
 
 
-def _streets(folder: Path) -> dict[int, tuple[str, str]]:
-    """Return the streets of lanes by their numbers, as far as the run's tiles know them."""
-    path = folder / "tiles.gpkg"
-    if not path.is_file():
-        return {}
+def _streets(dataset: Dataset) -> dict[int, tuple[str, str]]:
+    """Return the streets of lanes by their numbers."""
     try:
-        with opened_package(path, what="a GeoPackage of tiles") as place:
-            table = pyogrio.read_dataframe(place, layer=LANES_LAYER, read_geometry=False)
-    except InputError:
-        return {}  # `gr.write_tiles` without lanes
-    named = table.dropna(subset=["street"])
+        named = dataset.lanes().dropna(subset=["street"])
+    except NoVehiclesError:
+        return {}  # measured without a map
     parts = named["street_part"].fillna("")
     names = zip(named["street"].astype(str), parts.astype(str), strict=True)
     return dict(zip(named["lane"].astype(int), names, strict=True))
