@@ -85,7 +85,8 @@ _NOTES = (
     Text("Vehicles are counted while their fronts cross the stop line of a lane, elsewhere its "
          "middle. The visible share says for how much of the interval that line was visible."),
     Text("The volume is the estimate for the whole interval. It lies within its standard error of "
-         "the truth in about two cases of three, within two of them in most others."),
+         "the truth in about two cases of three, within two of them in most others: this was "
+         "measured up to 100 m from a radar, and farther away errors are larger."),
     Text("An empty field is not known, and no 0: too little was visible, or nobody drove there."),
     Text("Speeds, heavy vehicles, queues, stops and delays have no stated error."),
     Text("A queue that reaches as far as the road is in sight may be longer."),
