@@ -158,7 +158,7 @@ def compare(
 )  # fmt: skip
 @click.option("-o", "--output", type=FILE, help="Write the whole answer: .csv or .parquet.")
 @click.option(
-    "--limit", type=click.IntRange(min=1), default=1000, show_default=True,
+    "--limit", type=click.IntRange(1, 10**9), default=1000, show_default=True,
     help="How many rows are shown.",
 )  # fmt: skip
 @click.option(
