@@ -278,7 +278,7 @@ def dataset(
     found, done = gr.open_dataset(folder, reporter=reporter), dict[str, Any]()
     if relink is not None:
         done["recordings_found"] = found.relink(relink, reporter=reporter)
-    if withdraw or sensor or day:
+    if withdraw or sensor is not None or day is not None:
         withdrawn = found.withdraw(withdraw, sensor=sensor, day=day, reporter=reporter)
         done["withdrawn"] = [Path(each).name for each in withdrawn]
     if keep_s is not None:

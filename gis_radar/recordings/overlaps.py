@@ -96,7 +96,7 @@ def _impossible_times(sensor: str, begin: float, end: float, path: Path) -> Iter
         yield Text(
             "{}: times begin at {}, before there were such radars: do they count from another "
             "year than 1970? To those of GPS add {:,} s",
-            path.name, iso_from_step(int(step_of(begin))), _GPS_S,
+            path.name, iso_from_step(int(step_of(np.array(begin)))), _GPS_S,
         )  # fmt: skip
     written = path.stat().st_mtime
     if written >= CLOCK_SET_S and end - written > _WRITTEN_LATE_S:  # some archives keep no times
