@@ -262,6 +262,12 @@ def test_a_status_writes_no_line_of_its_own_and_no_long_one(intake, said, status
     assert intake.sensors["R1"].stream == "0011aabb"
 
 
+def test_a_status_whose_number_is_true_counts_nothing(intake):
+    status = b'{"version": 2, "state": "online", "lost": true}'
+    intake.handle(Received("v1/s/R1/status", status, 1.0, retained=False))
+    assert "lost" not in intake.sensors["R1"].health.alarms
+
+
 @pytest.mark.parametrize("console", [JsonConsole, TerminalConsole, Reporter])
 def test_a_line_of_the_log_is_one_line(console, capsys, caplog):
     with caplog.at_level("INFO"):

@@ -205,14 +205,16 @@ def test_counts_by_hand_stand_beside_ours(run, dataset, given, tmp_path):
     assert sheets.tolist() == ["Lanes", "Turns", "Count sections", "Counts by hand", "Notes"]
 
 
-def test_counts_are_read_as_excel_writes_them_in_germany(dataset, tmp_path):
+@pytest.mark.parametrize(("separator", "encoding"), [(";", "cp1252"), ("\t", "utf-16")])
+def test_counts_are_read_as_excel_writes_them_in_germany(dataset, tmp_path, separator, encoding):
+    """As CSV, and as Unicode text."""
     sections = ACROSS.replace("late", "Münchner Straße")
     text = (
         "section; begin;end;volume;\r\n"
         "Münchner Straße;14.11.2023 22:00;14.11.2023 22:05;9,5;\r\n;;;;\r\n\r\n"
         "early;14.11.2023 22:00:00;2023-11-14 22:05;3;\r\n"
     )
-    (tmp_path / "counts.csv").write_bytes(text.encode("cp1252"))
+    (tmp_path / "counts.csv").write_bytes(text.replace(";", separator).encode(encoding))
     made = gr.make_traffic(
         dataset, interval="5min", sections=sections, hand_counts=tmp_path / "counts.csv"
     )

@@ -49,6 +49,15 @@ def test_tiles_beside_their_place_are_named_where_a_scan_gives_sight(roads, shif
     assert any("fit the scan" in each for each in listener.lines) == (shift > 0.0)
 
 
+@pytest.mark.parametrize(("turn", "named"), [(10.0, True), (180.0, True), (0.0, False)])
+def test_roads_that_are_turned_against_the_scan_are_named(roads, turn, named):
+    listener, area = Listener(), roads_of_map(roads)
+    turned = shapely.affinity.rotate(area.area, turn, origin="centroid")
+    area = type(area)(**{**vars(area), "area": turned})
+    assert read_shifted([open_scan(SCAN)], area, listener) is named
+    assert all("of another place, or turned" in each for each in listener.lines)
+
+
 @pytest.mark.parametrize("strays", [0, 1])
 def test_an_avenue_in_open_fields_is_in_its_place(strays):
     """Crowns reach over the road, and nothing stands beside it: that it fits there says nothing."""

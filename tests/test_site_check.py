@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import re
 import shutil
 from pathlib import Path
@@ -194,6 +195,33 @@ def test_sensors_that_never_recorded_together_are_named(place, tmp_path):
     text = site.read_text(encoding="utf-8")
     site.write_text(text.replace("[measure]", '[measure]\nclocks = "clocks.json"'), "utf-8")
     assert not gr.check_site(site).warnings  # the run corrects it
+
+
+@pytest.mark.parametrize(
+    ("later_s", "said"),
+    [
+        (-315_964_782.0, "R2.parquet: times begin at 2015-06-08 09:30"),
+        (18.0, "R2.parquet: its last frame is 18 s later than the file was written: is the clock"),
+        (7200.0, "R2.parquet: its last frame is 7,200 s later than the file was written"),
+        (0.0, ""),
+    ],
+)  # fmt: skip
+@pytest.mark.usefixtures("unjudged")
+def test_times_that_cannot_be_are_named(place, tmp_path, later_s, said):
+    """All sensors of a site: by each other they are right."""
+    site = place()
+    for name in ("R1", "R2"):
+        table = pq.read_table(SAMPLE / f"{name}.parquet")
+        last = table["time"].to_numpy()[-1]
+        (tmp_path / f"{name}.parquet").unlink()
+        shifted = table.set_column(0, "time", pc.add(table["time"], later_s))
+        pq.write_table(shifted, tmp_path / f"{name}.parquet")
+        os.utime(tmp_path / f"{name}.parquet", (last, last))
+    warnings = gr.check_site(site).warnings
+    assert [each for each in warnings if each.startswith("R2")] == (
+        [each for each in warnings if said and each.startswith(said)]
+    )
+    assert bool(warnings) == bool(said)
 
 
 def with_rates(site, factor):

@@ -108,6 +108,7 @@ from .progress import Reporter as Reporter
 from .progress import WarningList as WarningList
 from .progress import one_line as one_line
 from .progress import warnings_once as warnings_once
+from .spreadsheets import FORMULA as FORMULA
 from .spreadsheets import csv_for as csv_for
 from .spreadsheets import write_csv as write_csv
 from .steps import CLOCK_SET_S as CLOCK_SET_S

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import re
@@ -23,8 +24,8 @@ _EMPTY = re.compile(r"\A(?:sep=.|[\s;,\"])*\n")
 def csv_rows(path: str | Path, wrong: Text) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     """Return the header of a table, and the rows that are not empty with their line numbers.
 
-    Both commas and semicolons separate, both UTF-8 and Windows-1252 are read: Excel in Germany
-    writes the latter.
+    Commas, semicolons or tabs separate; UTF-8, UTF-16 and Windows-1252 are read: Excel writes all
+    of them.
 
     Parameters
     ----------
@@ -46,7 +47,8 @@ def csv_rows(path: str | Path, wrong: Text) -> tuple[list[str], list[tuple[int, 
         text = _decoded(content)
         lines, text = text.count("\n"), _EMPTY.sub("", text)
         skipped = lines - text.count("\n")
-        separator = ";" if ";" in text.partition("\n")[0] else ","  # as Excel writes it in Germany
+        first = text.partition("\n")[0]
+        separator = next((each for each in ";\t" if each in first), ",")
         reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=separator)
         header = [name.strip() for name in reader.fieldnames or ()]
         reader.fieldnames = header
@@ -67,6 +69,8 @@ def csv_rows(path: str | Path, wrong: Text) -> tuple[list[str], list[tuple[int, 
 
 def _decoded(content: bytes) -> str:
     try:
+        if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            return content.decode("utf-16")
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
         return content.decode("cp1252")  # Excel's CSV, unless UTF-8 is asked for

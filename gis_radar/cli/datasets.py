@@ -140,7 +140,7 @@ def compare(
 )  # fmt: skip
 @click.option("-o", "--output", type=FILE, help="Write the whole answer: .csv or .parquet.")
 @click.option(
-    "--limit", type=click.IntRange(min=1), default=1000, show_default=True,
+    "--limit", type=click.IntRange(1, 10**9), default=1000, show_default=True,
     help="How many rows are shown.",
 )  # fmt: skip
 @click.option(
@@ -264,7 +264,7 @@ def dataset(
     found, done = gr.open_dataset(folder, reporter=reporter), dict[str, Any]()
     if relink is not None:
         done["recordings_found"] = found.relink(relink, reporter=reporter)
-    if withdraw or sensor or day:
+    if withdraw or sensor is not None or day is not None:
         withdrawn = found.withdraw(withdraw, sensor=sensor, day=day, reporter=reporter)
         done["withdrawn"] = [Path(each).name for each in withdrawn]
     if keep_s is not None:

@@ -255,7 +255,7 @@ class Intake:
         )
         for name in ("lost", "not_followed"):
             count = record.get(name)
-            if isinstance(count, int) and 0 <= count < _MOST_LOST:
+            if type(count) is int and 0 <= count < _MOST_LOST:  # not true
                 sensor.health.counts[name] = count
                 if name == "lost":
                     sensor.health.alarm(name, Text("{} messages", count) if count else None)

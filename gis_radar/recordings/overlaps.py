@@ -10,7 +10,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from gis_radar.base import Floats, Integers, Text
+from gis_radar.base import CLOCK_SET_S, Floats, Integers, Text, iso_from_step, step_of
+
+_FIRST_RADARS_S = 1_577_836_800.0  # 2020-01-01: no radar that measures elevation was sold before
+_WRITTEN_LATE_S = 3.0  # file systems keep times to two seconds
+_GPS_S = 315_964_782  # from times of GPS to UNIX time, with 18 leap seconds
 
 
 def detection_keys(*columns: Floats | Integers) -> NDArray[np.uint64]:
@@ -47,7 +51,7 @@ def keys_in_common(
 
 
 def time_warnings(recorded: Mapping[str, Sequence[tuple[float, float, Path]]]) -> Iterator[str]:
-    """Yield a warning for recordings of a sensor that overlap, and for sensors that never do.
+    """Yield warnings of times that cannot be right, that overlap, or that have none in common.
 
     Parameters
     ----------
@@ -55,6 +59,8 @@ def time_warnings(recorded: Mapping[str, Sequence[tuple[float, float, Path]]]) -
         First and last time of each recording, UNIX seconds, and its file, by sensor.
     """
     for sensor, spans in recorded.items():
+        for begin, end, path in spans:
+            yield from _impossible_times(sensor, begin, end, path)
         ordered = sorted(spans)
         latest = ordered[0]  # the one that ends last, so far
         for each in ordered[1:]:
@@ -82,3 +88,20 @@ def time_warnings(recorded: Mapping[str, Sequence[tuple[float, float, Path]]]) -
                 second_sensor,
                 apart_s,
             )
+
+
+def _impossible_times(sensor: str, begin: float, end: float, path: Path) -> Iterator[str]:
+    """Yield a warning where a recording is older than its kind of radar, or newer than its file."""
+    if CLOCK_SET_S <= begin < _FIRST_RADARS_S:
+        yield Text(
+            "{}: times begin at {}, before there were such radars: do they count from another "
+            "year than 1970? To those of GPS add {:,} s",
+            path.name, iso_from_step(int(step_of(np.array(begin)))), _GPS_S,
+        )  # fmt: skip
+    written = path.stat().st_mtime
+    if written >= CLOCK_SET_S and end - written > _WRITTEN_LATE_S:  # some archives keep no times
+        yield Text(
+            "{}: its last frame is {:,.0f} s later than the file was written: is the clock of {} "
+            "ahead (GPS is by 18 s), or are its times local ones?",
+            path.name, end - written, sensor,
+        )  # fmt: skip

@@ -79,6 +79,24 @@ def test_equal_frames_added_to_a_dataset_change_nothing(files, tmp_path):
     refused(tmp_path / "site", ("R2", copy), match="frames of R2 are those of R1")
 
 
+def test_a_copy_with_other_times_and_places_for_a_second_sensor(files, tmp_path):
+    """No frame of it is equal: it would add a sixth to the vehicles."""
+
+    def changed(table):
+        noise = np.random.default_rng(1).normal(0.0, 0.02, (len(table), 3)).astype(np.float32)
+        return table.assign(
+            time=table["time"] + 0.005,
+            **dict(zip("xyz", (table[["x", "y", "z"]] + noise).to_numpy().T, strict=True)),
+        )
+
+    copy = cut(tmp_path / "copy.parquet", "R1", 18.3, 22.0, edge_s=20.0, change=changed)
+    error = refused(
+        tmp_path / "site", ("R1", files["R1"]), ("R2", copy),
+        match="the numbers of detections of those of R1",
+    )  # fmt: skip
+    assert str(copy) in error.message
+
+
 def test_recordings_in_the_order_of_other_poses(files, tmp_path):
     """Each by the other's pose gives a map, with twice the vehicles and nowhere right."""
     error = refused(

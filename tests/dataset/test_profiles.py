@@ -144,6 +144,8 @@ def test_holidays_from_a_file_are_as_those_named(rolled, tmp_path):
         ({"by": "day"}, UsageError, "by is 'day', expected hour, weekday or month"),
         ({"days": "Mon"}, UsageError, "'Mon' names no days of the week"),
         ({"month": "2026"}, UsageError, "'2026' is no month"),
+        ({"month": "0000-01"}, UsageError, "'0000-01' is no month"),
+        ({"month": "9999-12"}, UsageError, "'9999-12' is no month"),
         ({"month": "2026-10", "begin": "2026-10-02"}, UsageError, "do not go together"),
         ({"begin": "2026-10-24 22:07"}, UsageError, "begin lies within a quarter of an hour"),
         ({"end": "2026-10-24 22:07"}, UsageError, "end lies within a quarter of an hour"),

@@ -94,6 +94,14 @@ def test_days_times_and_structs_are_text(run, folder, tmp_path):
     assert pd.read_csv(tmp_path / "q.csv")["day"].tolist() == ["2023-11-14"]
 
 
+def test_text_that_begins_like_a_formula_is_text_for_spreadsheets(run, folder, tmp_path):
+    """Names of streets are those of anybody's map."""
+    sql = "SELECT '=1+1' AS a, ' @x' AS b, '\uff1d1' AS c, 'a=1' AS d, -1.5 AS e"
+    assert run("query", folder, sql, "-o", tmp_path / "q.csv")[0] == 0
+    row = (tmp_path / "q.csv").read_text(encoding="utf-8").splitlines()[1]
+    assert row == '"\'=1+1","\' @x","\'\uff1d1","a=1",-1.5'
+
+
 def test_a_number_over_64_bits_is_named(run, folder):
     code, _, err = run("query", folder, "SELECT 9223372036854775807::HUGEINT * 2 AS x")
     assert code == 2
@@ -117,6 +125,8 @@ def test_a_number_over_64_bits_is_named(run, folder):
             "needs more memory",
         ),
         (("SELECT 1", "--memory", "much"), 2, "much"),
+        (("SELECT 1", "--limit", "1" + "0" * 20), 2, "is not in the range"),
+        (("SELECT union_value(a := 1) AS u", "-o", "u.parquet"), 2, "u.parquet: cannot hold a"),
     ],
 )
 def test_errors_are_one_line(run, folder, words, code, message):

@@ -114,6 +114,13 @@ def test_the_command_withdraws_and_says_what(run, files, two_days, tmp_path):
     assert len(gr.open_dataset(tmp_path / "site").recordings()) == 3
 
 
+def test_a_sensor_without_a_name_is_none(run, two_days):
+    """As of an empty variable of a script: that nothing was withdrawn is said."""
+    code, _, err = run("dataset", two_days.folder, "--withdraw-sensor", "")
+    assert code == 3
+    assert "its sensors are R1, R2" in err
+
+
 EXACT = {table.name for table in upkeep.EXACT}
 LATER_S = 2 * 3600.0  # of the second pair of recordings
 

@@ -67,7 +67,7 @@ def month_edges(month: str, zone: str) -> tuple[pd.Timestamp, pd.Timestamp]:
     UsageError
         If it is no month.
     """
-    if not re.fullmatch(r"\d{4}-(0[1-9]|1[0-2])", month):
+    if not re.fullmatch(r"[12]\d{3}-(0[1-9]|1[0-2])", month):
         raise UsageError("{} is no month", repr(month), hint="such as 2026-10")
     begin = pd.Timestamp(f"{month}-01")
     first, after = (

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -40,7 +40,7 @@ from gis_radar.measures import (
     valid_runs,
     valid_steps,
 )
-from gis_radar.recordings import keys_in_common
+from gis_radar.recordings import detection_keys, keys_in_common
 from gis_radar.scans import SightTiles
 from gis_radar.tracking import BLOCK_MARGIN_STEPS, HourVehicles, vehicles_of_hour
 
@@ -51,6 +51,8 @@ MOST_EQUAL_FRAMES = 5  # equal frames of two sensors that may be chance
 # Detections of a frame that is not equal to an earlier one of its sensor by chance
 _LEAST_RICH = 10
 _LEAST_COMPARED = 2  # least detections of frames that are compared: fewer may be equal by chance
+# Numbers of detections of so many frames, so many of them different, are not alike by chance
+_FRAMES_ALIKE, _LEAST_NUMBERS, _MOST_ALIKE = 16, 6, 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,6 +261,31 @@ def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
                 second.recording.path, len(equal), other, name, first.recording.path,
                 hint="give each sensor its own recording",
             )  # fmt: skip
+    for name, other in _sensors_alike(by_name):
+        raise InputError(
+            "{}: its frames have the numbers of detections of those of {}, one after the other: is "
+            "{} a copy with other times or places?",
+            by_name[other].sources[0].recording.path, name, other,
+            hint="give each sensor its own recording",
+        )  # fmt: skip
+
+
+def _sensors_alike(sensors: Mapping[str, SensorHour]) -> Iterator[tuple[str, str]]:
+    """Yield two sensors whose frames have the same numbers of detections, one after the other.
+
+    A copy whose values were changed keeps these numbers.
+    """
+    keys = {}
+    for name, each in sensors.items():
+        numbers = each.frames.detections
+        runs = np.lib.stride_tricks.sliding_window_view(
+            np.pad(numbers, (0, _FRAMES_ALIKE)), _FRAMES_ALIKE
+        )
+        different = 1 + np.count_nonzero(np.diff(np.sort(runs, axis=1), axis=1), axis=1)
+        keys[name] = detection_keys(runs[different >= _LEAST_NUMBERS])
+    for name, other, alike in keys_in_common(keys):
+        if len(alike) > _MOST_ALIKE:
+            yield name, other
 
 
 def digest_of_inputs(

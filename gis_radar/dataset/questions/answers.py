@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -14,12 +15,14 @@ import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from gis_radar.base import QUIET, Reporter, UsageError, atomic_write
+from gis_radar.base import FORMULA, QUIET, Reporter, UsageError, atomic_write
 from gis_radar.dataset.files.source import DatasetFiles
 
 # Columns of map ids, which reach 9e18; JSON readers hold integers up to 9e15 exactly, so that all
 # ids are text.
 _MAP_IDS = frozenset({"lanelet_id", "lanelets", "lane", "from_lane", "to_lane", "stop_line"})
+
+_FORMULA = f"^( *[{''.join(map(re.escape, FORMULA))}])"
 
 
 def plain_schema(schema: pa.Schema) -> pa.Schema:
@@ -51,14 +54,23 @@ def plain(table: pa.Table) -> pa.Table:
 
 
 def csv_texts(table: pa.Table) -> pa.Table:
-    """Return an answer with times as ISO 8601 text and lists as joined text, for CSV."""
+    """Return an answer with times as ISO 8601 text and lists as joined text, for CSV.
+
+    Text never begins a formula.
+    """
     words = [
         pc.binary_join(column.combine_chunks().cast(pa.list_(pa.string())), " ")
         if pa.types.is_list(column.type)
         else _times_as_text(column)
         for column in table.columns
     ]
-    return pa.table(words, names=table.column_names)
+    safe = [
+        pc.replace_substring_regex(each, _FORMULA, r"'\1")
+        if pa.types.is_string(each.type)
+        else each
+        for each in words
+    ]
+    return pa.table(safe, names=table.column_names)
 
 
 def json_texts(table: pa.Table) -> pa.Table:
@@ -149,12 +161,17 @@ def write_answer(schema: pa.Schema, batches: Iterable[pa.RecordBatch], path: Pat
     if path.suffix.lower() not in kinds:
         raise UsageError("{}: an answer is written as .csv or .parquet", path)
     as_read = csv_texts if path.suffix.lower() == ".csv" else plain
-    written = as_read(plain(schema.empty_table())).schema
     rows = 0
-    with atomic_write(path) as part, kinds[path.suffix.lower()](part, written) as writer:
-        for batch in batches:
-            writer.write_table(as_read(plain(pa.Table.from_batches([batch]))))
-            rows += batch.num_rows
+    try:
+        written = as_read(plain(schema.empty_table())).schema
+        with atomic_write(path) as part, kinds[path.suffix.lower()](part, written) as writer:
+            for batch in batches:
+                writer.write_table(as_read(plain(pa.Table.from_batches([batch]))))
+                rows += batch.num_rows
+    except pa.ArrowNotImplementedError as error:
+        raise UsageError(
+            "{}: cannot hold a column of the answer: {}", path, error, hint="cast it to VARCHAR"
+        ) from error
     return rows
 
 
