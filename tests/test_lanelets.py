@@ -195,7 +195,7 @@ def test_what_cannot_be_mended_is_left_out_and_the_rest_read(tmp_path, reason, b
     assert road.problems["lanelet_id"].tolist() == [21]
     assert road.problems["action"].tolist() == ["left out"]
     assert road.problems["reason"][0].startswith(reason)
-    assert road.remarks == ("1 lanelet left out, see layer problems",)
+    assert road.remarks == ("1 lanelet left out, see layer problems of the tiles",)
 
 
 def test_lost_nodes_are_dropped_and_listed(tmp_path):
@@ -213,7 +213,7 @@ def test_repairs_are_listed_with_the_outline(tmp_path):
     road = read_map(write_lanelet(tmp_path / "a.osm", fork, RIGHT))
     assert road.problems["reason"].tolist() == ["start without width parted by 1 cm"]
     assert road.problems.geometry[0].equals(road.lanelets.geometry[0])
-    assert road.remarks == ("1 lanelet repaired, see layer problems",)
+    assert road.remarks == ("1 lanelet repaired, see layer problems of the tiles",)
 
 
 def test_a_map_without_a_readable_lanelet_is_refused(tmp_path):

@@ -272,6 +272,23 @@ def test_a_live_site_tells_an_operator_and_its_webhook(tmp_path, once, receiver,
     assert len(receiver.bodies) == 2
 
 
+def test_the_log_is_in_one_language(tmp_path, once, run, monkeypatch):
+    site = LiveSite(tmp_path, once)
+    done = SimpleNamespace(outputs=[], figures=dict)
+
+    def fusion(_, *, reporter, **_more):
+        reporter.warn("{}: {}: {}", "R1", Text("nothing comes from the sensor"), "5 s")
+        return done
+
+    monkeypatch.setenv("GIS_RADAR_LANGUAGE", "de")
+    monkeypatch.setattr(gr, "run_fusion", fusion)
+    code, _, said = run("live", site.file)
+    assert (code, said) == (0, "warning: R1: nothing comes from the sensor: 5 s\n")
+    monkeypatch.undo()
+    monkeypatch.setenv("GIS_RADAR_LANGUAGE", "de")
+    assert "lässt sich nicht lesen" in run("live", tmp_path / "none.toml")[2]
+
+
 def test_the_option_reaches_fusion_and_its_unit(tmp_path, once, run, monkeypatch):
     site, given = LiveSite(tmp_path, once), {}
     hook = "https://alerts.example/a%20b?c=$d"

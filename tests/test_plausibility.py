@@ -342,6 +342,24 @@ def test_from_half_way_on_it_is_another_sensor(tmp_path, tiles, minute, rows):
         gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True)
 
 
+def test_a_sensor_that_was_knocked_half_way_is_two_in_a_site_file(tmp_path, tiles, minute):
+    knocked = minute["R1"].copy()
+    late = knocked["time"] >= knocked["time"].median()
+    turn, x, y = np.radians(4.0), knocked["x"].copy(), knocked["y"].copy()
+    knocked.loc[late, "x"] = (x * np.cos(turn) - y * np.sin(turn))[late]
+    knocked.loc[late, "y"] = (x * np.sin(turn) + y * np.cos(turn))[late]
+    knocked.to_parquet(tmp_path / "A.parquet", index=False)
+    with pytest.raises(ImplausibleError) as refused:
+        gr.measure(
+            [tmp_path / "A.parquet"], [POSES["R1"]], tiles, MAP, tmp_path / "d", hits_only=True
+        )
+    (found,) = refused.value.findings
+    assert "its pose is off: compared with it, the sensor is turned 4" in found.cause
+    assert found.advice.endswith(
+        "is two in a site file, with the recordings until then and from then on"
+    )
+
+
 def test_a_clock_that_is_off_is_named_between_sensors_with_a_common_view(tmp_path, tiles, rows):
     rows["R1"].to_parquet(tmp_path / "A.parquet", index=False)
     late = rows["R2"].assign(time=rows["R2"]["time"] + 1.0)

@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 from datasets import HOUR
@@ -149,6 +150,22 @@ def test_a_project_of_a_site(results):
     step = root.find("ProjectTimeSettings")
     assert (step.get("timeStep"), step.get("timeStepUnit")) == ("20", "s")
     assert root.findtext("projectCrs/spatialrefsys/authid") == "EPSG:25832"
+
+
+def test_a_project_opens_where_the_recording_has_begun(results, tmp_path):
+    sample = gr.sample_folder()
+    rows = pd.read_parquet(sample / "R1.parquet").query("time < time.min() + 25.0")
+    rows.assign(time=rows["time"] - 0.1).to_parquet(tmp_path / "R1.parquet", index=False)
+    tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
+    poses = [gr.read_pose(sample / "R1.json")]
+    dataset = measure(
+        [tmp_path / "R1.parquet"], poses, tiles, None, tmp_path / "dataset",
+        hits_only=True, check=False,
+    )  # fmt: skip
+    gr.make_heatmap(dataset, interval="20s").write(tmp_path / "heatmap")
+    gr.write_qgis_project(tmp_path / "site.qgz", heatmap=tmp_path / "heatmap")
+    span = read_project(tmp_path / "site.qgz").find("ProjectTimeSettings/TemporalRange")
+    assert span.findtext("start").startswith("2025-06-12T07:30:00")
 
 
 def test_the_sight_of_a_site_is_what_its_dataset_has(results):

@@ -65,6 +65,27 @@ def test_a_row_a_sensor(folder, tmp_path, blank_paper):
     assert "1 sensor of this map fits. Where one does not fit, do not use this map" in text
 
 
+def test_a_sensor_that_is_left_out_is_named_once_in_the_time_of_the_site(tmp_path, blank_paper):
+    (tmp_path / "made").mkdir()
+    made = write_results(tmp_path / "made", names=("R1",))
+    found = {"findings": {"R1": FOUND[0].record, "R2": TURNED.record}}
+    warning = Text("{} is left out: {}", "R2", TURNED.text_with_advice)
+    stage = {
+        "name": "measure", "warnings": [warning],
+        "figures": {**found, "refused": {"R2": Text("{}: {}", "R2", TURNED.text)}},
+    }  # fmt: skip
+    write_run(made, title="A", **with_texts({"stages": [stage]}), sensors_in_heat_maps=["R1"])
+    document = json.loads((made / "run.json").read_text())
+    document["site"]["sensor"] = [{"name": "R1"}, {"name": "R2"}]
+    (made / "run.json").write_text(json.dumps(document))
+    _, text = trust(made, "en", tmp_path)
+    assert text.count("R2: does not fit: from 2025-06-15 17:06:50 UTC+02:00 on") == 1
+    assert "R2 is left out" not in text
+    assert "15:06:50Z" not in text
+    assert "1 sensor of this map fits." in text
+    assert "All sensors" not in text
+
+
 def test_in_german(folder, tmp_path, blank_paper):
     (_, *rows), text = trust(folder, "de", tmp_path)
     assert "Kann man dem trauen?" in text

@@ -79,7 +79,7 @@ def test_the_command(place):
 
 @pytest.mark.usefixtures("unjudged")
 def test_warnings_of_the_map_are_counted_too(place, monkeypatch):
-    line = "junction.osm: 12 lanelets repaired, see layer problems"
+    line = "junction.osm: 12 lanelets repaired, see layer problems of the tiles"
 
     def read_with_a_warning(path, *, reporter, **options):
         reporter.warn(line)

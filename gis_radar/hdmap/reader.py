@@ -330,9 +330,9 @@ def _remarks(osm: OsmMap, problems: list[_Problem]) -> tuple[str, ...]:
         count = sum(problem.action == action for problem in problems)
         if count:
             remarks.append(
-                Text("{} lanelets {}, see layer problems", count, Text(action))
+                Text("{} lanelets {}, see layer problems of the tiles", count, Text(action))
                 if count > 1
-                else Text("{} lanelet {}, see layer problems", count, Text(action))
+                else Text("{} lanelet {}, see layer problems of the tiles", count, Text(action))
             )
     return tuple(remarks)
 

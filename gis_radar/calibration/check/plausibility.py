@@ -46,6 +46,10 @@ _LEAST_SIDE = 8  # least number of vehicles on either side of a change
 # Least log likelihood ratio of a change over none: odds of 3,000, and of 20 where a mistake
 # explains the traffic on one side.
 _CHANGED, _EXPLAINED = 8.0, 3.0
+_MOVED = Text(
+    "a sensor that was moved is two in a site file, with the recordings until then and from then on"
+)
+_POSE_OFF = "its pose is off"  # begin of such a cause
 _SIDES = "until {}: {}", "from {} on: {}"  # of a moment
 # Ends of causes from a moment on that do not move static surroundings, and are the only ones named.
 _RATE_CAUSES = f": {AGAINST.text}", f": {ABSOLUTE.text}"
@@ -301,7 +305,10 @@ def _faults_of_sides(
         if side.vehicles >= _LEAST_SIDE:
             found = compare_explanations(side, lanes, others)
             if found.verdict == WRONG:
-                faults.append(replace(found, cause=Text(template, iso(when), found.cause)))
+                cause, advice = Text(template, iso(when), found.cause), found.advice
+                if found.cause.startswith(_POSE_OFF):
+                    advice = Text("{}; {}", advice, _MOVED)
+                faults.append(replace(found, cause=cause, advice=advice))
     return faults
 
 

@@ -11,6 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyogrio
 
 from gis_radar.base import (
@@ -48,6 +49,7 @@ from gis_radar.products.qgis.project_xml import LayerSource, ProjectContent, Tim
 from gis_radar.scans import SIGHT_LAYER, SightTiles, write_sights
 
 _MAP_MARGIN = 0.05
+_LEAST_RECORDED = 0.05  # share of the first interval that is played
 """Margin around the observed tiles, as a share of their extent."""
 
 
@@ -231,9 +233,15 @@ def _observed_box(heat: Tally) -> Box:
 
 
 def _time_range(heat: Tally, timezone: str) -> TimeRange:
+    """Return the time that is played: from the first interval that was recorded for 5 % or more.
+
+    The project opens with it, and of one in which the recording only begins all is uncertain.
+    """
     times = [*interval_times(heat)]
-    length_s = float(heat.timeline.end[0] - heat.timeline.begin[0]) / STEPS_PER_SECOND
-    return TimeRange(times[0][1], times[-1][2], length_s, timezone)
+    steps = heat.timeline.end - heat.timeline.begin
+    begun = heat.observed.max(axis=1, initial=0) >= _LEAST_RECORDED * steps
+    length_s = float(steps[0]) / STEPS_PER_SECOND
+    return TimeRange(times[int(np.argmax(begun))][1], times[-1][2], length_s, timezone)
 
 
 def _layers_with_rows(

@@ -323,8 +323,9 @@ def _sources_row(results: Results) -> list[str]:
 def remarks_of(data: ReportData) -> list[str]:
     """Return the remarks at the top of the report, a sentence each."""
     results = data.results
+    zone = data.clock.zone
     return [
-        *(tr("No result for sensor {name}: {why}", name=name, why=tr(why))
+        *(tr("No result for sensor {name}: {why}", name=name, why=tr(localised(why, zone)))
           for name, why in results.lost.items()),
         *(tr(each) for each in own_remarks(data)),
         *results.warnings,
@@ -469,7 +470,7 @@ def _trust_notes(results: Results, findings: dict[str, Finding]) -> list[str]:
     wrong = sum(each is not None and each.verdict == WRONG for each in shown)
     notes = [
         plural(fit, "{n} sensor of this map fits.", "{n} sensors of this map fit.")
-        if fit < len(shown) or not shown
+        if fit < len(shown) or not shown or results.lost
         else tr("All sensors of this map fit.")
     ]
     if wrong:

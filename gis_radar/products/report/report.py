@@ -319,7 +319,7 @@ def _chapters(data: ReportData, picture: MapPicture) -> list[Chapter]:
     """Return the chapters after the map."""
     results, clock = data.results, data.clock
     lanes = _lanes(data, intervals=len(results.heat.timeline) > 1)
-    sensors = sensor_table(results)
+    sensors = sensor_table(results, clock.zone)
     sources = [settings_of(results), sources_of(results)]
     plan = draw_plan(results.heat.tiles, picture, data.table)
     over_time = draw_lanes_over_time(results.heat, data.lanes, data.table, clock)

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from gis_radar.base import (
     Text,
     direction,
     figure_text,
+    localised,
     plus_minus,
     read_json,
     restored,
@@ -34,6 +36,7 @@ from gis_radar.products.report.content import Column, Table, how_found, text_row
 DATASET = "dataset"
 _RUN = "run.json"
 NOT_KNOWN = "not known here"
+_SENSOR_LEFT_OUT = "{} is left out: {}"  # template of a warning of the stage `measure`
 _NAME_IT = Text("name the dataset that the heat map was made of")
 
 
@@ -119,12 +122,16 @@ class Results:
 
     @property
     def warnings(self) -> list[str]:
-        """The warnings of the run, each once, with the names of the stages that raised it."""
+        """The warnings of the run, each once, with the names of the stages that raised it.
+
+        That a sensor is left out is no further one: `lost` has it.
+        """
         raised: dict[str, list[str]] = {}
         for each in self.stages:
             stage = tr(str(each["name"]))
             texts = raised.setdefault(stage, [])
-            texts += [tr(text) for text in each.get("warnings") or []]
+            given = each.get("warnings") or []
+            texts += [tr(t) for t in given if getattr(t, "template", "") != _SENSOR_LEFT_OUT]
         return warnings_once(raised)
 
     @property
@@ -246,18 +253,20 @@ def read_run(folder: Path) -> dict[str, Any]:
     return restored(document)
 
 
-def sensor_table(results: Results) -> Table:
+def sensor_table(results: Results, zone: ZoneInfo) -> Table:
     """Return the table of the sensors' poses, with their errors and how they were found.
 
     Parameters
     ----------
     results : Results
         The results.
+    zone : ZoneInfo
+        Time zone of the report.
     """
     columns = _sensor_columns()
     rows = text_rows(results.poses, columns)
     rows += [
-        [name, *[NO_FIGURE] * 6, tr("no result: {why}", why=tr(reason))]
+        [name, *[NO_FIGURE] * 6, tr("no result: {why}", why=tr(localised(reason, zone)))]
         for name, reason in results.lost.items()
     ]
     note = tr(
