@@ -571,6 +571,16 @@ def test_the_command_writes_page_table_layer_and_maps(run, dataset, tmp_path):
     assert "To the harbour" in (tmp_path / "own" / "compare.csv").read_text(encoding="utf-8")
 
 
+def test_the_page_says_that_nothing_told_is_no_proof_of_no_change(dataset, tmp_path):
+    found = gr.compare(dataset, before=BEFORE, after=AFTER)
+    found.write(tmp_path / "told")
+    same = found.table.assign(verdict="")
+    replace(found, table=same).write(tmp_path / "none")
+    words = "does not prove that nothing changed"
+    pages = [(tmp_path / n / "compare.html").read_text(encoding="utf-8") for n in ("told", "none")]
+    assert [words in page for page in pages] == [False, True]
+
+
 def test_the_page_warns_of_times_of_day_only_where_they_differ(dataset, tmp_path):
     found = gr.compare(dataset, before=BEFORE, after=AFTER)
     few = found.table["measure"] == "delay_s"

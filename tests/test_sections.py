@@ -169,6 +169,16 @@ def given(tmp_path):
     return write
 
 
+@pytest.mark.parametrize("written", ["eastbound", "east", "Ost", "Osten", "nach Osten"])
+def test_the_direction_of_a_count_may_be_a_wind(run, dataset, given, tmp_path, written):
+    sections, counts = given(
+        f"section;direction;begin;end;volume\nlate;{written};2023-11-14 22:00;2023-11-14 22:10;8\n"
+    )
+    words = ["--sections", sections, "--counts", counts, "--interval", "5min"]
+    assert run("traffic", dataset.folder, "-o", tmp_path / "out", *words)[0] == 0
+    assert pd.read_csv(tmp_path / "out" / "hand_counts.csv")["direction"].tolist() == ["eastbound"]
+
+
 def test_counts_by_hand_stand_beside_ours(run, dataset, given, tmp_path):
     name = dataset.traffic()["name"].iloc[0]
     sections, counts = given(

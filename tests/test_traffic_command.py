@@ -323,6 +323,7 @@ def test_the_workbook_speaks_german(written):
     names, lanes = sheet_of(folder / "traffic.xlsx", 1)
     assert names == ["Fahrstreifen", "Abbiegen", "Hinweise"]
     assert "Verkehrsstärke [Kfz/h]" in lanes[0].values()
+    assert "eingezeichnet" in lanes[1].values()
     for title, width in zip(lanes[0].values(), widths, strict=True):
         lines = wrap(title, int(width / 1.2), break_long_words=False)
         assert max(map(len, lines)) <= width / 1.15

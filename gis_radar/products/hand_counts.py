@@ -137,11 +137,16 @@ def _moment(text: str, zone: ZoneInfo, what: str) -> pd.Timestamp:
 
 
 def _direction_of(row: Mapping[Any, Any]) -> str:
-    """Return the direction of a count, written in any language, in the current one."""
+    """Return the direction of a count, written in any language, in the current one.
+
+    The bare wind is understood, too: `north`, `Nord` and `Norden` as `northbound`.
+    """
     direction = text_in(row, "direction")
     for language in LANGUAGES:
         with in_language(language):
-            known = {tr(word): word for word in BOUND_WORDS.values()}
+            known = {tr(wind): word for wind, word in BOUND_WORDS.items()}
+            known |= {tr(word).split()[-1]: word for word in BOUND_WORDS.values()}
+            known |= {tr(word): word for word in BOUND_WORDS.values()}
         if direction in known:
             return tr(known[direction])
     return direction

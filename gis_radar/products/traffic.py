@@ -31,7 +31,7 @@ from gis_radar.base import (
 )
 from gis_radar.dataset import Dataset, LaneTraffic, open_dataset
 from gis_radar.hdmap import LANES_LAYER
-from gis_radar.measures import DRAWN, TURN_WORDS
+from gis_radar.measures import DRAWN, PRESUMED, TURN_WORDS
 from gis_radar.products.datex import (
     publisher_of,
     write_datex_measurements,
@@ -98,6 +98,7 @@ _NOTES = (
 )  # fmt: skip
 """What a reader of the workbook may and may not conclude."""
 _IDS = ("lane", "from_lane", "to_lane")  # up to 9e18: as numbers, xlsx and JSON would round them
+_STOP_LINES = {DRAWN: Text("drawn"), PRESUMED: Text("presumed")}
 _TIMES = ("begin", "end")
 # What files of an earlier result begin with, also of one with other options.
 _OWNED = ("traffic.", "turns.", f"{_SECTIONS}.", "hand_counts.", f"{_CYCLES}.", "sumo.", "datex.")
@@ -263,6 +264,8 @@ class Traffic:
             shown = _readable_table(table)
             if "turn" in shown:
                 shown["turn"] = [tr(TURN_WORDS[each]) for each in shown["turn"]]
+            if "stop_line" in shown:
+                shown["stop_line"] = [tr(_STOP_LINES.get(each, "")) for each in shown["stop_line"]]
             for name in _TIMES:  # spreadsheets know no zones
                 shown[name] = shown[name].dt.tz_localize(None)
             titles = {str(name): tr(TITLES[str(name)]) for name in shown}

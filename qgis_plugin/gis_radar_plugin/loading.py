@@ -51,10 +51,11 @@ class Finisher(QgsProcessingLayerPostProcessorInterface):  # type: ignore[misc]
     # QGIS does not own post-processors: one without a reference is never called.
     kept: ClassVar[list[Finisher]] = []
 
-    def __init__(self, finish: Finish, *, visible: bool) -> None:
+    def __init__(self, finish: Finish, *, visible: bool, legend: bool = True) -> None:
         super().__init__()
         self._finish = finish
         self._visible = visible
+        self._legend = legend
         Finisher.kept.append(self)
         del Finisher.kept[:-200]
 
@@ -66,7 +67,7 @@ class Finisher(QgsProcessingLayerPostProcessorInterface):  # type: ignore[misc]
         node = project.layerTreeRoot().findLayer(layer.id())
         if node is not None:
             node.setItemVisibilityChecked(self._visible)
-            node.setExpanded(self._visible)
+            node.setExpanded(self._visible and self._legend)
 
 
 def load(
@@ -77,6 +78,7 @@ def load(
     group: str = "",
     finish: Finish | None = None,
     visible: bool = True,
+    legend: bool = True,
     order: int = 0,
 ) -> None:
     """Have QGIS load a result when the algorithm has ended.
@@ -93,6 +95,8 @@ def load(
         Gets the layer once it is in the project; without it, :func:`dress`.
     visible : bool
         Whether it is switched on.
+    legend : bool
+        Whether its legend is unfolded.
     order : int
         Layers of one run with a higher order are above.
     """
@@ -103,7 +107,7 @@ def load(
     details.groupName = group
     details.layerSortKey = order
     details.forceName = True
-    details.setPostProcessor(Finisher(finish or dress, visible=visible))
+    details.setPostProcessor(Finisher(finish or dress, visible=visible, legend=legend))
     context.addLayerToLoadOnCompletion(source, details)
 
 

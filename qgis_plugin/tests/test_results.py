@@ -242,6 +242,8 @@ def test_traffic_shows_its_time_and_how_sure_its_volumes_are(run, site, tmp_path
     assert [node.name() for node in group.findLayers()] == [
         "Volumes of sections", "Volumes of turns", "Traffic of lanes"
     ]  # fmt: skip
+    # one of the three equal legends is unfolded
+    assert [node.isExpanded() for node in group.findLayers()] == [False, False, True]
     layer = layer_called("Volumes of sections")
     settings = QgsMapSettings()
     begin = QDateTime(2025, 6, 12, 7, 31, 0, 0, Qt.TimeSpec.UTC)

@@ -260,6 +260,11 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
         "than 5 % of all comparisons, however many lanes there are.",
         lanes=lanes, before=percent(comparison.used[0], 0), after=percent(comparison.used[1], 0),
     )  # fmt: skip
+    if rows and all(row["section"] is None for row in rows):
+        basis += " " + tr(
+            "No difference is told. That does not prove that nothing changed: the intervals below "
+            "say how much may have."
+        )
     page: str = template.render(
         title=tr("Before and after: traffic by lane"), language=current_language(), tr=tr,
         before=before, after=after, basis=basis,

@@ -62,10 +62,10 @@ class CountTraffic(WorkerAlgorithm):
         layers = {name.upper(): f"{package}|layername={name}" for name in ("lanes", "turns")}
         show = partial(load, given.context, group=folder.name)
         show(layers["LANES"], tr("Traffic of lanes"), order=0)
-        show(layers["TURNS"], tr("Volumes of turns"), order=1)
+        show(layers["TURNS"], tr("Volumes of turns"), order=1, legend=False)  # the same classes
         if given.has("SECTIONS"):
             layers["SECTION_VOLUMES"] = f"{package}|layername=sections"
-            show(layers["SECTION_VOLUMES"], tr("Volumes of sections"), order=2)
+            show(layers["SECTION_VOLUMES"], tr("Volumes of sections"), order=2, legend=False)
         self.made = [
             (tr("Open the workbook"), folder / "traffic.xlsx"), (tr("Show the folder"), folder)
         ]  # fmt: skip
