@@ -4,6 +4,7 @@ import math
 import time
 from dataclasses import replace
 
+import geopandas as gpd
 import pytest
 from live_programs import (
     HeldEdge,
@@ -11,8 +12,9 @@ from live_programs import (
     assert_all_recorded,
     assert_equal_to_batch,
 )
-from live_site import Background, LiveSite, needs_mosquitto, wait_for
+from live_site import SAMPLE, Background, LiveSite, needs_mosquitto, wait_for
 
+import gis_radar as gr
 from gis_radar.live import BrokerAddress, Edge, Fusion, Link, read_edge_file, read_live_site
 
 NAMES = ("R1", "R2")
@@ -40,6 +42,29 @@ def test_what_fusion_measures_equals_the_batch(site):
     assert [edge.frames for edge in edges] == [600, 598]
     assert_all_recorded(site, NAMES)
     assert_equal_to_batch(site, NAMES)
+
+
+def test_the_dataset_has_the_streets_of_the_site_file(tmp_path, once):
+    """As the page has them; the tiles need have none."""
+    roads = gr.read_map(SAMPLE / "junction.osm")
+    line = roads.lanes().set_index("lane").geometry.loc[[83]]
+    street = gpd.GeoDataFrame({"name": ["Weststraße"]}, geometry=list(line), crs=line.crs)
+    street.to_file(tmp_path / "streets.gpkg")
+    made = LiveSite(tmp_path, once, of_site='streets = "streets.gpkg"')
+    made.broker.start()
+    try:
+        middle = Background(Fusion(read_live_site(made.file)).run)
+        edge = Background(Edge(read_edge_file(made.edge("R1"))).run)
+        edge.join()
+        edge.end()
+        middle.end()
+    finally:
+        made.broker.kill()
+    of_map = roads.lanes(streets=tmp_path / "streets.gpkg")
+    lanes = gr.open_dataset(tmp_path / "live" / "dataset").lanes()
+    streets, wanted = (each.set_index("lane")["street"].dropna() for each in (lanes, of_map))
+    assert wanted[83] == "Weststraße"
+    assert streets.to_dict() == wanted.to_dict()
 
 
 class KilledError(Exception):

@@ -246,7 +246,7 @@ def publish(
 )
 @click.option(
     "--site", type=FILE, metavar="SITE.toml",
-    help="Take names and free speeds of lanes from it, in place of those before.",
+    help="Take names and free speeds of lanes from it, in place of those before; streets stay.",
 )  # fmt: skip
 @click.option(
     "--match-lanes", "new_map", metavar="NEW", type=FILE,
@@ -270,7 +270,9 @@ def dataset(
     if keep_s is not None:
         done["hours_deleted"] = len(found.keep(keep_s / DAY_S, reporter=reporter))
     if site is not None:
-        found = found.state_lanes(**gr.read_site(site).of_lanes, reporter=reporter)
+        found = found.state_lanes(
+            **gr.read_site(site).of_lanes, streets=found.lanes(), reporter=reporter
+        )
     if check:
         found.check(reporter)
     if new_map is not None and output is not None:

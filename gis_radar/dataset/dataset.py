@@ -307,7 +307,7 @@ class Dataset(DatasetFiles, SqlQueries):
 
     def state_lanes(
         self, lanes: Sequence[Mapping[str, Any]] = (), speed_kmh: float | None = None, *,
-        streets: str | Path | None = None, reporter: Reporter = QUIET,
+        streets: str | Path | pd.DataFrame | None = None, reporter: Reporter = QUIET,
     ) -> Dataset:  # fmt: skip
         """Write names and free speeds of lanes into the dataset, in place of those it has.
 
@@ -317,13 +317,14 @@ class Dataset(DatasetFiles, SqlQueries):
         ----------
         lanes, speed_kmh
             As for :meth:`with_lanes`. Lanes that the dataset has not are left out.
-        streets : str or Path, optional
-            File of tiles whose lanes have streets, from `gis-radar tiles --streets`.
+        streets : str, Path or DataFrame, optional
+            File of tiles whose lanes have streets, from `gis-radar tiles --streets`, or lanes, as
+            from :meth:`gis_radar.LaneletMap.lanes`; those of :meth:`lanes` keep their streets.
         reporter : Reporter
             Receives a warning about lanes that are left out.
         """
         of_map, stated = self._other_layer(LANES_LAYER), dict[Any, dict[str, Any]]()
-        for each in (*(streets_of(Path(streets), of_map) if streets else ()), *lanes):
+        for each in (*(() if streets is None else streets_of(streets, of_map)), *lanes):
             given = {key: value for key, value in each.items() if value is not None}
             stated.setdefault(each.get("id"), {}).update(given)
         known = set(of_map["lane"].tolist())

@@ -41,7 +41,7 @@ from gis_radar.live.intake import Intake, SensorState
 from gis_radar.live.now.map_of_now import MapOfNow, MapState, SensorReport, Windows
 from gis_radar.live.now.vehicles_now import LiveVehicles, layer_of
 from gis_radar.live.served.lane_push import LanePush
-from gis_radar.live.served.snapshot import place_of
+from gis_radar.live.served.snapshot import lanes_of_map, place_of
 from gis_radar.live.wire.broker import FUSION, Link, SensorTopics
 from gis_radar.live.wire.outbox import OFFLINE_STATUS, ONLINE_STATUS, status_message
 from gis_radar.live.wire.payload import DETECTIONS_TOPIC, POSE_TOPIC, Acknowledgement
@@ -96,7 +96,7 @@ class Fusion:
         self.tiles = read_tiles(site.live.tiles)
         road, filters = SightTiles.of(self.tiles), site.filters()
         _require_heights(site, road)
-        measured = _measured_site(site)
+        measured = _measured_site(site, self.tiles)
         scan = open_sight(road, scans=measured.scans, scan_crs=measured.scan_crs, reporter=reporter)
         folder, names = site.folder, [each.name for each in site.sensor]
         with output_errors(folder):
@@ -390,16 +390,16 @@ def _require_heights(site: LiveSite, road: SightTiles) -> None:
         )
 
 
-def _measured_site(site: LiveSite) -> MeasuredSite:
+def _measured_site(site: LiveSite, tiles: gpd.GeoDataFrame) -> MeasuredSite:
     """Return the inputs from which the hours of a site are made."""
-    scan = site.scan
+    scan, streets = site.scan, lanes_of_map(site, tiles) if site.map.streets else None
     return MeasuredSite(
         folder=site.folder, map=site.map.file, tiles=site.live.tiles,
         sensors=sorted(each.name for each in site.sensor),
         scans=scan.files if scan else (), scan_crs=scan.crs if scan else None,
         filters=site.filters(), cycles=site.cycles(), timezone=site.timezone,
         vehicles=site.live.vehicles, keep_s=site.live.keep, most_bytes=1e9 * site.live.gigabytes,
-        of_lanes={**site.of_lanes, "streets": site.live.tiles if site.map.streets else None},
+        of_lanes={**site.of_lanes, "streets": streets},
     )  # fmt: skip
 
 

@@ -44,6 +44,7 @@ _VIEWS = {name: comment for name, (_, comment) in PUBLISHED_VIEWS.items()} | {
     "turns": "Traffic from lane to lane in a quarter of an hour",
     "publication": "Dates that are published",
 }  # fmt: skip
+_MOST_AT_ONCE = 8  # sites, with a connection each: a database takes 100 by default
 _LONGEST = 63  # bytes of a name in PostgreSQL
 
 
@@ -118,7 +119,7 @@ def publish_city(
         session.prepare_schema(f"{MARK} a city of version {VERSION}")
     published, failed = dict[str, Publication](), dict[str, GisRadarError]()
     reporter.progress("publishing sites", 0, len(places))
-    with worker_pool(min(workers_here(), len(places)), watch_parent) as pool:
+    with worker_pool(min(workers_here(), len(places), _MOST_AT_ONCE), watch_parent) as pool:
         running = {
             pool.submit(
                 publish, folder, url, schema=schemas[name], reader=reader, notify=False

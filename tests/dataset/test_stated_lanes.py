@@ -4,6 +4,7 @@ import json
 import shutil
 import zipfile
 
+import numpy as np
 import pandas as pd
 import pytest
 from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
@@ -92,6 +93,15 @@ def test_nothing_is_written_where_nothing_is_stated(folder):
     assert bytes_of(folder) == before
 
 
+def test_numbers_of_a_table_are_lanes(folder):
+    dataset = gr.open_dataset(folder)
+    lanes = dataset.lanes()["lane"]
+    number = lanes[lanes == LEFT].iloc[0]
+    assert isinstance(number, np.int64)
+    dataset.state_lanes([{"id": number, "name": "Off", "speed_kmh": np.float32(30.0)}])
+    assert names_in_sql(folder)[LEFT] == "Off"
+
+
 def test_a_lane_that_the_map_has_not_is_one_warning(folder):
     by_map, heard = names_in_sql(folder), Listener()
     gr.open_dataset(folder).state_lanes([*NAMED, {"id": 77, "name": "gone"}], reporter=heard)
@@ -130,6 +140,8 @@ def test_a_file_that_was_edited_wrongly_is_named(folder, text, told):
 
 
 def test_a_site_file_names_the_lanes_of_a_dataset(run, folder, tmp_path):
+    streets = [{"id": each, "street": "Südring"} for each in (APPROACH, STRAIGHT)]
+    gr.open_dataset(folder).state_lanes([*streets, {"id": LEFT, "name": "Off"}])
     for name in ("map.osm", "R1.parquet", "R1.json"):
         (tmp_path / name).touch()
     site = tmp_path / "SITE.toml"
@@ -145,3 +157,5 @@ def test_a_site_file_names_the_lanes_of_a_dataset(run, folder, tmp_path):
     code, out, _ = run("query", folder, "SELECT name FROM lanes WHERE lane = 10", "--json")
     assert code == 0
     assert json.loads(out.splitlines()[-1])["summary"]["rows"] == [{"name": "Ring, left"}]
+    assert names_in_sql(folder)[LEFT] != "Off"
+    assert names_in_sql(folder)[STRAIGHT].startswith("Südring eastbound")  # of a layer of streets

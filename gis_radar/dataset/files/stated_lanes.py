@@ -20,7 +20,7 @@ from gis_radar.dataset.files.parts import replacing
 from gis_radar.hdmap import LANES_LAYER
 
 STATED_LANES = "lanes.json"
-_HINT = Text("run the site again")
+_HINT = Text("remove it, and name the lanes again")
 
 # What a site states of a lane: the column of the layer, and the type.
 _STATED = {
@@ -95,15 +95,21 @@ def with_stated(layer: gpd.GeoDataFrame, folder: Path) -> gpd.GeoDataFrame:
     return stated_lanes(layer, lanes, speed_kmh, path)
 
 
-def streets_of(path: Path, layer: gpd.GeoDataFrame) -> list[dict[str, Any]]:
-    """Return the streets of lanes, as they are stated, that a file of tiles has beyond a layer."""
-    with opened_package(path, what="a GeoPackage of tiles") as place:
-        if LANES_LAYER not in pyogrio.list_layers(place)[:, 0]:
-            return []
-        of_tiles = pyogrio.read_dataframe(place, layer=LANES_LAYER, read_geometry=False)
+def streets_of(
+    lanes: str | Path | pd.DataFrame, layer: gpd.GeoDataFrame
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Return the streets, as they are stated, that lanes or a file of tiles have beyond a layer."""
+    named: pd.DataFrame
+    if isinstance(lanes, pd.DataFrame):
+        named = lanes
+    else:
+        with opened_package(Path(lanes), what="a GeoPackage of tiles") as place:
+            if LANES_LAYER not in pyogrio.list_layers(place)[:, 0]:
+                return []
+            named = pyogrio.read_dataframe(place, layer=LANES_LAYER, read_geometry=False)
     before, after = (
         pd.DataFrame(each).reindex(columns=_STREETS).astype(object).fillna("").to_numpy().tolist()
-        for each in (layer, of_tiles)
+        for each in (layer, named)
     )
     return [
         {"id": lane, "street": street, "street_part": part or None}
@@ -115,7 +121,7 @@ def write_stated(folder: Path, lanes: Sequence[Mapping[str, Any]], speed_kmh: fl
     """Write what a site states of its lanes, unless that is stated already."""
     path = folder / STATED_LANES
     document = {"lanes": sorted(lanes, key=lambda each: each["id"]), "speed_kmh": speed_kmh}
-    content = (json_text(document, indent=1) + "\n").encode()
+    content = (json_text(document, indent=1, default=np.generic.item) + "\n").encode()
     before = path.read_bytes() if path.is_file() else b""
     if content != before and (lanes or speed_kmh is not None or before):
         with replacing(path) as fresh:

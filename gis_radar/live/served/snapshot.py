@@ -329,6 +329,12 @@ class ShownMap:
         )
 
 
+def lanes_of_map(site: LiveSite, tiles: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return the lanes of a site's map, with the streets that its file names."""
+    roads = read_map(site.map.file, crs=tiles.crs, origin=site.map.origin)
+    return roads.lanes(streets=site.map.streets, street_field=site.map.street_field)
+
+
 def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:
     """Return the constant part of a site's live map.
 
@@ -338,8 +344,7 @@ def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:
         If the map cannot be read, is not that of the tiles, or has no lane that the site's file
         names.
     """
-    roads = read_map(site.map.file, crs=tiles.crs, origin=site.map.origin)
-    layer = roads.lanes(streets=site.map.streets, street_field=site.map.street_field)
+    layer = lanes_of_map(site, tiles)
     place = Place(
         title=site.title, zone=zone_of(site.timezone), tiles=tiles,
         lanes=stated_lanes(layer, **site.of_lanes, source=site.path),
