@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from gis_radar.base import CLOCK_SET_S, Floats, Integers, Text, iso_from_step, step_of
 
 _FIRST_RADARS_S = 1_577_836_800.0  # 2020-01-01: no radar that measures elevation was sold before
-_WRITTEN_LATE_S = 3.0  # file systems keep times to two seconds
+# Later than the file by these: file systems keep times to two seconds, and archives may give all
+# files one time, years ago.
+_LEAST_LATE_S, _MOST_LATE_S = 3.0, 86_400.0
 _GPS_S = 315_964_782  # from times of GPS to UNIX time, with 18 leap seconds
 
 
@@ -98,10 +100,10 @@ def _impossible_times(sensor: str, begin: float, end: float, path: Path) -> Iter
             "year than 1970? To those of GPS add {:,} s",
             path.name, iso_from_step(int(step_of(np.array(begin)))), _GPS_S,
         )  # fmt: skip
-    written = path.stat().st_mtime
-    if written >= CLOCK_SET_S and end - written > _WRITTEN_LATE_S:  # some archives keep no times
+    late_s = end - path.stat().st_mtime
+    if _LEAST_LATE_S < late_s < _MOST_LATE_S:
         yield Text(
             "{}: its last frame is {:,.0f} s later than the file was written: is the clock of {} "
             "ahead (GPS is by 18 s), or are its times local ones?",
-            path.name, end - written, sensor,
+            path.name, late_s, sensor,
         )  # fmt: skip
