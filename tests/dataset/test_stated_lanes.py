@@ -159,3 +159,13 @@ def test_a_site_file_names_the_lanes_of_a_dataset(run, folder, tmp_path):
     assert json.loads(out.splitlines()[-1])["summary"]["rows"] == [{"name": "Ring, left"}]
     assert names_in_sql(folder)[LEFT] != "Off"
     assert names_in_sql(folder)[STRAIGHT].startswith("Südring eastbound")  # of a layer of streets
+
+
+@pytest.mark.parametrize(
+    "stated", [{"speed_kmh": -5.0}, {"lanes": [{"id": APPROACH, "speed_kmh": 0.0}]}]
+)
+def test_a_speed_that_nobody_drives_is_refused(folder, stated):
+    before = bytes_of(folder)
+    with pytest.raises(InputError, match=r"speed_kmh is .*, expected more than 0"):
+        gr.open_dataset(folder).state_lanes(**stated)
+    assert bytes_of(folder) == before

@@ -49,7 +49,7 @@ def stated_lanes(
     Raises
     ------
     InputError
-        If a lane is none of the layer's, or something else is stated of it.
+        If a lane is none of the layer's, something else is stated of it, or a speed is not above 0.
     """
     for each in lanes:
         if other := sorted(set(each) - set(_STATED)):
@@ -59,6 +59,9 @@ def stated_lanes(
         for key, (_, kind) in _STATED.items():
             require_kind(Text("{}: {}", source, key), each.get(key), kind, InputError)
     require_kind(Text("{}: {}", source, "speed_kmh"), speed_kmh, "float | None", InputError)
+    for speed in (speed_kmh, *(each.get("speed_kmh") for each in lanes)):
+        if speed is not None and not speed > 0.0:
+            raise InputError("{}: speed_kmh is {}, expected more than 0", source, speed)
     stated = {int(each["id"]): each for each in lanes}
     if unknown := sorted(set(stated) - set(layer["lane"].tolist())):
         raise InputError(
