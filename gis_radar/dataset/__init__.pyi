@@ -8,6 +8,7 @@ from .days.tables import STEPS_PER_QUARTER as STEPS_PER_QUARTER
 from .days.tile_counts import TileCounts as TileCounts
 from .days.tile_counts import count_spans as count_spans
 from .days.tile_counts import run_variance as run_variance
+from .files import STATED_LANES as STATED_LANES
 from .files.manifest import Manifest as Manifest
 from .files.manifest import create_dataset as create_dataset
 from .files.manifest import require_same_settings as require_same_settings
@@ -34,7 +35,6 @@ from .files.sites import warn_of_copies as warn_of_copies
 from .files.source import Moment as Moment
 from .files.source import NotMeasuredError as NotMeasuredError
 from .files.source import NoVehiclesError as NoVehiclesError
-from .files.stated_lanes import STATED_LANES as STATED_LANES
 from .files.stated_lanes import stated_lanes as stated_lanes
 from .files.tables import FRAMES as FRAMES
 from .files.tables import PASSAGES as PASSAGES

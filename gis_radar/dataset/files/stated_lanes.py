@@ -16,10 +16,10 @@ import pandas as pd
 import pyogrio
 
 from gis_radar.base import InputError, Text, json_text, opened_package, read_json, require_kind
+from gis_radar.dataset.files import STATED_LANES
 from gis_radar.dataset.files.parts import replacing
 from gis_radar.hdmap import LANES_LAYER
 
-STATED_LANES = "lanes.json"
 _HINT = Text("remove it, and name the lanes again")
 
 # What a site states of a lane: the column of the layer, and the type.
