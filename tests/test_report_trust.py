@@ -84,6 +84,9 @@ def test_a_sensor_that_is_left_out_is_named_once_in_the_time_of_the_site(tmp_pat
     assert "15:06:50Z" not in text
     assert "1 sensor of this map fits." in text
     assert "All sensors" not in text
+    document["sensors_in_heat_maps"] = ["R1", "R2"]  # with what was measured before
+    (made / "run.json").write_text(json.dumps(document))
+    assert "R2 is left out" in trust(made, "en", tmp_path)[1]
 
 
 def test_in_german(folder, tmp_path, blank_paper):

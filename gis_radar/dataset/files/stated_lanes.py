@@ -114,9 +114,10 @@ def streets_of(
         pd.DataFrame(each).reindex(columns=_STREETS).astype(object).fillna("").to_numpy().tolist()
         for each in (layer, named)
     )
+    known = {*map(tuple, before)}
     return [
         {"id": lane, "street": street, "street_part": part or None}
-        for lane, street, part in after if street and [lane, street, part] not in before
+        for lane, street, part in after if street and (lane, street, part) not in known
     ]  # fmt: skip
 
 

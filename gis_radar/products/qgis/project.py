@@ -49,8 +49,9 @@ from gis_radar.products.qgis.project_xml import LayerSource, ProjectContent, Tim
 from gis_radar.scans import SIGHT_LAYER, SightTiles, write_sights
 
 _MAP_MARGIN = 0.05
-_LEAST_RECORDED = 0.05  # share of the first interval that is played
 """Margin around the observed tiles, as a share of their extent."""
+_LEAST_RECORDED = 0.05
+"""Share of the first interval that is played for which it was recorded."""
 
 
 def write_qgis_project(

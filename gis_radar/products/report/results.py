@@ -127,11 +127,14 @@ class Results:
         That a sensor is left out is no further one: `lost` has it.
         """
         raised: dict[str, list[str]] = {}
+        lost = self.lost
         for each in self.stages:
             stage = tr(str(each["name"]))
             texts = raised.setdefault(stage, [])
-            given = each.get("warnings") or []
-            texts += [tr(t) for t in given if getattr(t, "template", "") != _SENSOR_LEFT_OUT]
+            for text in each.get("warnings") or []:
+                is_left_out = getattr(text, "template", "") == _SENSOR_LEFT_OUT
+                if not (is_left_out and text.values[0] in lost):
+                    texts.append(tr(text))
         return warnings_once(raised)
 
     @property
