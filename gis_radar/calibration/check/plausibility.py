@@ -51,8 +51,8 @@ _MOVED = Text(
 )
 _POSE_OFF = "its pose is off"  # begin of such a cause
 _SIDES = "until {}: {}", "from {} on: {}"  # of a moment
-# Ends of causes from a moment on that do not move static surroundings, and are the only ones named.
-_RATE_CAUSES = f": {AGAINST.text}", f": {ABSOLUTE.text}"
+# Causes from a moment on that do not move static surroundings, and are the only ones named.
+_RATE_CAUSES = AGAINST.text, ABSOLUTE.text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,8 +256,8 @@ def _sensor_replaced(
     change = excerpt.scene_change
     if change is None or change.time is None:
         return None
-    for fault in _faults_of_sides(excerpt, change.time, lanes, others):
-        if not fault.cause.endswith(UNKNOWN_CAUSE):
+    for cause, fault in _faults_of_sides(excerpt, change.time, lanes, others):
+        if cause != UNKNOWN_CAUSE:
             return fault
     evidence = Text(
         "across that moment {:.0%} of what stands around it stays where it was, "
@@ -290,16 +290,21 @@ def _fault_from_moment(
     if min(each.vehicles for each in excerpt.split_at(when)) < _LEAST_SIDE:
         return None  # most vehicles are there from one moment on, as in a queue
     faults = _faults_of_sides(excerpt, when, lanes, others)
-    if len(faults) != 1 or (gain < _CHANGED and faults[0].cause.endswith(UNKNOWN_CAUSE)):
+    if len(faults) != 1:
         return None
+    [(cause, fault)] = faults
     same_scene = excerpt.scene_change is not None  # compared without a change: same place and axes
-    return None if same_scene and not faults[0].cause.endswith(_RATE_CAUSES) else faults[0]
+    unlikely = gain < _CHANGED and cause == UNKNOWN_CAUSE
+    return None if unlikely or (same_scene and cause not in _RATE_CAUSES) else fault
 
 
 def _faults_of_sides(
     excerpt: Excerpt, when: float, lanes: LaneMap, others: Mapping[str, Pose]
-) -> list[Finding]:
-    """Return what is wrong until a moment and from it on, where there is traffic enough to tell."""
+) -> list[tuple[str, Finding]]:
+    """Return what is wrong until a moment and from it on, where there is traffic enough to tell.
+
+    Each is a cause, and the finding that states it with the time.
+    """
     faults = []
     for side, template in zip(excerpt.split_at(when), _SIDES, strict=True):
         if side.vehicles >= _LEAST_SIDE:
@@ -308,7 +313,7 @@ def _faults_of_sides(
                 cause, advice = Text(template, iso(when), found.cause), found.advice
                 if found.cause.startswith(_POSE_OFF):
                     advice = Text("{}; {}", advice, _MOVED)
-                faults.append(replace(found, cause=cause, advice=advice))
+                faults.append((found.cause, replace(found, cause=cause, advice=advice)))
     return faults
 
 
