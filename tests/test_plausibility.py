@@ -471,3 +471,29 @@ def test_a_pitch_that_the_traffic_does_not_show_is_not_said_to_fit(tmp_path, min
 def test_a_pose_that_is_tilted_is_said_to_be(there, named):
     pose = replace(gr.read_pose(gr.sample_folder() / "R1.json"), yaw=0.0, pitch=3.0, roll=0.0)
     assert named in other_pose(pose, replace(pose, **there)).causes[0].text
+
+
+def test_a_sensor_that_was_knocked_keeps_its_earlier_recordings(
+    run, tmp_path, rows, in_this_process, blank_paper
+):
+    turn = np.radians(20.0)
+    later = rows["R1"].assign(
+        time=rows["R1"]["time"] + 3600.0,
+        x=np.cos(turn) * rows["R1"]["x"] - np.sin(turn) * rows["R1"]["y"],
+        y=np.sin(turn) * rows["R1"]["x"] + np.cos(turn) * rows["R1"]["y"],
+    )
+    rows["R1"].to_parquet(tmp_path / "A.parquet", index=False)
+    later.astype(rows["R1"].dtypes).to_parquet(tmp_path / "B.parquet", index=False)
+    (tmp_path / "SITE.toml").write_text(
+        f'title = "A"\ntimezone = "UTC"\n[map]\nfile = "{MAP}"\ncrs = "EPSG:25832"\n'
+        '[vehicles]\nfollow = false\n[[sensor]]\nname = "R1"\n'
+        f'recordings = ["A.parquet", "B.parquet"]\npose = "{SAMPLE}/R1.json"\n'
+    )
+    with no_report():
+        code, out, err = run("run", tmp_path / "SITE.toml", "-o", tmp_path / "out")
+    assert code == 4
+    assert "R1 is left out but for its earlier recordings: does not fit: from" in out + err
+    assert "of R1 only a part is in the heat maps; R1: does not fit: from" in err
+    dataset = gr.open_dataset(tmp_path / "out" / "dataset")
+    assert dataset.sensors == ["R1"]
+    assert dataset.recordings()["path"].tolist() == [str(tmp_path / "A.parquet")]

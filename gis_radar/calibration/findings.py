@@ -71,6 +71,8 @@ class Finding:
         What is probably wrong and what to do; empty where nothing is.
     since, until : str
         First and last frame of the recordings on which it rests, ISO 8601; empty where not stated.
+    moment : str
+        From when on the cause acts, ISO 8601; empty where it acts all the time.
     """
 
     sensor: str
@@ -80,6 +82,7 @@ class Finding:
     advice: str = ""
     since: str = ""
     until: str = ""
+    moment: str = ""
 
     @property
     def record(self) -> dict[str, str]:

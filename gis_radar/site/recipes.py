@@ -6,6 +6,7 @@ recipe uses them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,11 @@ from gis_radar.base import (
     Text,
     name_of,
     require_same,
+    seconds_from_iso,
     workers_here,
 )
 from gis_radar.poses import PoseTrack
+from gis_radar.recordings import open_recording
 
 
 def split_map(
@@ -81,7 +84,8 @@ def measure_site(
 ) -> tuple[dataset.Dataset, dict[str, GisRadarError]]:  # fmt: skip
     """Measure the recordings of several sensors, by name, without sensors that are refused.
 
-    It returns the dataset, and the error of each sensor that was left out. Options are those of
+    One that is refused from a moment on, as after a knock, keeps its recordings before it. It
+    returns the dataset, and the error of each sensor that was left out. Options are those of
     :func:`measure_recordings`.
     """
     remaining, refused = dict(sensors), dict[str, GisRadarError]()
@@ -95,16 +99,21 @@ def measure_site(
             )  # fmt: skip
         except calibration.ImplausibleError as error:
             findings = error.findings
-            if len(findings) == len(remaining):
+            earlier = {e.sensor: _before(e.moment, remaining[e.sensor][0]) for e in findings}
+            if len(findings) == len(remaining) and not any(earlier.values()):
                 clock_only = next((each for each in findings if each.is_of_clocks), None)
                 if clock_only is None:
                     raise
                 # without other sensors, the offset of a clock does not matter: leave one in
                 findings = tuple(each for each in findings if each is not clock_only)
             for each in findings:
-                reporter.warn("{} is left out: {}", each.sensor, each.text_with_advice)
+                template = "{} is left out: {}"
+                _, track = remaining.pop(each.sensor)
+                if earlier[each.sensor]:
+                    template = "{} is left out but for its earlier recordings: {}"
+                    remaining[each.sensor] = earlier[each.sensor], track
+                reporter.warn(template, each.sensor, each.text_with_advice)
                 refused[each.sensor] = each.refusal
-                del remaining[each.sensor]
         except InputError as error:
             failed = [n for n, (paths, _) in remaining.items() if files_of(error, paths)]
             if not failed or len(remaining) == 1:
@@ -114,6 +123,14 @@ def measure_site(
             del remaining[failed[0]]
         else:
             return measured, refused
+
+
+def _before(moment: str, paths: Sequence[Path]) -> list[Path]:
+    """Return the recordings without frames from a moment on; none where it is empty."""
+    if not moment:
+        return []
+    begin = seconds_from_iso(moment, what="moment")
+    return [p for p in paths if not any(open_recording(p).read_between(begin, math.inf))]
 
 
 def files_of(error: GisRadarError, paths: Sequence[Path]) -> list[Path]:

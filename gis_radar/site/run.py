@@ -89,19 +89,24 @@ class SiteRun:
         missing = self.missing
         if not missing:
             return None
-        shown = [each.name for each in self.site.sensor if each.name not in missing]
+        shown = sensors_in(self.outcomes)
+        in_part = sorted(missing.keys() & {*shown})
+        lost, others = sorted(missing.keys() - {*shown}), [n for n in shown if n not in missing]
         bad = [name for name, error in missing.items() if not isinstance(error, NoAnswerError)]
         first = (bad or list(missing))[0]
-        rest = Text("there is no heat map")
-        if shown:
-            rest = Text("the heat maps show {} only", ", ".join(shown))
+        said = [Text("no result for {}", ", ".join(lost))] if lost else []
+        if in_part:
+            said.append(Text("of {} only a part is in the heat maps", ", ".join(in_part)))
+        elif others:
+            said.append(Text("the heat maps show {} only", ", ".join(others)))
+        else:
+            said.append(Text("there is no heat map"))
         kind = InputError if bad else NoAnswerError
-        lost = ", ".join(sorted(missing))
         named = {name: _with_sensor_name(name, error) for name, error in missing.items()}
-        parts = [kind("no result for {}; {}", lost, rest), *named.values()]
+        whole = Text("; ").join(said)
         return kind(
-            "no result for {}; {}; {}", lost, rest, named[first].message, hint=named[first].hint,
-            parts=parts if len(named) > 1 else (),
+            "{}; {}", whole, named[first].message, hint=named[first].hint,
+            parts=[kind("{}", whole), *named.values()] if len(named) > 1 else (),
         )  # fmt: skip
 
     def figures(self) -> Mapping[str, Any]:

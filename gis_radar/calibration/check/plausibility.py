@@ -272,7 +272,7 @@ def _sensor_replaced(
         "moved, and its CSV goes wherever a pose goes",
         "gis-radar track",
     )
-    return wrong(evidence, Cause(cause, advice))
+    return replace(wrong(evidence, Cause(cause, advice)), moment=iso(change.time))
 
 
 def _fault_from_moment(
@@ -306,14 +306,16 @@ def _faults_of_sides(
     Each is a cause, and the finding that states it with the time.
     """
     faults = []
-    for side, template in zip(excerpt.split_at(when), _SIDES, strict=True):
+    sides = zip(excerpt.split_at(when), _SIDES, ("", iso(when)), strict=True)
+    for side, template, moment in sides:
         if side.vehicles >= _LEAST_SIDE:
             found = compare_explanations(side, lanes, others)
             if found.verdict == WRONG:
                 cause, advice = Text(template, iso(when), found.cause), found.advice
                 if found.cause.startswith(_POSE_OFF):
                     advice = Text("{}; {}", advice, _MOVED)
-                faults.append((found.cause, replace(found, cause=cause, advice=advice)))
+                dated = replace(found, cause=cause, advice=advice, moment=moment)
+                faults.append((found.cause, dated))
     return faults
 
 
