@@ -195,6 +195,8 @@ def profile(
     *, folder: Path, output: Path | None, csv_locale: str, reporter: Reporter, **options: Any
 ) -> Result:
     """Return the usual traffic of streets by hour of the day, day of the week, or month."""
+    if output is not None and output.suffix.lower() != ".csv":
+        raise UsageError("{}: a profile is written as .csv", output)
     found = _dataset_or_city(folder, reporter).profile(**options)
     summary, names = {"total": len(found)}, list(map(str, found))
     if output is not None:

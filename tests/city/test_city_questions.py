@@ -111,6 +111,11 @@ def test_the_command_line_asks_a_city(city, tmp_path, run):
     assert run("query", city.root)[0] == 2
 
 
+def test_a_profile_is_no_workbook(city, tmp_path, run):
+    code, _, text = run("profile", city.root, "-o", tmp_path / "profile.xlsx")
+    assert (code, "written as .csv" in text, [*tmp_path.iterdir()]) == (2, True, [])
+
+
 def test_the_map_of_a_month_holds_the_tiles_of_all_sites(city):
     found = city.map("2026-11")
     assert found["site"].value_counts().to_dict() == {"east": 60, "west": 60}

@@ -42,6 +42,7 @@ from gis_radar.products.report.traffic import (
     TOO_LITTLE,
     ReportedTraffic,
     lanes_counted,
+    lanes_with_stop_lines,
     volume_text,
 )
 from gis_radar.scans import VIEW_ONLY
@@ -155,7 +156,13 @@ def _busiest(data: ReportData, traffic: ReportedTraffic, counted: pd.DataFrame) 
     row = traffic.by_lane[traffic.by_lane["lane"] == top["lane"]]
     if far_lanes(row, traffic.network, traffic.dataset.poses()):
         lane = tr("{lane}; over {far} m from every sensor", lane=lane, far=int(FAR_M))
-    return Fact(tr("Busiest lane"), volume, lane)
+    among = plural(len(sure), "{n} lane with a sure volume", "{n} lanes with a sure volume")
+    if top["lane"] in lanes_with_stop_lines(traffic):  # then only such lanes are counted
+        among = plural(
+            len(sure), "{n} lane with a sure volume at its stop line",
+            "{n} lanes with a sure volume at their stop lines",
+        )  # fmt: skip
+    return Fact(tr("Busiest lane"), volume, tr("{lane}; first of {lanes}", lane=lane, lanes=among))
 
 
 def _highest(data: ReportData) -> Fact:

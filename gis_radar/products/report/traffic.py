@@ -173,7 +173,8 @@ def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, paths: bool) -> 
     return chapters
 
 
-def _lanes_with_stop_lines(traffic: ReportedTraffic) -> set[int]:
+def lanes_with_stop_lines(traffic: ReportedTraffic) -> set[int]:
+    """Return the lanes whose stop line the map draws."""
     return set(traffic.network.lane[traffic.network.has_stop_line].tolist())
 
 
@@ -185,7 +186,7 @@ def _lanes_by_name(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
     network = traffic.network
     inside = set(network.lane[network.connector].tolist())
     rows = traffic.by_lane[~traffic.by_lane["lane"].isin(inside)]
-    later = ~rows["lane"].isin(_lanes_with_stop_lines(traffic))
+    later = ~rows["lane"].isin(lanes_with_stop_lines(traffic))
     rows = rows.assign(later=later, order=rows["name"].map(by_number), hours=traffic.hours)
     return rows.sort_values(["later", "order"], ignore_index=True)
 
@@ -194,7 +195,7 @@ def lanes_counted(traffic: ReportedTraffic) -> pd.DataFrame:
     """Return lanes with a volume: those with stop lines, or all where none of them has one."""
     rows = _lanes_by_name(traffic)
     rows = rows[rows["volume"].notna()]
-    before = rows["lane"].isin(_lanes_with_stop_lines(traffic))
+    before = rows["lane"].isin(lanes_with_stop_lines(traffic))
     return pd.DataFrame(rows[before] if before.any() else rows)
 
 
