@@ -83,6 +83,12 @@ def test_too_few_arguments_are_told_by_python():
         gr.measure()
 
 
+@pytest.mark.parametrize("of", [gr.Dataset, gr.City])
+def test_a_query_is_a_text(of):
+    with pytest.raises(gr.UsageError, match="query: sql is 3, expected a text"):
+        of.query(None, 3)
+
+
 @pytest.mark.parametrize(
     ("annotation", "good", "bad"),
     [

@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from gis_radar.base import FORMULA, QUIET, Reporter, UsageError, atomic_write
+from gis_radar.base import FORMULA, QUIET, Reporter, UsageError, atomic_write, checked_methods
 from gis_radar.dataset.files.source import DatasetFiles
 
 # Columns of map ids, which reach 9e18; JSON readers hold integers up to 9e15 exactly, so that all
@@ -178,6 +178,7 @@ def write_answer(schema: pa.Schema, batches: Iterable[pa.RecordBatch], path: Pat
 _TIMEOUT_S, _MEMORY = 60.0, "2GB"  # default limits of a query
 
 
+@checked_methods
 class SqlQueries:
     """Methods that answer SQL queries over one dataset or several."""
 
