@@ -3,7 +3,9 @@
 import itertools
 import json
 import re
+import sys
 import time
+import tomllib
 from pathlib import Path
 
 import matplotlib as mpl
@@ -125,3 +127,14 @@ def test_a_notebook_is_stripped_and_needs_the_public_interface_only(path):
         r"^(?:from|import) (gis_radar[.\w]*)", "\n".join(code_of(path)), re.MULTILINE
     )
     assert set(imported) == {"gis_radar"}
+
+
+def test_the_extra_of_the_notebooks_brings_what_they_import():
+    """Beside SUMO, which two of them name, and the checkout."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = [*settings["dependencies"], *settings["optional-dependencies"]["notebooks"]]
+    brought = {re.match(r"[\w-]+", each)[0] for each in wanted}
+    text = "\n".join(code for path in NOTEBOOKS for code in code_of(path))
+    imported = set(re.findall(r"^(?:from|import) (\w+)", text, re.MULTILINE))
+    assert imported - sys.stdlib_module_names - {"gis_radar", "simulation"} <= brought
+    assert [*re.findall(r"pip install (duckdb-cli)", text)] == [*brought & {"duckdb-cli"}]
