@@ -287,8 +287,8 @@ def as_title(name: str) -> str:
 
 def readable(value: Any) -> str:
     """Return a figure as a person would write it."""
-    if value == {}:
-        return tr("none")
+    if value is None or value == {}:
+        return tr("not known" if value is None else "none")
     if isinstance(value, dict):
         return ", ".join(f"{as_title(k)} {readable(v)}" for k, v in value.items())
     if isinstance(value, bool):

@@ -11,6 +11,8 @@ from helpers import Feedback, leftovers, one_sentence, run_algorithm
 from osgeo import ogr
 from qgis.core import (
     QgsCoordinateReferenceSystem,
+    QgsExpressionContext,
+    QgsExpressionContextUtils,
     QgsFeature,
     QgsGeometry,
     QgsLayoutItemLabel,
@@ -18,11 +20,14 @@ from qgis.core import (
     QgsLayoutItemMap,
     QgsLayoutItemPicture,
     QgsLayoutItemScaleBar,
+    QgsMapRendererSequentialJob,
+    QgsMapSettings,
     QgsPointXY,
     QgsProject,
+    QgsRectangle,
     QgsVectorLayer,
 )
-from qgis.PyQt.QtCore import QDateTime, Qt
+from qgis.PyQt.QtCore import QDateTime, QSize, Qt
 from qgis.PyQt.QtGui import QImage
 
 
@@ -404,3 +409,31 @@ def test_a_sheet_of_a_moment_names_its_milliseconds(qgis_app, tmp_path, end, tex
     del layer, package
     recorded = recorded_in(tmp_path / "heatmap.gpkg")
     assert local_time(*recorded, timezone("UTC")).endswith(text)
+
+
+def test_a_frame_that_begins_beyond_the_overview_has_its_name(qgis_app, tmp_path):
+    """Frames reach over the overview's edge, as their corners with the names do."""
+    from gis_radar_plugin.report.export import write_pages
+    from gis_radar_plugin.report.pages import Page, Place, timezone
+
+    time, crs = QDateTime.currentDateTimeUtc(), QgsCoordinateReferenceSystem("EPSG:25832")
+    frames = {"all": (0, 0, 100, 100), "in": (40, 40, 60, 60), "out": (-20, 70, 20, 120)}
+    pages = [
+        Page(Place(name, QgsGeometry.fromRect(QgsRectangle(*box))), time, time, whole=True)
+        for name, box in frames.items()
+    ]
+    layer = write_pages(tmp_path / "pages.gpkg", pages, {True: ""}, crs, timezone("UTC"))
+    settings = QgsMapSettings()
+    settings.setLayers([layer])
+    settings.setDestinationCrs(crs)
+    settings.setOutputSize(QSize(600, 600))
+    settings.setExtent(QgsRectangle(*frames["all"]))
+    context = QgsExpressionContext()
+    context.appendScope(QgsExpressionContextUtils.mapSettingsScope(settings))
+    context.lastScope().setVariable("atlas_feature", next(layer.getFeatures()))
+    settings.setExpressionContext(context)
+    job = QgsMapRendererSequentialJob(settings)
+    job.start()
+    job.waitForFinished()
+    names = {label.labelText for label in job.takeLabelingResults().allLabels()}
+    assert names == {"in", "out"}

@@ -405,3 +405,4 @@ def test_the_log_of_a_run_shows_no_hits_beside_occupancy(provider):
         "sigma yaw: 0.5", "observable: no",
     ]  # fmt: skip
     assert summary_lines({"all_stop_lines": {}}) == ["all stop lines: none"]
+    assert summary_lines({"vehicles_at_stop_lines": None}) == ["vehicles at stop lines: not known"]

@@ -119,7 +119,7 @@ def write_pages(
 
 
 def _mark_others(layer: QgsVectorLayer) -> None:
-    """Draw the frames of the places of other pages, with their names in the upper left corner."""
+    """Draw the frames of the places of other pages, with their names at the upper left in sight."""
     root = QgsRuleBasedRenderer.Rule(None)
     frames = QgsRuleBasedRenderer.Rule(QgsFillSymbol.createSimple(_FRAME))
     frames.setFilterExpression(_IS_OTHER)
@@ -128,7 +128,8 @@ def _mark_others(layer: QgsVectorLayer) -> None:
     names = QgsPalLayerSettings()
     names.isExpression, names.fieldName = True, f'if({_IS_OTHER}, "place", NULL)'
     names.geometryGeneratorEnabled = True
-    names.geometryGenerator = "make_point(x_min($geometry), y_max($geometry))"
+    seen = "coalesce(intersection($geometry, @map_extent), $geometry)"
+    names.geometryGenerator = f"make_point(x_min({seen}), y_max({seen}))"
     names.geometryGeneratorType = Qgis.GeometryType.Point
     names.placement = Qgis.LabelPlacement.OverPoint
     names.quadOffset = Qgis.LabelQuadrantPosition.BelowRight
