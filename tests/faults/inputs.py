@@ -69,7 +69,7 @@ KINDS = [
     Kind(path=part_of("frames"), words="quality dataset -o out.csv"),
     Kind(path=part_of("tracks"), words="footprints dataset -o out.gpkg"),
     Kind(path=part_of("vehicles"), words="traffic dataset --interval 1min -o out"),
-    Kind(path="heatmap/heatmap.gpkg", words="report heatmap -o out"),
+    Kind(path="heatmap/heatmap.gpkg", words="report heatmap --dataset dataset -o out"),
     Kind(path="heatmap/heatmap.gpkg", words="qgis heatmap -o out.qgz"),
     Kind(path="SITE.toml", words="check {}"),
     *(Kind(path=each, words="convert {} -o out.parquet")
