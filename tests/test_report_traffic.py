@@ -340,3 +340,25 @@ def test_lanes_have_the_names_of_the_site_file(folder, tmp_path, without_pdf):
     known = free["delay_s"] > 0  # 60 m at 36 km/h took 6 s, at 72 km/h 3
     assert known.any()
     assert (rows["delay_s"] - free["delay_s"])[known].tolist() == pytest.approx([3.0] * known.sum())
+
+
+def test_slow_lanes_without_a_queue_are_listed(tmp_path, monkeypatch, without_pdf):
+    known = gr.Dataset.traffic
+
+    def jammed(self, *args, **options):
+        rows = known(self, *args, **options)
+        there = rows["lane"] == APPROACH
+        rows.loc[there, "queue_max_m"] = np.nan
+        slow = {"speed_kmh": 12.0, "occupancy": 0.4, "occupancy_se": 0.05}
+        rows.loc[there, [*slow]] = [*slow.values()]
+        return rows
+
+    monkeypatch.setattr(gr.Dataset, "traffic", jammed)
+    page = Page(
+        (reported(tmp_path, cars(), ("en",)) / "en" / "report.html").read_text(encoding="utf-8")
+    )
+    (slow,) = table_of(page, ["Lane", "No. on the plan", "Mean speed km/h"])
+    assert slow["No. on the plan"] == str(APPROACH)
+    assert slow["Mean speed km/h"] == "12"
+    assert slow["Occupancy %"].replace("\u202f", " ") == "40 \N{PLUS-MINUS SIGN} 5"
+    assert float(slow["Free speed km/h"]) > 24.0

@@ -28,6 +28,8 @@ from gis_radar.base import (
 from gis_radar.poses import PoseTrack
 from gis_radar.recordings import open_recording
 
+_MOMENT_S = 60.0  # error of the moment from which on a sensor does not fit
+
 
 def split_map(
     map_file: Path, output: Path, *, road: Path | None = None, reporter: Reporter,
@@ -126,11 +128,18 @@ def measure_site(
 
 
 def _before(moment: str, paths: Sequence[Path]) -> list[Path]:
-    """Return the recordings without frames from a moment on; none where it is empty."""
+    """Return the recordings from before a moment; none where it is empty, or all would be.
+
+    The moment is that of a vehicle, so a recording may go on for a little time after it.
+    """
     if not moment:
         return []
     begin = seconds_from_iso(moment, what="moment")
-    return [p for p in paths if not any(open_recording(p).read_between(begin, math.inf))]
+    for late in (begin + _MOMENT_S, begin):
+        earlier = [p for p in paths if not any(open_recording(p).read_between(late, math.inf))]
+        if len(earlier) < len(paths):
+            return earlier
+    return []
 
 
 def files_of(error: GisRadarError, paths: Sequence[Path]) -> list[Path]:

@@ -29,7 +29,14 @@ from gis_radar.measures import Runs
 from gis_radar.products import report_files as names
 from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.quality.quality import GOOD, Quality
-from gis_radar.products.report.content import Column, Fact, Table, text_columns, text_rows
+from gis_radar.products.report.content import (
+    TOO_LITTLE,
+    Column,
+    Fact,
+    Table,
+    text_columns,
+    text_rows,
+)
 from gis_radar.products.report.lanes import (
     FAR_M,
     LEAST_SEEN,
@@ -39,7 +46,6 @@ from gis_radar.products.report.lanes import (
 )
 from gis_radar.products.report.results import NOT_KNOWN, Results
 from gis_radar.products.report.traffic import (
-    TOO_LITTLE,
     ReportedTraffic,
     lanes_counted,
     lanes_with_stop_lines,

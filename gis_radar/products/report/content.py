@@ -13,6 +13,7 @@ import pandas as pd
 from gis_radar.base import figure_text, listed, percent, plus_minus, tr
 
 LANES_CHAPTER = "lanes"  # the chapter with the plan
+NOT_SEEN, TOO_LITTLE = "not seen", "too little seen"  # in place of a volume
 QUEUES = "queues"  # the chapter whose figures may show trajectories of single vehicles
 _HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 _LOOKS = {
@@ -142,6 +143,11 @@ class Table:
 def text_columns(*titles: str) -> list[Column]:
     """Return columns of texts."""
     return [Column(title, "", str, False) for title in titles]
+
+
+def number_column(text: Callable[[Any], str]) -> Column:
+    """Return the column of the numbers of lanes, which leads to the plan that shows them."""
+    return Column(tr("No."), tr("on the plan"), text, chapter=LANES_CHAPTER)
 
 
 def text_rows(items: Iterable[Any], columns: Sequence[Column]) -> list[list[str]]:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import geopandas as gpd
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure as MplFigure
-from PIL import Image, ImageChops
 
 from gis_radar.base import (
-    FONTS,
     NO_FIGURE,
     STEPS_PER_SECOND,
     THIN_SPACE,
@@ -32,20 +28,21 @@ from gis_radar.base import (
     with_error,
 )
 from gis_radar.dataset import Dataset, LaneTraffic, suited_interval
-from gis_radar.measures import JOINED_M, LEAST_VISIBLE_SHARE, TURN_WORDS, LaneNetwork
+from gis_radar.measures import JOINED_M, LEAST_VISIBLE_SHARE, LaneNetwork
 from gis_radar.products import report_files as names
 from gis_radar.products.heatmap.heatmap import HeatMap
-from gis_radar.products.heatmap.picture import NARROW_IN, for_a_phone, image_of_figure, png
 from gis_radar.products.report.chart import chart_over
 from gis_radar.products.report.content import (
-    LANES_CHAPTER,
+    NOT_SEEN,
     QUEUES,
     REPORT_WORDS,
+    TOO_LITTLE,
     Chapter,
     Chart,
     Column,
     Figure,
     Table,
+    number_column,
     text_rows,
 )
 from gis_radar.products.report.courses import (
@@ -58,18 +55,19 @@ from gis_radar.products.report.courses import (
     presumed_note,
 )
 from gis_radar.products.report.lanes import FAR_M, far_lanes
+from gis_radar.products.report.turns import turn_table, turning_diagram
 from gis_radar.products.traffic import service_levels
-from gis_radar.products.traffic_picture import draw_turning_diagram
 
 _STRIPS, _MOST_CHARTS = 12, 2  # lanes of a chart, which fills a page; most charts
 _LEAST_INTERVALS = 3  # for a chart over time: of two values the table has the mean
 _MOST_LANES = 60  # rows of the table as read; the CSV file holds all
 _MOST_QUEUES = 6  # lanes of the table of queues
 LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it
-_TURNS_IN, _TURNS_DPI = 7.2, 150  # width of the turning diagram
+# A lane without a queue is slow below this share of its free speed, if it is occupied for so long:
+# a single slow vehicle is no congestion.
+_SLOW, _LEAST_OCCUPANCY = 0.5, 0.1
 _LEVEL = Text("Level of service")
 _LEVELS = Text("Levels of service are of signals, by the delay; in the handbook of 15 minutes.")
-_NOT_SEEN, TOO_LITTLE = "not seen", "too little seen"
 
 
 class ReportedTraffic(NamedTuple):
@@ -166,10 +164,10 @@ def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, paths: bool) -> 
                 [_volume_table(traffic), *_volume_charts(traffic, clock)]),
     ]  # fmt: skip
     if traffic.by_turn["volume"].notna().any():
-        turns = (_turning_diagram(traffic), _turn_table(traffic))
+        turns = (turning_diagram(traffic), turn_table(traffic))
         chapters.append(Chapter("turns", tr("Where do they turn?"), turns))
-    if queues := _queues(traffic, clock, paths=paths):
-        chapters.append(Chapter(QUEUES, tr("Where is it slow or full, and when?"), queues))
+    if slow := [*_queues(traffic, clock, paths=paths), *_slow_lanes(traffic)]:
+        chapters.append(Chapter(QUEUES, tr("Where is it slow or full, and when?"), slow))
     return chapters
 
 
@@ -202,7 +200,7 @@ def lanes_counted(traffic: ReportedTraffic) -> pd.DataFrame:
 def volume_text(row: pd.Series) -> str:
     """Return the volume an hour of a lane with its standard error, or why there is none."""
     if pd.isna(row["volume"]):
-        return tr(TOO_LITTLE if row["visible_share"] > 0.0 else _NOT_SEEN)
+        return tr(TOO_LITTLE if row["visible_share"] > 0.0 else NOT_SEEN)
     return with_error(row["volume"] / row["hours"], row["volume_se"] / row["hours"])
 
 
@@ -220,7 +218,7 @@ def _volume_table(traffic: ReportedTraffic) -> Table:
 
 def _volume_columns() -> list[Column]:
     def counted(row: pd.Series) -> str:
-        return tr(_NOT_SEEN) if pd.isna(row["counted"]) else figure_text(int(row["counted"]))
+        return tr(NOT_SEEN) if pd.isna(row["counted"]) else figure_text(int(row["counted"]))
 
     def heavy(row: pd.Series) -> str:
         known = pd.notna(row["counted"]) and row["counted"] > 0
@@ -233,11 +231,11 @@ def _volume_columns() -> list[Column]:
         is_unknown = pd.isna(row["queue_max_m"]) or (
             row["queue_max_m"] == 0.0 and row["sight_m"] <= JOINED_M
         )
-        return tr(_NOT_SEEN) if is_unknown else longest_queue_text(row)
+        return tr(NOT_SEEN) if is_unknown else longest_queue_text(row)
 
     return [
         Column(tr("Lane"), "", lambda row: str(row["name"]), False),
-        _number_column(lambda row: str(row["lane"])),
+        number_column(lambda row: str(row["lane"])),
         Column(tr("Counted"), tr("vehicles"), counted),
         Column(tr("Volume"), tr("veh/h"), volume_text),
         Column(tr("Heavy"), tr("of those counted"), heavy),
@@ -245,11 +243,6 @@ def _volume_columns() -> list[Column]:
                lambda row: figure_text(row["speed_kmh"])),
         Column(tr("Longest queue"), "m", queue),
     ]  # fmt: skip
-
-
-def _number_column(text: Callable[[Any], str]) -> Column:
-    """Return the column of the numbers of lanes, which leads to the plan that shows them."""
-    return Column(tr("No."), tr("on the plan"), text, chapter=LANES_CHAPTER)
 
 
 def _volume_notes(traffic: ReportedTraffic, rows: pd.DataFrame, shown: int) -> list[str]:
@@ -354,75 +347,6 @@ def _chart(
     )  # fmt: skip
 
 
-def _turning_diagram(traffic: ReportedTraffic) -> Figure:
-    """Draw the turning diagram, for the page and for a phone."""
-    drawn = [_turning_image(traffic, width_in) for width_in in (_TURNS_IN, NARROW_IN)]
-    wide, narrow = (each.quantize(128, dither=Image.Dither.NONE) for each in drawn)
-    return Figure(
-        png=png(wide), narrow=png(for_a_phone(narrow)), width=wide.width, height=wide.height,
-        caption=tr(
-            "Vehicles an hour with their standard errors; an arrow is as wide as its volume, north "
-            "is up. Vehicles that were not followed to an exit are shared among the turns like the "
-            "others; a turn without an arrow was not seen; figures without room stand in the "
-            "table."
-        ),
-        alt=tr("Turning diagram of the site; the table below has its figures."),
-    )  # fmt: skip
-
-
-def _turning_image(traffic: ReportedTraffic, width_in: float) -> Image.Image:
-    wide = width_in > NARROW_IN
-    with mpl.rc_context(FONTS):
-        dpi = _TURNS_DPI if wide else 2 * _TURNS_DPI
-        figure = MplFigure(figsize=(width_in, width_in), dpi=dpi, layout="constrained")
-        known = traffic.by_turn[traffic.by_turn["volume"].notna()]
-        known = known.assign(error_veh_h=known["volume_se"] / traffic.hours)
-        draw_turning_diagram(figure, traffic.lanes, known, labels=wide)
-        drawn = image_of_figure(figure).convert("RGB")
-        return drawn.crop(ImageChops.invert(drawn).getbbox())
-
-
-def _turn_table(traffic: ReportedTraffic) -> Table:
-    """Return the volumes of turns, a row a lane, a column a way."""
-    table, hours = traffic.by_turn, traffic.hours
-    directions = [way for way in TURN_WORDS if way in set(table["turn"])]
-    numbers = table.groupby("from_lane")["from_name"].first()
-    numbers = numbers.sort_values(key=lambda each: each.map(by_number))
-    known = set(table.loc[table["volume"].notna(), "from_lane"])
-    note = tr(
-        "Turns of a lane sum to its volume where all of its exits were seen. No routes: where "
-        "vehicles come from or go to beyond the junction is not known."
-    )
-    if unseen := len(numbers) - len(known):
-        note += " " + plural(
-            unseen, "{n} other lane has no turn that was seen.",
-            "{n} other lanes have no turn that was seen.",
-        )  # fmt: skip
-
-    def volume(lane: int, way: str) -> str:
-        mine = table[(table["from_lane"] == lane) & (table["turn"] == way)]
-        if mine.empty:
-            return NO_FIGURE
-        unknown = mine[mine["volume"].isna()]
-        if not unknown.empty:
-            return tr(TOO_LITTLE if unknown["visible_share"].min() > 0.0 else _NOT_SEEN)
-        error = float(np.sqrt((mine["volume_se"] ** 2).sum()))
-        return with_error(mine["volume"].sum() / hours, error / hours)
-
-    titles = [Column(tr("From lane"), "", str, False), _number_column(str)]
-    words = [tr(TURN_WORDS[way]) for way in directions]
-    titles += [Column(word[:1].upper() + word[1:], tr("veh/h"), str) for word in words]
-    return Table(
-        name="turns", caption=tr("Turns over the whole time"), columns=titles,
-        rows=[
-            [str(name), str(lane), *(volume(int(str(lane)), way) for way in directions)]
-            for lane, name in numbers.items() if lane in known
-        ],
-        note=note,
-        files=[(names.TURNS_FILE, tr("each turn in each interval"))],
-    )  # fmt: skip
-
-
 def _queues(traffic: ReportedTraffic, clock: Clock, *, paths: bool) -> list[Table | Figure | Chart]:
     """Return where vehicles queue: a table, and the course of the longest queues."""
     queues = traffic.by_lane[traffic.by_lane["queue_max_m"] >= LEAST_QUEUE_M]
@@ -447,6 +371,42 @@ def _queues(traffic: ReportedTraffic, clock: Clock, *, paths: bool) -> list[Tabl
     ]
 
 
+def _slow_lanes(traffic: ReportedTraffic) -> list[Table]:
+    """Return the lanes without a known queue on which traffic is slow, as a table; [] if none."""
+    network = traffic.network
+    free_kmh = pd.Series(3.6 * network.free_speed, network.lane)
+    inside = set(network.lane[network.connector].tolist())
+
+    rows = traffic.by_lane.assign(free_kmh=traffic.by_lane["lane"].map(free_kmh))
+    slow = (rows["speed_kmh"] < _SLOW * rows["free_kmh"]) & rows["queue_max_m"].isna()
+    slow &= (rows["occupancy"] >= _LEAST_OCCUPANCY) & ~rows["lane"].isin(inside)
+    lanes = rows[slow].sort_values(["speed_kmh", "lane"])
+    if lanes.empty:
+        return []
+
+    def occupancy(row: pd.Series) -> str:
+        return with_error(100.0 * row["occupancy"], 100.0 * row["occupancy_se"])
+
+    columns = [
+        Column(tr("Lane"), "", lambda row: str(row["name"]), False),
+        number_column(lambda row: str(row["lane"])),
+        Column(tr("Mean speed"), "km/h", lambda row: figure_text(row["speed_kmh"])),
+        Column(tr("Free speed"), "km/h", lambda row: figure_text(row["free_kmh"])),
+        Column(tr("Occupancy"), "%", occupancy),
+    ]  # fmt: skip
+    return [
+        Table(
+            name="slow", caption=tr("Slow lanes without a stop line"), columns=columns,
+            rows=text_rows([row for _, row in lanes.head(_MOST_QUEUES).iterrows()], columns),
+            note=tr(
+                "Slow: over the whole time less than half of the free speed, which the map or the "
+                "site file states, on a lane that is occupied for {share} of the time or more.",
+                share=percent(_LEAST_OCCUPANCY, 0),
+            ),
+        )
+    ]  # fmt: skip
+
+
 def _queue_table(
     traffic: ReportedTraffic, queues: pd.DataFrame, longest_by_lane: pd.DataFrame, clock: Clock
 ) -> Table:
@@ -466,7 +426,7 @@ def _queue_table(
     several = len(set(traffic.lanes["begin"])) > 1
     columns = [
         Column(tr("Lane"), "", lambda row: str(row["name"]), False),
-        _number_column(lambda row: str(row["lane"])),
+        number_column(lambda row: str(row["lane"])),
         figure("queue_max_m"),
         *([Column(tr("Reached"), clock.name, when, False)] if several else []),
         *(figure(name) for name in _OF_QUEUES
