@@ -239,6 +239,7 @@ def test_a_picture_names_site_zone_and_sources(tmp_path, written):
     assert about["Description"] == (
         "14 November 2023, 23:14:57 to 23:15:17 (Europe/Berlin, UTC+01:00)"
     )
+    assert MapLabels(title="A\x07\n B").title == "A\\x07 B"
     with pytest.raises(gr.UsageError, match="no time zone"):
         MapLabels(timezone="Europe/Bayern")
 

@@ -6,6 +6,7 @@ import http.cookiejar
 import json
 import math
 import socket
+import sys
 import time
 import urllib.error
 import urllib.request
@@ -15,6 +16,7 @@ from dataclasses import replace
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,7 +36,7 @@ from pydantic import ValidationError
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
-from gis_radar.base import InputError, OutputError, Text, step_begin
+from gis_radar.base import GisRadarError, InputError, OutputError, Text, step_begin
 from gis_radar.live import (
     Fusion,
     Snapshot,
@@ -42,6 +44,7 @@ from gis_radar.live import (
     make_app,
     read_live_site,
 )
+from gis_radar.live.fusion import server_of_page
 from gis_radar.live.hours.quarters import TRAFFIC_FIELDS
 from gis_radar.live.served.page import (
     HIT_COLOUR,
@@ -308,6 +311,15 @@ def test_a_page_that_is_open_to_all_is_refused():
         PageTable(address="0.0.0.0:80")
     PageTable(address="0.0.0.0:80", behind_proxy=True)
     PageTable(address="[::1]:80")
+
+
+def test_a_page_without_its_packages_names_them(monkeypatch):
+    monkeypatch.delitem(sys.modules, "gis_radar.live.served.page")
+    monkeypatch.setitem(sys.modules, "starlette.applications", None)
+    asked = SimpleNamespace(live=SimpleNamespace(page="127.0.0.1:80"))
+    with pytest.raises(GisRadarError, match="starlette is not installed") as refused:
+        server_of_page(None, asked)
+    assert refused.value.hint == "pip install gis_radar[live]"
 
 
 @pytest.fixture(scope="module")

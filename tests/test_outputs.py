@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from maps import Listener
+from pyogrio.errors import DataLayerError
+from rasterio.errors import RasterioIOError
 
 from gis_radar.base import (
     OutputError,
@@ -229,6 +231,8 @@ def test_an_interruption_of_the_clearing_up_leaves_nothing(tmp_path):
     [
         OSError(errno.ENOSPC, "No space left on device"),
         OSError("Error writing bytes to file. Detail: [errno 28] No space left on device"),
+        RasterioIOError("TIFFAppendToStrip:Write error at scanline 4294967295"),
+        DataLayerError("sqlite3_exec(ROLLBACK) failed: cannot rollback - no transaction is active"),
     ],
 )
 def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, error):

@@ -13,7 +13,7 @@ import pytest
 from datasets import HOUR
 from driven import drive
 from forks import APPROACH, LEFT, STRAIGHT, fork, fork_dataset, through
-from maps import EAST, NORTH, UTM
+from maps import EAST, NORTH, UTM, Listener
 from shapely import LineString, MultiLineString
 
 import gis_radar as gr
@@ -339,3 +339,15 @@ def test_directions_of_counts_are_read_in_any_language(dataset, given, language,
     expected = {"en": "eastbound", "de": "nach Osten"}[language]
     assert made.hand_counts["direction"].tolist() == [expected]
     assert made.hand_counts["volume"].notna().all()
+
+
+def test_a_section_that_ends_inside_a_lane_is_named(dataset):
+    """It crosses the way straight on, and stops before the middle of that to the left."""
+    listener = Listener()
+    dataset.count_sections(ACROSS, reporter=listener)
+    assert listener.lines == []
+    found = dataset.count_sections(lines(short=[(80, -5), (80, 8.5)]), reporter=listener)
+    assert found["counted"].sum() == 5
+    assert [str(line) for line in listener.lines] == [
+        f"section short ends inside lane {LEFT}, which it does not count; draw it across the lane"
+    ]

@@ -24,7 +24,8 @@ FILE_DATE = date(2000, 1, 1)
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 # Libraries that write our files. Their errors are recognised by module: importing takes a second.
 _WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL", "xlsxwriter"}
-_FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
+_FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28",
+               "write error at scanline", "cannot rollback - no transaction")  # fmt: skip
 LEAST_FREE = 1 << 16  # bytes: a disk with less is full, whatever a library's error states
 _LONGEST_NAME, _LONGEST_HIDDEN = 200, 240  # bytes: file systems take 255, and names get endings
 _NOT_IN_NAMES = frozenset('/\\:*?"<>|+#')  # + and # are wildcards of MQTT
@@ -378,7 +379,6 @@ def writing_errors(path: Path) -> Iterator[None]:
     except GisRadarError:
         raise
     except Exception as error:
-        reason = first_line(error)
         number = error.errno if isinstance(error, OSError) else None
         of_writer = type(error).__module__.partition(".")[0] in _WRITERS
         # Arrow, GDAL and SQLite set no errno, only the text; some not even that.
@@ -386,7 +386,7 @@ def writing_errors(path: Path) -> Iterator[None]:
         if number in FULL or says_full or (of_writer and _is_full(path)):
             raise _disk_full_error(path) from error
         if of_writer:
-            raise OutputError("{}: cannot be written: {}", path, reason) from error
+            raise OutputError("{}: cannot be written: {}", path, first_line(error)) from error
         raise
 
 

@@ -77,8 +77,10 @@ def worker_pool(
             yield pool
         except BrokenExecutor as error:
             pool.stop()
-            hint = "if memory ran out, use fewer at once: --jobs 1"
-            raise OutputError("a worker process was killed", hint=hint) from error
+            raise OutputError(
+                "a worker process was killed",
+                hint="if memory ran out, free some; where there is --jobs, use fewer at once",
+            ) from error
         except BaseException:
             pool.stop()
             raise

@@ -80,7 +80,7 @@ def traffic(
     if datex is not None:
         products.publisher_of(datex)  # refuses a wrong one before the work
     measured = gr.open_dataset(folder, reporter=reporter)
-    made = gr.make_traffic(measured, language=language, **options)
+    made = gr.make_traffic(measured, language=language, reporter=reporter, **options)
     with base.csv_for(csv_locale):
         outputs = made.write(output, datex=datex, language=language, reporter=reporter)
     figures = made.figures()

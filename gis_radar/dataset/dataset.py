@@ -23,8 +23,8 @@ from gis_radar.base import (
     iso_from_time,
 )
 from gis_radar.dataset.days.lane_measures import day_makers, maker_of
-from gis_radar.dataset.files import frame_times, tables
-from gis_radar.dataset.files.manifest import Manifest
+from gis_radar.dataset.files import STATED_LANES, frame_times, tables
+from gis_radar.dataset.files.manifest import Manifest, refuse_other_map
 from gis_radar.dataset.files.parts import hour_begin, hour_text
 from gis_radar.dataset.files.records import Span, hour_bounds, read_hour, read_rows
 from gis_radar.dataset.files.schema import TableSchema
@@ -221,14 +221,18 @@ class Dataset(DatasetFiles, SqlQueries):
         return self._read(tables.TURNS, begin, end)
 
     def check(self, reporter: Reporter = QUIET) -> None:
-        """Compare the bytes of all parts with the records of their hours; read all tile counts.
+        """Compare the bytes of all parts with the records of their hours; read all other files.
 
         Raises
         ------
         InputError
-            On the first part that differs.
+            On the first file that differs.
         """
         records = self.records()
+        refuse_other_map(self.folder, self.manifest)
+        fresh, stated = replace(self, _layers={}), (self.folder / STATED_LANES).is_file()
+        for read in (fresh.poses, fresh.sights, fresh.lanes if stated else fresh.tiles):
+            read()
         for done, record in enumerate(records.values()):
             for name in sorted(record.parts.keys() - set(record.dropped)):
                 record.check_bytes(self.folder, tables.TABLES[name])

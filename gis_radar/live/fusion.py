@@ -42,7 +42,7 @@ from gis_radar.live.now.map_of_now import MapOfNow, MapState, SensorReport, Wind
 from gis_radar.live.now.vehicles_now import LiveVehicles, layer_of
 from gis_radar.live.served.lane_push import LanePush
 from gis_radar.live.served.snapshot import lanes_of_map, place_of
-from gis_radar.live.wire.broker import FUSION, Link, SensorTopics
+from gis_radar.live.wire.broker import FUSION, LIVE, Link, SensorTopics
 from gis_radar.live.wire.outbox import OFFLINE_STATUS, ONLINE_STATUS, status_message
 from gis_radar.live.wire.payload import DETECTIONS_TOPIC, POSE_TOPIC, Acknowledgement
 from gis_radar.live.wire.settings import LiveSite, read_live_site
@@ -124,7 +124,7 @@ class Fusion:
             path=folder / _ALERTS, publish=self._publish_alert, webhook=webhook,
             language=site.language, reporter=reporter,
         )  # fmt: skip
-        self._page, self._push = _page_server(self, site), _lane_push(site, self.tiles, reporter)
+        self._page, self._push = server_of_page(self, site), _lane_push(site, self.tiles, reporter)
         self._exporting: Future[None] | None = None
         self._writing: Future[bool] | None = None
         self._session = secrets.token_hex(4)
@@ -418,12 +418,16 @@ def _vehicle_follower(
     return LiveVehicles(graph, names, reporter=reporter)
 
 
-def _page_server(fusion: Fusion, site: LiveSite) -> WebServer | None:
+def server_of_page(fusion: Fusion, site: LiveSite) -> WebServer | None:
     """Return the web server of the page, imported only if the site's file asks for a page."""
     if site.live.page is None:
         return None
-    from gis_radar.live.served.page import page_server  # noqa: PLC0415
-
+    try:
+        from gis_radar.live.served.page import page_server  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError as error:
+        raise GisRadarError(
+            "{} is not installed", str(error.name).partition(".")[0], hint=LIVE
+        ) from error
     return page_server(fusion, site, site.live.page, fusion.tiles)
 
 

@@ -319,6 +319,7 @@ def make_traffic(
     service: str | None = None,
     sumo_net: str | Path | None = None,
     language: str | None = None,
+    reporter: Reporter = QUIET,
 ) -> Traffic:
     """Return the traffic of a dataset by lane and turn, and at sections.
 
@@ -346,6 +347,8 @@ def make_traffic(
     sumo_net : str or Path, optional
         A network of SUMO with a projection (`.net.xml`): its edges and lanes, those under the
         counting lines of ours, are named in the files for SUMO.
+    reporter : Reporter
+        Receives a warning about each section that ends inside a lane.
 
     Raises
     ------
@@ -366,10 +369,9 @@ def make_traffic(
             dataset.folder,
             hint="gis-radar dataset shows from when to when it was measured",
         )
-    section_rows = (
-        None if sections is None else dataset.count_sections(sections, interval, **options)
-    )
-    counts = None
+    section_rows, counts = None, None
+    if sections is not None:
+        section_rows = dataset.count_sections(sections, interval, reporter=reporter, **options)
     if hand_counts is not None:
         zone = zone_of(dataset.timezone)
         with in_language(language):

@@ -169,3 +169,15 @@ def test_a_speed_that_nobody_drives_is_refused(folder, stated):
     with pytest.raises(InputError, match=r"speed_kmh is .*, expected more than 0"):
         gr.open_dataset(folder).state_lanes(**stated)
     assert bytes_of(folder) == before
+
+
+@pytest.mark.parametrize(
+    "name", ["lanes.json", "tiles.gpkg", "map.osm", "poses.parquet", "sights.parquet"]
+)
+def test_the_check_finds_a_damaged_file_beside_the_hours(folder, name):
+    gr.open_dataset(folder).state_lanes(NAMED)
+    gr.open_dataset(folder).check()
+    whole = (folder / name).read_bytes() if (folder / name).exists() else b"<osm></osm>"
+    (folder / name).write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=name):
+        gr.open_dataset(folder).check()

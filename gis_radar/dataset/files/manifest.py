@@ -230,6 +230,15 @@ def heights_digest(tiles: gpd.GeoDataFrame) -> str:
     return hashlib.blake2b(heights.tobytes(), digest_size=16).hexdigest()
 
 
+def refuse_other_map(folder: Path, manifest: Manifest) -> None:
+    """Refuse a map in a dataset that is not the one that it was made from."""
+    path = folder / MAP
+    if path.is_file() and manifest.map != (
+        hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
+    ):
+        raise InputError("{}: is of another run", path, hint=BRING_BACK)
+
+
 def tiles_of_dataset(folder: Path, manifest: Manifest) -> gpd.GeoDataFrame:
     """Read the tiles of a dataset, ascending by `tile_id`.
 

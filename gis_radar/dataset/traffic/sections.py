@@ -15,8 +15,10 @@ import shapely
 import shapely.ops
 
 from gis_radar.base import (
+    QUIET,
     Floats,
     InputError,
+    Reporter,
     in_language,
     interval_steps,
     metric_crs,
@@ -28,7 +30,7 @@ from gis_radar.dataset.days.tables import STEPS_PER_QUARTER
 from gis_radar.dataset.files.frame_times import recorded_span
 from gis_radar.dataset.files.source import DatasetFiles, Moment, require_vehicles
 from gis_radar.dataset.traffic.reader import TrafficReader
-from gis_radar.hdmap import LANES_LAYER
+from gis_radar.hdmap import LANE_COLUMN, LANES_LAYER, TILES_LAYER
 from gis_radar.measures import LaneNetwork, bound_name, place_on
 
 _NAME_FIELDS = ("name", "section", "id")  # columns that may hold a section's name, in this order
@@ -66,6 +68,7 @@ class _Crossing:
 def count_sections(
     dataset: DatasetFiles, sections: gpd.GeoDataFrame | str | Path, interval: str = "15min", *,
     begin: Moment = None, end: Moment = None, language: str | None = None,
+    reporter: Reporter = QUIET,
 ) -> gpd.GeoDataFrame:  # fmt: skip
     """Count vehicles by direction at sections: lines across a road.
 
@@ -76,6 +79,8 @@ def count_sections(
         or `id`; without one they are numbered from 1.
     interval, begin, end, language
         As for :meth:`traffic`.
+    reporter : Reporter
+        Receives a warning about each section that ends inside a lane.
 
     Returns
     -------
@@ -103,6 +108,7 @@ def count_sections(
         name: _crossings(line, layer, network, f"{what}: section {name}")
         for name, line in lines.items()
     }
+    _warn_of_ends(lines, crossed, dataset.layer(TILES_LAYER), reporter)
     by_section = dict[str, list[pd.DataFrame]]()
     for counted in _groups_with_distinct_lanes(crossed):
         along = {each.lane: each.along_m for name in counted for each in crossed[name]}
@@ -198,6 +204,20 @@ def _crossings(
         if each.along_m >= _SAME_M
         or all(math.dist(known[each.lane].coords[0][:2], end) >= _SAME_M for end in ends)
     ]  # fmt: skip
+
+
+def _warn_of_ends(
+    lines: Mapping[str, shapely.LineString], crossed: Mapping[str, Sequence[_Crossing]],
+    tiles: gpd.GeoDataFrame, reporter: Reporter,
+) -> None:  # fmt: skip
+    """Warn of sections that end inside a lane before its middle: nobody is counted there."""
+    for name, line in lines.items() if LANE_COLUMN in tiles else ():
+        under = tiles.loc[tiles.intersects(line.boundary), LANE_COLUMN]
+        for lane in sorted(set(under) - {each.lane for each in crossed[name]}):
+            reporter.warn(
+                "section {} ends inside lane {}, which it does not count; draw it across the lane",
+                name, lane,
+            )  # fmt: skip
 
 
 def _groups_with_distinct_lanes(crossed: Mapping[str, Sequence[_Crossing]]) -> list[list[str]]:

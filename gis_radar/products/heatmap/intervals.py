@@ -23,6 +23,7 @@ from gis_radar.base import (
     iso_from_step,
     known_language,
     moment_in,
+    one_line,
     ranges,
     require_kinds,
     step_at,
@@ -59,10 +60,11 @@ class MapLabels:
     language: str = "en"
 
     def __post_init__(self) -> None:
-        """Refuse a time zone or language that there is not; keep sources as a tuple."""
+        """Refuse a time zone or language that there is not; keep the title printable."""
         require_kinds(self)
         zone_of(self.timezone)
         known_language(self.language)
+        object.__setattr__(self, "title", one_line(self.title))
         object.__setattr__(self, "sources", tuple(self.sources))
 
 
