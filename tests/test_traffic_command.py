@@ -39,7 +39,7 @@ from gis_radar.dataset import LaneTraffic
 from gis_radar.dataset.hours.remarks import remark_on_counting_lines
 from gis_radar.products import Traffic, publisher_of, traffic_picture
 from gis_radar.products import traffic as traffic_module
-from gis_radar.products.report.traffic import traffic_of
+from gis_radar.products.report.results import traffic_of
 from gis_radar.products.sumo import write_mean_data
 from gis_radar.products.traffic_picture import draw_turning_diagram
 from simulation.sumo import run as run_sumo

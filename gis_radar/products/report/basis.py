@@ -44,9 +44,8 @@ from gis_radar.products.report.lanes import (
     far_lanes,
     part_and_base,
 )
-from gis_radar.products.report.results import NOT_KNOWN, Results
+from gis_radar.products.report.results import NOT_KNOWN, ReportedTraffic, Results
 from gis_radar.products.report.traffic import (
-    ReportedTraffic,
     lanes_counted,
     lanes_with_stop_lines,
     volume_text,

@@ -78,9 +78,9 @@ from gis_radar.products.report.lanes import (
 from gis_radar.products.report.maps import draw_maps, draw_sights, lay_out
 from gis_radar.products.report.pages import page_of, write_pdf
 from gis_radar.products.report.plan import draw_plan
-from gis_radar.products.report.results import Results, read_results, sensor_table
+from gis_radar.products.report.results import Results, read_results, sensor_table, traffic_of
 from gis_radar.products.report.sources import made_by, settings_of, sources_of
-from gis_radar.products.report.traffic import traffic_chapters, traffic_of
+from gis_radar.products.report.traffic import traffic_chapters
 from gis_radar.products.traffic import write_table
 
 _MOST_LANES = 150  # rows of the table as read; the CSV file holds all

@@ -5,20 +5,25 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
+import geopandas as gpd
 import numpy as np
 
 from gis_radar.base import (
     NO_FIGURE,
+    STEPS_PER_SECOND,
     THIN_SPACE,
+    Clock,
     InputError,
     Text,
     direction,
     figure_text,
+    interval_steps,
     localised,
     plus_minus,
     read_json,
@@ -27,7 +32,14 @@ from gis_radar.base import (
     warnings_once,
 )
 from gis_radar.calibration import Finding, is_record
-from gis_radar.dataset import Dataset, NoVehiclesError, open_dataset
+from gis_radar.dataset import (
+    Dataset,
+    LaneTraffic,
+    NoVehiclesError,
+    open_dataset,
+    suited_interval,
+)
+from gis_radar.measures import LaneNetwork
 from gis_radar.poses import Pose, View, pose_from_dict
 from gis_radar.products.heatmap.heatmap import HeatMap, read_heatmap
 from gis_radar.products.heatmap.layers import HEATMAP_FILE as PACKAGE
@@ -322,3 +334,79 @@ def _looks_to(pose: Pose) -> str:
     ahead = pose.R_map_sensor[:2, 0]
     bearing = math.degrees(math.atan2(ahead[0], ahead[1])) % 360.0
     return f"{direction(*ahead)}, {_with_sigma(pose, 'yaw', 1, bearing, '°')}"
+
+
+class ReportedTraffic(NamedTuple):
+    """Traffic in a report.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The dataset that it is from.
+    begin, end : datetime
+        Time of the report.
+    interval : str
+        Length of the intervals.
+    lanes, turns : GeoDataFrame
+        By interval, from :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
+    by_lane, by_turn : GeoDataFrame
+        The same over all intervals.
+    network : LaneNetwork
+        Network of the site.
+    """
+
+    dataset: Dataset
+    begin: datetime
+    end: datetime
+    interval: str
+    lanes: gpd.GeoDataFrame
+    turns: gpd.GeoDataFrame
+    by_lane: gpd.GeoDataFrame
+    by_turn: gpd.GeoDataFrame
+    network: LaneNetwork
+
+    @property
+    def length_s(self) -> float:
+        """Length of an interval, seconds."""
+        return float(interval_steps(self.interval)) / STEPS_PER_SECOND
+
+    @property
+    def hours(self) -> float:
+        """Total length of the intervals, hours."""
+        return len(set(self.lanes["begin"])) * self.length_s / 3600.0
+
+    def clock(self, clock: Clock) -> Clock:
+        """Return a clock for the intervals, which may begin before the first recording."""
+        begin, end = self.lanes["begin"].min(), self.lanes["end"].max()
+        return replace(
+            clock, first=min(clock.first, begin.to_pydatetime()),
+            last=max(clock.last, end.to_pydatetime()), to_seconds=False,
+        )  # fmt: skip
+
+
+def traffic_of(dataset: Dataset, heat: HeatMap) -> ReportedTraffic | None:
+    """Return the traffic in the time of a heat map; None where none is known.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The dataset of the heat map.
+    heat : HeatMap
+        The heat map, whose time counts.
+    """
+    if not dataset.has_vehicles or heat.measure != "occupancy":
+        return None
+    begin, end = heat.whole.span()
+    interval, first = suited_interval(dataset, begin, end)
+    lanes, by_lane = (
+        dataset.traffic(interval, begin=first, end=end, whole=each) for each in (False, True)
+    )
+    if lanes.empty:
+        return None
+    turns, by_turn = (
+        dataset.turns(interval, begin=first, end=end, whole=each) for each in (False, True)
+    )
+    return ReportedTraffic(
+        dataset=dataset, begin=begin, end=end, interval=interval, lanes=lanes, turns=turns,
+        by_lane=by_lane, by_turn=by_turn, network=LaneTraffic.of(dataset).network,
+    )  # fmt: skip

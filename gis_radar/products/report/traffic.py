@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import timedelta
 from typing import NamedTuple
 
 import geopandas as gpd
@@ -13,13 +13,11 @@ import pandas as pd
 
 from gis_radar.base import (
     NO_FIGURE,
-    STEPS_PER_SECOND,
     THIN_SPACE,
     Clock,
     Text,
     by_number,
     figure_text,
-    interval_steps,
     listed,
     percent,
     plural,
@@ -27,10 +25,8 @@ from gis_radar.base import (
     tr,
     with_error,
 )
-from gis_radar.dataset import Dataset, LaneTraffic, suited_interval
-from gis_radar.measures import JOINED_M, LEAST_VISIBLE_SHARE, LaneNetwork
+from gis_radar.measures import JOINED_M, LEAST_VISIBLE_SHARE
 from gis_radar.products import report_files as names
-from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.report.chart import chart_over
 from gis_radar.products.report.content import (
     NOT_SEEN,
@@ -55,6 +51,7 @@ from gis_radar.products.report.courses import (
     presumed_note,
 )
 from gis_radar.products.report.lanes import FAR_M, far_lanes
+from gis_radar.products.report.results import ReportedTraffic
 from gis_radar.products.report.turns import turn_table, turning_diagram
 from gis_radar.products.traffic import service_levels
 
@@ -68,82 +65,6 @@ LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it
 _SLOW, _LEAST_OCCUPANCY = 0.5, 0.1
 _LEVEL = Text("Level of service")
 _LEVELS = Text("Levels of service are of signals, by the delay; in the handbook of 15 minutes.")
-
-
-class ReportedTraffic(NamedTuple):
-    """Traffic in a report.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        The dataset that it is from.
-    begin, end : datetime
-        Time of the report.
-    interval : str
-        Length of the intervals.
-    lanes, turns : GeoDataFrame
-        By interval, from :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
-    by_lane, by_turn : GeoDataFrame
-        The same over all intervals.
-    network : LaneNetwork
-        Network of the site.
-    """
-
-    dataset: Dataset
-    begin: datetime
-    end: datetime
-    interval: str
-    lanes: gpd.GeoDataFrame
-    turns: gpd.GeoDataFrame
-    by_lane: gpd.GeoDataFrame
-    by_turn: gpd.GeoDataFrame
-    network: LaneNetwork
-
-    @property
-    def length_s(self) -> float:
-        """Length of an interval, seconds."""
-        return float(interval_steps(self.interval)) / STEPS_PER_SECOND
-
-    @property
-    def hours(self) -> float:
-        """Total length of the intervals, hours."""
-        return len(set(self.lanes["begin"])) * self.length_s / 3600.0
-
-    def clock(self, clock: Clock) -> Clock:
-        """Return a clock for the intervals, which may begin before the first recording."""
-        begin, end = self.lanes["begin"].min(), self.lanes["end"].max()
-        return replace(
-            clock, first=min(clock.first, begin.to_pydatetime()),
-            last=max(clock.last, end.to_pydatetime()), to_seconds=False,
-        )  # fmt: skip
-
-
-def traffic_of(dataset: Dataset, heat: HeatMap) -> ReportedTraffic | None:
-    """Return the traffic in the time of a heat map; None where none is known.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        The dataset of the heat map.
-    heat : HeatMap
-        The heat map, whose time counts.
-    """
-    if not dataset.has_vehicles or heat.measure != "occupancy":
-        return None
-    begin, end = heat.whole.span()
-    interval, first = suited_interval(dataset, begin, end)
-    lanes, by_lane = (
-        dataset.traffic(interval, begin=first, end=end, whole=each) for each in (False, True)
-    )
-    if lanes.empty:
-        return None
-    turns, by_turn = (
-        dataset.turns(interval, begin=first, end=end, whole=each) for each in (False, True)
-    )
-    return ReportedTraffic(
-        dataset=dataset, begin=begin, end=end, interval=interval, lanes=lanes, turns=turns,
-        by_lane=by_lane, by_turn=by_turn, network=LaneTraffic.of(dataset).network,
-    )  # fmt: skip
 
 
 def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, paths: bool) -> list[Chapter]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure as MplFigure
@@ -21,10 +19,8 @@ from gis_radar.products.report.content import (
     Table,
     number_column,
 )
+from gis_radar.products.report.results import ReportedTraffic
 from gis_radar.products.traffic_picture import draw_turning_diagram
-
-if TYPE_CHECKING:
-    from gis_radar.products.report.traffic import ReportedTraffic
 
 _WIDE_IN, _WIDE_DPI = 7.2, 150  # width of the diagram on a screen
 
