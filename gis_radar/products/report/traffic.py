@@ -317,7 +317,7 @@ def _slow_lanes(traffic: ReportedTraffic) -> list[Table]:
     ]  # fmt: skip
     return [
         Table(
-            name="slow", caption=tr("Slow lanes without a stop line"), columns=columns,
+            name="slow", caption=tr("Slow lanes whose queue is not known"), columns=columns,
             rows=text_rows([row for _, row in lanes.head(_MOST_QUEUES).iterrows()], columns),
             note=tr(
                 "Slow: over the whole time less than half of the free speed, which the map or the "
