@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from pyproj import CRS, Geod, Proj, Transformer
-from pyproj.exceptions import CRSError as ProjError
+from pyproj.exceptions import ProjError
 
 from gis_radar.base.arrays import Floats
 from gis_radar.base.errors import CrsError, UsageError
@@ -284,7 +284,10 @@ def inexact_change(source: CRS, target: CRS, easting: float, northing: float) ->
     change = transformer(source, target)
     if not np.isfinite(change.transform(easting, northing)).all():
         return None  # elsewhere, which others refuse
-    error_m = change.get_last_used_operation().accuracy
+    try:
+        error_m = change.get_last_used_operation().accuracy
+    except ProjError:  # PROJ does not know it for all pairs
+        error_m = -1.0
     if 0.0 <= error_m <= _EXACT_M:
         return None
     size = Text("unknown size") if error_m < 0.0 else Text("{:g} m", error_m)

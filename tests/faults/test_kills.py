@@ -34,7 +34,7 @@ COMMANDS = {
     "project gpkg": "project R1.parquet --pose R1.json -o out.gpkg",
     "project laz": "project R1.parquet --pose R1.json -o out.laz",
     "project parquet": "project R1.parquet --pose R1.json -o out.parquet",
-    "report": "report heatmap -o out",
+    "report": "report heatmap --dataset dataset -o out",
     "qgis": "qgis heatmap -o out.qgz",
     "sensors": "sensors R1.json -o out.gpkg",
     "quality": "quality dataset -o out.csv",
