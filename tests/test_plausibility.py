@@ -473,17 +473,36 @@ def test_a_pose_that_is_tilted_is_said_to_be(there, named):
     assert named in other_pose(pose, replace(pose, **there)).causes[0].text
 
 
+def write_knocked(folder, table):
+    """Write recordings of a sensor before and after a knock, an hour apart; return their paths."""
+    turn, paths = np.radians(20.0), (folder / "A.parquet", folder / "B.parquet")
+    later = table.assign(
+        time=table["time"] + 3600.0,
+        x=np.cos(turn) * table["x"] - np.sin(turn) * table["y"],
+        y=np.sin(turn) * table["x"] + np.cos(turn) * table["y"],
+    )
+    for path, each in zip(paths, (table, later), strict=True):
+        each.astype(table.dtypes).to_parquet(path, index=False)
+    return paths
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 7200.0])
+def test_the_moment_of_a_knock_is_by_the_clock_of_the_recordings(tmp_path, rows, ahead_s):
+    paths = write_knocked(tmp_path, rows["R1"])
+    recorded = RecordedSensor(
+        recordings=[gr.open_recording(path) for path in paths],
+        tracks=[as_track(POSES["R1"])] * 2, clock=SensorClock(offset_s=ahead_s),
+    )  # fmt: skip
+    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
+    (found,) = check_plausibility({"R1": recorded}, lanes)
+    begin, end = rows["R1"]["time"].iloc[[0, -1]]
+    assert end < pd.Timestamp(found.moment).timestamp() < begin + 3630.0
+
+
 def test_a_sensor_that_was_knocked_keeps_its_earlier_recordings(
     run, tmp_path, rows, in_this_process, blank_paper
 ):
-    turn = np.radians(20.0)
-    later = rows["R1"].assign(
-        time=rows["R1"]["time"] + 3600.0,
-        x=np.cos(turn) * rows["R1"]["x"] - np.sin(turn) * rows["R1"]["y"],
-        y=np.sin(turn) * rows["R1"]["x"] + np.cos(turn) * rows["R1"]["y"],
-    )
-    rows["R1"].to_parquet(tmp_path / "A.parquet", index=False)
-    later.astype(rows["R1"].dtypes).to_parquet(tmp_path / "B.parquet", index=False)
+    write_knocked(tmp_path, rows["R1"])
     (tmp_path / "SITE.toml").write_text(
         f'title = "A"\ntimezone = "UTC"\n[map]\nfile = "{MAP}"\ncrs = "EPSG:25832"\n'
         '[vehicles]\nfollow = false\n[[sensor]]\nname = "R1"\n'
@@ -494,6 +513,9 @@ def test_a_sensor_that_was_knocked_keeps_its_earlier_recordings(
     assert code == 4
     assert "R1 is left out but for its earlier recordings: does not fit: from" in out + err
     assert "of R1 only a part is in the heat maps; R1: does not fit: from" in err
+    with no_report():
+        again = gr.run_site(tmp_path / "SITE.toml", tmp_path / "out")
+    assert "; only a part of R1: R1: does not fit: from" in repr(again)
     dataset = gr.open_dataset(tmp_path / "out" / "dataset")
     assert dataset.sensors == ["R1"]
     assert dataset.recordings()["path"].tolist() == [str(tmp_path / "A.parquet")]

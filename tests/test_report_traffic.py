@@ -362,3 +362,4 @@ def test_slow_lanes_without_a_queue_are_listed(tmp_path, monkeypatch, without_pd
     assert slow["Mean speed km/h"] == "12"
     assert slow["Occupancy %"].replace("\u202f", " ") == "40 \N{PLUS-MINUS SIGN} 5"
     assert float(slow["Free speed km/h"]) > 24.0
+    assert "whose queue is not known" in " ".join(page.words)  # the lane has a stop line

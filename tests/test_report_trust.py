@@ -1,6 +1,7 @@
 """The report's page *Can this be trusted?*: a row a sensor, in the words of the check."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from report_site import Page, write_results, write_run
@@ -87,6 +88,28 @@ def test_a_sensor_that_is_left_out_is_named_once_in_the_time_of_the_site(tmp_pat
     document["sensors_in_heat_maps"] = ["R1", "R2"]  # with what was measured before
     (made / "run.json").write_text(json.dumps(document))
     assert "R2 is left out" in trust(made, "en", tmp_path)[1]
+
+
+def test_a_sensor_whose_earlier_recordings_are_used_is_not_said_to_be_accepted(
+    tmp_path, blank_paper
+):
+    (tmp_path / "made").mkdir()
+    made = write_results(tmp_path / "made", names=("R1", "R2"))
+    path = made / "dataset" / "dataset.json"
+    earlier = replace(FOUND[0], sensor="R2")  # what is in the map fits
+    checks = {"R1": FOUND[0].record, "R2": earlier.record}
+    document = with_texts(json.loads(path.read_text(encoding="utf-8")) | {"checks": checks})
+    path.write_text(json.dumps(document), encoding="utf-8")
+    figures = {
+        "findings": {"R1": FOUND[0].record, "R2": TURNED.record},
+        "refused": {"R2": Text("{}: {}", "R2", TURNED.text)},
+    }
+    stages = [{"name": "measure", "figures": figures}]
+    write_run(made, title="A", **with_texts({"stages": stages}), sensors_in_heat_maps=["R1", "R2"])
+    (_, *rows), text = trust(made, "en", tmp_path)
+    assert rows[1][:2] == ["R2", "does not fit, used in part"]
+    assert "All sensors of this map fit." in text
+    assert "do not use this map" not in text
 
 
 def test_in_german(folder, tmp_path, blank_paper):

@@ -351,3 +351,11 @@ def test_a_section_that_ends_inside_a_lane_is_named(dataset):
     assert [str(line) for line in listener.lines] == [
         f"section short ends inside lane {LEFT}, which it does not count; draw it across the lane"
     ]
+
+
+@pytest.mark.parametrize("at_m", [60.0, 70.0])
+def test_a_section_that_ends_on_the_bounds_of_its_lane_is_not_named(dataset, at_m):
+    """Snapped to the map, it touches the lanes beyond: those that begin there, or lie beside."""
+    listener = Listener()
+    dataset.count_sections(lines(snapped=[(at_m, -1.5), (at_m, 1.5)]), reporter=listener)
+    assert listener.lines == []

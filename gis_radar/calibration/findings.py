@@ -72,7 +72,8 @@ class Finding:
     since, until : str
         First and last frame of the recordings on which it rests, ISO 8601; empty where not stated.
     moment : str
-        From when on the cause acts, ISO 8601; empty where it acts all the time.
+        From when on the cause acts, by the sensor's clock, ISO 8601; empty where it acts from the
+        begin, or all the time.
     """
 
     sensor: str

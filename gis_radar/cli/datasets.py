@@ -227,7 +227,11 @@ def publish(
 
 @command(example="gis-radar dataset results/dataset")
 @dataset_argument
-@click.option("--check", is_flag=True, help="Compare all bytes with the digests of their hours.")
+@click.option(
+    "--check",
+    is_flag=True,
+    help="Compare all bytes with the digests of their hours; read the other files.",
+)
 @click.option(
     "--withdraw", metavar="RECORDING", multiple=True,
     help="Take a recording out, and make its hours again without it; repeatable.",

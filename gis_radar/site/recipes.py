@@ -86,9 +86,9 @@ def measure_site(
 ) -> tuple[dataset.Dataset, dict[str, GisRadarError]]:  # fmt: skip
     """Measure the recordings of several sensors, by name, without sensors that are refused.
 
-    One that is refused from a moment on, as after a knock, keeps its recordings before it. It
-    returns the dataset, and the error of each sensor that was left out. Options are those of
-    :func:`measure_recordings`.
+    A sensor that fits until a moment, as before a knock, keeps its recordings from before that
+    moment. Returned are the dataset, and the error of each sensor that was left out, in whole or
+    in part. Options are those of :func:`measure_recordings`.
     """
     remaining, refused = dict(sensors), dict[str, GisRadarError]()
     while True:
@@ -128,9 +128,10 @@ def measure_site(
 
 
 def _before(moment: str, paths: Sequence[Path]) -> list[Path]:
-    """Return the recordings from before a moment; none where it is empty, or all would be.
+    """Return the recordings that end before a moment; none if there is no moment, or if all do.
 
-    The moment is that of a vehicle, so a recording may go on for a little time after it.
+    Those that end up to `_MOMENT_S` after it stay, too, as it has an error, unless none would be
+    taken out.
     """
     if not moment:
         return []

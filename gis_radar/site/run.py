@@ -72,7 +72,7 @@ class SiteRun:
 
     @property
     def missing(self) -> dict[str, GisRadarError]:
-        """The error of each sensor without a result."""
+        """The error of each sensor without a result, or with one of a part of its recordings."""
         return refused_sensors(self.outcomes, self.site.timezone) | {
             each.stage.sensor: each.error
             for each in reversed(self.outcomes)
@@ -81,7 +81,7 @@ class SiteRun:
 
     @property
     def failure(self) -> GisRadarError | None:
-        """Error about the sensors without a result; None if there are none.
+        """Error about the sensors that are missing, in whole or in part; None if there are none.
 
         It is an :class:`InputError` if any data are bad, else a :class:`NoAnswerError`: there is no
         trustworthy answer.
@@ -134,10 +134,11 @@ class SiteRun:
         }
 
     def __repr__(self) -> str:
-        without_result = [
-            f"; no result for {name}: {why.message}" for name, why in self.missing.items()
-        ]
-        lacking = "".join(without_result)
+        shown = sensors_in(self.outcomes)
+        lacking = "".join(
+            f"; {'only a part of' if name in shown else 'no result for'} {name}: {why.message}"
+            for name, why in self.missing.items()
+        )
         return f"SiteRun({self.site!r}, {len(self.outcomes)} stages, {self.folder}{lacking})"
 
     def _repr_html_(self) -> str:

@@ -13,7 +13,7 @@ from itertools import chain
 
 import numpy as np
 
-from gis_radar.base import QUIET, Booleans, Floats, Reporter, Text
+from gis_radar.base import QUIET, Booleans, Floats, Reporter, Text, seconds_from_iso
 from gis_radar.calibration.check.evidence import LaneMap, score
 from gis_radar.calibration.check.excerpt import LEAST_VEHICLES, Excerpt, read_excerpts
 from gis_radar.calibration.check.explanations import compare_explanations, least_share
@@ -51,7 +51,8 @@ _MOVED = Text(
 )
 _POSE_OFF = "its pose is off"  # begin of such a cause
 _SIDES = "until {}: {}", "from {} on: {}"  # of a moment
-# Causes from a moment on that do not move static surroundings, and are the only ones named.
+# Where the static surroundings stay, only these causes are named from a moment on: any other would
+# have moved them.
 _RATE_CAUSES = AGAINST.text, ABSOLUTE.text
 
 
@@ -112,13 +113,22 @@ def check_plausibility(
         reporter.progress(_STAGE, done, len(sensors))
         others = {other: pose for other, pose in poses.items() if other != name}
         remaining = chain([first_excerpts[name]], excerpts[name])
-        findings[name], excerpt = judge(name, remaining, lanes, others)
+        finding, excerpt = judge(name, remaining, lanes, others)
+        findings[name] = _moment_by_own_clock(finding, sensors[name].clock)
         if findings[name].verdict == FITS and len(sensors) > 1:
             lane_detections[name] = on_lanes(excerpt, lanes)
     for name, finding in odd_clocks(lane_detections).items():
         findings[name] = _told_correction(finding, sensors[name].clock)
     reporter.progress(_STAGE, len(sensors), len(sensors))
     return tuple(findings.values())
+
+
+def _moment_by_own_clock(finding: Finding, clock: SensorClock | None) -> Finding:
+    """Return a finding with its moment by the sensor's clock, as its recordings have it."""
+    if clock is None or not finding.moment:
+        return finding
+    moment = seconds_from_iso(finding.moment, what="moment")
+    return replace(finding, moment=iso(float(clock.shown(np.array(moment)))))
 
 
 def _told_correction(finding: Finding, clock: SensorClock | None) -> Finding:

@@ -37,6 +37,7 @@ _NAME_FIELDS = ("name", "section", "id")  # columns that may hold a section's na
 ALONG = math.sin(math.radians(30.0))  # sine of the angle below which a section runs along a lane
 _HALF_LANE_M = 1.75  # half of the usual width of a lane
 _SAME_M = 0.01  # distance below which two places are one
+_SNAPPED_M = 0.25  # a section that ends so near to the edge of a lane ends there, not inside
 _FIGURES = ["visible_share", "counted", "volume", "volume_se", "heavy", "speed_time_mean_kmh"]
 
 
@@ -212,12 +213,15 @@ def _warn_of_ends(
 ) -> None:  # fmt: skip
     """Warn of sections that end inside a lane before its middle: nobody is counted there."""
     for name, line in lines.items() if LANE_COLUMN in tiles else ():
-        under = tiles.loc[tiles.intersects(line.boundary), LANE_COLUMN]
-        for lane in sorted(set(under) - {each.lane for each in crossed[name]}):
-            reporter.warn(
-                "section {} ends inside lane {}, which it does not count; draw it across the lane",
-                name, lane,
-            )  # fmt: skip
+        touched = set(tiles.loc[tiles.intersects(line.boundary), LANE_COLUMN])
+        for lane in sorted(touched - {each.lane for each in crossed[name]}):
+            area = shapely.union_all(tiles.geometry[tiles[LANE_COLUMN] == lane])
+            if area.buffer(-_SNAPPED_M).intersects(line.boundary):
+                reporter.warn(
+                    "section {} ends inside lane {}, which it does not count; "
+                    "draw it across the lane",
+                    name, lane,
+                )  # fmt: skip
 
 
 def _groups_with_distinct_lanes(crossed: Mapping[str, Sequence[_Crossing]]) -> list[list[str]]:

@@ -466,6 +466,7 @@ def _trust_cells(name: str, finding: Finding | None, results: Results, clock: Cl
     verdict = tr(finding.shown_verdict)
     if finding.refused:
         text = "{verdict}, left out" if name in results.lost else "{verdict}, accepted anyway"
+        text = "{verdict}, used in part" if name in results.in_part else text
         verdict = tr(text, verdict=verdict)
     return [
         name,
@@ -477,7 +478,8 @@ def _trust_cells(name: str, finding: Finding | None, results: Results, clock: Cl
 
 def _trust_notes(results: Results, findings: dict[str, Finding]) -> list[str]:
     """Return in sentences how many sensors fit, and what the verdicts mean."""
-    shown = [findings.get(name) for name in results.sensors]
+    used = results.dataset.manifest.findings  # of sensors in part: of the recordings in the map
+    shown = [(used if n in results.in_part else findings).get(n) for n in results.sensors]
     fit = sum(each is not None and not each.doubt for each in shown)
     wrong = sum(each is not None and each.verdict == WRONG for each in shown)
     notes = [

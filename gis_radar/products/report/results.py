@@ -133,6 +133,12 @@ class Results:
         }
 
     @property
+    def in_part(self) -> set[str]:
+        """The sensors of which the heat map shows only what the run did not refuse."""
+        refused = ((each.get("figures") or {}).get("refused") or {} for each in self.stages)
+        return {name for names in refused for name in names} & {*self.sensors}
+
+    @property
     def warnings(self) -> list[str]:
         """The warnings of the run, each once, with the names of the stages that raised it.
 
