@@ -77,17 +77,6 @@ def test_odd_positions_are_refused(tmp_path, row, value, reason):
         read(recording(tmp_path / "r.parquet", time, points))
 
 
-def test_a_range_rate_without_a_position_is_refused(tmp_path):
-    time, points = simple()
-    points[1] = NAN
-    made = table(time, points)
-    at = made.schema.get_field_index("range_rate")
-    rates = made.set_column(at, made.schema.field(at), pa.array(np.zeros(6, np.float32)))
-    pq.write_table(rates, tmp_path / "r.parquet")
-    with pytest.raises(InputError, match="a range rate without a position in row 2"):
-        read(tmp_path / "r.parquet")
-
-
 @pytest.mark.parametrize("value", [NAN, np.inf])
 def test_a_time_must_be_a_number(tmp_path, value):
     time, points = simple()

@@ -349,13 +349,6 @@ def _checked(batch: pa.RecordBatch, *, path: Path, row: int, last: float) -> Det
     time, points = values["time"], np.column_stack([values[axis] for axis in "xyz"])
     _refuse_times(time, path, row, last)
     _refuse_positions(points, path, row)
-    lost = np.isnan(points[:, 0]) & np.isfinite(values["range_rate"])
-    _refuse_rows(
-        np.asarray(lost),
-        Text("{}: a range rate without a position", path),
-        row,
-        hint=Text("a frame without detections is a row of its time alone: leave out such rows"),
-    )
     return Detections(
         time=time,
         points=points,
