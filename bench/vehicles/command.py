@@ -3,7 +3,7 @@
     python bench/vehicles                                        all methods, scenes not held out
     python bench/vehicles --scene town --methods hits,true       some methods on some scenes
     python bench/vehicles --scene town --set start.links.END_COST=0    with changed constants
-    python bench/vehicles --scene tee-982 --off as-is,no-cut     without parts of the tracker
+    python bench/vehicles --scene tee-9881 --off as-is,no-cut     without parts of the tracker
     python bench/vehicles --scene town --score-only dataset/     scores of a dataset, or of a table
     python bench/vehicles --into docs/accuracy.md    writes that page's tables from kept figures
 

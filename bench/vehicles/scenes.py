@@ -146,10 +146,6 @@ SCENE_CHANGES: Mapping[str, Mapping[str, Any]] = {
     "roundabout-985": {"radars": 1},
     "town-991": {"radars": ("R2", "R4"), "minutes": 10.0, "warm_up_s": 420.0},
     "junction-993": {"per_hour": 2600, "minutes": 20.0, "warm_up_s": 300.0},
-    "gridlock-3012": {"minutes": 3.0},
-    "town-3014": {
-        "per_hour": 2600, "radars": ("R2", "R4", "R5"), "minutes": 3.0, "warm_up_s": 420.0
-    },
     **{f"bend-{seed}": {"per_hour": 900} for seed in (8301, 8303, 8305, 8401, 8403)},
 }  # fmt: skip
 """What differs from these settings in the scenes that the documentation names."""

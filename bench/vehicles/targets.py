@@ -1,6 +1,6 @@
 """Errors of vehicles, lanes and tiles within 100 m of a radar, by measures of traffic engineering.
 
-    python bench/vehicles/targets.py --scene town-991,gridlock-983 [--poses found]
+    python bench/vehicles/targets.py --scene town-991,gridlock-934 [--poses found]
 
 For each scene: volumes, speeds, turns and queues of lanes (`lane_volumes.py`), occupancy of
 lanelets and tiles, recall and precision of vehicles, also of standing ones. With `--poses found`,
