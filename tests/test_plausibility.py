@@ -13,10 +13,11 @@ from maps import Listener
 from site_runs import no_report
 
 import gis_radar as gr
-from gis_radar.base import UsageError
+from gis_radar.base import QUIET, UsageError
 from gis_radar.calibration import (
     FITS,
     UNKNOWN,
+    WRONG,
     Finding,
     ImplausibleError,
     LaneMap,
@@ -25,9 +26,11 @@ from gis_radar.calibration import (
     check_plausibility,
     refuse_implausible,
 )
+from gis_radar.calibration.check.faults import iso
 from gis_radar.calibration.check.mistakes import other_pose
 from gis_radar.calibration.findings import Cause, wrong
 from gis_radar.poses import PoseTrack, as_track
+from gis_radar.site import recipes
 
 SAMPLE = gr.sample_folder()
 MAP = SAMPLE / "junction.osm"
@@ -519,3 +522,29 @@ def test_a_sensor_that_was_knocked_keeps_its_earlier_recordings(
     dataset = gr.open_dataset(tmp_path / "out" / "dataset")
     assert dataset.sensors == ["R1"]
     assert dataset.recordings()["path"].tolist() == [str(tmp_path / "A.parquet")]
+
+
+@pytest.mark.parametrize(("before_end_s", "kept"), [(10.0, ["A", "B"]), (70.0, ["A"])])
+def test_a_recording_that_ends_soon_after_the_moment_of_a_knock_is_judged_by_itself(
+    tmp_path, rows, monkeypatch, before_end_s, kept
+):
+    table = rows["R1"]
+    paths = [tmp_path / f"{name}.parquet" for name in "ABC"]
+    for hour, path in enumerate(paths):
+        table.assign(time=table["time"] + 3600.0 * hour).to_parquet(path, index=False)
+    moment = iso(table["time"].iloc[-1] + 3600.0 - before_end_s)
+    judged = []
+
+    def measured(recordings, *_, **__):
+        judged.append([path.stem for path in recordings])
+        if len(judged) == 1:
+            found = Finding(sensor="R1", verdict=WRONG, evidence="", moment=moment)
+            raise ImplausibleError("R1", findings=(found,))
+
+    monkeypatch.setattr(recipes, "measure_recordings", measured)
+    track = as_track(POSES["R1"])
+    _, refused = recipes.measure_site(
+        {"R1": (paths, track)}, tmp_path, MAP, tmp_path, reporter=QUIET
+    )
+    assert judged == [["A", "B", "C"], kept]
+    assert list(refused) == ["R1"]

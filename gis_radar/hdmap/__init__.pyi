@@ -19,6 +19,7 @@ from .lanes import joining as joining
 from .lanes import lane_style as lane_style
 from .lanes import turn_word as turn_word
 from .mending import outline as outline
+from .osm import map_digest as map_digest
 from .osm import read_osm as read_osm
 from .reader import read_map as read_map
 from .tagging import ON_FOOT_OR_BICYCLE as ON_FOOT_OR_BICYCLE

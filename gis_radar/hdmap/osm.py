@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -100,6 +101,11 @@ class OsmMap:
         return (
             (ref, relation) for ref, relation in self.relations.items() if relation.type == kind
         )
+
+
+def map_digest(path: str | Path) -> str:
+    """Return the BLAKE2b digest of a map's bytes, by which a dataset knows it."""
+    return hashlib.blake2b(Path(path).read_bytes(), digest_size=16).hexdigest()
 
 
 def read_osm(path: str | Path) -> OsmMap:

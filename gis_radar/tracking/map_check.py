@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 import shapely
 
 from gis_radar.base import QUIET, InputError, Reporter, Text, UsageError, name_of
-from gis_radar.hdmap import LaneletMap, quads, read_map
+from gis_radar.hdmap import LaneletMap, map_digest, quads, read_map
 
 _HINT = Text("give the map that the tiles were made from, with the same CRS and origin")
 _SAME_PLACE_M = 0.01  # largest distance, by rounding, of the same bounds
@@ -112,6 +111,5 @@ def describe_map(
                     apart[far],
                     hint=_HINT,
                 )
-    digest = hashlib.blake2b(Path(path).read_bytes(), digest_size=16).hexdigest()
     place_of_zero = None if origin is None else [float(each) for each in origin]
-    return {"digest": digest, "crs": name_of(roads.crs), "origin": place_of_zero}
+    return {"digest": map_digest(path), "crs": name_of(roads.crs), "origin": place_of_zero}

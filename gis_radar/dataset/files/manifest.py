@@ -31,7 +31,7 @@ from gis_radar.base import (
 from gis_radar.calibration import Finding, is_record
 from gis_radar.dataset.files.parts import replacing, write_single_file
 from gis_radar.dataset.files.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
-from gis_radar.hdmap import fingerprint, read_tiles, write_tiles
+from gis_radar.hdmap import fingerprint, map_digest, read_tiles, write_tiles
 
 MANIFEST, TILES_FILE, MAP = "dataset.json", "tiles.gpkg", "map.osm"
 _OWNED = (  # begins of the names of files that a killed run may have left
@@ -233,9 +233,7 @@ def heights_digest(tiles: gpd.GeoDataFrame) -> str:
 def refuse_other_map(folder: Path, manifest: Manifest) -> None:
     """Refuse a map in a dataset that is not the one that it was made from."""
     path = folder / MAP
-    if path.is_file() and manifest.map != (
-        hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
-    ):
+    if path.is_file() and manifest.map != map_digest(path):
         raise InputError("{}: is of another run", path, hint=BRING_BACK)
 
 

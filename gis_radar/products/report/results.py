@@ -1,4 +1,4 @@
-"""Read a folder of results: the heat map, its sensors, settings and sources, also as tables."""
+"""Read what a report is of: the heat map, its sensors, settings and sources; and its traffic."""
 
 from __future__ import annotations
 
