@@ -20,7 +20,7 @@ import pandas as pd
 from gis_radar.base import TRACK_EVERY_STEPS, Integers, watch_parent, worker_pool
 from gis_radar.hdmap import LaneGraph
 from gis_radar.measures import HourWindow, PoseSight, SensorHour
-from gis_radar.tracking.batches import BatchMaker, joined_rows
+from gis_radar.tracking.batches import BatchMaker, VehicleBatch, joined_rows
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.hour_blocks import Block, blocks_of
 from gis_radar.tracking.motion import Motion
@@ -28,6 +28,7 @@ from gis_radar.tracking.occupancy import OccupancyEngine
 from gis_radar.tracking.tables import PASSAGES_KIND, TRACKS_KIND, VEHICLES_KIND
 from gis_radar.tracking.tracker import vehicles_in
 
+_NO_STATES, _NO_VEHICLES = TRACKS_KIND.empty(), VEHICLES_KIND.empty()
 _NUMBERS_PER_HOUR = 1_000_000  # an hour's vehicles have numbers from so many times the hour on
 
 _TimedBlock: TypeAlias = tuple[tuple[int, int], Block]
@@ -98,11 +99,10 @@ def vehicles_of_hour(
     blocks = blocks_of(sensors, window, graph)
     for begin, block, motions in _with_motions(blocks, graph, processes):
         results.advance(block.first_step)
-        batch = maker.batch(block, motions)
-        results.add(batch.tracks, batch.vehicles, maker.numbers)
+        results.add(maker.batch(block, motions), maker.numbers)
         if begin < window.begin:
             maker.clear_lane_offsets()  # the job of the hour before checks poses by these
-        del block, motions, batch  # before the next block is read
+        del block, motions  # before the next block is read
     return results.finish(maker.on_lanes([each.sensor for each in sensors]))
 
 
@@ -155,20 +155,19 @@ class _HourResults:
     window: HourWindow
     engine: OccupancyEngine
     valid_runs: pd.DataFrame
-    waiting: tuple[pd.DataFrame, pd.DataFrame] | None = None  # states and vehicles of a block
-    reached: int = 0
+    reached: int | None = None  # the step to which the engine was advanced
     tracks: list[pd.DataFrame] = field(default_factory=list)
     passages: list[pd.DataFrame] = field(default_factory=list)
     vehicles: dict[int, dict[str, Any]] = field(default_factory=dict)
     over_begin: list[int] = field(default_factory=list)
     over_end: list[int] = field(default_factory=list)
 
-    def add(self, states: pd.DataFrame, vehicles: pd.DataFrame, numbers: list[int]) -> None:
-        """Add the states of a block, after `advance` over all earlier ones."""
-        states, vehicles = TRACKS_KIND.typed(states), VEHICLES_KIND.typed(vehicles)
+    def add(self, batch: VehicleBatch, numbers: list[int]) -> None:
+        """Add the vehicles of a block, after `advance` to its first step."""
         begin, end = self.window.begin, self.window.end
+        states, vehicles = TRACKS_KIND.typed(batch.tracks), VEHICLES_KIND.typed(batch.vehicles)
         states = states[states["step"] <= end].reset_index(drop=True)
-        self.waiting = (states, vehicles)
+        self.advance(min(batch.last_step, end) + 1, states, vehicles)
         self.over_begin += _vehicles_over(begin, states, numbers)
         self.over_end += _vehicles_over(end, states, numbers)
         part = states[states["step"].between(begin, end - 1)]
@@ -183,16 +182,14 @@ class _HourResults:
             row |= {"first_step": least, "last_step": most, "lanelets": lanelets[n]}
             self.vehicles[n] = joined_rows(self.vehicles.get(n), row)
 
-    def advance(self, to: int) -> None:
-        """Advance the engine to a step, with the states of the block added last."""
-        if self.waiting is None:
-            self.reached = to
-            return
-        states, vehicles = self.waiting
-        self.passages.append(
-            self.engine.advance(states, vehicles, self.valid_runs, (self.reached, to))
-        )
-        self.reached, self.waiting = to, None
+    def advance(
+        self, to: int, states: pd.DataFrame = _NO_STATES, vehicles: pd.DataFrame = _NO_VEHICLES
+    ) -> None:
+        """Advance the engine to a step, with the states up to it; from the first block on."""
+        if self.reached is not None and self.reached < to:
+            span = self.reached, to
+            self.passages.append(self.engine.advance(states, vehicles, self.valid_runs, span))
+        self.reached = to
 
     def finish(self, on_lanes: list[pd.DataFrame]) -> HourVehicles:
         """Return all results, with final numbers of vehicles."""
