@@ -1,17 +1,14 @@
-"""What a report rests on: recorded time, road seen, tracks, poses; and what may be concluded."""
+"""What a report rests on: recorded time, road seen, tracks; and what may be concluded."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from gis_radar.base import (
-    NO_FIGURE,
     STEP_S,
-    STEPS_PER_SECOND,
     THIN_SPACE,
     Clock,
     Text,
@@ -24,18 +21,14 @@ from gis_radar.base import (
     seconds_text,
     tr,
 )
-from gis_radar.calibration import FITS, WRONG, Finding
 from gis_radar.measures import Runs
-from gis_radar.products import report_files as names
 from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.quality.quality import GOOD, Quality
 from gis_radar.products.report.content import (
     TOO_LITTLE,
-    Column,
     Fact,
     Table,
     text_columns,
-    text_rows,
 )
 from gis_radar.products.report.lanes import (
     FAR_M,
@@ -55,7 +48,6 @@ from gis_radar.scans import VIEW_ONLY
 _NO_RUN = Text("The folder is not that of a run: settings are listed only as far as known.")
 _SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
 DAY_S = 86_400.0
-_MOST_HOURS = 168  # rows of the table as read; the CSV file holds all
 
 
 class ReportData(NamedTuple):
@@ -362,137 +354,3 @@ def own_remarks(data: ReportData) -> list[Text]:
             Text("Sensor {}", localised(line, data.clock.zone)) for line in data.quality.warnings()
         ]
     return remarks
-
-
-def quality_table(data: ReportData) -> Table:
-    """Return what sensors delivered by hour, those with a fault first where there are many."""
-    columns, quality = _hour_columns(data), data.quality
-    note, rows = tr("What sensors delivered is not known."), []
-    if quality is not None:
-        table = quality.table.assign(recorded_s=_recorded_in(quality.table, data.results))
-        note = ""
-        if len(table) > _MOST_HOURS:
-            order = table["verdict"].ne(GOOD).sort_values(ascending=False, kind="stable").index
-            table = table.loc[order].head(_MOST_HOURS)
-            text = "Here {part} of {all} rows, those with a fault first."
-            note = tr(text, part=_MOST_HOURS, all=figure_text(len(quality.table)))
-        rows = text_rows((row for _, row in table.iterrows()), columns)
-    return Table(
-        name="quality",
-        caption=tr("Measurements by sensor and hour ({zone})", zone=data.clock.name),
-        columns=columns, rows=rows, note=note,
-        files=[(names.QUALITY, tr("all sensors and hours"))] if quality is not None else [],
-    )  # fmt: skip
-
-
-def _recorded_in(table: pd.DataFrame, results: Results) -> list[float]:
-    """Return for each sensor and hour the seconds in which its frames are valid."""
-    runs = recorded_runs(results)
-    edges = [
-        (begin.timestamp() * STEPS_PER_SECOND, end.timestamp() * STEPS_PER_SECOND)
-        for begin, end in zip(table["begin"], table["end"], strict=True)
-    ]
-    return [
-        float(np.diff(runs[str(sensor)].before(np.array(edge, np.int64)))[0]) * STEP_S
-        for sensor, edge in zip(table["sensor"], edges, strict=True)
-    ]
-
-
-def _hour_columns(data: ReportData) -> list[Column]:
-    """Return the columns of the table of hours of sensors."""
-    clock, quality = data.clock, data.quality
-
-    def number(name: str, digits: int = 0) -> Callable[[pd.Series], str]:
-        return lambda row: figure_text(row[name], digits)
-
-    def age(row: pd.Series) -> str:
-        return figure_text(row["pose_age_h"], 1) if row["pose_age_h"] >= 0 else NO_FIGURE
-
-    def begin(row: pd.Series) -> str:
-        return clock.stamp(row["begin"].to_pydatetime())
-
-    def verdict(row: pd.Series) -> str:
-        return tr(quality.verdict(row["verdict"])) if quality else NO_FIGURE
-
-    return [
-        Column(tr("Sensor"), "", lambda row: str(row["sensor"]), False),
-        Column(tr("Hour from"), "", begin, False),
-        Column(tr("Time recorded"), "", lambda row: seconds_text(row["recorded_s"])),
-        Column(tr("Frames"), tr("received"), number("frames")),
-        Column(tr("Frames"), tr("expected"), number("frames_expected")),
-        Column(tr("Detections"), tr("a frame"), number("detections_per_frame", 1)),
-        Column(tr("Moving"), tr("of them"), lambda row: percent(row["moving_share"], 0)),
-        Column(tr("Clock"), tr("corrected by s"), number("clock_offset_s", 3)),
-        Column(tr("Pose age"), "h", age),
-        Column(tr("Verdict"), "", verdict, False),
-    ]
-
-
-_NOT_CHECKED = "not checked"
-
-
-def trust_table(results: Results, clock: Clock) -> Table:
-    """Return what the check found of each sensor, and what to do about it.
-
-    Parameters
-    ----------
-    results : Results
-        The results.
-    clock : Clock
-        Clock of the site, for times in the evidence.
-
-    Returns
-    -------
-    Table
-        Table of the sensors whose recordings are in the heat map, and of those left out.
-    """
-    findings = results.findings
-    names = sorted({*results.sensors, *results.lost, *findings})
-    rows = [_trust_cells(name, findings.get(name), results, clock) for name in names]
-    columns = text_columns(tr("Sensor"), tr("Verdict"), tr("Evidence"), tr("What to do"))
-    return Table(
-        name="trust",
-        caption=tr("Whether pose, recordings and map of each sensor fit together"),
-        columns=columns,
-        rows=rows,
-        note=" ".join(_trust_notes(results, findings)),
-    )
-
-
-def _trust_cells(name: str, finding: Finding | None, results: Results, clock: Clock) -> list[str]:
-    if finding is None:
-        reason = results.lost.get(name, "")
-        return [name, tr(_NOT_CHECKED), tr(reason) if reason else NO_FIGURE, NO_FIGURE]
-    verdict = tr(finding.shown_verdict)
-    if finding.refused:
-        text = "{verdict}, left out" if name in results.lost else "{verdict}, accepted anyway"
-        text = "{verdict}, used in part" if name in results.in_part else text
-        verdict = tr(text, verdict=verdict)
-    return [
-        name,
-        verdict,
-        tr(localised(finding.reason, clock.zone)),
-        tr(finding.advice) or NO_FIGURE,
-    ]
-
-
-def _trust_notes(results: Results, findings: dict[str, Finding]) -> list[str]:
-    """Return in sentences how many sensors fit, and what the verdicts mean."""
-    used = results.dataset.manifest.findings  # of sensors in part: of the recordings in the map
-    shown = [(used if n in results.in_part else findings).get(n) for n in results.sensors]
-    fit = sum(each is not None and not each.doubt for each in shown)
-    wrong = sum(each is not None and each.verdict == WRONG for each in shown)
-    notes = [
-        plural(fit, "{n} sensor of this map fits.", "{n} sensors of this map fit.")
-        if fit < len(shown) or not shown or results.lost
-        else tr("All sensors of this map fit.")
-    ]
-    if wrong:
-        notes.append(
-            tr("Where one does not fit, do not use this map: vehicles may be on wrong lanes.")
-        )
-    if any(each is not None and each.verdict != FITS and not each.refused for each in shown):
-        notes.append(
-            tr("Too little traffic to tell: an error would not have shown; the map may be right.")
-        )
-    return notes

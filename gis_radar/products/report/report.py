@@ -46,10 +46,8 @@ from gis_radar.products.report.basis import (
     basis_of,
     facts_of,
     own_remarks,
-    quality_table,
     remarks_of,
     totals_of,
-    trust_table,
 )
 from gis_radar.products.report.chart import draw_lanes_over_time
 from gis_radar.products.report.content import (
@@ -78,7 +76,8 @@ from gis_radar.products.report.lanes import (
 from gis_radar.products.report.maps import draw_maps, draw_sights, lay_out
 from gis_radar.products.report.pages import page_of, write_pdf
 from gis_radar.products.report.plan import draw_plan
-from gis_radar.products.report.results import Results, read_results, sensor_table, traffic_of
+from gis_radar.products.report.results import Results, read_results, traffic_of
+from gis_radar.products.report.sensors import quality_table, sensor_table, trust_table
 from gis_radar.products.report.sources import made_by, settings_of, sources_of
 from gis_radar.products.report.traffic import traffic_chapters
 from gis_radar.products.traffic import write_table

@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
-from zoneinfo import ZoneInfo
 
 import geopandas as gpd
 import numpy as np
 
 from gis_radar.base import (
-    NO_FIGURE,
     STEPS_PER_SECOND,
-    THIN_SPACE,
     Clock,
     InputError,
     Text,
-    direction,
-    figure_text,
     interval_steps,
-    localised,
-    plus_minus,
     read_json,
     restored,
     tr,
@@ -40,10 +32,9 @@ from gis_radar.dataset import (
     suited_interval,
 )
 from gis_radar.measures import LaneNetwork
-from gis_radar.poses import Pose, View, pose_from_dict
+from gis_radar.poses import Pose, pose_from_dict
 from gis_radar.products.heatmap.heatmap import HeatMap, read_heatmap
 from gis_radar.products.heatmap.layers import HEATMAP_FILE as PACKAGE
-from gis_radar.products.report.content import Column, Table, how_found, text_rows
 
 DATASET = "dataset"
 _RUN = "run.json"
@@ -272,74 +263,6 @@ def read_run(folder: Path) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise InputError("{}: damaged: it is no table of settings", path, hint="run the site again")
     return restored(document)
-
-
-def sensor_table(results: Results, zone: ZoneInfo) -> Table:
-    """Return the table of the sensors' poses, with their errors and how they were found.
-
-    Parameters
-    ----------
-    results : Results
-        The results.
-    zone : ZoneInfo
-        Time zone of the report.
-    """
-    columns = _sensor_columns()
-    rows = text_rows(results.poses, columns)
-    rows += [
-        [name, *[NO_FIGURE] * 6, tr("no result: {why}", why=tr(localised(reason, zone)))]
-        for name, reason in results.lost.items()
-    ]
-    note = tr(
-        "± is one standard deviation. Bearings count clockwise from grid north; pitch over 0 "
-        "looks down. Width is the opening angle."
-    )
-    if results.figures:
-        note += " " + tr("Pictures of how they were found: sensors/NAME/localization.png.")
-    if not rows:
-        note = tr("No pose is known here.")
-    return Table(
-        name="sensors", caption=tr("Sensors, and where they stand"), columns=columns, rows=rows,
-        note=note,
-    )  # fmt: skip
-
-
-def _sensor_columns() -> list[Column]:
-    """Return the columns of the table of sensors."""
-
-    def angles(pose: Pose) -> str:
-        both = [_with_sigma(pose, name, 1).replace(" ", THIN_SPACE) for name in ("pitch", "roll")]
-        return ", ".join(both)
-
-    def sees(pose: Pose) -> str:
-        view = pose.view or View()
-        return f"{figure_text(view.max_range_m)} m, {figure_text(view.azimuth_deg)}°"
-
-    return [
-        Column(tr("Sensor"), "", lambda pose: str(pose.sensor), False),
-        Column(tr("Easting"), "m", lambda pose: _with_sigma(pose, "easting", 2)),
-        Column(tr("Northing"), "m", lambda pose: _with_sigma(pose, "northing", 2)),
-        Column(tr("Height"), "m", lambda pose: _with_sigma(pose, "height", 2)),
-        Column(tr("Looks to"), tr("from grid north"), _looks_to),
-        Column(tr("Pitch, roll"), tr("degrees"), angles),
-        Column(tr("Sees"), tr("range, width"), sees),
-        Column(tr("How its pose was found"), "", lambda pose: how_found(pose.evidence), False),
-    ]
-
-
-def _with_sigma(
-    pose: Pose, name: str, digits: int, value: float | None = None, unit: str = ""
-) -> str:
-    """Return a number of a pose, or another value for it, with its standard deviation."""
-    shown = figure_text(getattr(pose, name) if value is None else value, digits) + unit
-    known = pose.parsed_evidence().sigma.get(name)
-    return shown if known is None else f"{shown} {plus_minus(known, 2, unit)}"
-
-
-def _looks_to(pose: Pose) -> str:
-    ahead = pose.R_map_sensor[:2, 0]
-    bearing = math.degrees(math.atan2(ahead[0], ahead[1])) % 360.0
-    return f"{direction(*ahead)}, {_with_sigma(pose, 'yaw', 1, bearing, '°')}"
 
 
 class ReportedTraffic(NamedTuple):
