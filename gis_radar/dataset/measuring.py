@@ -226,8 +226,9 @@ def measure(
     dataset = open_dataset(folder, reporter=reporter)
     if made:
         _remark_on_recordings(given, made, reporter)
-        if dataset.has_vehicles:
-            remarks.remark_on_counting_lines(dataset, reporter)
+        if given.roads is not None and dataset.has_vehicles:
+            lanes = given.roads.lanes()
+            remarks.remark_on_counting_lines(dataset, given.tiles, lanes, reporter)
     return dataset
 
 
@@ -405,7 +406,7 @@ def _add(
             site, before, registry, just_read=given.entries, before_hour=before_hour,
             processes=processes, reporter=reporter,
         )  # fmt: skip
-    except InputError:
+    except (InputError, MemoryError):
         if is_new:  # leave no new folder behind
             shutil.rmtree(folder, ignore_errors=True)
         raise

@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
+import pyogrio
 import pytest
 from maps import Listener
 from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
 
 import gis_radar as gr
 from gis_radar.base import QUIET
-from gis_radar.dataset import read_hours
+from gis_radar.dataset import measuring, read_hours
 from gis_radar.dataset.files.manifest import locked_for_writing
 
 
@@ -462,6 +463,32 @@ def test_a_full_disk_midway(files, tmp_path, monkeypatch):
 
 
 CLEARANCE = gr.Filters(clearance=(-0.5, 4.5))
+
+
+def test_no_memory_midway_leaves_no_new_dataset(files, tmp_path, monkeypatch):
+    def fails(*_, **__):
+        raise MemoryError
+
+    monkeypatch.setattr(measuring, "update_dataset", fails)
+    with pytest.raises(MemoryError):
+        hits_of(tmp_path / "site", ("R1", files["R1"]))
+    assert not (tmp_path / "site").exists()
+
+
+def test_no_layer_is_read_when_the_hours_are_made(files, tmp_path, monkeypatch):
+    """Memory for it may be missing, and the dataset is in its place."""
+
+    def fails(*_, **__):
+        raise MemoryError
+
+    def made(*given, **options):
+        hours = update_dataset(*given, **options)
+        monkeypatch.setattr(pyogrio, "read_dataframe", fails)
+        return hours
+
+    update_dataset = measuring.update_dataset
+    monkeypatch.setattr(measuring, "update_dataset", made)
+    assert hits_of(tmp_path / "site", ("R1", files["R1"]), hits_only=False).has_vehicles
 
 
 def test_a_clearance_of_a_sensor_without_elevation(tmp_path):

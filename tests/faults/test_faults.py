@@ -139,6 +139,14 @@ def test_hardly_any_memory(runner, inputs, tmp_path, mebibytes, verb):
     assert answer["err"].count("\n") == 1
 
 
+@pytest.mark.parametrize("mebibytes", [185, 206, 207])
+def test_little_memory_leaves_no_dataset_beside_an_error(runner, inputs, tmp_path, mebibytes):
+    """It ended while hours were made, or when lanes were read again for their names."""
+    folder = shutil.copytree(inputs, tmp_path / "case")
+    answer = runner.run(folder, words_of(WRITERS["measure"], folder), more_bytes=mebibytes << 20)
+    assert answer["code"] <= 0 or not _made(folder), answer["err"]  # under 0: libraries ended it
+
+
 @pytest.mark.parametrize(("name", "verb"), some(ODD, 5))
 def test_odd_names(runner, inputs, tmp_path, name, verb):
     """Signs that mean something to a shell, to GDAL, to SQLite or in an address."""

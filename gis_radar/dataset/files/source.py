@@ -35,6 +35,7 @@ Moment: TypeAlias = str | datetime | int | None
 """A time as ISO 8601 text or with its zone; without one by the clocks of the site; or a step."""
 
 
+_BATCH = 256  # lanes read at once, for which GDAL takes memory even if there are few
 _LAST_STEP = 1 << 62  # of a span without an end
 # Steps of 1985 to 2128; UNIX seconds, given in place of steps, are smaller numbers.
 _STEPS_TODAY = range(10_000_000_000, 100_000_000_000)
@@ -132,7 +133,7 @@ class DatasetFiles:
         with opened_package(self.folder / TILES_FILE, what="the tiles of a dataset") as place:
             if name not in pyogrio.list_layers(place)[:, 0]:
                 require_vehicles(self)
-            return pyogrio.read_dataframe(place, layer=name, use_arrow=True)
+            return pyogrio.read_dataframe(place, layer=name, use_arrow=True, batch_size=_BATCH)
 
     def _read(self, table: TableSchema, begin: Moment, end: Moment) -> pd.DataFrame:
         parts = list(self.batches(table, self.span(begin, end)))

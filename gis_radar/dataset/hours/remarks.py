@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 
 from gis_radar.base import CLOCK_SET_S, STEP_US, Reporter, Text, iso_from_step
-from gis_radar.dataset.days.lane_measures import LaneTraffic
 from gis_radar.dataset.files.registry import RecordingEntry
 from gis_radar.dataset.files.source import DatasetFiles
 from gis_radar.dataset.hours.job import MOST_EQUAL_FRAMES
 from gis_radar.dataset.traffic.shifts import lanes_across
-from gis_radar.hdmap import TILES_LAYER
 from gis_radar.measures import (
     CYCLES_VALID,
     VALIDITY_S,
+    LaneNetwork,
     PlacedRecording,
     RecordingCounts,
     SightBook,
@@ -121,10 +121,14 @@ def remark_on_vehicles(count: int, on_lanes: Sequence[pd.DataFrame], reporter: R
         reporter.warn(line)
 
 
-def remark_on_counting_lines(dataset: DatasetFiles, reporter: Reporter) -> None:
-    """Warn of lanes over whose counting lines all sensors look straight across."""
-    network = LaneTraffic.of(dataset).network
-    tiles = dataset.layer(TILES_LAYER).sort_values("tile_id", ignore_index=True)
+def remark_on_counting_lines(
+    dataset: DatasetFiles, tiles: gpd.GeoDataFrame, lanes: gpd.GeoDataFrame, reporter: Reporter
+) -> None:
+    """Warn of lanes over whose counting lines all sensors look straight across.
+
+    Tiles and lanes, the dataset's, are not read again, as memory may run short beside results.
+    """
+    network = LaneNetwork.of(tiles, dict(zip(lanes["lane"], lanes["stop_line_m"], strict=True)))
     across = lanes_across(dataset.poses(), dataset.sights(), tiles, network) & ~network.connector
     if across.any():
         reporter.warn(
