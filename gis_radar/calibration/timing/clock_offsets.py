@@ -12,6 +12,7 @@ is solved by robust least squares, with a prior on d from the length of vehicles
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +82,7 @@ _NEAR_MPS = 1.0
 _DECOYS_S: tuple[float, ...] = (-3.0, -2.0, -1.5, 1.5, 2.0, 3.0)
 _LEAST_SHARE = 0.45  # least share of detections that agree at the offset
 _LEAST_RATIO = 1.3  # least ratio of that share to the one at any decoy
+_AS_GOOD = 0.9  # least ratio of the share at about no offset to that at one: then there is none
 _LEAST_CHECKED = 50  # least detections of a sensor at places and times that the other one saw
 
 _VALUES_AT_ONCE = 1 << 22  # float32 values of a block of cells: 16 MiB
@@ -95,6 +97,8 @@ def measured_offset(
 ) -> ClockOffset:
     """Measure how far the clock of `other` is ahead of that of `one`.
 
+    Where clocks that agree explain the traffic as well, as if it was copied, they agree.
+
     Parameters
     ----------
     one, other : LaneDetections
@@ -108,7 +112,12 @@ def measured_offset(
         If there is no trustworthy offset.
     """
     offset = fine_offset(one, other, rough_offset(one, other, max_offset_s=max_offset_s))
-    validate_offset(one, other, offset.offset_s)
+    share = validate_offset(one, other, offset.offset_s)
+    if abs(offset.offset_s) > _MAX_CHANGE_S:
+        with suppress(NoAnswerError):
+            near = fine_offset(one, other, 0.0)
+            if validate_offset(one, other, near.offset_s) >= _AS_GOOD * share:
+                return near
     return offset
 
 
@@ -387,8 +396,10 @@ def _normal_equations(
     return matrix, right_side
 
 
-def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float) -> None:
-    """Refuse an offset at which too few detections agree, or as many as at other offsets.
+def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float) -> float:
+    """Return the share of detections that agree at an offset.
+
+    One at which too few agree, or as many as at other offsets, is refused.
 
     On a road that both see, most detections of one agree with those of the other at the right
     offset, and far fewer a second or more beside it. Traffic at signals repeats from cycle to
@@ -416,6 +427,7 @@ def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float)
         raise NoAnswerError("at no lag do they see the same vehicles")
     if not share >= _LEAST_RATIO * np.nanmax([0.0, *decoys]):
         raise NoAnswerError("their common traffic looks alike at other lags too")
+    return float(share)
 
 
 def _shares_seen_by_both(
