@@ -174,6 +174,19 @@ def test_a_right_pose_is_not_refused(checked, rows, change, verdicts):
         assert advice == ("" if verdict == FITS else "record more traffic")
 
 
+@pytest.mark.parametrize("constant", [False, True])
+def test_positions_that_are_all_empty_are_refused_after_a_constant_rate(checked, rows, constant):
+    table = rows["R1"].assign(**dict.fromkeys("xyz", np.float32(np.nan)))
+    if constant:
+        table = table.assign(range_rate=np.float32(1.5))
+    code, found, _ = checked({"R1": (table, POSES["R1"])})
+    assert code == 4
+    verdict, evidence, _ = found["R1"]
+    assert verdict == WRONG
+    said = "range_rate is 1.5 in all detections" if constant else "none of .* has a position"
+    assert re.search(said, evidence)
+
+
 def test_more_is_read_where_traffic_does_not_show_the_pose(rows, excerpts, lanes):
     """The earlier pieces of a long recording are among the later ones; as few as do are read."""
     little = list(excerpts(one_lane(rows["R1"])))

@@ -48,8 +48,8 @@ def find_fault(rows: Rows, moves: Booleans) -> Finding | None:
     moves : (n,) bool array
         Which of them move.
     """
-    found = _frozen(rows) or _constant(rows) or _duplicated(rows, moves) or _too_fast(rows)
-    return found or _too_near(rows) or _shifted(rows)
+    found = _frozen(rows) or _constant(rows) or _unplaced(rows) or _duplicated(rows, moves)
+    return found or _too_fast(rows) or _too_near(rows) or _shifted(rows)
 
 
 def _frozen(rows: Rows) -> Finding | None:
@@ -81,6 +81,16 @@ def _constant(rows: Rows) -> Finding | None:
             advice = Text("leave {} empty (NaN) where the radar does not measure it", name)
             return wrong(Text("{} is {:g} in all detections", name, value), Cause(cause, advice))
     return None
+
+
+def _unplaced(rows: Rows) -> Finding | None:
+    """Return the finding on range rates of which none has a position."""
+    rates = int(np.isfinite(rows.range_rate).sum())
+    if rates == 0 or np.isfinite(rows.points[:, :2]).all(axis=1).any():
+        return None
+    cause = Text("x and y were converted wrongly")
+    evidence = Text("none of {:,} detections has a position", rates)
+    return wrong(evidence, Cause(cause, Text("x, y and z are metres from the sensor")))
 
 
 def _duplicated(rows: Rows, moves: Booleans) -> Finding | None:
