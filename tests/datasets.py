@@ -61,7 +61,7 @@ def write_dataset(
     tiles = square_tiles(20) if tiles is None else tiles
     tables = tables or {}
     manifest = Manifest(
-        map="0" * 64, fingerprint=fingerprint(tiles), crs=f"EPSG:{tiles.crs.to_epsg()}",
+        map="", fingerprint=fingerprint(tiles), crs=f"EPSG:{tiles.crs.to_epsg()}",
         origin=(int(EAST), int(NORTH)), timezone=timezone,
         settings={"vehicles": vehicles, "sight": VIEW_ONLY, "filters": {}}
         | (settings or {}),

@@ -153,6 +153,14 @@ def test_a_map_of_another_run(recording, tmp_path):
         dataset.withdraw(sensor="R1")
 
 
+@pytest.mark.parametrize("name", ["map.osm", "tiles.gpkg", "recordings.parquet", "sights.parquet"])
+def test_a_file_of_a_dataset_that_is_gone(recording, tmp_path, name):
+    dataset = site_of(tmp_path / "site", recording, hits_only=False)
+    (dataset.folder / name).unlink()
+    with pytest.raises(gr.InputError, match=f"site/{name}"):
+        dataset.check()
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [("origin", [690219, 5336037]), ("crs", "EPSG:25833"), ("map", "another"), ("heights", "")],

@@ -231,8 +231,10 @@ def heights_digest(tiles: gpd.GeoDataFrame) -> str:
 
 
 def refuse_other_map(folder: Path, manifest: Manifest) -> None:
-    """Refuse a map in a dataset that is not the one that it was made from."""
+    """Refuse a dataset without the map that it was made from, or with another one."""
     path = folder / MAP
+    if manifest.map and not path.is_file():
+        raise InputError("{}: no such file", path, hint=BRING_BACK)
     if path.is_file() and manifest.map != map_digest(path):
         raise InputError("{}: is of another run", path, hint=BRING_BACK)
 
