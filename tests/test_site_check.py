@@ -105,6 +105,7 @@ def test_a_site_that_can_be_run_is_told_so(place):
         (("690356.0, 5336183.0", "5336183.0, 690356.0"), r"R1 stands [\d,]+ m from the nearest"),
         (('crs = "EPSG:25832"', 'crs = "EPSG:4326"'), "geographic"),
         (('"R1.parquet"', '"R9.parquet"'), "no such file"),
+        (('"R1.parquet"', '"other.json"'), r"/other.json: of no known radar format"),
         (('"R2.parquet"', '"R1.parquet"'), "R1.parquet is a recording of R1, too"),
         (("guess = [690383.0, 5336229.0]", 'pose = "other.json"'), r"in EPSG:25833, the map"),
     ],

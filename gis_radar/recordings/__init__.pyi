@@ -4,6 +4,7 @@ from .formats import as_recording as as_recording
 from .formats import as_recordings as as_recordings
 from .formats import format_of as format_of
 from .formats import is_recording as is_recording
+from .formats import known_formats as known_formats
 from .formats import open_recording as open_recording
 from .frame_clock import AGREEING_S as AGREEING_S
 from .frames import DamagedError as DamagedError

@@ -40,7 +40,14 @@ from gis_radar.calibration import (
 )
 from gis_radar.hdmap import LaneletMap, read_map
 from gis_radar.poses import read_track
-from gis_radar.recordings import RangeCounts, Recording, open_recording, time_warnings
+from gis_radar.recordings import (
+    RangeCounts,
+    Recording,
+    format_of,
+    known_formats,
+    open_recording,
+    time_warnings,
+)
 from gis_radar.scans import open_scan, read_road
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.settings import Sensor, Site, read_site
@@ -184,9 +191,13 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     )  # fmt: skip
     sensor_checks: dict[str, SensorCheck] = {}
     recorded: dict[str, list[tuple[float, float, Path]]] = {}
+    known = tuple(ending for each in known_formats() for ending in each.endings)
     for done, sensor in enumerate(site.sensor):
         reporter.progress("reading recordings", done, len(site.sensor))
         counts = _ViewCounts()
+        for foreign in sensor.foreign:  # converted by the run, which refuses what is none inside
+            if not foreign.name.lower().endswith(known):
+                format_of(str(foreign))
         readable = [path for path in sensor.recordings if path not in sensor.foreign]
         spans = [(*counts.add(open_recording(path)), path) for path in readable]
         sensor_checks[sensor.name] = _sensor_check(sensor, spans, counts, warnings)
