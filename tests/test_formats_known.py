@@ -9,8 +9,8 @@ from test_formats_scenes import write_scene
 
 import gis_radar as gr
 from gis_radar.base import InputError
-from gis_radar.recordings import format_of, is_recording
-from gis_radar.recordings.formats import direct_endings, known_formats
+from gis_radar.recordings import format_of, is_recording, known_formats
+from gis_radar.recordings.formats import direct_endings
 
 ROOT = Path(__file__).parents[1]
 
