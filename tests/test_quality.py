@@ -253,6 +253,16 @@ def test_written_tables_are_in_utc(tmp_path):
         quality.write(tmp_path / "q.xlsx")
 
 
+@pytest.mark.parametrize(("csv_locale", "third"), [("de", "0,333333"), ("en", "0.333333")])
+def test_written_numbers_are_rounded(tmp_path, csv_locale, third):
+    quality = measure_quality(measured(tmp_path, "a", *drive([START])))
+    quality = replace(quality, table=quality.table.assign(moving_share=1.0 / 3.0))
+    quality.write(tmp_path / "q.csv", csv_locale=csv_locale)
+    text = (tmp_path / "q.csv").read_text()
+    assert third in text
+    assert f"{third}3" not in text
+
+
 def test_what_is_refused(tmp_path):
     dataset = measured(tmp_path, "a", *drive([START]))
     with pytest.raises(UsageError, match="no time zone"):

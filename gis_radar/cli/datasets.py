@@ -27,6 +27,7 @@ _NO_STOP_LINES = Text(
 _SERVICE_INTERVAL = "15min"
 _OTHER_LEVELS = "levels of service are of 15 minutes in the handbook, here of {}"
 DAY_S = 86_400.0
+_DIGITS = 4  # of numbers in a profile as CSV: far below their errors
 several_sites = click.argument("folder", metavar="DATASET|CITY", type=FILE)
 
 
@@ -201,7 +202,7 @@ def profile(
     summary, names = {"total": len(found)}, list(map(str, found))
     if output is not None:
         with base.csv_for(csv_locale), base.atomic_write(output) as part:
-            base.write_csv(part, found)
+            base.write_csv(part, found.round(_DIGITS))
         return Result(outputs=[output], summary=summary)
     values = found.astype(object).where(found.notna(), None).to_numpy().tolist()
     rows = [dict(zip(names, each, strict=True)) for each in values]

@@ -46,6 +46,7 @@ _NO_DATA = "no data"
 
 # Limits beyond which the hour of a sensor has a fault, after those of loop detectors (PeMS, Chen et
 # al. 2003), and far from the values of simulated sites. Shares are of the frames, if not stated.
+_DIGITS = 6  # of numbers in CSV: far below their errors
 _LEAST_SHARE = 0.6  # share received of the frames expected
 _HIGH_SHARE = 0.2  # share with more than `counting.HIGH` of the seen tiles hit
 _LEAST_MOVING = 0.001  # moving share of the detections: a street at night has some
@@ -195,7 +196,7 @@ class Quality:
         shown = {name: self.table[name].map(iso_from_time) for name in ("begin", "end")}
         shown["weekday"] = self.table["weekday"].map(tr)
         shown["verdict"] = self.table["verdict"].map(lambda text: tr(self.verdict(text)))
-        write_csv(path, self.table.assign(**shown))
+        write_csv(path, self.table.assign(**shown).round(_DIGITS))
 
     def _repr_html_(self) -> str:
         columns = ["sensor", "date", "hour", "frames", "frames_expected", "verdict"]
