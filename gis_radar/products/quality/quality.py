@@ -43,10 +43,10 @@ _DAYS = (
     Text("Saturday"), Text("Sunday"),
 )  # fmt: skip
 _NO_DATA = "no data"
+_DIGITS = 6  # of numbers in CSV: far below their errors
 
 # Limits beyond which the hour of a sensor has a fault, after those of loop detectors (PeMS, Chen et
 # al. 2003), and far from the values of simulated sites. Shares are of the frames, if not stated.
-_DIGITS = 6  # of numbers in CSV: far below their errors
 _LEAST_SHARE = 0.6  # share received of the frames expected
 _HIGH_SHARE = 0.2  # share with more than `counting.HIGH` of the seen tiles hit
 _LEAST_MOVING = 0.001  # moving share of the detections: a street at night has some
