@@ -16,6 +16,7 @@ from gis_radar.scans import (
     read_shifted,
 )
 from gis_radar.scans.roads import roads_of_map
+from gis_radar.scans.scan import Scan
 from gis_radar.scans.shift import warn_shifted
 
 SAMPLE = gr.sample_folder()
@@ -38,6 +39,20 @@ def test_roads_beside_their_place_are_named(roads, shift):
         assert named == (np.hypot(*shift) > 4.0)
     said = f"{0.0 - shift[0]:.0f} m to the east and {0.0 - shift[1]:.0f} m to the north"
     assert all(said in each for each in listener.lines)
+
+
+def test_a_mask_reads_a_scan_once_and_looks_for_no_roads_beside_those_of_a_city(roads, monkeypatch):
+    listener, read, batches = Listener(), [], Scan.batches
+    monkeypatch.setattr(
+        Scan, "batches", lambda *args, **rest: read.append(1) or batches(*args, **rest)
+    )
+    area = roads_of_map(roads)
+    area = type(area)(**{**vars(area), "area": shapely.affinity.translate(area.area, 10.0)})
+    for cells in (4_000_000, 1):
+        monkeypatch.setattr("gis_radar.scans.shift.MOST_COMPARED", cells)
+        gr.mask_road(SCAN, area, engine="laspy", reporter=listener)
+    assert len(read) == 2
+    assert sum("fit the scan" in each for each in listener.lines) == 1
 
 
 @pytest.mark.parametrize("shift", [0.0, 10.0])

@@ -97,8 +97,8 @@ def fit_ground(points: Floats, settings: MaskSettings = DEFAULTS) -> GroundSurfa
 def _nodes_to_points(surface: GroundSurface, points: Floats, used: Integers) -> sparse.csr_array:
     """Return the matrix from the heights of the used nodes to those of the surface at points."""
     base, weight = surface.weights(points[:, 0], points[:, 1])
-    place = (np.repeat(np.arange(len(points)), 4), np.searchsorted(used, base.ravel()))
-    return sparse.csr_array((weight.ravel(), place), shape=(len(points), len(used)))
+    rows = np.searchsorted(used, base.ravel()), np.arange(0, base.size + 1, base.shape[1])
+    return sparse.csr_array((weight.ravel(), *rows), shape=(len(points), len(used)))
 
 
 def _fitted_heights(

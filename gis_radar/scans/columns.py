@@ -14,8 +14,9 @@ from pyproj import CRS
 from gis_radar.base import QUIET, Booleans, Box, Floats, Grid, Integers, Reporter
 from gis_radar.scans.scan import Scan
 
-# ASPRS LAS 1.4, table 17
-_PLANTS, _BUILDING, _DECK, _GROUND = (3, 4, 5), (6,), (17,), (2, 8, 11)
+# Arrays of highest points, and all arrays, with their classes (ASPRS LAS 1.4, table 17).
+_HIGHEST = {"top": (), "plants": (3, 4, 5), "building": (6,)}
+_CLASSES = {**_HIGHEST, "low": (), "ground": (2, 8, 11), "deck": (17,)}
 LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
 _UNFIT = (7, 9, 13, 14, 15, 16, 18)  # noise, water, wires and pylons
 Heights: TypeAlias = NDArray[np.float32]  # exact to 0.03 mm at 400 m, in half the memory
@@ -40,6 +41,8 @@ class ScanColumns:
         Heights of the highest point of these classes, metres.
     ground, deck : array
         Heights of the lowest point of ground or road surface, and of bridge decks, metres.
+    names : sequence of str
+        Names of the arrays that are made.
     points : int
         Number of points so far.
     """
@@ -52,14 +55,14 @@ class ScanColumns:
     building: Heights = field(init=False, repr=False)
     ground: Heights = field(init=False, repr=False)
     deck: Heights = field(init=False, repr=False)
+    names: Sequence[str] = tuple(_CLASSES)
     points: int = 0
 
     def __post_init__(self) -> None:
         size = (self.grid.columns, self.grid.rows)
-        for name in ("top", "plants", "building"):
-            setattr(self, name, np.full(size, -np.inf, np.float32))
-        for name in ("low", "ground", "deck"):
-            setattr(self, name, np.full(size, np.inf, np.float32))
+        for name in self.names:
+            none = -np.inf if name in _HIGHEST else np.inf
+            setattr(self, name, np.full(size, none, np.float32))
 
     def add(self, xyz: Floats, category: Any) -> None:
         """Add (n, 3) points of the map with their ASPRS classes; skip those outside the grid."""
@@ -69,14 +72,10 @@ class ScanColumns:
         cell = column[kept] * self.grid.rows + row[kept]
         height, category = xyz[kept, 2].astype(np.float32), category[kept]
         self.points += len(cell)
-        for heights, classes in (
-            (self.top, None), (self.plants, _PLANTS), (self.building, _BUILDING)
-        ):  # fmt: skip
-            chosen = slice(None) if classes is None else np.isin(category, classes)
-            np.maximum.at(heights.reshape(-1), cell[chosen], height[chosen])
-        for heights, classes in ((self.low, None), (self.ground, _GROUND), (self.deck, _DECK)):
-            chosen = slice(None) if classes is None else np.isin(category, classes)
-            np.minimum.at(heights.reshape(-1), cell[chosen], height[chosen])
+        for name in self.names:
+            chosen = np.isin(category, _CLASSES[name]) if _CLASSES[name] else slice(None)
+            extreme = np.maximum if name in _HIGHEST else np.minimum
+            extreme.at(getattr(self, name).reshape(-1), cell[chosen], height[chosen])
 
 
 def read_columns(

@@ -30,7 +30,7 @@ from gis_radar.base import (
     same_coordinates,
     scratch_folder,
 )
-from gis_radar.scans.columns import LEAST_GROUND
+from gis_radar.scans.columns import LEAST_GROUND, read_columns
 from gis_radar.scans.pdal import INSTALL_HINT, PdalRunner, find_pdal
 from gis_radar.scans.point_store import PointStore
 from gis_radar.scans.roads import Roads
@@ -38,13 +38,12 @@ from gis_radar.scans.scan import (
     NEVER_CLASSES,
     ROAD_CLASSES,
     Days,
-    Points,
     Scan,
     box_with_margin,
     days_flown,
-    ground_share,
     open_scan,
 )
+from gis_radar.scans.shift import BESIDE_M
 
 _LAYER, _COLUMN = "roads", "road"
 # Margin around a road for PDAL's ground filter: wider than its window (SMRF, 18 m).
@@ -215,7 +214,7 @@ MOST_AT_ONCE = 5_000_000
 # Result of an engine: how it selected the points on the roads, as stages of PDAL; their number, in
 # classified scans only those of classes that pass; first and last day, where GPS times give days.
 Selection: TypeAlias = tuple[Pipeline, int, Days | None]
-# A function that puts the points of scans on the roads into a store.
+# A function that puts the points of scans on the roads, and those around, into a store.
 Engine: TypeAlias = Callable[[PointStore, Sequence[Scan], Reporter], Selection]
 
 
@@ -246,11 +245,13 @@ def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter)
     times: list[float] = []
     roads = store.blocks.roads
     passing = passing_classes(roads)
+    box = box_with_margin(roads.area.bounds, BESIDE_M)
     for number, scan in enumerate(scans):
         ground = 0
-        for batch in scan.batches(roads.area.bounds, roads.crs, reporter=reporter):
+        for batch in scan.batches(box, roads.crs, reporter=reporter):
+            store.around.add(np.array([batch.x, batch.y, batch.z]).T, batch.category)
             ground += batch.ground
-            times += _store_on_road(store, number, batch)
+            times += store.add(batch, number)
             done += batch.read
             reporter.progress(_STAGE, done, total)
         classified.append(ground >= LEAST_GROUND * scan.points)
@@ -265,9 +266,12 @@ def _fill_by_pdal(
     runner: PdalRunner, store: PointStore, scans: Sequence[Scan], reporter: Reporter
 ) -> Selection:
     """Put the points on the roads into a store, selected by PDAL's pipeline."""
-    shares = [ground_share(scan, reporter=reporter) for scan in scans]
-    classified = tuple(share >= LEAST_GROUND for share in shares)
     roads = store.blocks.roads
+    box = box_with_margin(roads.area.bounds, BESIDE_M)
+    classified = tuple(
+        read_columns([scan], [store.around], box, roads.crs, reporter=reporter) >= LEAST_GROUND
+        for scan in scans
+    )
     pipeline = Pipeline(scans=tuple(scans), classified=classified, roads=roads)
     store.classified(0, ground=True)  # the pipeline has selected by class
     times: list[float] = []
@@ -283,7 +287,7 @@ def _fill_by_pdal(
             if not empty:
                 result = open_scan(points, crs=roads.crs)
                 for batch in result.batches(roads.area.bounds, roads.crs):
-                    times += _store_on_road(store, 0, batch)
+                    times += store.add(batch, 0)
             points.unlink()
             reporter.progress("running the pipeline", done + 1, len(parts))
     return pipeline, store.total, days_flown(times)
@@ -296,14 +300,3 @@ def _batches_of_site(pipeline: Pipeline) -> list[Box | None]:
     if in_memory <= MOST_AT_ONCE or len(pipeline.scans) == 1:
         return [None]
     return [reprojected_box(scan.bounds, scan.crs, pipeline.roads.crs) for scan in pipeline.scans]
-
-
-def _store_on_road(store: PointStore, number: int, batch: Points) -> list[float]:
-    """Store the points on the roads; return their earliest and latest GPS time, if any."""
-    on_road, block = store.blocks.on_road(batch.x, batch.y)
-    xyz = np.column_stack([batch.x[on_road], batch.y[on_road], batch.z[on_road]])
-    store.add(xyz, batch.category[on_road], block, number)
-    if batch.gps_time is None or len(on_road) == 0:
-        return []
-    times = batch.gps_time[on_road]
-    return [float(times.min()), float(times.max())]

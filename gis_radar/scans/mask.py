@@ -36,7 +36,7 @@ from gis_radar.scans.point_store import PointStore, cut_into_blocks
 from gis_radar.scans.roads import Roads, read_roads, roads_of_map
 from gis_radar.scans.scan import Days, Scan, open_scan, warn_inexact, write_road
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
-from gis_radar.scans.shift import read_shifted
+from gis_radar.scans.shift import warn_roads_shifted
 
 _SIDE_FILE_ENDINGS = (".roads.gpkg", ".pipeline.json")
 _BARE_M2 = 20.0  # a square without a point and with so much road is outside the scans
@@ -266,8 +266,8 @@ def mask_road(
         points_in=sum(scan.points for scan in touching), points_on_road=on_road,
         cells=cells, settings=settings,
     )  # fmt: skip
-    _refuse_empty(mask, touching)
     _report(mask, opened, reporter)
+    warn_roads_shifted(store.around, roads.area, touching[0].path, reporter)
     return mask
 
 
@@ -338,20 +338,15 @@ def _bare_share(mask: RoadMask) -> float:
     return share
 
 
-def _refuse_empty(mask: RoadMask, scans: Sequence[Scan]) -> None:
-    """Refuse a mask that has points on less than `_LEAST_COVERED` of the road inside the scans."""
-    share = _inside_share(mask, scans)
-    if share < _LEAST_COVERED:
+def _report(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
+    """Refuse an empty mask; log engine and skipped scans; warn of roads outside and few points."""
+    covered = _inside_share(mask, mask.pipeline.scans)
+    if covered < _LEAST_COVERED:
         raise NoAnswerError(
             "{}: only {:.1%} of the road inside the scans has points",
-            scans[0].path,
-            share,
+            mask.pipeline.scans[0].path, covered,
             hint="is the scan damaged, very sparse, or of another place?",
-        )
-
-
-def _report(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
-    """Log the engine and skipped scans; warn of roads outside, few points, and other heights."""
+        )  # fmt: skip
     reporter.log(Text("scans read by {}", mask.engine))
     skipped = len(opened) - len(mask.pipeline.scans)
     if skipped:
@@ -360,18 +355,11 @@ def _report(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
         )
     share = mask.outside.area / mask.roads.area.area
     if share > _WARN_OUTSIDE:
-        west, south, east, north = mask.outside.bounds
         reporter.warn(
             "{:.1%} of the map's roads lie outside the scans: {:.0f} m2 within {:.0f} "
             "{:.0f} {:.0f} {:.0f} (layer outside)",
-            share,
-            mask.outside.area,
-            west,
-            south,
-            east,
-            north,
-        )
-    covered = _inside_share(mask, mask.pipeline.scans)
+            share, mask.outside.area, *mask.outside.bounds,
+        )  # fmt: skip
     if covered < _WARN_COVERED:
         reporter.warn("only {:.0%} of the road inside the scans has points", covered)
     elif covered < _WARN_BARE * (bare := _bare_share(mask)):
@@ -381,7 +369,6 @@ def _report(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
             covered,
             bare,
         )
-    read_shifted(mask.pipeline.scans, mask.roads, reporter)
     offset = mask.cells.offset_m
     if abs(offset) > _WARN_OFFSET_M:
         text = Text(

@@ -38,7 +38,7 @@ from gis_radar.scans.settings import DEFAULTS, MaskSettings
 laspy = lazy_loader.load("laspy")  # 0.2 s, and most commands read no scan
 
 Days: TypeAlias = tuple[date, date]
-BATCH_POINTS = 1_000_000  # points in a batch
+BATCH_POINTS = 500_000  # points in a batch
 # ASPRS LAS 1.4, table 17. Road for certain: ground, key points of it, road surface, bridge deck.
 ROAD_CLASSES = (2, 8, 11, 17)
 # Never a road: vegetation, noise, water, wires and pylons, high noise.
@@ -243,13 +243,6 @@ def road_crs(path: str | Path) -> CRS:
         If the file is damaged; CrsError if its CRS is missing or not metric.
     """
     return metric_crs(_stated_crs(Path(path), read_header(Path(path))), what=str(path))
-
-
-def ground_share(scan: Scan, *, reporter: Reporter = QUIET) -> float:
-    """Return the share of a scan's points that bear a class of ground or road."""
-    nowhere = (0.0, 0.0, 0.0, 0.0)
-    batches = scan.batches(nowhere, scan.crs, reporter=reporter)
-    return sum(batch.ground for batch in batches) / scan.points
 
 
 def days_flown(times: Sequence[float]) -> Days | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,8 @@ _LEAST_POINTS, _MOST_POINTS = 400, 5000  # of the roads that are compared
 _NO_ROAD_SHARE, _NO_ROAD_TIMES = 0.1, (0.7, 1.5)
 _EDGE_M = 1.25  # of roads, over which crowns and roofs reach
 _NEAR_M = 200.0  # of a sensor
-_SCAN_CELL_M, _MOST_CELLS = 1.0, 4_000_000  # of the scan where it is read for this alone
+BESIDE_M = _REACH_M + _AROUND_M  # of roads: what is compared with them
+_SCAN_CELL_M, MOST_COMPARED = 1.0, 4_000_000  # around the roads of a map; a whole city has more
 
 
 def warn_shifted(columns: ScanColumns, xy: Floats, path: str | Path, reporter: Reporter) -> bool:
@@ -58,14 +60,17 @@ def warn_shifted(columns: ScanColumns, xy: Floats, path: str | Path, reporter: R
     grid, xy = columns.grid, xy[:: 1 + len(xy) // _MOST_POINTS]
     size = 2 * round(_AROUND_M / grid.cell_m) + 1
     ground = scipy.ndimage.minimum_filter(columns.low, size, mode="nearest")
-    high = np.where(np.isfinite(columns.low), columns.top > ground + _HIGH_M, np.nan)
     side = np.arange(-_REACH_M, _REACH_M + _STEP_M, _STEP_M)
     moves = np.array(list(product(side, side)))
-    places = np.moveaxis(xy + moves[:, None], -1, 0)
-    over = np.where(grid.holds(*grid.cells(*places)), high[grid.nearest(*places)], np.nan)
-    if np.isfinite(over).sum(axis=1).min() < _LEAST_POINTS:
+    column, row = grid.cells(*(xy.T[:, None] + side[:, None]))
+    column, row = np.clip(column, -1, grid.columns), np.clip(row, -1, grid.rows)
+    known, over = (
+        np.concatenate([np.pad(cells, (0, 1))[across, row].sum(axis=1) for across in column])
+        for cells in (np.isfinite(columns.low), columns.top > ground + _HIGH_M)
+    )
+    if known.min() < _LEAST_POINTS:
         return False
-    share = np.nanmean(over, axis=1)
+    share = over / known
     here, best = share[len(share) // 2], moves[share.argmin()]
     elsewhere = share[np.hypot(*(moves - best).T) >= _SAME_M].min()
     is_alone = elsewhere >= max(share.min() / _OPEN_SHARE, _LEAST_ELSEWHERE)
@@ -98,7 +103,7 @@ def read_shifted(
     scans: Sequence[Scan], roads: Roads | LaneletMap, reporter: Reporter,
     *, near: Floats | None = None,
 ) -> bool:  # fmt: skip
-    """Read scans around the roads of a map, and warn as :func:`warn_shifted`; not of a whole city.
+    """Read scans around the roads of a map, and warn as :func:`warn_roads_shifted`.
 
     Parameters
     ----------
@@ -117,14 +122,26 @@ def read_shifted(
         area = shapely.intersection(area, shapely.Point(near).buffer(_NEAR_M))
     if area.is_empty:
         return False
-    box = box_with_margin(area.bounds, _REACH_M + _AROUND_M)
+    columns = columns_around(area)
+    read_columns(scans, [columns], box_with_margin(area.bounds, BESIDE_M), roads.crs)
+    return warn_roads_shifted(columns, area, scans[0].path, reporter)
+
+
+def columns_around(area: Any) -> ScanColumns:
+    """Return columns, to be filled, of the roads and `BESIDE_M` around; of a whole city, none."""
+    box = box_with_margin(area.bounds, BESIDE_M)
     grid = Grid.around(np.array(box[::2]), np.array(box[1::2]), _SCAN_CELL_M)
-    if grid.columns * grid.rows > _MOST_CELLS:
-        return False
-    columns = ScanColumns(grid=grid)
-    read_columns(scans, [columns], box, roads.crs)
+    is_city = grid.columns * grid.rows > MOST_COMPARED
+    grid = replace(grid, columns=0, rows=0) if is_city else grid
+    return ScanColumns(grid=grid, names=("top", "low"))
+
+
+def warn_roads_shifted(columns: ScanColumns, area: Any, path: Path, reporter: Reporter) -> bool:
+    """Warn as :func:`warn_shifted` by the columns around the area of roads, filled."""
     middle = shapely.buffer(area, -_EDGE_M)
     shapely.prepare(middle)
-    places = grid.centres(np.arange(grid.columns * grid.rows))
-    inside = shapely.contains_xy(middle, places[:, 0], places[:, 1])
-    return warn_shifted(columns, places[inside], scans[0].path, reporter)
+    grid = columns.grid
+    x = grid.centres(np.arange(grid.columns))[:, 0]
+    y = grid.centres(np.arange(grid.rows) * grid.columns)[:, 1]
+    inside = np.flatnonzero(shapely.contains_xy(middle, x, y[:, None]))
+    return warn_shifted(columns, grid.centres(inside), path, reporter)
