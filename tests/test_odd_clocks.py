@@ -11,7 +11,6 @@ from gis_radar.calibration.timing.clock_offsets import ClockOffset
 from gis_radar.calibration.timing.lane_detections import LaneDetections
 
 SENSORS, LATE_S, CYCLE_S = 9, 1.0, 100.0
-LATER_S = 7200.0  # stands for a day: the search of a lag takes long over many hours
 
 
 def drive(rng, *, late_s=0.0):
@@ -71,12 +70,13 @@ def test_a_sensor_that_is_silent_for_half_the_time_is_not_off_by_a_cycle(silent)
     assert odd_clocks({"A": right, "B": quarter}) == {}
 
 
-def test_copied_traffic_is_no_clock_that_is_off():
+@pytest.mark.parametrize("later_s", [7200.0, 30 * 86_400.0])
+def test_copied_traffic_is_no_clock_that_is_off(later_s):
     """The clocks are right, though one sensor's traffic is all found again earlier, too."""
     rng = np.random.default_rng(6)
     first, second = drive(rng), drive(rng)
     one, other = (
-        LaneDetections.joined([replace(each, time=each.time + day * LATER_S) for day in days])
+        LaneDetections.joined([replace(each, time=each.time + day * later_s) for day in days])
         for each, days in ((first, (0, 1)), (second, (1, 2)))
     )
     assert odd_clocks({"A": one, "B": other}) == {}

@@ -12,12 +12,10 @@ is solved by robust least squares, with a prior on d from the length of vehicles
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, ranges
 from gis_radar.calibration.timing.lane_detections import LaneDetections
@@ -82,10 +80,9 @@ _NEAR_MPS = 1.0
 _DECOYS_S: tuple[float, ...] = (-3.0, -2.0, -1.5, 1.5, 2.0, 3.0)
 _LEAST_SHARE = 0.45  # least share of detections that agree at the offset
 _LEAST_RATIO = 1.3  # least ratio of that share to the one at any decoy
-_AS_GOOD = 0.9  # least ratio of the share at about no offset to that at one: then there is none
 _LEAST_CHECKED = 50  # least detections of a sensor at places and times that the other one saw
 
-_VALUES_AT_ONCE = 1 << 22  # float32 values of a block of cells: 16 MiB
+_MOST_PAIRS, _PAIRS_AT_ONCE = 1 << 25, 1 << 20  # pairs of a cell: 2 s of CPU; 24 MiB
 
 
 class NoCommonTrafficError(NoAnswerError):
@@ -97,32 +94,47 @@ def measured_offset(
 ) -> ClockOffset:
     """Measure how far the clock of `other` is ahead of that of `one`.
 
-    Where clocks that agree explain the traffic as well, as if it was copied, they agree.
+    Offsets about 0 come first, then those by which both began at about the same time.
 
     Parameters
     ----------
     one, other : LaneDetections
         Detections of two sensors.
     max_offset_s : float
-        Largest offset that is searched, beyond the difference of the begins of both.
+        Largest difference from either.
 
     Raises
     ------
     NoAnswerError
         If there is no trustworthy offset.
     """
-    offset = fine_offset(one, other, rough_offset(one, other, max_offset_s=max_offset_s))
-    share = validate_offset(one, other, offset.offset_s)
-    if abs(offset.offset_s) > _MAX_CHANGE_S:
-        with suppress(NoAnswerError):
-            near = fine_offset(one, other, 0.0)
-            if validate_offset(one, other, near.offset_s) >= _AS_GOOD * share:
-                return near
+    try:
+        return _offset_about(one, other, 0.0, max_offset_s)
+    except NoCommonTrafficError:
+        raise
+    except NoAnswerError:
+        begins_apart_s = float(other.time[0] - one.time[0])
+        if abs(begins_apart_s) < 0.5 * max_offset_s:  # its neighbourhood was searched
+            raise
+    return _offset_about(one, other, begins_apart_s, max_offset_s)
+
+
+def _offset_about(
+    one: LaneDetections, other: LaneDetections, middle_s: float, max_offset_s: float
+) -> ClockOffset:
+    """Measure an offset that differs by at most `max_offset_s` from another one."""
+    rough_s = rough_offset(one, other, middle_s, max_offset_s=max_offset_s)
+    offset = fine_offset(one, other, rough_s)
+    validate_offset(one, other, offset.offset_s)
     return offset
 
 
 def rough_offset(
-    one: LaneDetections, other: LaneDetections, *, max_offset_s: float = _MAX_OFFSET_S
+    one: LaneDetections,
+    other: LaneDetections,
+    middle_s: float = 0.0,
+    *,
+    max_offset_s: float = _MAX_OFFSET_S,
 ) -> float:
     """Estimate how many seconds the clock of `other` is ahead of that of `one`, to half a second.
 
@@ -133,27 +145,22 @@ def rough_offset(
     ----------
     one, other : LaneDetections
         Detections of two sensors.
-    max_offset_s : float
-        As for :func:`measured_offset`.
+    middle_s, max_offset_s : float
+        Middle of the offsets that are searched, and largest difference from it.
 
     Raises
     ------
     NoAnswerError
         If there is no trustworthy one.
     """
-    cells_one, cells_other = _cell_numbers(one), _cell_numbers(other)
-    common = np.intersect1d(cells_one, cells_other)
+    common = np.intersect1d(_cell_numbers(one), _cell_numbers(other))
     if len(common) < ROUGH_PAIRS:
         raise NoCommonTrafficError("they see no common traffic")
-    begins_apart_s = float(other.time[0] - one.time[0])
-    bins_one, bins_other = (
-        ((each.time - each.time[0]) / _BIN_S).astype(np.int64) for each in (one, other)
-    )
-    agreement = _agreement_by_lag(cells_one, bins_one, cells_other, bins_other, common)
-    lag = np.arange(len(agreement)) - bins_one.max()
-    shift_s = lag * _BIN_S + begins_apart_s
-    allowed = np.abs(shift_s) <= abs(begins_apart_s) + max_offset_s
-    return _best_lag(agreement, shift_s, allowed)
+    reach = round(max_offset_s / _BIN_S) + _AROUND_BINS  # that background is known at all of them
+    lag = round(middle_s / _BIN_S) + np.arange(-reach, reach + 1)
+    shift_s = np.asarray(lag * _BIN_S, np.float64)
+    agreement = _agreement_by_lag(one, other, common, lag)
+    return _best_lag(agreement, shift_s, np.abs(shift_s - middle_s) <= max_offset_s)
 
 
 def _best_lag(agreement: Floats, shift_s: Floats, allowed: Booleans) -> float:
@@ -162,7 +169,7 @@ def _best_lag(agreement: Floats, shift_s: Floats, allowed: Booleans) -> float:
     summed = scipy.ndimage.uniform_filter1d(agreement, width, mode="constant") * width
     background = scipy.ndimage.uniform_filter1d(summed, _AROUND_BINS, mode="constant")
     score = (summed - background) / np.sqrt(background + 1.0)
-    filled = allowed & (background > 0.0)
+    filled = background > 0.0  # also beyond what is searched: a few seconds tell no scale
     if summed[allowed].max(initial=0.0) < ROUGH_PAIRS or filled.sum() < least_apart:
         raise NoAnswerError("they see too little common traffic")
     scale = 1.4826 * np.median(np.abs(score[filled] - np.median(score[filled])))
@@ -185,36 +192,36 @@ def _cell_numbers(seen: LaneDetections) -> Integers:
 
 
 def _agreement_by_lag(
-    key_one: Integers, bins_one: Integers, key_other: Integers, bins_other: Integers,
-    common: Integers,
-) -> Floats:  # fmt: skip
-    """Return for each lag the number of cells with detections of both, by cross-correlation.
+    one: LaneDetections, other: LaneDetections, common: Integers, lag: Integers
+) -> Floats:
+    """Return for each lag (bins, ascending by 1) in how many cells both have detections.
 
-    Lag 0 is at index `bins_one.max()`.
+    Of much traffic a part of that of `one` is taken, evenly, which tells as much.
     """
-    lags = int(bins_one.max() + bins_other.max() + 1)
-    length = scipy.fft.next_fast_len(lags, real=True)
-    total = np.zeros(length // 2 + 1, np.complex128)
-    block = max(_VALUES_AT_ONCE // length, 1)
-    for begin in range(0, len(common), block):
-        cells = common[begin : begin + block]
-        spectra = [
-            scipy.fft.rfft(_presence(key, bins, cells, length), axis=1)
-            for key, bins in ((key_one, bins_one), (key_other, bins_other))
-        ]
-        total += np.einsum("ij,ij->j", np.conj(spectra[0]), spectra[1])
-    circular = scipy.fft.irfft(total, length)
-    return np.maximum(np.roll(circular, int(bins_one.max()))[:lags], 0.0)
+    start = min(one.time[0], other.time[0])
+    bins = 1 + int((max(one.time.max(), other.time.max()) - start) / _BIN_S)
+    keys = [_presence(each, common, start, bins) for each in (one, other)]
+    cell, place = np.divmod(keys[0], bins)
+    low, high = (np.clip(place + end, -1, bins - 1) for end in (lag[0] - 1, lag[-1]))
+    first, after = (
+        np.searchsorted(keys[1], cell * bins + end, side="right") for end in (low, high)
+    )
+    every = int((after - first).sum()) // _MOST_PAIRS + 1
+    first, count, place = first[::every], (after - first)[::every], place[::every]
+    agreement = np.zeros(len(lag))
+    for rows in np.array_split(np.arange(len(count)), int(count.sum()) // _PAIRS_AT_ONCE + 1):
+        paired = keys[1][ranges(first[rows], count[rows])] % bins
+        found = paired - np.repeat(place[rows], count[rows]) - lag[0]
+        agreement += np.bincount(found, minlength=len(lag))
+    return agreement
 
 
-def _presence(key: Integers, bins: Integers, cells: Integers, length: int) -> NDArray[np.float32]:
-    """Return for each cell (rows) and bin of time 1 where there is a detection, else 0."""
-    row = np.searchsorted(cells, key)
-    row[row == len(cells)] = 0
-    common = cells[row] == key
-    table = np.zeros((len(cells), length), np.float32)
-    table[row[common], bins[common]] = 1.0
-    return table
+def _presence(seen: LaneDetections, common: Integers, start: float, bins: int) -> Integers:
+    """Return cell (row of `common`) x `bins` + bin of time of each detection, each once."""
+    key = _cell_numbers(seen)
+    cell = np.minimum(np.searchsorted(common, key), len(common) - 1)
+    on = common[cell] == key
+    return np.unique(cell[on] * bins + ((seen.time[on] - start) / _BIN_S).astype(np.int64))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -396,10 +403,8 @@ def _normal_equations(
     return matrix, right_side
 
 
-def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float) -> float:
-    """Return the share of detections that agree at an offset.
-
-    One at which too few agree, or as many as at other offsets, is refused.
+def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float) -> None:
+    """Refuse an offset at which too few detections agree, or as many as at other offsets.
 
     On a road that both see, most detections of one agree with those of the other at the right
     offset, and far fewer a second or more beside it. Traffic at signals repeats from cycle to
@@ -427,7 +432,6 @@ def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float)
         raise NoAnswerError("at no lag do they see the same vehicles")
     if not share >= _LEAST_RATIO * np.nanmax([0.0, *decoys]):
         raise NoAnswerError("their common traffic looks alike at other lags too")
-    return float(share)
 
 
 def _shares_seen_by_both(
