@@ -104,6 +104,20 @@ def checked(run, write):
     return check
 
 
+def test_short_recordings_are_read_whole_as_a_long_one(rows, tmp_path, excerpts):
+    table = rows["R1"]
+    *_, whole = excerpts(table)
+    part = ((table["time"] - table["time"].iloc[0]) // 5.0).astype(int)
+    paths = []
+    for number, each in table.groupby(part):
+        paths.append(tmp_path / f"{number}.parquet")
+        each.to_parquet(paths[-1], index=False)
+    recordings = [gr.open_recording(path) for path in paths]
+    assert len(recordings) == 8
+    *_, last = read_excerpts(recordings, [as_track(POSES["R1"])] * len(recordings))
+    assert len(last.moving.time) == len(whole.moving.time) > 10_000
+
+
 def moved(pose, north_m):
     return replace(pose, northing=pose.northing + north_m)
 

@@ -173,18 +173,20 @@ def read_excerpts(
 
 
 def _segment_begins(spans: Sequence[tuple[float, float]], count: int) -> list[Floats]:
-    """Return the begins of each recording's segments, UNIX s, spread evenly over all recordings."""
+    """Return the begins of each recording's segments, UNIX s, spread evenly over all recordings.
+
+    Where they would overlap, the recordings are read whole, however short each is.
+    """
     length = np.array([end - begin for begin, end in spans])
     ends = np.cumsum(length)
-    step = max(_SEGMENT_S, (ends[-1] - _SEGMENT_S) / (count - 1))
+    step = (ends[-1] - _SEGMENT_S) / (count - 1)
+    if step <= _SEGMENT_S:
+        return [begin + np.arange(0.0, end - begin + 1e-3, _SEGMENT_S) for begin, end in spans]
     offsets = step * np.arange(count)
-    offsets = offsets[offsets < max(ends[-1], _SEGMENT_S)]
     recording = np.minimum(np.searchsorted(ends, offsets, side="right"), len(spans) - 1)
     begins = [
         spans[k][0] + offsets[recording == k] - (ends[k] - length[k]) for k in range(len(spans))
     ]
-    if step == _SEGMENT_S:
-        return begins
     # on a common grid of time, so that segments of sensors with a common view coincide
     return [np.unique(np.floor(each / _SEGMENT_S) * _SEGMENT_S) for each in begins]
 
