@@ -41,18 +41,6 @@ def _placed(posterior: Any, motions: Any, _: Any) -> Any:
     return list(motions)
 
 
-def _once(motions: Any, detections: Any, graph: Any) -> Any:
-    if not motions:
-        return []
-    posterior = estimate.Posterior(detections, motions)
-    posterior.learn(moves._sized_and_cut(posterior, split=True))  # noqa: SLF001
-    posterior.set_vehicles(moves.lengthen(posterior, graph))
-    posterior.motions = moves.reassociate(posterior)
-    posterior.set_vehicles(moves.refit(posterior))
-    found = moves._sized_and_cut(posterior, split=False)  # noqa: SLF001
-    return moves.with_undetected_ends(posterior, found, graph)
-
-
 def _without_heights(motions: Any, detections: Any, *rest: Any) -> Any:
     flat = replace(detections, height_m=np.full(len(detections), np.nan))
     return moves.improve(motions, flat, *rest)
@@ -96,7 +84,8 @@ def _persons(off: int) -> Part:
 PARTS: dict[str, Part] = {
     "as-is": (),
     "no-posterior": _off((tracker, "improve", lambda found, *_: list(found))),
-    "one-round": _off((tracker, "improve", _once)),
+    "one-round": _off((moves, "_SPLIT_IN_ROUNDS", (True,))),
+    "two-rounds": _off((moves, "_SPLIT_IN_ROUNDS", (True, True))),
     # moves
     "no-resize": _off((moves, "resize", _same)),
     "no-split-long": _off((moves, "split_long", _same)),

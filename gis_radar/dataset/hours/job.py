@@ -44,7 +44,7 @@ from gis_radar.recordings import detection_keys, keys_in_common
 from gis_radar.scans import SightTiles
 from gis_radar.tracking import BLOCK_MARGIN_STEPS, HourVehicles, vehicles_of_hour
 
-HOUR_METHOD = 17
+HOUR_METHOD = 18
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # equal frames of two sensors that may be chance

@@ -33,6 +33,9 @@ _SHORTER_STEPS = 10  # steps by which the new motion may be shorter at either en
 # and per nat. The errors of one body's detections are correlated: all of them together are evidence
 # of a third of what a single one would be.
 _LOG_ODDS_AT_0, _LOG_ODDS_PER_NAT = 0.26, 0.32
+# Whether long vehicles are split in each round. Not in the last one: halves of a body that was
+# merged by its motion drive alike, and would stay two.
+_SPLIT_IN_ROUNDS = (True, True, False)
 _MOST_NATS = 10.0  # largest gain per detection: that of a standing vehicle on bare road
 
 
@@ -41,8 +44,8 @@ def improve(motions: Sequence[Motion], detections: MapDetections, graph: LaneGra
 
     Moves that raise the posterior are made in turn: change lengths, split long vehicles, merge
     neighbours, cut stretches without support, lengthen tracks along the lanes, associate detections
-    anew and smooth motions over them. All are made twice, since what one vehicle loses another one
-    gains. At the end lengths, merges and cuts are made once more, tracks are extended where few
+    anew and smooth motions over them. There are three rounds, since what one vehicle loses another
+    one gains. At the end lengths, merges and cuts are made once more, tracks are extended where few
     detections are expected, and the probability that each vehicle exists is computed.
 
     Parameters
@@ -58,14 +61,12 @@ def improve(motions: Sequence[Motion], detections: MapDetections, graph: LaneGra
         return []
     posterior = Posterior(detections, motions)
     del motions  # better ones take their place
-    posterior.learn(_sized_and_cut(posterior, split=True))
-    posterior.set_vehicles(lengthen(posterior, graph))
-    posterior.motions = reassociate(posterior)
-    posterior.set_vehicles(refit(posterior))
-    posterior.learn(_sized_and_cut(posterior, split=True))
-    posterior.set_vehicles(lengthen(posterior, graph))
-    posterior.motions = reassociate(posterior)
-    # no splits now: halves of a body that was merged by its motion drive alike, and would stay two
+    for number, split in enumerate(_SPLIT_IN_ROUNDS):
+        if number > 0:
+            posterior.set_vehicles(refit(posterior))
+        posterior.learn(_sized_and_cut(posterior, split=split))
+        posterior.set_vehicles(lengthen(posterior, graph))
+        posterior.motions = reassociate(posterior)
     found = with_undetected_ends(posterior, _sized_and_cut(posterior, split=False), graph)
     return with_existence(posterior, found)
 
