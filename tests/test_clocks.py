@@ -1,6 +1,7 @@
 """Clocks of two sensors, compared by traffic that a test drives past them."""
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
 from gis_radar import read_clocks
-from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError
+from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError, ranges
 from gis_radar.calibration import SensorClock, measure_clocks
 from gis_radar.calibration.timing.clock_offsets import (
     ClockOffset,
@@ -230,6 +231,27 @@ def passages(rng, seconds, ahead_s, drift, side):
         speed=np.repeat(speed, 40)[order] + rng.normal(0, 0.05, len(order)),
         side=np.full(len(order), float(side)),
     )
+
+
+def test_a_cell_full_of_traffic_takes_no_more_memory(monkeypatch):
+    """In a jam before one sensor, a few cells hold most pairs."""
+    rng, taken = np.random.default_rng(6), list[int]()
+    one, other = (passages(rng, 1800, 0.0, 0.0, side) for side in (1, -1))
+    jam = one.take(np.flatnonzero(one.s_m > 20.0))
+    jams = [replace(jam, s_m=jam.s_m % 2.0, speed=jam.speed % 1.0 + 1.5)] * 2
+    one, other = (
+        LaneDetections.joined(list(pair)) for pair in zip((one, other), jams, strict=True)
+    )
+    one, other = (each.take(np.argsort(each.time, kind="stable")) for each in (one, other))
+    usual = rough_offset(one, other)
+    module = "gis_radar.calibration.timing.clock_offsets"
+    monkeypatch.setattr(f"{module}._PAIRS_AT_ONCE", 100_000)
+    monkeypatch.setattr(
+        f"{module}.ranges", lambda *given: taken.append(given[1].sum()) or ranges(*given)
+    )
+    assert rough_offset(one, other) == usual
+    assert len(taken) > 10
+    assert max(taken) < 110_000
 
 
 def test_an_hour_gives_the_drift():

@@ -22,8 +22,8 @@ from gis_radar.calibration.timing.lane_detections import LaneDetections
 
 # Sensitivity, on the sample's two sensors (sigma 10 ms): half or twice any constant of the rough
 # search does not change the offset.
-# Largest offset that is searched, beyond the difference of the recordings' begins: over an hour,
-# the usual mistake of a time zone.
+# Largest offset that is searched, from 0 and from the difference of the recordings' begins: over an
+# hour, the usual mistake of a time zone.
 _MAX_OFFSET_S = 4000.0
 _BIN_S = 0.25  # width of the bins of time in which agreement is counted
 # Size of the cells of place and speed in which agreement is counted: a vehicle passes about one in
@@ -208,8 +208,9 @@ def _agreement_by_lag(
     )
     every = int((after - first).sum()) // _MOST_PAIRS + 1
     first, count, place = first[::every], (after - first)[::every], place[::every]
-    agreement = np.zeros(len(lag))
-    for rows in np.array_split(np.arange(len(count)), int(count.sum()) // _PAIRS_AT_ONCE + 1):
+    agreement, ends = np.zeros(len(lag)), np.cumsum(count)
+    parts = np.searchsorted(ends, np.arange(_PAIRS_AT_ONCE, ends[-1], _PAIRS_AT_ONCE))
+    for rows in np.split(np.arange(len(count)), parts):
         paired = keys[1][ranges(first[rows], count[rows])] % bins
         found = paired - np.repeat(place[rows], count[rows]) - lag[0]
         agreement += np.bincount(found, minlength=len(lag))
