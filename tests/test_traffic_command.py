@@ -400,7 +400,8 @@ def test_a_line_that_is_seen_straight_across_has_a_larger_error(tmp_path):
     ]
     listener = Listener()
     for each in datasets:
-        remark_on_counting_lines(each, listener)
+        tiles = each.tiles().sort_values("tile_id", ignore_index=True)
+        remark_on_counting_lines(each, tiles, each.lanes(), listener)
     (said,) = listener.lines
     assert said.startswith(f"lane {APPROACH}: every sensor looks straight across")
     across, along = (each.traffic() for each in datasets)

@@ -126,7 +126,7 @@ def remark_on_counting_lines(
 ) -> None:
     """Warn of lanes over whose counting lines all sensors look straight across.
 
-    Tiles and lanes, the dataset's, are not read again, as memory may run short beside results.
+    Tiles (by ascending `tile_id`) and lanes are the dataset's, not read again: memory may be short.
     """
     network = LaneNetwork.of(tiles, dict(zip(lanes["lane"], lanes["stop_line_m"], strict=True)))
     across = lanes_across(dataset.poses(), dataset.sights(), tiles, network) & ~network.connector
