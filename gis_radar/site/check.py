@@ -195,9 +195,9 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     for done, sensor in enumerate(site.sensor):
         reporter.progress("reading recordings", done, len(site.sensor))
         counts = _ViewCounts()
-        for foreign in sensor.foreign:  # converted by the run, which refuses what is none inside
+        for foreign in sensor.foreign:  # the run converts them, and refuses wrong content
             if not foreign.name.lower().endswith(known):
-                format_of(str(foreign))
+                format_of(str(foreign))  # raises, unless its content is of a known format
         readable = [path for path in sensor.recordings if path not in sensor.foreign]
         spans = [(*counts.add(open_recording(path)), path) for path in readable]
         sensor_checks[sensor.name] = _sensor_check(sensor, spans, counts, warnings)

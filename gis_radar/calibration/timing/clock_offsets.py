@@ -82,7 +82,8 @@ _LEAST_SHARE = 0.45  # least share of detections that agree at the offset
 _LEAST_RATIO = 1.3  # least ratio of that share to the one at any decoy
 _LEAST_CHECKED = 50  # least detections of a sensor at places and times that the other one saw
 
-_MOST_PAIRS, _PAIRS_AT_ONCE = 1 << 25, 1 << 20  # pairs of a cell: 2 s of CPU; 24 MiB
+# Pairs of detections of a cell: at most, which takes 2 s of CPU, and at once, in 24 MiB.
+_MOST_PAIRS, _PAIRS_AT_ONCE = 1 << 25, 1 << 20
 
 
 class NoCommonTrafficError(NoAnswerError):

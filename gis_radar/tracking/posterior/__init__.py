@@ -24,6 +24,9 @@ from gis_radar.tracking.posterior.sizes import resize, with_size
 
 __all__ = ["Posterior", "improve"]
 
+# Whether long vehicles are split in each round. Not in the last one: halves of a body that was
+# merged by its motion drive alike, and would stay two.
+_SPLIT_IN_ROUNDS = (True, True, False)
 _LEAST_ROWS = 8  # least detections of a vehicle whose motion is fitted anew
 MOVES_MPS = 1.0  # least largest speed of such a vehicle
 _LEAST_GAIN = 2.0  # least gain of a new motion over the old one, nats
@@ -33,9 +36,6 @@ _SHORTER_STEPS = 10  # steps by which the new motion may be shorter at either en
 # and per nat. The errors of one body's detections are correlated: all of them together are evidence
 # of a third of what a single one would be.
 _LOG_ODDS_AT_0, _LOG_ODDS_PER_NAT = 0.26, 0.32
-# Whether long vehicles are split in each round. Not in the last one: halves of a body that was
-# merged by its motion drive alike, and would stay two.
-_SPLIT_IN_ROUNDS = (True, True, False)
 _MOST_NATS = 10.0  # largest gain per detection: that of a standing vehicle on bare road
 
 
